@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A labelled tetrahedral mesh in metres: what CAD hands to the solver and to the profile."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+
+class Region(enum.IntEnum):
+    """What a surface face of a gel pad is for."""
+
+    SIDE = 0
+    CONTACT = 1
+    BOND = 2
+    WINDOW = 3
+
+
+@dataclass(frozen=True)
+class TetMesh:
+    """Tetrahedra of one soft body with the region of each surface face.
+
+    The gel frame: x right and y down in the tactile image, z out of the gel, origin on the
+    undeformed contact face at the pad's centre; the bonded back lies at negative z.
+    """
+
+    nodes_m: np.ndarray
+    """Node positions [m], float64, shape [node_count, 3]."""
+    tets: np.ndarray
+    """Node indices, positive volume, int32, shape [tet_count, 4]."""
+    faces: np.ndarray
+    """Boundary triangles, outward (right-hand rule), int32, shape [face_count, 3]."""
+    face_regions: np.ndarray
+    """``Region`` of each face, int32, shape [face_count]."""
+
+    def __post_init__(self) -> None:
+        for name, dtype, width in (
+            ("nodes_m", np.float64, 3),
+            ("tets", np.int32, 4),
+            ("faces", np.int32, 3),
+        ):
+            value = np.ascontiguousarray(getattr(self, name), dtype=dtype)
+            if value.ndim != 2 or value.shape[1] != width or value.shape[0] == 0:
+                raise InputError(f"TetMesh.{name} must have shape [n, {width}], got {value.shape}")
+            object.__setattr__(self, name, value)
+        regions = np.ascontiguousarray(self.face_regions, dtype=np.int32)
+        if regions.shape != (len(self.faces),):
+            raise InputError(
+                f"TetMesh.face_regions has shape {regions.shape}, expected [{len(self.faces)}]"
+            )
+        object.__setattr__(self, "face_regions", regions)
+        if not np.isfinite(self.nodes_m).all():
+            raise InputError("TetMesh.nodes_m holds NaN or infinite coordinates")
+        if self.tets.min() < 0 or self.tets.max() >= len(self.nodes_m):
+            raise InputError("TetMesh.tets refers to nodes that do not exist")
+        if self.faces.min() < 0 or self.faces.max() >= len(self.nodes_m):
+            raise InputError("TetMesh.faces refers to nodes that do not exist")
+        if not (self.volumes_m3() > 0).all():
+            bad = int((self.volumes_m3() <= 0).sum())
+            raise InputError(f"{bad} of {len(self.tets)} tets are inverted or flat")
+
+    @property
+    def node_count(self) -> int:
+        return len(self.nodes_m)
+
+    @property
+    def tet_count(self) -> int:
+        return len(self.tets)
+
+    def volumes_m3(self) -> np.ndarray:
+        """Signed tet volumes [m^3], shape [tet_count]."""
+        p = self.nodes_m[self.tets]
+        return np.linalg.det(p[:, 1:] - p[:, :1]) / 6.0
+
+    def region_faces(self, *regions: Region) -> np.ndarray:
+        """Faces of the given regions, int32, shape [n, 3]."""
+        return self.faces[np.isin(self.face_regions, [int(r) for r in regions])]
+
+    def region_nodes(self, *regions: Region) -> np.ndarray:
+        """Sorted node indices that lie on faces of the given regions, shape [n]."""
+        return np.unique(self.region_faces(*regions))
+
+    def bonded_nodes(self) -> np.ndarray:
+        """Sorted nodes glued to the rigid backing: those of the bond and window faces."""
+        return self.region_nodes(Region.BOND, Region.WINDOW)
+
+
+def boundary_faces(tets: np.ndarray) -> np.ndarray:
+    """Outward triangles that belong to exactly one tet, int32, shape [face_count, 3].
+
+    Tets must have positive volume. Raises InputError when a face is shared by more than two tets.
+    """
+    tets = np.asarray(tets, dtype=np.int64)
+    # Faces opposite to each corner, wound outward for a positive tet.
+    corners = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+    all_faces = tets[:, corners].reshape(-1, 3)
+    _, first, counts = np.unique(
+        np.sort(all_faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    if counts.max() > 2:
+        raise InputError(f"{int((counts > 2).sum())} faces are shared by more than two tets")
+    return all_faces[np.sort(first[counts == 1])].astype(np.int32)

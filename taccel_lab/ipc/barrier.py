@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The log barrier of IPC and the contact potential per unit of area.
+
+`barrier` is the form of Li et al. (2020), Incremental Potential Contact, eq. 6, on the distance:
+
+    b(d) = -(d - dhat)^2 ln(d / dhat) for 0 < d < dhat, else 0.
+
+`contact_potential` is its area-weighted, dimensionless form (Li, Kaufman, Jiang 2023, Convergent
+Incremental Potential Contact): with y = d / dhat and a stiffness = kappa [Pa] * area [m^2],
+
+    E(d) = stiffness * dhat * g(y),  g(y) = -(y - 1)^2 ln(y)
+
+so that the contact pressure is kappa |g'(y)|, whatever dhat and the mesh are.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def unit_barrier(y: wp.float64) -> wp.float64:
+    """g(y) = -(y - 1)^2 ln y, zero from y = 1 on."""
+    if y >= wp.float64(1.0):
+        return wp.float64(0.0)
+    gap = y - wp.float64(1.0)
+    return -gap * gap * wp.log(y)
+
+
+@wp.func
+def unit_barrier_d1(y: wp.float64) -> wp.float64:
+    """g'(y) = -(y - 1) (2 ln y + (y - 1) / y)."""
+    if y >= wp.float64(1.0):
+        return wp.float64(0.0)
+    gap = y - wp.float64(1.0)
+    return -gap * (wp.float64(2.0) * wp.log(y) + gap / y)
+
+
+@wp.func
+def unit_barrier_d2(y: wp.float64) -> wp.float64:
+    """g''(y) = -2 ln y - 4 (y - 1) / y + ((y - 1) / y)^2."""
+    if y >= wp.float64(1.0):
+        return wp.float64(0.0)
+    ratio = (y - wp.float64(1.0)) / y
+    return -wp.float64(2.0) * wp.log(y) - wp.float64(4.0) * ratio + ratio * ratio
+
+
+@wp.func
+def barrier(distance: wp.float64, dhat: wp.float64) -> wp.float64:
+    """IPC barrier b [m^2] of a distance > 0 [m]."""
+    return dhat * dhat * unit_barrier(distance / dhat)
+
+
+@wp.func
+def barrier_d1(distance: wp.float64, dhat: wp.float64) -> wp.float64:
+    """db/dd [m]."""
+    return dhat * unit_barrier_d1(distance / dhat)
+
+
+@wp.func
+def barrier_d2(distance: wp.float64, dhat: wp.float64) -> wp.float64:
+    """d2b/dd2 [-]."""
+    return unit_barrier_d2(distance / dhat)
+
+
+@wp.func
+def contact_potential(distance: wp.float64, dhat: wp.float64, stiffness: wp.float64) -> wp.float64:
+    """Potential energy [J] of a collision; stiffness = kappa [Pa] * area [m^2]."""
+    return stiffness * dhat * unit_barrier(distance / dhat)
+
+
+@wp.func
+def contact_potential_d1(
+    distance: wp.float64, dhat: wp.float64, stiffness: wp.float64
+) -> wp.float64:
+    """dE/dd [N]; its negative is the normal force."""
+    return stiffness * unit_barrier_d1(distance / dhat)
+
+
+@wp.func
+def contact_potential_d2(
+    distance: wp.float64, dhat: wp.float64, stiffness: wp.float64
+) -> wp.float64:
+    """d2E/dd2 [N/m]."""
+    return stiffness / dhat * unit_barrier_d2(distance / dhat)

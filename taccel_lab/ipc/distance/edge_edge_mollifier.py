@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mollifier of nearly parallel edges (Li et al. 2020, Incremental Potential Contact, section 4.3).
+
+    m(c) = c/e (2 - c/e) for c < e, else 1;   c = |u x v|^2;   e = 1e-3 |u_rest|^2 |v_rest|^2
+
+with u, v the two edges. It takes the edge-edge energy, whose gradient jumps where the closest
+points of parallel edges switch, smoothly to zero. Derivatives: own derivation, with
+dc = 2 (u x v) . (du x v + u x dv).
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.matrix_types import mat43d, mat1212d
+
+wp.set_module_options({"enable_backward": False})
+
+_RELATIVE_THRESHOLD = wp.constant(wp.float64(1.0e-3))
+
+
+@wp.func
+def edge_edge_mollifier_threshold(
+    ea0_rest: wp.vec3d, ea1_rest: wp.vec3d, eb0_rest: wp.vec3d, eb1_rest: wp.vec3d
+) -> wp.float64:
+    """Squared cross product below which a pair is mollified [m^4], from rest positions [m]."""
+    size_sq = wp.length_sq(ea1_rest - ea0_rest) * wp.length_sq(eb1_rest - eb0_rest)
+    return _RELATIVE_THRESHOLD * size_sq
+
+
+@wp.func
+def edge_edge_cross_sq(ea0: wp.vec3d, ea1: wp.vec3d, eb0: wp.vec3d, eb1: wp.vec3d) -> wp.float64:
+    """Squared norm of the cross product of the two edges [m^4]."""
+    return wp.length_sq(wp.cross(ea1 - ea0, eb1 - eb0))
+
+
+@wp.func
+def edge_edge_mollifier(cross_sq: wp.float64, threshold: wp.float64) -> wp.float64:
+    """Mollifier m in [0, 1]."""
+    if cross_sq >= threshold:
+        return wp.float64(1.0)
+    y = cross_sq / threshold
+    return y * (wp.float64(2.0) - y)
+
+
+@wp.func
+def edge_edge_mollifier_d1(cross_sq: wp.float64, threshold: wp.float64) -> wp.float64:
+    """dm/dc [1/m^4]."""
+    if cross_sq >= threshold:
+        return wp.float64(0.0)
+    return wp.float64(2.0) * (wp.float64(1.0) - cross_sq / threshold) / threshold
+
+
+@wp.func
+def edge_edge_mollifier_d2(cross_sq: wp.float64, threshold: wp.float64) -> wp.float64:
+    """d2m/dc2 [1/m^8]."""
+    if cross_sq >= threshold:
+        return wp.float64(0.0)
+    return -wp.float64(2.0) / (threshold * threshold)
+
+
+@wp.func
+def edge_sign(i: wp.int32) -> wp.float64:
+    """Sign of stencil node i in its edge vector: -1 for the first end, +1 for the second."""
+    return wp.float64(2 * (i % 2) - 1)
+
+
+@wp.func
+def edge_edge_cross_sq_gradient(
+    ea0: wp.vec3d, ea1: wp.vec3d, eb0: wp.vec3d, eb1: wp.vec3d
+) -> mat43d:
+    """Derivative of the squared cross product by the nodes [m^3]."""
+    u = ea1 - ea0
+    v = eb1 - eb0
+    normal = wp.float64(2.0) * wp.cross(u, v)
+    by_u = wp.cross(v, normal)
+    by_v = wp.cross(normal, u)
+    return wp.matrix_from_rows(-by_u, by_u, -by_v, by_v)
+
+
+@wp.func
+def cross_sq_hessian_block(
+    u: wp.vec3d, v: wp.vec3d, i: wp.int32, j: wp.int32, curvature: wp.float64
+) -> wp.mat33d:
+    """Block (i, j) of the second derivative of |u x v|^2 [m^2] by the four nodes.
+
+    With curvature 1 it is exact; with 0 it is the Gauss-Newton part 2 J^T J, J = d(u x v)/dx, which
+    is positive semidefinite and exact for parallel edges.
+    """
+    two = wp.float64(2.0)
+    # (d(u x v)/dx_i) = sign_i skew(other edge of i), up to a sign that is the same in an edge.
+    a = v
+    b = u
+    if i > 1:
+        a = -u
+    if j < 2:
+        b = v
+    else:
+        b = -u
+    block = two * wp.transpose(wp.skew(a)) * wp.skew(b)
+    if (i < 2) != (j < 2):
+        # N . (du x dv) = -du . (N x dv)
+        bend = two * curvature * wp.skew(wp.cross(u, v))
+        if i < 2:
+            block -= bend
+        else:
+            block += bend
+    return edge_sign(i) * edge_sign(j) * block
+
+
+@wp.func
+def edge_edge_mollifier_gradient(
+    ea0: wp.vec3d, ea1: wp.vec3d, eb0: wp.vec3d, eb1: wp.vec3d, threshold: wp.float64
+) -> mat43d:
+    """Derivative of the mollifier by the nodes [1/m]."""
+    slope = edge_edge_mollifier_d1(edge_edge_cross_sq(ea0, ea1, eb0, eb1), threshold)
+    return slope * edge_edge_cross_sq_gradient(ea0, ea1, eb0, eb1)
+
+
+@wp.func
+def edge_edge_mollifier_hessian(
+    ea0: wp.vec3d, ea1: wp.vec3d, eb0: wp.vec3d, eb1: wp.vec3d, threshold: wp.float64
+) -> mat1212d:
+    """Second derivative of the mollifier by the nodes [1/m^2], exact."""
+    cross_sq = edge_edge_cross_sq(ea0, ea1, eb0, eb1)
+    slope = edge_edge_mollifier_d1(cross_sq, threshold)
+    bend = edge_edge_mollifier_d2(cross_sq, threshold)
+    gradient = edge_edge_cross_sq_gradient(ea0, ea1, eb0, eb1)
+    hessian = mat1212d()
+    block_count = int(16)
+    for k in range(block_count):
+        i = k // 4
+        j = k % 4
+        block = slope * cross_sq_hessian_block(ea1 - ea0, eb1 - eb0, i, j, wp.float64(1.0))
+        block += bend * wp.outer(gradient[i], gradient[j])
+        for a in range(3):
+            for b in range(3):
+                hessian[3 * i + a, 3 * j + b] = block[a, b]
+    return hessian

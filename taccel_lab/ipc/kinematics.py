@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prescribed rigid motion: poses between two ends, and the vertices of a body at a pose."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.model import Model
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _place_kernel(
+    body: int,
+    first: int,
+    local_positions: wp.array(dtype=wp.vec3d),
+    poses: wp.array2d(dtype=wp.transformd),
+    positions: wp.array2d(dtype=wp.vec3d),
+):
+    env, i = wp.tid()
+    positions[env, first + i] = wp.transform_point(poses[env, body], local_positions[i])
+
+
+def place_kinematic_nodes(model: Model, poses: wp.array, positions: wp.array) -> None:
+    """Overwrite the kinematic nodes of ``positions`` by their bodies' vertices at ``poses``."""
+    for index, body in enumerate(model.kinematic):
+        wp.launch(
+            _place_kernel,
+            dim=(model.env_count, body.node_count),
+            inputs=[index, body.node_start, body.local_positions, poses],
+            outputs=[positions],
+            device=model.device,
+        )
+
+
+def turn_angle(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Angle between the rotations of two sets of poses [rad]; both [..., 7]."""
+    qa, qb = start[..., 3:], end[..., 3:]
+    # From the chord, not from the dot product: the arccosine of nearly 1 has only eight digits.
+    chord = np.minimum(np.linalg.norm(qb - qa, axis=-1), np.linalg.norm(qb + qa, axis=-1))
+    return 4 * np.arcsin(np.clip(chord / 2, 0, 1))
+
+
+def interpolate_poses(start: np.ndarray, end: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """Poses part of the way: linear in position, constant angular velocity in rotation.
+
+    ``start``, ``end``: [env, body, 7]; ``fraction``: [env]. Takes the short way round.
+    """
+    t = np.asarray(fraction)[:, None, None]
+    pose = start + t * (end - start)
+    qa, qb = start[..., 3:], end[..., 3:]
+    dot = np.einsum("ebi,ebi->eb", qa, qb)[..., None]
+    qb = np.where(dot < 0, -qb, qb)
+    angle = np.arccos(np.clip(np.abs(dot), 0, 1))
+    sine = np.sin(angle)
+    small = sine < 1e-6
+    safe = np.where(small, 1.0, sine)
+    wa = np.where(small, 1 - t, np.sin((1 - t) * angle) / safe)
+    wb = np.where(small, t, np.sin(t * angle) / safe)
+    q = wa * qa + wb * qb
+    pose[..., 3:] = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return pose

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixed-size FP64 matrix types of a contact stencil of four nodes (12 degrees of freedom).
+
+Row and column `3 i + a` of a 12x12 matrix belongs to coordinate `a` of stencil node `i`; row `i` of
+a 4x3 matrix is the 3-vector of node `i`.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+vec5d = wp.types.vector(length=5, dtype=wp.float64)
+mat23d = wp.types.matrix(shape=(2, 3), dtype=wp.float64)
+mat35d = wp.types.matrix(shape=(3, 5), dtype=wp.float64)
+mat43d = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
+mat55d = wp.types.matrix(shape=(5, 5), dtype=wp.float64)
+mat1212d = wp.types.matrix(shape=(12, 12), dtype=wp.float64)
+
+
+@wp.func
+def stencil_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d) -> mat43d:
+    """Stack the vectors of four nodes as rows."""
+    return wp.matrix_from_rows(a, b, c, d)

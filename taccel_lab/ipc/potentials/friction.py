@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lagged Coulomb friction [Li et al. 2020, sec. 5]: normal force, weights and tangent plane of each
+collision are frozen, which makes the sliding of one step a potential; the solver re-freezes them
+until the force residual with the new values is small too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.barrier import contact_potential_d1
+from taccel_lab.ipc.collisions import Collisions, closest_pair
+from taccel_lab.ipc.distance.derivatives import pair_normal
+from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_cross_sq, edge_edge_mollifier
+from taccel_lab.ipc.friction import (
+    friction_gradient,
+    friction_hessian,
+    friction_potential,
+    relative_displacement,
+    tangential,
+)
+from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
+from taccel_lab.ipc.reduce import sum_lists
+from taccel_lab.model import Model
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _lag_kernel(
+    active: wp.array(dtype=wp.int32),
+    collision_counts: wp.array(dtype=wp.int32),
+    kinds: wp.array2d(dtype=wp.int32),
+    collision_stencils: wp.array2d(dtype=wp.vec4i),
+    stiffnesses: wp.array2d(dtype=wp.float64),
+    thresholds: wp.array2d(dtype=wp.float64),
+    node_friction: wp.array(dtype=wp.float64),
+    positions: wp.array2d(dtype=wp.vec3d),
+    dhat: wp.float64,
+    counts: wp.array(dtype=wp.int32),
+    stencils: wp.array2d(dtype=wp.vec4i),
+    weights: wp.array2d(dtype=wp.vec4d),
+    normals: wp.array2d(dtype=wp.vec3d),
+    mu_lambdas: wp.array2d(dtype=wp.float64),
+):
+    env, slot = wp.tid()
+    if active[env] == 0:
+        return
+    if slot == 0:
+        counts[env] = collision_counts[env]
+    if slot >= collision_counts[env]:
+        return
+    nodes = collision_stencils[env, slot]
+    kind = kinds[env, slot]
+    pair = closest_pair(env, kind, nodes, positions)
+    force = -contact_potential_d1(wp.sqrt(pair.distance_sq), dhat, stiffnesses[env, slot])
+    threshold = thresholds[env, slot]
+    if threshold > wp.float64(0.0):
+        cross_sq = edge_edge_cross_sq(
+            positions[env, nodes[0]],
+            positions[env, nodes[1]],
+            positions[env, nodes[2]],
+            positions[env, nodes[3]],
+        )
+        force *= edge_edge_mollifier(cross_sq, threshold)
+    mu = wp.float64(0.0)
+    for i in range(4):
+        mu = wp.max(mu, node_friction[nodes[i]])
+    stencils[env, slot] = nodes
+    weights[env, slot] = pair.weights
+    normals[env, slot] = pair_normal(pair)
+    # A subtracted duplicate (negative stiffness) must not push along the sliding direction.
+    mu_lambdas[env, slot] = mu * wp.max(force, wp.float64(0.0))
+
+
+@wp.func
+def sliding(
+    env: int,
+    nodes: wp.vec4i,
+    weights: wp.vec4d,
+    normal: wp.vec3d,
+    positions: wp.array2d(dtype=wp.vec3d),
+    previous: wp.array2d(dtype=wp.vec3d),
+) -> wp.vec3d:
+    """Tangential displacement of the two closest points against each other in this step [m]."""
+    return tangential(
+        normal,
+        relative_displacement(
+            weights,
+            positions[env, nodes[0]] - previous[env, nodes[0]],
+            positions[env, nodes[1]] - previous[env, nodes[1]],
+            positions[env, nodes[2]] - previous[env, nodes[2]],
+            positions[env, nodes[3]] - previous[env, nodes[3]],
+        ),
+    )
+
+
+@wp.kernel
+def _energy_kernel(
+    active: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    stencils: wp.array2d(dtype=wp.vec4i),
+    weights: wp.array2d(dtype=wp.vec4d),
+    normals: wp.array2d(dtype=wp.vec3d),
+    mu_lambdas: wp.array2d(dtype=wp.float64),
+    positions: wp.array2d(dtype=wp.vec3d),
+    previous: wp.array2d(dtype=wp.vec3d),
+    eps_u: wp.float64,
+    energies: wp.array2d(dtype=wp.float64),
+):
+    env, slot = wp.tid()
+    if active[env] == 0 or slot >= counts[env]:
+        return
+    nodes = stencils[env, slot]
+    u = sliding(env, nodes, weights[env, slot], normals[env, slot], positions, previous)
+    energies[env, slot] = friction_potential(u, mu_lambdas[env, slot], eps_u)
+
+
+@wp.kernel
+def _gradient_kernel(
+    active: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    stencils: wp.array2d(dtype=wp.vec4i),
+    weights: wp.array2d(dtype=wp.vec4d),
+    normals: wp.array2d(dtype=wp.vec3d),
+    mu_lambdas: wp.array2d(dtype=wp.float64),
+    positions: wp.array2d(dtype=wp.vec3d),
+    previous: wp.array2d(dtype=wp.vec3d),
+    eps_u: wp.float64,
+    gradient: wp.array2d(dtype=wp.vec3d),
+):
+    env, slot = wp.tid()
+    if active[env] == 0 or slot >= counts[env]:
+        return
+    nodes = stencils[env, slot]
+    w = weights[env, slot]
+    u = sliding(env, nodes, w, normals[env, slot], positions, previous)
+    force = friction_gradient(u, mu_lambdas[env, slot], eps_u)
+    for i in range(4):
+        if w[i] != wp.float64(0.0):
+            wp.atomic_add(gradient, env, nodes[i], w[i] * force)
+
+
+@wp.kernel
+def _hessian_kernel(
+    active: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    stencils: wp.array2d(dtype=wp.vec4i),
+    weights: wp.array2d(dtype=wp.vec4d),
+    normals: wp.array2d(dtype=wp.vec3d),
+    mu_lambdas: wp.array2d(dtype=wp.float64),
+    positions: wp.array2d(dtype=wp.vec3d),
+    previous: wp.array2d(dtype=wp.vec3d),
+    eps_u: wp.float64,
+    system: NewtonSystem,
+):
+    env, slot = wp.tid()
+    if active[env] == 0 or slot >= counts[env]:
+        return
+    nodes = stencils[env, slot]
+    w = weights[env, slot]
+    n = normals[env, slot]
+    u = sliding(env, nodes, w, n, positions, previous)
+    core = friction_hessian(n, u, mu_lambdas[env, slot], eps_u)
+    for i in range(4):
+        for j in range(4):
+            if w[i] != wp.float64(0.0) and w[j] != wp.float64(0.0):
+                add_block(env, nodes[i], nodes[j], w[i] * w[j] * core, system)
+
+
+class FrictionPotential:
+    """Frozen friction of a collision set; built only for scenes with a friction coefficient."""
+
+    def __init__(self, model: Model, collisions: Collisions, eps_u_m: float) -> None:
+        self.model = model
+        self.collisions = collisions
+        self.eps_u_m = eps_u_m
+        """Sliding in one step below which friction is static [m]: eps_v * dt."""
+        self.counts = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
+        self.max_count = 0
+        self._allocate(1)
+
+    def _allocate(self, capacity: int) -> None:
+        """Make room; environments that are not re-frozen now keep their lists."""
+        shape, device = (self.model.env_count, capacity), self.model.device
+        old = self._lists() if hasattr(self, "stencils") else None
+        self.stencils = wp.zeros(shape, dtype=wp.vec4i, device=device)
+        self.weights = wp.zeros(shape, dtype=wp.vec4d, device=device)
+        self.normals = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        self.mu_lambdas = wp.zeros(shape, dtype=wp.float64, device=device)
+        """Friction coefficient times frozen normal force [N], shape [env_count, capacity]."""
+        self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
+        """Energy of each frozen collision [J], shape [env_count, capacity]."""
+        if old is not None:
+            for new, previous in zip(self._lists(), old, strict=True):
+                wp.copy(new[:, : previous.shape[1]], previous)
+
+    def _lists(self) -> list[wp.array]:
+        return [self.stencils, self.weights, self.normals, self.mu_lambdas]
+
+    def lag(self, active: wp.array, positions: wp.array) -> None:
+        """Freeze the current collisions of the active environments at ``positions``."""
+        c = self.collisions
+        if self.stencils.shape[1] < c.capacity:
+            self._allocate(c.capacity)
+        wp.launch(
+            _lag_kernel,
+            dim=(self.model.env_count, max(c.max_count, 1)),
+            inputs=[active, c.counts, c.kinds, c.stencils, c.stiffnesses, c.thresholds]
+            + [self.model.node_friction, positions, c.dhat],
+            outputs=[self.counts, *self._lists()],
+            device=self.model.device,
+        )
+        self.max_count = int(self.counts.numpy().max())
+
+    def clear(self) -> None:
+        """Forget all frozen collisions."""
+        self.counts.zero_()
+        self.max_count = 0
+
+    def _launch(
+        self, kernel: wp.Kernel, active: wp.array, positions: wp.array, previous: wp.array, out
+    ) -> None:
+        if self.max_count:
+            wp.launch(
+                kernel,
+                dim=(self.model.env_count, self.max_count),
+                inputs=[active, self.counts, *self._lists(), positions, previous]
+                + [self.eps_u_m, out],
+                device=self.model.device,
+            )
+
+    def energy(self, active: wp.array, positions: wp.array, previous: wp.array) -> np.ndarray:
+        """Energy for sliding from ``previous`` to ``positions`` [J], shape [env_count]."""
+        self._launch(_energy_kernel, active, positions, previous, self.energies)
+        return sum_lists(self.energies, self.counts)
+
+    def add_gradient(
+        self, active: wp.array, positions: wp.array, previous: wp.array, gradient: wp.array
+    ) -> None:
+        """Add d energy / dx [N] of all nodes."""
+        self._launch(_gradient_kernel, active, positions, previous, gradient)
+
+    def add_hessian(
+        self, active: wp.array, positions: wp.array, previous: wp.array, system: NewtonSystem
+    ) -> None:
+        """Add the Hessian, positive semi-definite as it is, to the Newton system."""
+        self._launch(_hessian_kernel, active, positions, previous, system)

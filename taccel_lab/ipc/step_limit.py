@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The largest collision-free fraction of a displacement, per environment (additive CCD)."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.ccd import edge_edge_ccd, point_triangle_ccd
+from taccel_lab.model import Model
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _node_face_kernel(
+    active: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    candidates: wp.array2d(dtype=wp.vec2i),
+    faces: wp.array(dtype=wp.vec3i),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    slackness: wp.float64,
+    max_iterations: int,
+    limits: wp.array(dtype=wp.float64),
+):
+    env, slot = wp.tid()
+    if active[env] == 0 or slot >= counts[env]:
+        return
+    p = candidates[env, slot][0]
+    f = faces[candidates[env, slot][1]]
+    result = point_triangle_ccd(
+        positions[env, p],
+        positions[env, f[0]],
+        positions[env, f[1]],
+        positions[env, f[2]],
+        displacements[env, p],
+        displacements[env, f[0]],
+        displacements[env, f[1]],
+        displacements[env, f[2]],
+        wp.float64(0.0),
+        slackness,
+        wp.float64(1.0),
+        max_iterations,
+    )
+    wp.atomic_min(limits, env, result.toi)
+
+
+@wp.kernel
+def _edge_edge_kernel(
+    active: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    candidates: wp.array2d(dtype=wp.vec2i),
+    edges: wp.array(dtype=wp.vec2i),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    slackness: wp.float64,
+    max_iterations: int,
+    limits: wp.array(dtype=wp.float64),
+):
+    env, slot = wp.tid()
+    if active[env] == 0 or slot >= counts[env]:
+        return
+    a = edges[candidates[env, slot][0]]
+    b = edges[candidates[env, slot][1]]
+    result = edge_edge_ccd(
+        positions[env, a[0]],
+        positions[env, a[1]],
+        positions[env, b[0]],
+        positions[env, b[1]],
+        displacements[env, a[0]],
+        displacements[env, a[1]],
+        displacements[env, b[0]],
+        displacements[env, b[1]],
+        wp.float64(0.0),
+        slackness,
+        wp.float64(1.0),
+        max_iterations,
+    )
+    wp.atomic_min(limits, env, result.toi)
+
+
+def limit_step(
+    model: Model,
+    active: wp.array,
+    candidates: Candidates,
+    positions: wp.array,
+    displacements: wp.array,
+    limits: wp.array,
+    slackness: float = 0.1,
+    max_iterations: int = 1000,
+) -> None:
+    """Set ``limits`` [env_count] to the fraction of ``displacements`` that keeps all pairs apart.
+
+    ``slackness``: part of the initial gap that is left at the limit. A query that needs more
+    iterations than allowed stops early at a fraction that is still safe.
+    """
+    limits.fill_(1.0)
+    for kernel, counts, pairs, most, primitives in (
+        (
+            _node_face_kernel,
+            candidates.node_face_counts,
+            candidates.node_face,
+            candidates.max_node_face,
+            model.surface.faces,
+        ),
+        (
+            _edge_edge_kernel,
+            candidates.edge_edge_counts,
+            candidates.edge_edge,
+            candidates.max_edge_edge,
+            model.surface.edges,
+        ),
+    ):
+        if most:
+            wp.launch(
+                kernel,
+                dim=(model.env_count, most),
+                inputs=[active, counts, pairs, primitives, positions, displacements]
+                + [slackness, max_iterations],
+                outputs=[limits],
+                device=model.device,
+            )

@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Host-side description of a scene: bodies, materials, motion. ``Scene.finalize`` makes a Model."""
+
+from taccel_lab.scene.description import KinematicBody, Material, Scene, SoftBody, TimeStepping
+from taccel_lab.scene.primitives import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
+
+__all__ = [
+    "KinematicBody",
+    "Material",
+    "Scene",
+    "SoftBody",
+    "TimeStepping",
+    "TriangleMesh",
+    "box_mesh",
+    "cylinder_mesh",
+    "sphere_mesh",
+]

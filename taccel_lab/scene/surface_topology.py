@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Adjacency of the collision surface: what the contact weights need to count features once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+
+@dataclass(frozen=True)
+class SurfaceTopology:
+    """Faces, edges and vertices of all collision surfaces, with their incidence.
+
+    Indices of nodes are global (soft nodes first, then kinematic vertices).
+    """
+
+    faces: np.ndarray
+    """Node indices, outward, int32, shape [face_count, 3]."""
+    edges: np.ndarray
+    """Node indices, int32, shape [edge_count, 2]."""
+    face_edges: np.ndarray
+    """Edge opposite order (01, 12, 20) of each face, int32, shape [face_count, 3]."""
+    edge_faces: np.ndarray
+    """The one or two faces of each edge, -1 for none, int32, shape [edge_count, 2]."""
+    node_face_starts: np.ndarray
+    """CSR into ``node_faces``, int32, shape [node_count + 1]."""
+    node_faces: np.ndarray
+    """Incident faces, ascending, int32."""
+    node_edge_starts: np.ndarray
+    """CSR into ``node_edges``, int32, shape [node_count + 1]."""
+    node_edges: np.ndarray
+    """Incident edges, ascending, int32."""
+
+
+def _incidence(items: np.ndarray, node_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """CSR from node to the rows of ``items`` that hold it."""
+    nodes = items.ravel()
+    rows = np.repeat(np.arange(len(items)), items.shape[1])
+    order = np.lexsort((rows, nodes))
+    starts = np.searchsorted(nodes[order], np.arange(node_count + 1))
+    return starts.astype(np.int32), rows[order].astype(np.int32)
+
+
+def surface_topology(faces: np.ndarray, node_count: int, what: str) -> SurfaceTopology:
+    """Build the incidence of a triangle surface; an edge of three or more faces is refused."""
+    corners = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges, inverse = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True)
+    counts = np.bincount(inverse.ravel(), minlength=len(edges))
+    if counts.max() > 2:
+        raise InputError(
+            f"{what}: {int((counts > 2).sum())} edges belong to more than two faces; "
+            "a collision surface must be manifold"
+        )
+    face_edges = inverse.reshape(-1, 3)
+    edge_faces = np.full((len(edges), 2), -1, dtype=np.int32)
+    order = np.argsort(face_edges.ravel(), kind="stable")
+    sorted_edges = face_edges.ravel()[order]
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = sorted_edges[1:] != sorted_edges[:-1]
+    edge_faces[sorted_edges[first], 0] = order[first] // 3
+    edge_faces[sorted_edges[~first], 1] = order[~first] // 3
+    node_face_starts, node_faces = _incidence(faces, node_count)
+    node_edge_starts, node_edges = _incidence(edges, node_count)
+    return SurfaceTopology(
+        faces=faces.astype(np.int32),
+        edges=edges.astype(np.int32),
+        face_edges=face_edges.astype(np.int32),
+        edge_faces=edge_faces,
+        node_face_starts=node_face_starts,
+        node_faces=node_faces,
+        node_edge_starts=node_edge_starts,
+        node_edges=node_edges,
+    )
+
+
+def surface_areas(
+    positions: np.ndarray, topology: SurfaceTopology
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rest areas [m^2] that belong to nodes and edges: a third of each incident face.
+
+    ``positions``: [env, node, 3]. Returns [env, node] and [env, edge].
+    """
+    p = positions[:, topology.faces]
+    cross = np.cross(p[:, :, 1] - p[:, :, 0], p[:, :, 2] - p[:, :, 0])
+    third = np.linalg.norm(cross, axis=-1) / 6.0
+    env_count, node_count = positions.shape[:2]
+    node_area = np.zeros((env_count, node_count))
+    edge_area = np.zeros((env_count, len(topology.edges)))
+    for corner in range(3):
+        for env in range(env_count):
+            node_area[env] += np.bincount(
+                topology.faces[:, corner], third[env], minlength=node_count
+            )
+            edge_area[env] += np.bincount(
+                topology.face_edges[:, corner], third[env], minlength=len(topology.edges)
+            )
+    return node_area, edge_area

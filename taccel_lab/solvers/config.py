@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the IPC solver, checked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from taccel_lab.errors import InputError
+from taccel_lab.ipc.potentials.elastic import PSD_ABS, PSD_CLAMP
+
+
+class ElementProjection(StrEnum):
+    """What becomes of negative eigenvalues of an element Hessian."""
+
+    CLAMP = "clamp"
+    ABS = "abs"
+
+    @property
+    def code(self) -> int:
+        return {"clamp": PSD_CLAMP, "abs": PSD_ABS}[self.value]
+
+
+@dataclass(frozen=True)
+class SolverConfig:
+    """Tolerances and limits; lengths in metres, forces in newtons."""
+
+    dhat_m: float = 2e-5
+    """Gap at which contact begins."""
+    kappa_pa: float | None = None
+    """Contact pressure at about half of dhat; Young's modulus of the soft body when None."""
+    relative_tolerance: float = 1e-4
+    """Force residual over the sum of nodal contact forces at which a step has converged."""
+    absolute_tolerance_n: float = 1e-7
+    """Force residual that is always good enough."""
+    max_newton_iterations: int = 200
+    max_cg_iterations: int = 2000
+    max_line_search_cuts: int = 40
+    friction_eps_m: float = 1e-6
+    """Sliding per step below which friction is static (eps_v * dt)."""
+    max_friction_lags: int = 100
+    """How often friction may be frozen anew within a step."""
+    element_projection: ElementProjection = ElementProjection.CLAMP
+    contact_hessian_mode: int = 1
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("dhat_m", 1e-8, 1e-2),
+            ("relative_tolerance", 1e-12, 1.0),
+            ("absolute_tolerance_n", 1e-15, 1e3),
+            ("friction_eps_m", 1e-12, 1e-2),
+        ):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and low <= value <= high):
+                raise InputError(f"{name} must lie in [{low:g}, {high:g}], got {value:g}")
+        if self.kappa_pa is not None and not (
+            math.isfinite(self.kappa_pa) and 1.0 <= self.kappa_pa <= 1e13
+        ):
+            raise InputError(f"kappa_pa must lie in [1, 1e13] Pa, got {self.kappa_pa:g}")
+        for name in ("max_newton_iterations", "max_cg_iterations", "max_friction_lags"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lagged friction and tangent frames."""
+
+from __future__ import annotations
+
+import ipctk
+import numpy as np
+
+from tests.ipc import batch
+from tests.ipc.batch import Array
+
+EPS_U = 1e-3
+MU_LAMBDA = 0.7
+
+
+def contacts(seed: int, count: int) -> tuple[Array, Array, Array]:
+    """Weights, normals and displacements; |u| spreads over 1e-3 .. 1e3 of eps_u."""
+    rng = np.random.default_rng(seed)
+    bary = rng.dirichlet(np.ones(3), size=count)
+    weights = np.concatenate([np.ones((count, 1)), -bary], axis=1)
+    n = rng.normal(size=(count, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    dx = rng.normal(size=(count, 4, 3)) * EPS_U * 10.0 ** rng.uniform(-3, 3, (count, 1, 1))
+    return weights, n, dx
+
+
+def test_smoothing_equals_ipctk() -> None:
+    weights, n, dx = contacts(0, 1000)
+    smoothing, u, *_ = batch.friction_terms(weights, n, dx, MU_LAMBDA, EPS_U)
+    size = np.linalg.norm(u, axis=1)
+    assert 100 < np.sum(size < EPS_U) < 900
+    functions = (
+        ipctk.smooth_friction_f0,
+        ipctk.smooth_friction_f1_over_x,
+        ipctk.smooth_friction_f2,
+    )
+    for column, function in enumerate(functions):
+        expected = [function(value, EPS_U) for value in size]
+        np.testing.assert_allclose(smoothing[:, column], expected, rtol=1e-12, atol=1e-15)
+
+
+def test_displacement_is_tangential() -> None:
+    weights, n, dx = contacts(1, 200)
+    _, u, *_ = batch.friction_terms(weights, n, dx, MU_LAMBDA, EPS_U)
+    relative = np.einsum("ci,cia->ca", weights, dx)
+    expected = relative - np.sum(relative * n, axis=1, keepdims=True) * n
+    np.testing.assert_allclose(u, expected, atol=1e-15 * np.abs(dx).max())
+    assert np.abs(u).max() > 0.0
+
+
+def test_force_is_bounded_by_the_cone_and_opposes_sliding() -> None:
+    weights, n, dx = contacts(2, 500)
+    _, u, _, gradient, _ = batch.friction_terms(weights, n, dx, MU_LAMBDA, EPS_U)
+    force = np.linalg.norm(gradient, axis=1)
+    slides = np.linalg.norm(u, axis=1) >= EPS_U
+    assert slides.sum() > 50
+    np.testing.assert_allclose(force[slides], MU_LAMBDA, rtol=1e-12)
+    assert np.all(force[~slides] < MU_LAMBDA)
+    assert np.all(np.sum(gradient * u, axis=1) > 0.0)
+    assert np.abs(np.sum(gradient * n, axis=1)).max() < 1e-12
+
+
+def test_derivatives_equal_finite_differences() -> None:
+    weights, n, dx = contacts(3, 300)
+    _, u, _, gradient, hessian = batch.friction_terms(weights, n, dx, MU_LAMBDA, EPS_U)
+    size = np.linalg.norm(u, axis=1)
+    step = 1e-5 * size
+    steady = np.abs(size / EPS_U - 1.0) > 1e-3
+    numeric, curvature = np.zeros((300, 3)), np.zeros((300, 3, 3))
+    for axis in range(3):
+        sides = []
+        for sign in (1.0, -1.0):
+            moved = dx.copy()
+            moved[:, 0, axis] += sign * step  # node 0 has weight 1
+            terms = batch.friction_terms(weights, n, moved, MU_LAMBDA, EPS_U)
+            sides.append((terms[2], terms[3]))
+        numeric[:, axis] = (sides[0][0] - sides[1][0]) / (2 * step)
+        curvature[:, axis] = (sides[0][1] - sides[1][1]) / (2 * step[:, None])
+    np.testing.assert_allclose(gradient[steady], numeric[steady], atol=1e-7)
+    scale = np.abs(curvature).max(axis=(1, 2), keepdims=True)
+    assert np.abs((hessian - curvature) / scale)[steady].max() < 1e-7
+    assert scale.min() > 0.0
+
+
+def test_hessian_is_semidefinite_also_at_rest() -> None:
+    weights, n, dx = contacts(4, 500)
+    dx[:100] = 0.0
+    _, _, value, gradient, hessian = batch.friction_terms(weights, n, dx, MU_LAMBDA, EPS_U)
+    lowest = np.linalg.eigvalsh(hessian)
+    assert np.all(lowest[:, 0] >= -1e-12 * lowest[:, -1])
+    np.testing.assert_allclose(value[:100], MU_LAMBDA * EPS_U / 3)
+    assert np.all(gradient[:100] == 0.0)
+    plane = np.eye(3) - n[:100, :, None] * n[:100, None, :]
+    np.testing.assert_allclose(hessian[:100], 2 * MU_LAMBDA / EPS_U * plane, rtol=1e-12, atol=1e-9)
+
+
+def test_tangent_basis_is_a_right_handed_frame_everywhere() -> None:
+    rng = np.random.default_rng(5)
+    n = rng.normal(size=(2000, 3))
+    axes = [[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, -1, 0], [1, 0, -0.0]]
+    nearly = [[1e-9, 0, -1], [0, 1e-200, 1], [-1e-200, 0, -1]]
+    n = np.concatenate([n, np.array(axes + nearly, dtype=float)])
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    basis = batch.tangents(n)
+    frame = np.concatenate([basis, n[:, None]], axis=1)
+    np.testing.assert_allclose(frame @ frame.transpose(0, 2, 1), np.tile(np.eye(3), (len(n), 1, 1)),
+                               atol=1e-14)  # fmt: skip
+    np.testing.assert_allclose(np.linalg.det(frame), 1.0, rtol=1e-14)
