@@ -8,7 +8,9 @@ one rest shape and ``env_count`` otherwise; kernels index them with ``env % rest
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -17,6 +19,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from taccel_lab.ipc.linear.pattern import BlockPattern, tet_block_pattern
 from taccel_lab.scene.description import Scene
+from taccel_lab.scene.primitives import Ball, TriangleMesh
 from taccel_lab.scene.surface_topology import SurfaceTopology, surface_areas, surface_topology
 
 
@@ -56,11 +59,27 @@ class SurfaceArrays:
     """float64, shape [rest_count, node_count]."""
     edge_areas: wp.array
     """float64, shape [rest_count, edge_count]."""
+    face_areas: wp.array
+    """float64, shape [rest_count, face_count]."""
+    node_radii: wp.array
+    """Radius of a ball about a node [m], 0 for nodes of meshes, float64, shape [node_count]."""
+
+
+@dataclass
+class SurfaceTrees:
+    """Search trees over the faces, edges and vertices of a mesh in its own frame."""
+
+    faces: wp.Bvh
+    edges: wp.Bvh
+    vertices: wp.Bvh
 
 
 @dataclass
 class KinematicArrays:
-    """One kinematic body: its surface in its own frame, with search trees that never change."""
+    """One kinematic body: its surface in its own frame, with search trees that never change.
+
+    A ball is a single node with a radius and has no trees.
+    """
 
     name: str
     node_start: int
@@ -69,11 +88,10 @@ class KinematicArrays:
     """Vertices in the body frame [m], vec3d, shape [vertex_count]."""
     face_start: int
     edge_start: int
-    face_bvh: wp.Bvh
-    edge_bvh: wp.Bvh
-    vertex_bvh: wp.Bvh
+    trees: SurfaceTrees | None
+    """None for a ball."""
     radius_m: float
-    """Largest distance of a vertex from the body frame's origin [m]."""
+    """Largest distance of the surface from the body frame's origin [m]."""
     friction: float
 
 
@@ -145,6 +163,23 @@ def _bvh(lower: np.ndarray, upper: np.ndarray, device: wp.Device) -> wp.Bvh:
     )
 
 
+def _surface_trees(
+    vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, device: wp.Device
+) -> SurfaceTrees:
+    corners, ends = vertices[faces], vertices[edges]
+    return SurfaceTrees(
+        faces=_bvh(corners.min(1), corners.max(1), device),
+        edges=_bvh(ends.min(1), ends.max(1), device),
+        vertices=_bvh(vertices, vertices, device),
+    )
+
+
+def _vertices_and_faces(shape: TriangleMesh | Ball) -> tuple[np.ndarray, np.ndarray]:
+    if isinstance(shape, Ball):
+        return np.zeros((1, 3)), np.zeros((0, 3), dtype=np.int32)
+    return shape.vertices_m, shape.faces
+
+
 def build_model(scene: Scene, device: str) -> Model:
     """Put a scene on a device; see ``Scene.finalize``."""
     wp_device = wp.get_device(device)
@@ -157,7 +192,8 @@ def build_model(scene: Scene, device: str) -> Model:
     bonded = scene.soft_body.bonded()
     if len(bonded) and (bonded[0] < 0 or bonded[-1] >= soft_count):
         raise InputError("bonded_nodes refers to nodes that do not exist")
-    node_starts = np.cumsum([soft_count] + [len(b.mesh.vertices_m) for b in scene.kinematic_bodies])
+    shapes = [_vertices_and_faces(body.shape) for body in scene.kinematic_bodies]
+    node_starts = np.cumsum([soft_count] + [len(vertices) for vertices, _ in shapes])
     node_count = int(node_starts[-1])
     free = np.zeros(node_count, dtype=bool)
     free[:soft_count] = True
@@ -170,26 +206,28 @@ def build_model(scene: Scene, device: str) -> Model:
     touchable = np.isin(mesh.face_regions, [int(Region.CONTACT), int(Region.SIDE)])
     all_faces = [mesh.faces[touchable]]
     rest = [soft_rest]
-    for start, body in zip(node_starts[:-1], scene.kinematic_bodies, strict=True):
-        all_faces.append(body.mesh.faces + np.int32(start))
-        rest.append(np.broadcast_to(body.mesh.vertices_m, (rest_count, *body.mesh.vertices_m.shape)))
+    for start, (vertices, body_faces) in zip(node_starts[:-1], shapes, strict=True):
+        all_faces.append(body_faces + np.int32(start))
+        rest.append(np.broadcast_to(vertices, (rest_count, *vertices.shape)))
     faces = np.concatenate(all_faces)
     rest_positions = np.concatenate(rest, axis=1)
     topology = surface_topology(faces, node_count, "collision surface")
-    node_areas, edge_areas = surface_areas(rest_positions, topology)
+    areas = surface_areas(rest_positions, topology)
+    node_radii = np.zeros(node_count)
 
     # Unique edges are sorted by node, so those of one body are contiguous.
     edge_body_starts = np.searchsorted(topology.edges[:, 0], node_starts)
     face_starts = np.cumsum([0] + [len(f) for f in all_faces])
 
-    def put(value: np.ndarray, dtype: type) -> wp.array:
+    def put(value: np.ndarray, dtype: Any) -> wp.array:
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=wp_device)
 
     kinematic = []
     for i, body in enumerate(scene.kinematic_bodies):
-        local = body.mesh.vertices_m
+        local, body_faces = shapes[i]
         local_edges = topology.edges[edge_body_starts[i] : edge_body_starts[i + 1]] - node_starts[i]
-        corner, ends = local[body.mesh.faces], local[local_edges]
+        if isinstance(body.shape, Ball):
+            node_radii[node_starts[i]] = body.shape.radius_m
         kinematic.append(
             KinematicArrays(
                 name=body.name,
@@ -198,10 +236,16 @@ def build_model(scene: Scene, device: str) -> Model:
                 local_positions=put(local, wp.vec3d),
                 face_start=int(face_starts[i + 1]),
                 edge_start=int(edge_body_starts[i]),
-                face_bvh=_bvh(corner.min(1), corner.max(1), wp_device),
-                edge_bvh=_bvh(ends.min(1), ends.max(1), wp_device),
-                vertex_bvh=_bvh(local, local, wp_device),
-                radius_m=float(np.linalg.norm(local, axis=1).max()),
+                trees=(
+                    None
+                    if isinstance(body.shape, Ball)
+                    else _surface_trees(local, body_faces, local_edges, wp_device)
+                ),
+                radius_m=(
+                    body.shape.radius_m
+                    if isinstance(body.shape, Ball)
+                    else float(np.linalg.norm(local, axis=1).max())
+                ),
                 friction=body.friction_coefficient,
             )
         )
@@ -239,7 +283,7 @@ def build_model(scene: Scene, device: str) -> Model:
             node_tet_starts=put(node_tet_starts.astype(np.int32), wp.int32),
             node_tets=put(order.astype(np.int32), wp.int32),
         ),
-        surface=_surface_arrays(topology, node_areas, edge_areas, put),
+        surface=_surface_arrays(topology, areas, node_radii, put),
         kinematic=kinematic,
         pattern=pattern,
         row_starts=put(pattern.row_starts, wp.int32),
@@ -255,7 +299,10 @@ def build_model(scene: Scene, device: str) -> Model:
 
 
 def _surface_arrays(
-    topology: SurfaceTopology, node_areas: np.ndarray, edge_areas: np.ndarray, put
+    topology: SurfaceTopology,
+    areas: tuple[np.ndarray, np.ndarray, np.ndarray],
+    node_radii: np.ndarray,
+    put: Callable[[np.ndarray, Any], wp.array],
 ) -> SurfaceArrays:
     return SurfaceArrays(
         faces=put(topology.faces, wp.vec3i),
@@ -266,6 +313,8 @@ def _surface_arrays(
         node_faces=put(topology.node_faces, wp.int32),
         node_edge_starts=put(topology.node_edge_starts, wp.int32),
         node_edges=put(topology.node_edges, wp.int32),
-        node_areas=put(node_areas, wp.float64),
-        edge_areas=put(edge_areas, wp.float64),
+        node_areas=put(areas[0], wp.float64),
+        edge_areas=put(areas[1], wp.float64),
+        face_areas=put(areas[2], wp.float64),
+        node_radii=put(node_radii, wp.float64),
     )

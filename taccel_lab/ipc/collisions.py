@@ -16,6 +16,9 @@ feature enters once with coefficient
 
 and only where that is not zero. On a convex body exactly one feature of it remains per node.
 Edge pairs are those of IPC, mollified where nearly parallel [Li et al. 2020, sec. 4].
+
+A ball is a node with a radius: the gap of a soft face is its distance from the centre less the
+radius [Li et al. 2021, C-IPC, thickness], and every face counts with its own area.
 """
 
 from __future__ import annotations
@@ -56,6 +59,14 @@ def closest_pair(
     if kind == 3:
         return closest_edge_edge(x0, x1, x2, x3)
     return closest_point_triangle(x0, x1, x2, x3)
+
+
+@wp.func
+def collision_gap(
+    pair: ClosestPair, nodes: wp.vec4i, node_radii: wp.array(dtype=wp.float64)
+) -> wp.float64:
+    """Gap of a collision [m]: distance less the radius of a ball (stencil node 0)."""
+    return wp.sqrt(pair.distance_sq) - node_radii[nodes[0]]
 
 
 @wp.func
@@ -114,6 +125,8 @@ def _node_face_kernel(
     node_edge_starts: wp.array(dtype=wp.int32),
     node_edges: wp.array(dtype=wp.int32),
     node_areas: wp.array2d(dtype=wp.float64),
+    face_areas: wp.array2d(dtype=wp.float64),
+    node_radii: wp.array(dtype=wp.float64),
     kappa: wp.float64,
     dhat: wp.float64,
     counts: wp.array(dtype=wp.int32),
@@ -132,10 +145,28 @@ def _node_face_kernel(
     pair = closest_point_triangle(
         p, positions[env, face[0]], positions[env, face[1]], positions[env, face[2]]
     )
+    none = wp.float64(-1.0)
+    radius = node_radii[node]
+    if radius > wp.float64(0.0):
+        # A ball is in contact with many faces at once: each counts with its own area.
+        reach = radius + dhat
+        if pair.distance_sq < reach * reach:
+            add_collision(
+                env,
+                0,
+                wp.vec4i(node, face[0], face[1], face[2]),
+                kappa * face_areas[env % face_areas.shape[0], face_id],
+                none,
+                counts,
+                kinds,
+                stencils,
+                stiffnesses,
+                thresholds,
+            )
+        return
     dhat_sq = dhat * dhat
     if pair.distance_sq >= dhat_sq:
         return
-    none = wp.float64(-1.0)
     stiffness = wp.float64(0.5) * kappa * node_areas[env % node_areas.shape[0], node]
     if pair.region == wp.static(int(PointTriangleRegion.T)):
         nodes = wp.vec4i(node, face[0], face[1], face[2])
@@ -298,7 +329,8 @@ class Collisions:
                 dim=(model.env_count, candidates.max_node_face),
                 inputs=[active, candidates.node_face_counts, candidates.node_face, positions]
                 + [s.faces, s.edges, s.face_edges, s.edge_faces, s.node_face_starts, s.node_faces]
-                + [s.node_edge_starts, s.node_edges, s.node_areas, self.kappa, self.dhat],
+                + [s.node_edge_starts, s.node_edges, s.node_areas, s.face_areas]
+                + [s.node_radii, self.kappa, self.dhat],
                 outputs=outputs,
                 device=model.device,
             )

@@ -20,6 +20,7 @@ def _node_face_kernel(
     faces: wp.array(dtype=wp.vec3i),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
+    node_radii: wp.array(dtype=wp.float64),
     slackness: wp.float64,
     max_iterations: int,
     limits: wp.array(dtype=wp.float64),
@@ -38,7 +39,7 @@ def _node_face_kernel(
         displacements[env, f[0]],
         displacements[env, f[1]],
         displacements[env, f[2]],
-        wp.float64(0.0),
+        node_radii[p],
         slackness,
         wp.float64(1.0),
         max_iterations,
@@ -54,6 +55,7 @@ def _edge_edge_kernel(
     edges: wp.array(dtype=wp.vec2i),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
+    node_radii: wp.array(dtype=wp.float64),
     slackness: wp.float64,
     max_iterations: int,
     limits: wp.array(dtype=wp.float64),
@@ -117,7 +119,7 @@ def limit_step(
                 kernel,
                 dim=(model.env_count, most),
                 inputs=[active, counts, pairs, primitives, positions, displacements]
-                + [slackness, max_iterations],
+                + [model.surface.node_radii, slackness, max_iterations],
                 outputs=[limits],
                 device=model.device,
             )

@@ -2,9 +2,16 @@
 """Host-side description of a scene: bodies, materials, motion. ``Scene.finalize`` makes a Model."""
 
 from taccel_lab.scene.description import KinematicBody, Material, Scene, SoftBody, TimeStepping
-from taccel_lab.scene.primitives import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
+from taccel_lab.scene.primitives import (
+    Ball,
+    TriangleMesh,
+    box_mesh,
+    cylinder_mesh,
+    sphere_mesh,
+)
 
 __all__ = [
+    "Ball",
     "KinematicBody",
     "Material",
     "Scene",

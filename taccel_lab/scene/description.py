@@ -11,7 +11,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.scene.primitives import TriangleMesh
+from taccel_lab.scene.primitives import Ball, TriangleMesh
 
 if TYPE_CHECKING:
     from taccel_lab.model import Model
@@ -74,7 +74,7 @@ class SoftBody:
 class KinematicBody:
     """A rigid body whose pose is prescribed; it has no degrees of freedom."""
 
-    mesh: TriangleMesh
+    shape: TriangleMesh | Ball
     friction_coefficient: float = 0.0
     """Coulomb friction of the pair soft body - this body; 0 switches the friction pass off."""
     name: str = "indenter"

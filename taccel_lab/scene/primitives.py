@@ -38,6 +38,16 @@ class TriangleMesh:
         return unique_edges(self.faces)
 
 
+@dataclass(frozen=True)
+class Ball:
+    """A perfect sphere about its body frame's origin: smooth, and one distance per gel face."""
+
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        _require_length("ball radius", self.radius_m)
+
+
 def unique_edges(faces: np.ndarray) -> np.ndarray:
     """Unique undirected edges of triangles, int32, shape [edge_count, 2]."""
     pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])

@@ -78,10 +78,10 @@ def surface_topology(faces: np.ndarray, node_count: int, what: str) -> SurfaceTo
 
 def surface_areas(
     positions: np.ndarray, topology: SurfaceTopology
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rest areas [m^2] that belong to nodes and edges: a third of each incident face.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rest areas [m^2] of nodes, edges (a third of each incident face) and faces.
 
-    ``positions``: [env, node, 3]. Returns [env, node] and [env, edge].
+    ``positions``: [env, node, 3]. Returns [env, node], [env, edge] and [env, face].
     """
     p = positions[:, topology.faces]
     cross = np.cross(p[:, :, 1] - p[:, :, 0], p[:, :, 2] - p[:, :, 0])
@@ -97,4 +97,4 @@ def surface_areas(
             edge_area[env] += np.bincount(
                 topology.face_edges[:, corner], third[env], minlength=len(topology.edges)
             )
-    return node_area, edge_area
+    return node_area, edge_area, 3.0 * third

@@ -62,7 +62,7 @@ class SolverIPC:
         """d(friction)/dx at the end of the step [N]; the force on a node is its negative."""
         self._active = wp.zeros(model.env_count, dtype=wp.int32, device=device)
         self._alphas = wp.zeros(model.env_count, dtype=wp.float64, device=device)
-        self._min_distance_sq = wp.zeros(model.env_count, dtype=wp.float64, device=device)
+        self._min_distance = wp.zeros(model.env_count, dtype=wp.float64, device=device)
         self._trial_poses = wp.zeros(
             (model.env_count, len(model.kinematic)), dtype=wp.transformd, device=device
         )
@@ -184,7 +184,7 @@ class _StepRun:
         )
         s.collisions.update(s._active, x, s.candidates)
         s.contact_gradient.zero_()
-        s.contact.add_gradient(s._active, x, s.contact_gradient, s._min_distance_sq)
+        s.contact.add_gradient(s._active, x, s.contact_gradient, s._min_distance)
         s.friction_gradient.zero_()
         if s.friction is not None:
             s.friction.add_gradient(s._active, x, s._previous, s.friction_gradient)
@@ -200,11 +200,11 @@ class _StepRun:
         s.collisions.update(s._active, x, s.candidates)
         s._gradient.zero_()
         s.contact_gradient.zero_()
-        s._min_distance_sq.fill_(np.inf)
+        s._min_distance.fill_(np.inf)
         s.elastic.add_gradient(s._active, x, s._gradient)
         if s.inertia is not None:
             s.inertia.add_gradient(s._active, x, s._gradient)
-        s.contact.add_gradient(s._active, x, s.contact_gradient, s._min_distance_sq)
+        s.contact.add_gradient(s._active, x, s.contact_gradient, s._min_distance)
         self._measure_residual()
 
     def _measure_residual(self) -> None:
@@ -220,7 +220,7 @@ class _StepRun:
         self.residual[a] = np.linalg.norm(total[a][:, free], axis=(1, 2))
         on_gel = contact[a][:, : self.model.soft_count]
         self.contact_force[a] = np.linalg.norm(on_gel, axis=-1).sum(axis=1)
-        self.min_distance[a] = np.sqrt(s._min_distance_sq.numpy()[a])
+        self.min_distance[a] = s._min_distance.numpy()[a]
 
     def _tolerance(self) -> np.ndarray:
         c = self.s.config
@@ -258,10 +258,10 @@ class _StepRun:
         done = who & (self.residual <= self._tolerance())
         # Freezing is a fixed-point iteration. Where it alternates instead of shrinking (a node
         # leaning on two faces in turn) the steps between are damped until it shrinks again.
-        grows = who & (self.residual > 0.9 * self.lag_change)
+        grows = who & (self.residual > (1.0 - 0.1 * self.damping) * self.lag_change)
         shrinks = who & ~grows
         self.damping[grows] = np.maximum(0.5 * self.damping[grows], 0.05)
-        self.damping[shrinks] = np.minimum(1.25 * self.damping[shrinks], 1.0)
+        self.damping[shrinks] = np.minimum(1.5 * self.damping[shrinks], 1.0)
         self.lag_change[who] = self.residual[who]
         self.active = everyone
         self._stop(done, EnvStatus.CONVERGED)

@@ -174,6 +174,43 @@ def _edge_edge_kernel(
         append(env, edge_start + i, first + hit, counts, pairs)
 
 
+@wp.kernel
+def _ball_face_kernel(
+    active: wp.array(dtype=wp.int32),
+    ball: int,
+    radius: wp.float64,
+    margin: wp.float64,
+    face_start: int,
+    faces: wp.array(dtype=wp.vec3i),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    counts: wp.array(dtype=wp.int32),
+    pairs: wp.array2d(dtype=wp.vec2i),
+):
+    """A ball against a soft face: boxes around both paths, in the frame that moves with the ball."""
+    env, i = wp.tid()
+    if active[env] == 0:
+        return
+    face = faces[face_start + i]
+    centre = positions[env, ball]
+    shift = displacements[env, ball]
+    big = wp.float64(1.0e30)
+    low = wp.vec3d(big, big, big)
+    high = -low
+    for k in range(3):
+        a = positions[env, face[k]] - centre
+        b = a + displacements[env, face[k]] - shift
+        low = wp.min(low, wp.min(a, b))
+        high = wp.max(high, wp.max(a, b))
+    gap_sq = wp.float64(0.0)
+    for k in range(3):
+        outside = wp.max(wp.max(low[k], -high[k]), wp.float64(0.0))
+        gap_sq += outside * outside
+    reach = radius + margin
+    if gap_sq < reach * reach:
+        append(env, ball, face_start + i, counts, pairs)
+
+
 class Candidates:
     """Candidate pairs per environment; the lists grow when one overflows, nothing is dropped."""
 
@@ -231,11 +268,23 @@ class Candidates:
         margin: float,
     ) -> None:
         model, surface = self.model, self.model.surface
+        trees = body.trees
+        if trees is None:
+            first, last = model.soft_faces
+            wp.launch(
+                _ball_face_kernel,
+                dim=(model.env_count, last - first),
+                inputs=[active, body.node_start, body.radius_m, margin, first, surface.faces]
+                + [positions, displacements],
+                outputs=[self.node_face_counts, self.node_face],
+                device=model.device,
+            )
+            return
         motion = [positions, displacements, poses_start, poses_end]
         wp.launch(
             _node_face_kernel,
             dim=(model.env_count, model.soft_surface_nodes.shape[0]),
-            inputs=[active, index, body.face_bvh.id, body.face_start, margin]
+            inputs=[active, index, trees.faces.id, body.face_start, margin]
             + [model.soft_surface_nodes, *motion],
             outputs=[self.node_face_counts, self.node_face],
             device=model.device,
@@ -244,7 +293,7 @@ class Candidates:
         wp.launch(
             _vertex_face_kernel,
             dim=(model.env_count, last - first),
-            inputs=[active, index, body.vertex_bvh.id, body.node_start, margin]
+            inputs=[active, index, trees.vertices.id, body.node_start, margin]
             + [first, surface.faces, *motion],
             outputs=[self.node_face_counts, self.node_face],
             device=model.device,
@@ -253,7 +302,7 @@ class Candidates:
         wp.launch(
             _edge_edge_kernel,
             dim=(model.env_count, last - first),
-            inputs=[active, index, body.edge_bvh.id, body.edge_start, margin]
+            inputs=[active, index, trees.edges.id, body.edge_start, margin]
             + [first, surface.edges, *motion],
             outputs=[self.edge_edge_counts, self.edge_edge],
             device=model.device,

@@ -15,7 +15,7 @@ from taccel_lab.ipc.barrier import (
     contact_potential_d1,
     contact_potential_d2,
 )
-from taccel_lab.ipc.collisions import Collisions, closest_pair
+from taccel_lab.ipc.collisions import Collisions, closest_pair, collision_gap
 from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_cross_sq,
     edge_edge_mollifier,
@@ -68,6 +68,7 @@ def _energy_kernel(
     stiffnesses: wp.array2d(dtype=wp.float64),
     thresholds: wp.array2d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
+    node_radii: wp.array(dtype=wp.float64),
     dhat: wp.float64,
     energies: wp.array2d(dtype=wp.float64),
 ):
@@ -76,7 +77,9 @@ def _energy_kernel(
         return
     nodes = stencils[env, slot]
     pair = closest_pair(env, kinds[env, slot], nodes, positions)
-    energy = contact_potential(wp.sqrt(pair.distance_sq), dhat, stiffnesses[env, slot])
+    energy = contact_potential(
+        collision_gap(pair, nodes, node_radii), dhat, stiffnesses[env, slot]
+    )
     threshold = thresholds[env, slot]
     if is_mollified(env, nodes, threshold, positions):
         cross_sq = edge_edge_cross_sq(
@@ -98,9 +101,10 @@ def _gradient_kernel(
     stiffnesses: wp.array2d(dtype=wp.float64),
     thresholds: wp.array2d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
+    node_radii: wp.array(dtype=wp.float64),
     dhat: wp.float64,
     gradient: wp.array2d(dtype=wp.vec3d),
-    min_distance_sq: wp.array(dtype=wp.float64),
+    min_distance: wp.array(dtype=wp.float64),
 ):
     env, slot = wp.tid()
     if active[env] == 0 or slot >= counts[env]:
@@ -109,8 +113,8 @@ def _gradient_kernel(
     nodes = stencils[env, slot]
     k = stiffnesses[env, slot]
     pair = closest_pair(env, kind, nodes, positions)
-    d = wp.sqrt(pair.distance_sq)
-    wp.atomic_min(min_distance_sq, env, pair.distance_sq)
+    d = collision_gap(pair, nodes, node_radii)
+    wp.atomic_min(min_distance, env, d)
     rows = pair_gradient(pair, contact_potential_d1(d, dhat, k))
     if is_mollified(env, nodes, thresholds[env, slot], positions):
         rows = mollified_gradient(
@@ -136,6 +140,7 @@ def _hessian_kernel(
     stiffnesses: wp.array2d(dtype=wp.float64),
     thresholds: wp.array2d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
+    node_radii: wp.array(dtype=wp.float64),
     dhat: wp.float64,
     mode: int,
     system: NewtonSystem,
@@ -151,7 +156,7 @@ def _hessian_kernel(
     x2 = positions[env, nodes[2]]
     x3 = positions[env, nodes[3]]
     pair = closest_pair(env, kind, nodes, positions)
-    d = wp.sqrt(pair.distance_sq)
+    d = collision_gap(pair, nodes, node_radii)
     e1 = contact_potential_d1(d, dhat, k)
     e2 = contact_potential_d2(d, dhat, k)
     size = stencil_size(kind)
@@ -182,7 +187,8 @@ class ContactPotential:
 
     def _inputs(self, active: wp.array, positions: wp.array) -> list:
         c = self.collisions
-        return [active, c.counts, c.kinds, c.stencils, c.stiffnesses, c.thresholds, positions, c.dhat]
+        lists = [c.counts, c.kinds, c.stencils, c.stiffnesses, c.thresholds]
+        return [active, *lists, positions, self.model.surface.node_radii, c.dhat]
 
     def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
         """Barrier energy of the current collision set [J], shape [env_count]."""
@@ -200,16 +206,16 @@ class ContactPotential:
         return sum_lists(self.energies, c.counts)
 
     def add_gradient(
-        self, active: wp.array, positions: wp.array, gradient: wp.array, min_distance_sq: wp.array
+        self, active: wp.array, positions: wp.array, gradient: wp.array, min_distance: wp.array
     ) -> None:
-        """Add d energy / dx [N] of all nodes, soft and kinematic, and lower the minimum [m^2]."""
+        """Add d energy / dx [N] of all nodes, soft and kinematic, and lower the minimum gap [m]."""
         c = self.collisions
         if c.max_count:
             wp.launch(
                 _gradient_kernel,
                 dim=(self.model.env_count, c.max_count),
                 inputs=self._inputs(active, positions),
-                outputs=[gradient, min_distance_sq],
+                outputs=[gradient, min_distance],
                 device=self.model.device,
             )
 

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.barrier import contact_potential_d1
-from taccel_lab.ipc.collisions import Collisions, closest_pair
+from taccel_lab.ipc.collisions import Collisions, closest_pair, collision_gap
 from taccel_lab.ipc.distance.derivatives import pair_normal
 from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_cross_sq, edge_edge_mollifier
 from taccel_lab.ipc.friction import (
@@ -36,6 +36,7 @@ def _lag_kernel(
     stiffnesses: wp.array2d(dtype=wp.float64),
     thresholds: wp.array2d(dtype=wp.float64),
     node_friction: wp.array(dtype=wp.float64),
+    node_radii: wp.array(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     dhat: wp.float64,
     counts: wp.array(dtype=wp.int32),
@@ -54,7 +55,8 @@ def _lag_kernel(
     nodes = collision_stencils[env, slot]
     kind = kinds[env, slot]
     pair = closest_pair(env, kind, nodes, positions)
-    force = -contact_potential_d1(wp.sqrt(pair.distance_sq), dhat, stiffnesses[env, slot])
+    gap = collision_gap(pair, nodes, node_radii)
+    force = -contact_potential_d1(gap, dhat, stiffnesses[env, slot])
     threshold = thresholds[env, slot]
     if threshold > wp.float64(0.0):
         cross_sq = edge_edge_cross_sq(
@@ -208,7 +210,7 @@ class FrictionPotential:
             _lag_kernel,
             dim=(self.model.env_count, max(c.max_count, 1)),
             inputs=[active, c.counts, c.kinds, c.stencils, c.stiffnesses, c.thresholds]
-            + [self.model.node_friction, positions, c.dhat],
+            + [self.model.node_friction, self.model.surface.node_radii, positions, c.dhat],
             outputs=[self.counts, *self._lists()],
             device=self.model.device,
         )
