@@ -31,7 +31,9 @@ class PixelGrid:
 
     def __post_init__(self) -> None:
         if self.width_px < 2 or self.height_px < 2:
-            raise InputError(f"an image needs at least 2x2 px, got {self.width_px}x{self.height_px}")
+            raise InputError(
+                f"an image needs at least 2x2 px, got {self.width_px}x{self.height_px}"
+            )
         for name in ("mm_per_px_x", "mm_per_px_y"):
             value = getattr(self, name)
             if not (math.isfinite(value) and 1e-4 <= value <= 1.0):

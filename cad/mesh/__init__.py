@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tet meshes of parts: structured and free-form meshers, quality, regions and a cache."""
+
+from cad.mesh.structured import even_gel_mesh, structured_gel_mesh
+
+__all__ = ["even_gel_mesh", "structured_gel_mesh"]

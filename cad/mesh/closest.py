@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Closest points on triangle surfaces, by VTK's cell locator."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+class ClosestPoint:
+    """Answers which triangle of a surface is nearest to a point, and how far away."""
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
+        import pyvista as pv
+
+        self._surface = pv.PolyData.from_regular_faces(
+            np.ascontiguousarray(vertices, dtype=np.float64), np.asarray(triangles)
+        )
+
+    def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance [unit of the surface] and triangle index for each point, shape [n] each."""
+        found: Any = self._surface.find_closest_cell(points, return_closest_point=True)
+        cells, nearest = found
+        return np.linalg.norm(np.asarray(nearest) - points, axis=1), np.asarray(cells)
+
+
+def surface_samples(vertices: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
+    """All vertices used by ``triangles`` and ``count`` points spread by area, shape [n, 3].
+
+    The points are the same on every call.
+    """
+    rng = np.random.default_rng(0)
+    p = vertices[triangles]
+    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    chosen = p[rng.choice(len(triangles), size=count, p=area / area.sum())]
+    u, v = rng.random((2, count, 1))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    inside = chosen[:, 0] + u * (chosen[:, 1] - chosen[:, 0]) + v * (chosen[:, 2] - chosen[:, 0])
+    return np.concatenate([vertices[np.unique(triangles)], inside])

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A closed triangle surface whose triangles say which region of the pad they belong to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+
+@dataclass(frozen=True)
+class LabelledSurface:
+    """Triangles of a part's boundary, in millimetres."""
+
+    vertices_mm: np.ndarray
+    """float64, shape [vertex_count, 3]."""
+    triangles: np.ndarray
+    """Outward (right-hand rule), int32, shape [triangle_count, 3]."""
+    regions: np.ndarray
+    """``Region`` of each triangle, int32, shape [triangle_count]."""
+
+    def normals(self) -> np.ndarray:
+        """Unit outward normal of each triangle, shape [triangle_count, 3]."""
+        cross = self._crosses()
+        return cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+
+    def areas_mm2(self) -> np.ndarray:
+        """Area of each triangle [mm^2], shape [triangle_count]."""
+        return 0.5 * np.linalg.norm(self._crosses(), axis=1)
+
+    def volume_mm3(self) -> float:
+        """Enclosed volume [mm^3]."""
+        p = self.vertices_mm[self.triangles]
+        return float((p[:, 0] * np.cross(p[:, 1], p[:, 2])).sum() / 6)
+
+    def _crosses(self) -> np.ndarray:
+        p = self.vertices_mm[self.triangles]
+        return np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+
+
+def check_closed(triangles: np.ndarray, what: str) -> None:
+    """Raise InputError unless every directed edge has exactly one opposite partner."""
+    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    size = int(triangles.max()) + 1
+    keys = directed[:, 0].astype(np.int64) * size + directed[:, 1]
+    opposite = directed[:, 1].astype(np.int64) * size + directed[:, 0]
+    repeated = len(keys) - len(np.unique(keys))
+    unmatched = int((~np.isin(keys, opposite)).sum())
+    if repeated or unmatched:
+        raise InputError(
+            f"{what} is not a closed manifold surface: {unmatched} open and {repeated} repeated "
+            "edges; repair it first (cad.mesh.repair)"
+        )
+
+
+def weld(vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> tuple[
+    np.ndarray, np.ndarray
+]:  # fmt: skip
+    """Merge vertices closer than ``tolerance`` and drop triangles that collapse.
+
+    Returns vertices, shape [n, 3], and triangles, shape [m, 3], int32.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    pairs = KDTree(vertices).query_pairs(tolerance, output_type="ndarray")
+    ones = np.ones(len(pairs))
+    graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(vertices),) * 2)
+    _, group = connected_components(graph, directed=False)
+    _, first = np.unique(group, return_index=True)
+    welded = group[triangles].astype(np.int32)
+    return vertices[first], welded

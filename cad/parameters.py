@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters with bounds, unit and source: the fields of frozen dataclasses that users may set.
+
+``parameter(...)`` declares a dataclass field; ``ParameterSet`` checks every value when an instance
+is made, lists what can be set and reads overrides written as ``name=value``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+from taccel_lab.errors import InputError
+
+_KEY = "parameter"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """What a user has to know to set one value."""
+
+    name: str
+    default: Any
+    unit: str
+    description: str
+    source: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    zero_means: str = ""
+    """When not empty, 0 is allowed besides [minimum, maximum] and means this."""
+
+    def allowed(self) -> str:
+        """The allowed values in words."""
+        unit = f" {self.unit}" if self.unit and self.unit != "1" else ""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        text = f"{self.minimum:g} to {self.maximum:g}{unit}"
+        return f"0 ({self.zero_means}) or {text}" if self.zero_means else text
+
+    def check(self, value: Any) -> Any:
+        """Return ``value`` as the parameter's own type; raise InputError when it is not allowed."""
+        if self.choices:
+            if value not in self.choices:
+                raise InputError(f"{self.name} = {value!r} is not allowed; use {self.allowed()}")
+            return value
+        number = self._number(value)
+        minimum, maximum = float(self.minimum or 0.0), float(self.maximum or 0.0)
+        if self.zero_means and number == 0:
+            return number
+        if not minimum <= number <= maximum:
+            side = "below" if number < minimum else "above"
+            raise InputError(
+                f"{self.name} = {number:g} is {side} its bound; allowed: {self.allowed()}"
+            )
+        return number
+
+    def _number(self, value: Any) -> int | float:
+        wanted = "a whole number" if isinstance(self.default, int) else "a number"
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = math.nan
+        whole = isinstance(self.default, int)
+        if isinstance(value, bool) or not math.isfinite(number) or (whole and number % 1):
+            raise InputError(f"{self.name} = {value!r} is not {wanted}; allowed: {self.allowed()}")
+        return int(number) if whole else number
+
+
+def parameter(
+    default: float | int | str,
+    *,
+    unit: str = "1",
+    description: str,
+    source: str,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: Sequence[str] = (),
+    zero_means: str = "",
+) -> Any:
+    """Declare a dataclass field that carries its bounds, unit and source."""
+    if not choices and (minimum is None or maximum is None):
+        raise TypeError("a numeric parameter needs a minimum and a maximum")
+    details = {
+        "unit": unit,
+        "description": description,
+        "source": source,
+        "minimum": minimum,
+        "maximum": maximum,
+        "choices": tuple(choices),
+        "zero_means": zero_means,
+    }
+    return dataclasses.field(default=default, metadata={_KEY: details})
+
+
+class ParameterSet:
+    """Base of frozen dataclasses whose fields are declared with ``parameter``."""
+
+    @classmethod
+    def parameters(cls) -> dict[str, Parameter]:
+        """What can be set, by name, in the order of declaration."""
+        fields: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(cls)  # type: ignore[arg-type]
+        return {
+            f.name: Parameter(name=f.name, default=f.default, **f.metadata[_KEY])
+            for f in fields
+            if _KEY in f.metadata
+        }
+
+    def __post_init__(self) -> None:
+        for name, spec in self.parameters().items():
+            object.__setattr__(self, name, spec.check(getattr(self, name)))
+
+    def with_values(self, overrides: Mapping[str, Any]) -> Self:
+        """A copy with other values, which may be text; unknown names raise InputError."""
+        known = self.parameters()
+        for name in overrides:
+            if name not in known:
+                raise InputError(f"no parameter {name!r}; known: {', '.join(known)}")
+        return dataclasses.replace(self, **overrides)  # type: ignore[type-var]
+
+    def values(self) -> dict[str, Any]:
+        """Name -> value."""
+        return {name: getattr(self, name) for name in self.parameters()}
+
+    def describe(self) -> dict[str, dict[str, Any]]:
+        """Name -> value, default, bounds, unit, description and source, ready for JSON."""
+        return {
+            name: {
+                "value": getattr(self, name),
+                "default": spec.default,
+                "minimum": spec.minimum,
+                "maximum": spec.maximum,
+                "choices": list(spec.choices) or None,
+                "zero_means": spec.zero_means or None,
+                "unit": spec.unit,
+                "description": spec.description,
+                "source": spec.source if getattr(self, name) == spec.default else "set by the user",
+            }
+            for name, spec in self.parameters().items()
+        }
+
+
+def parse_overrides(items: Sequence[str]) -> dict[str, str]:
+    """Read ``name=value`` words into a dict; raise InputError on any other form or a repeat."""
+    result: dict[str, str] = {}
+    for item in items:
+        name, equals, value = item.partition("=")
+        if not equals or not name.strip() or not value.strip():
+            raise InputError(f"{item!r} is not of the form name=value")
+        if name.strip() in result:
+            raise InputError(f"{name.strip()} is set twice")
+        result[name.strip()] = value.strip()
+    return result

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every sensor family provides: parameters, pad, pixel grid, material, sources."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cad.parameters import ParameterSet
+from cad.parts.gel_pad import GelPad
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+
+
+@dataclass(frozen=True)
+class GelMaterial:
+    """The gel as a Neo-Hookean solid and its friction against indenters."""
+
+    young_modulus_pa: float
+    """Young's modulus at small strain [Pa]."""
+    poisson_ratio: float
+    density_kg_m3: float
+    friction_coefficient: float
+    """Coulomb friction coefficient."""
+
+
+class FamilyParameters(ParameterSet, ABC):
+    """Parameters of one sensor of a family; subclasses are frozen dataclasses of ``parameter``."""
+
+    @abstractmethod
+    def pad(self) -> GelPad:
+        """The gel pad [mm]; raises InputError for dimensions that cannot be built."""
+
+    @abstractmethod
+    def grid(self) -> PixelGrid:
+        """The pixel grid that the tactile image lays over the gel."""
+
+    @abstractmethod
+    def material(self) -> GelMaterial:
+        """The gel's material."""
+
+
+@dataclass(frozen=True)
+class SensorFamily:
+    """One family of the catalogue."""
+
+    name: str
+    """Name on the command line and in profiles."""
+    title: str
+    """One line for people."""
+    parameters_type: type[FamilyParameters]
+    material_names: tuple[str, ...] = ()
+    """Names of the parameters that make up the material."""
+    references: tuple[str, ...] = ()
+    """Publications and data the family rests on."""
+
+    def parameters(self, overrides: Mapping[str, Any] | None = None) -> FamilyParameters:
+        """Parameters of the family, the defaults where ``overrides`` says nothing.
+
+        Values may be text. The pad, grid and material are built once, so that parameters which
+        contradict each other are refused here.
+        """
+        try:
+            found = self.parameters_type().with_values(overrides or {})
+            found.pad()
+            found.grid()
+        except InputError as error:
+            raise InputError(f"sensor {self.name}: {error}") from error
+        return found
+
+    def pad(self, parameters: FamilyParameters | None = None) -> GelPad:
+        """The gel pad [mm] of ``parameters``, or of the defaults."""
+        return (parameters or self.parameters()).pad()
+
+    def grid(self, parameters: FamilyParameters | None = None) -> PixelGrid:
+        """The pixel grid of ``parameters``, or of the defaults."""
+        return (parameters or self.parameters()).grid()
+
+    def material(self, parameters: FamilyParameters | None = None) -> GelMaterial:
+        """The material of ``parameters``, or of the defaults."""
+        return (parameters or self.parameters()).material()
+
+    def sources(self) -> dict[str, str]:
+        """Source of each default, by parameter name."""
+        return {name: spec.source for name, spec in self.parameters_type.parameters().items()}

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a family and its parameters to files: CAD, labelled mesh, quality, picture, profile."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cad.mesh.quality import MeshQuality, measure_quality, require_quality
+from cad.mesh.structured import even_gel_mesh
+from cad.parts.gel_pad import GelPad
+from sensors.base import FamilyParameters, SensorFamily
+from sensors.profile import designed_profile
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.vtu import write_mesh_vtu
+from taccel_lab.output import atomic_directory, write_json
+from taccel_lab.profile import SensorProfile, save_profile
+
+MESHERS = ("structured", "tetwild")
+DEFAULT_MESHER = "structured"
+"""Measured on the GelSight pad at 1 mm, structured against fTetWild: smallest dihedral angle 17.5
+and 8.6 deg, volume error -0.10 and -0.14 %, meshing 0.1 and 21 s; back, window and contact nodes
+exact and the same on every run against approximate and different. fTetWild has the better mean
+shape (mean ratio 0.89 against 0.78) and follows the corners of the outline more closely (Hausdorff
+0.013 against 0.038 mm)."""
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """What ``design_sensor`` made."""
+
+    family: SensorFamily
+    parameters: FamilyParameters
+    pad: GelPad
+    mesh: TetMesh
+    quality: MeshQuality
+    profile: SensorProfile
+    mesher: str
+    out_dir: Path
+    files: dict[str, Path]
+    """Written files by kind: step, stl, mesh, quality, parameters, preview, profile."""
+    seconds: dict[str, float]
+    """Time of each stage [s]."""
+
+
+def design_sensor(
+    family: SensorFamily,
+    overrides: Mapping[str, Any] | None = None,
+    out_dir: Path | str = "design",
+    mesher: str = DEFAULT_MESHER,
+    edge_mm: float = 1.0,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> DesignResult:
+    """Build the gel pad of ``family`` and write everything to ``out_dir``, whole or not at all.
+
+    ``edge_mm`` is the target edge length of the mesh [mm]. ``progress`` is told each stage.
+    """
+    if mesher not in MESHERS:
+        raise InputError(f"mesher {mesher!r} is not allowed; use one of {', '.join(MESHERS)}")
+    parameters = family.parameters(overrides)
+    pad = parameters.pad()
+    seconds: dict[str, float] = {}
+    tell = _StageClock(seconds, progress)
+
+    tell("cad")
+    from cad.export import dimensions, write_step, write_stl
+    from cad.mesh.tessellate import tessellate_solid
+    from cad.parts.gel_pad_solid import gel_pad_solid
+    from cad.preview import write_preview
+
+    part = gel_pad_solid(pad)
+    tell("mesh")
+    if mesher == "tetwild":
+        from cad.mesh.tetrahedralize import tetwild_gel_mesh
+
+        mesh = tetwild_gel_mesh(pad, edge_mm, part=part)
+    else:
+        mesh = even_gel_mesh(pad, edge_mm)
+    tell("quality")
+    surface = tessellate_solid(part)
+    quality = measure_quality(mesh, pad, cad_volume_mm3=part.solid.volume, cad_surface=surface)
+    require_quality(mesh, quality)
+    profile = designed_profile(family, parameters, mesh, quality, mesher=mesher)
+    tell("files")
+    out_dir = Path(out_dir)
+    names = {
+        "step": "pad.step",
+        "stl": "pad.stl",
+        "mesh": "pad.vtu",
+        "quality": "quality.json",
+        "parameters": "parameters.json",
+        "preview": "preview.png",
+        "profile": "profile",
+    }
+    with atomic_directory(out_dir) as folder:
+        write_step(part, folder / names["step"], name=f"{family.name}_gel_pad")
+        write_stl(surface, folder / names["stl"])
+        write_mesh_vtu(folder / names["mesh"], mesh)
+        write_preview(mesh, folder / names["preview"], title=f"{family.name} ({mesher} mesh)")
+        save_profile(profile, folder / names["profile"])
+        tell(None)
+        write_json(
+            folder / names["quality"],
+            {"mesher": mesher, "edge_mm": edge_mm, **quality.to_json(), "seconds": seconds},
+        )
+        write_json(
+            folder / names["parameters"],
+            {
+                "sensor": family.name,
+                "title": family.title,
+                "parameters": parameters.describe(),
+                "part": dimensions(part, pad),
+                "references": list(family.references),
+            },
+        )
+    return DesignResult(
+        family=family,
+        parameters=parameters,
+        pad=pad,
+        mesh=mesh,
+        quality=quality,
+        profile=profile,
+        mesher=mesher,
+        out_dir=out_dir,
+        files={kind: out_dir / name for kind, name in names.items()},
+        seconds=seconds,
+    )
+
+
+class _StageClock:
+    """Times the stages and tells who listens which one begins; None ends the last."""
+
+    def __init__(self, seconds: dict[str, float], listener: Callable[[str], None] | None) -> None:
+        self._seconds, self._listener = seconds, listener
+        self._stage: str | None = None
+        self._began = 0.0
+
+    def __call__(self, stage: str | None) -> None:
+        now = time.perf_counter()
+        if self._stage is not None:
+            self._seconds[self._stage] = now - self._began
+        self._stage, self._began = stage, now
+        if stage is not None and self._listener is not None:
+            self._listener(stage)

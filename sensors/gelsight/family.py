@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The classic GelSight (domed gel, 640 x 480 camera) of the Taxim calibration data.
+
+The dome was fitted to the height map ``taxim/calib/gelsight/gelmap.npy`` of the package taxim
+1.4.1: heights in pixels times 0.0295 mm. A sphere fits all 307,200 points with radius 50.011 mm,
+apex 4.9997 mm, rms 0.0008 mm, greatest residual 0.011 mm; with separate radii they come out as
+50.010 and 50.013 mm. The nominal values are therefore 50 mm and 5 mm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cad.parameters import parameter
+from cad.parts.gel_pad import GelPad
+from sensors.base import FamilyParameters, GelMaterial, SensorFamily
+from taccel_lab.geometry import PixelGrid
+
+_GELMAP = "taxim 1.4.1, calib/gelsight/gelmap.npy"
+_TAXIM = "Taxim (Si and Yuan, RA-L 2022), Basics/sensorParams.py and calib/gelsight/params.json"
+_ASSUMED_PLAN = (
+    "assumption: no drawing of this gel is published; about 2.5 to 3 mm more than the camera's "
+    "view of 18.88 x 14.16 mm on every side"
+)
+
+
+@dataclass(frozen=True)
+class GelSightParameters(FamilyParameters):
+    """Parameters of a classic GelSight."""
+
+    length_x_mm: float = parameter(
+        24.0, minimum=10, maximum=60, unit="mm", source=_ASSUMED_PLAN,
+        description="gel size along x (image columns)",
+    )  # fmt: skip
+    length_y_mm: float = parameter(
+        20.0, minimum=10, maximum=60, unit="mm", source=_ASSUMED_PLAN,
+        description="gel size along y (image rows)",
+    )  # fmt: skip
+    corner_radius_mm: float = parameter(
+        2.0, minimum=0.3, maximum=30, unit="mm",
+        source="assumption: of the order of the 1.5 mm of the GelSight Mini's gel",
+        description="corner radius of the gel's outline",
+    )  # fmt: skip
+    thickness_mm: float = parameter(
+        5.0, minimum=1.5, maximum=20, unit="mm",
+        source=f"{_GELMAP}: apex height 4.9997 mm in a sphere fit; that the map counts from the "
+        "glued back is an assumption (GelSight gels are 4 to 5.5 mm thick)",
+        description="gel thickness at the apex",
+    )  # fmt: skip
+    crown_radius_mm: float = parameter(
+        50.0, minimum=20, maximum=1e5, unit="mm", zero_means="flat",
+        source=f"{_GELMAP}: sphere fit 50.011 mm, rms 0.0008 mm",
+        description="radius of the spherical contact face",
+    )  # fmt: skip
+    rim: str = parameter(
+        "none", choices=("none", "chamfer", "fillet"),
+        source="assumption: the edge lies outside the camera's view",
+        description="treatment of the edge of the contact face",
+    )  # fmt: skip
+    rim_mm: float = parameter(
+        0.5, minimum=0.05, maximum=5, unit="mm", source="without effect while rim is none",
+        description="leg of the chamfer or radius of the fillet",
+    )  # fmt: skip
+    width_px: int = parameter(
+        640, minimum=16, maximum=8192, unit="px", source=_TAXIM, description="image width"
+    )
+    height_px: int = parameter(
+        480, minimum=16, maximum=8192, unit="px", source=_TAXIM, description="image height"
+    )
+    mm_per_px: float = parameter(
+        0.0295, minimum=1e-3, maximum=1.0, unit="mm/px", source=f"{_TAXIM}: pixmm",
+        description="size of a pixel on the contact face",
+    )  # fmt: skip
+    young_modulus_mpa: float = parameter(
+        0.15, minimum=0.005, maximum=5, unit="MPa",
+        source="assumption: XP-565 gel as in EstimateModulus (0.15 MPa; earlier versions 0.275 and "
+        "0.54). Simulators of GelSight gels use 0.01 to 1 MPa, 55 Shore 00 means about 0.4 by "
+        "Gent's formula; forces scale with it, shapes do not",
+        description="Young's modulus of the gel at small strain",
+    )  # fmt: skip
+    poisson_ratio: float = parameter(
+        0.46, minimum=0.0, maximum=0.499,
+        source="assumption: nearly incompressible silicone; 0.3 to 0.49 are in use",
+        description="Poisson's ratio of the gel",
+    )  # fmt: skip
+    density_kg_m3: float = parameter(
+        1000.0, minimum=500, maximum=3000, unit="kg/m3",
+        source="Taccel and TacEx defaults; without effect on a quasi-static press",
+        description="density of the gel",
+    )  # fmt: skip
+    friction: float = parameter(
+        1.0, minimum=0.0, maximum=5.0,
+        source="assumption: FEATS and Taccel use 1.0, gelsight_ansys_sim 0.5",
+        description="Coulomb friction coefficient between gel and indenter",
+    )  # fmt: skip
+
+    def pad(self) -> GelPad:
+        """The gel pad; its window is what the camera sees."""
+        return GelPad(
+            length_x_mm=self.length_x_mm,
+            length_y_mm=self.length_y_mm,
+            corner_radius_mm=self.corner_radius_mm,
+            thickness_mm=self.thickness_mm,
+            crown_radius_x_mm=self.crown_radius_mm,
+            crown_radius_y_mm=self.crown_radius_mm,
+            rim=self.rim,
+            rim_mm=self.rim_mm,
+            window_x_mm=self.width_px * self.mm_per_px,
+            window_y_mm=self.height_px * self.mm_per_px,
+        )
+
+    def grid(self) -> PixelGrid:
+        """Square pixels, the image centre over the apex."""
+        return PixelGrid(self.width_px, self.height_px, self.mm_per_px, self.mm_per_px)
+
+    def material(self) -> GelMaterial:
+        """The gel's material."""
+        return GelMaterial(
+            young_modulus_pa=self.young_modulus_mpa * 1e6,
+            poisson_ratio=self.poisson_ratio,
+            density_kg_m3=self.density_kg_m3,
+            friction_coefficient=self.friction,
+        )
+
+
+FAMILY = SensorFamily(
+    name="gelsight",
+    title="Classic GelSight: domed gel, 640 x 480 px, 18.9 x 14.2 mm view",
+    parameters_type=GelSightParameters,
+    material_names=("young_modulus_mpa", "poisson_ratio", "density_kg_m3", "friction"),
+    references=(
+        "Si and Yuan, Taxim: An Example-based Simulation Model for GelSight Tactile Sensors, "
+        "RA-L 2022 (PyPI package taxim 1.4.1, MIT)",
+        "Yuan, Dong and Adelson, GelSight: High-Resolution Robot Tactile Sensors for Estimating "
+        "Geometry and Force, Sensors 2017",
+    ),
+)

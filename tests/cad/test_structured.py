@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Invariants of the structured mesher over pads and focus positions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from pad_strategies import gel_pads
+
+from cad.mesh.structured import even_gel_mesh, structured_gel_mesh
+from cad.mesh.surface import check_closed
+from cad.parts.gel_pad import GelPad
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region, TetMesh
+
+CLASSIC = GelPad(
+    length_x_mm=24, length_y_mm=20, corner_radius_mm=2, thickness_mm=5,
+    crown_radius_x_mm=50, crown_radius_y_mm=50, window_x_mm=18.88, window_y_mm=14.16,
+)  # fmt: skip
+
+
+def check_invariants(mesh: TetMesh, pad: GelPad) -> None:
+    assert (mesh.volumes_m3() > 0).all()
+    check_closed(mesh.faces, "boundary")
+    assert np.array_equal(np.unique(mesh.tets), np.arange(mesh.node_count))
+    boundary = mesh.nodes_m[mesh.faces]
+    enclosed = (boundary[:, 0] * np.cross(boundary[:, 1], boundary[:, 2])).sum() / 6
+    assert enclosed == pytest.approx(mesh.volumes_m3().sum(), rel=1e-9)
+
+    bonded = mesh.nodes_m[mesh.bonded_nodes()]
+    assert np.unique(bonded[:, 2]).size == 1
+    assert bonded[0, 2] == pytest.approx(-pad.thickness_mm * 1e-3, rel=1e-15)
+    assert (mesh.nodes_m[:, 2] >= bonded[0, 2]).all()
+    contact = mesh.nodes_m[mesh.region_nodes(Region.CONTACT)] * 1e3
+    np.testing.assert_allclose(contact[:, 2], pad.height_mm(contact[:, :2]), atol=1e-11)
+    side = mesh.nodes_m[mesh.region_nodes(Region.SIDE)] * 1e3
+    np.testing.assert_allclose(pad.inside_distance_mm(side[:, :2]), 0, atol=1e-9)
+
+
+@given(gel_pads(), st.floats(0.9, 2.5))
+@settings(max_examples=25, deadline=None)
+def test_even_meshes_are_sound(pad: GelPad, edge_mm: float) -> None:
+    mesh = even_gel_mesh(pad, edge_mm)
+    check_invariants(mesh, pad)
+    window = mesh.nodes_m[mesh.region_faces(Region.WINDOW)] * 1e3
+    area = np.linalg.norm(
+        np.cross(window[:, 1] - window[:, 0], window[:, 2] - window[:, 0]), axis=1
+    )
+    assert area.sum() / 2 == pytest.approx(pad.window_x_mm * pad.window_y_mm, rel=1e-9)
+
+
+@given(gel_pads(), st.floats(-1, 1), st.floats(-1, 1), st.floats(0.8, 2.2), st.floats(0.1, 0.2))
+@settings(max_examples=40, deadline=None)
+def test_focused_meshes_are_sound(
+    pad: GelPad, u: float, v: float, radius_mm: float, relative_size: float
+) -> None:
+    focus = (u * (pad.length_x_mm / 2 - 4), v * (pad.length_y_mm / 2 - 4))
+    assume(pad.inside_distance_mm(np.array(focus)) - pad.rim_setback_mm() > 3)
+    mesh = structured_gel_mesh(
+        pad, focus_mm=focus, focus_radius_mm=radius_mm, focus_size_mm=relative_size * radius_mm
+    )
+    check_invariants(mesh, pad)
+
+
+@given(st.floats(-1, 1), st.floats(-1, 1))
+@settings(max_examples=20, deadline=None)
+def test_connectivity_does_not_depend_on_the_focus(u: float, v: float) -> None:
+    reference = structured_gel_mesh(CLASSIC, focus_mm=(0, 0))
+    mesh = structured_gel_mesh(CLASSIC, focus_mm=(8 * u, 6 * v))
+    check_invariants(mesh, CLASSIC)
+    for name in ("tets", "faces", "face_regions"):
+        assert getattr(mesh, name).tobytes() == getattr(reference, name).tobytes()
+    assert mesh.nodes_m.shape == reference.nodes_m.shape
+
+
+@pytest.mark.parametrize("focus", [(0, 0), (3, 2), (7.04, -3.05), (-6.5, -4.1), (-6.6, 3.6)])
+def test_focus_has_the_wanted_elements(focus: tuple[float, float]) -> None:
+    size = 0.25
+    mesh = structured_gel_mesh(CLASSIC, focus_mm=focus, focus_radius_mm=2.0, focus_size_mm=size)
+    assert 1900 < mesh.node_count < 2100
+    faces = mesh.region_faces(Region.CONTACT)
+    corners = mesh.nodes_m[faces] * 1e3
+    length = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    near = np.linalg.norm(corners.mean(axis=1)[:, :2] - focus, axis=1)
+    # Diagonals and the fan of the spokes lengthen edges; the finest quarter is the wanted size.
+    assert np.quantile(length[near < 1.5], 0.25) == pytest.approx(size, rel=0.3)
+    assert length[near < 1.5].max() < 3.2 * size
+    assert np.median(length[near > 6]) > 4 * size
+
+
+def test_mesh_volume_converges_to_the_pad() -> None:
+    # Volume of the spherical dome over the rounded rectangle, by midpoint rule.
+    cells = 2000
+    axes = [(np.arange(cells) + 0.5) / cells * length - length / 2 for length in (24.0, 20.0)]
+    xy = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    exact = ((CLASSIC.height_mm(xy) + 5) * (CLASSIC.inside_distance_mm(xy) > 0)).mean() * 480
+    errors = [
+        1 - even_gel_mesh(CLASSIC, edge).volumes_m3().sum() * 1e9 / exact
+        for edge in (2.5, 1.2, 0.6)
+    ]
+    assert 0 < errors[2] < errors[1] < errors[0] < 0.02
+    assert errors[2] < 1e-3
+
+
+def test_same_input_gives_the_same_bytes() -> None:
+    meshes = [structured_gel_mesh(CLASSIC, focus_mm=(2.2, -1.7)) for _ in range(2)]
+    assert meshes[0].nodes_m.tobytes() == meshes[1].nodes_m.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"core": 7}, "core = 7"),
+        ({"core": 8.0}, "core"),
+        ({"rings": 2}, "rings = 2"),
+        ({"layers": 0}, "layers = 0"),
+        ({"layer_ratio": 0.5}, "layer_ratio"),
+        ({"spread": float("nan")}, "spread"),
+        ({"focus_mm": (11.5, 0)}, "at least 1.5 mm"),
+        ({"focus_mm": (50, 0)}, "at least 1.5 mm"),
+        ({"focus_mm": (float("nan"), 0)}, "focus_mm"),
+        ({"focus_mm": (0, 0), "focus_radius_mm": -1}, "focus_radius_mm"),
+        ({"focus_mm": (0, 0), "focus_size_mm": 5}, "focus_size_mm"),
+        ({"window_ring": 10}, "window_ring"),
+    ],
+)
+def test_bad_options_say_what_is_allowed(options: dict[str, object], word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        structured_gel_mesh(CLASSIC, **options)  # type: ignore[arg-type]
+
+
+def test_edge_out_of_bounds_is_refused() -> None:
+    with pytest.raises(InputError, match="edge_mm"):
+        even_gel_mesh(CLASSIC, 0.0)

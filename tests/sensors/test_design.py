@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``design_sensor`` and its command write everything or nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sensors.design import DesignResult, design_sensor
+from sensors.gelsight import FAMILY
+from taccel_lab.errors import InputError
+from taccel_lab.geometry.vtu import read_mesh_vtu
+from taccel_lab.profile import load_profile
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> DesignResult:
+    out = tmp_path_factory.mktemp("design") / "gelsight"
+    return design_sensor(FAMILY, {"thickness_mm": "4.5"}, out, edge_mm=1.5)
+
+
+def test_every_file_is_there(result: DesignResult) -> None:
+    assert set(result.files) == {
+        "step", "stl", "mesh", "quality", "parameters", "preview", "profile",
+    }  # fmt: skip
+    for path in result.files.values():
+        assert path.exists(), path
+    assert result.files["preview"].read_bytes().startswith(b"\x89PNG")
+    assert sorted(p.name for p in result.out_dir.parent.iterdir()) == ["gelsight"]
+
+
+def test_quality_file_holds_the_measured_figures(result: DesignResult) -> None:
+    written = json.loads(result.files["quality"].read_text())
+    assert written["min_dihedral_deg"] == result.quality.min_dihedral_deg > 10
+    assert written["node_count"] == result.mesh.node_count
+    assert abs(written["volume_error_percent"]) < 0.5
+    assert written["hausdorff_mm"] < 0.1
+    assert written["back_plane_error_mm"] < 1e-9
+    assert set(written["seconds"]) == {"cad", "mesh", "quality", "files"}
+
+
+def test_parameters_tell_defaults_from_overrides(result: DesignResult) -> None:
+    written = json.loads(result.files["parameters"].read_text())
+    thickness = written["parameters"]["thickness_mm"]
+    assert thickness["value"] == 4.5 and thickness["source"] == "set by the user"
+    assert "gelmap" in written["parameters"]["crown_radius_mm"]["source"]
+    assert written["part"]["bounding_box_min"][2] == pytest.approx(-4.5)
+
+
+def test_mesh_and_profile_come_back(result: DesignResult) -> None:
+    mesh = read_mesh_vtu(result.files["mesh"])
+    assert np.array_equal(mesh.nodes_m, result.mesh.nodes_m)
+    profile = load_profile(result.files["profile"])
+    assert np.array_equal(profile.mesh.tets, result.mesh.tets)
+    assert profile.gel.thickness_mm == 4.5
+    assert profile.material.poisson_ratio == result.parameters.material().poisson_ratio
+    assert "assumption" in profile.material.provenance.source
+    assert profile.grid() == FAMILY.grid()
+    assert profile.sensor.parameters == result.parameters.values()
+
+
+def test_bad_input_leaves_an_earlier_result_untouched(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "old").write_text("old")
+    for options in (
+        {"overrides": {"thickness_mm": 1.6}},
+        {"mesher": "delaunay"},
+        {"edge_mm": 0.0},
+        {"mesher": "tetwild", "edge_mm": 50.0},
+    ):
+        with pytest.raises(InputError):
+            design_sensor(FAMILY, out_dir=out, **options)  # type: ignore[arg-type]
+    assert [p.name for p in tmp_path.rglob("*")] == ["out", "old"]
+
+
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import tyro
+
+    from taccel_lab.cli.design import Design
+
+    out = tmp_path / "out"
+    command = tyro.cli(
+        Design,
+        args=[
+            "gelsight",
+            "--out",
+            str(out),
+            "--set",
+            "rim=chamfer",
+            "rim_mm=0.4",
+            "--edge-mm",
+            "2",
+        ],
+    )
+    command.run()
+    printed = capsys.readouterr().out
+    assert "smallest dihedral angle" in printed and "pad.step" in printed
+    assert json.loads((out / "parameters.json").read_text())["part"]["pad"]["rim"] == "chamfer"
+
+
+def test_command_line_refuses_unknown_sensor(tmp_path: Path) -> None:
+    from taccel_lab.cli.design import Design
+
+    with pytest.raises(InputError, match="known: gelsight"):
+        Design(sensor="digitt", out=tmp_path / "out").run()
+    with pytest.raises(InputError, match="name=value"):
+        Design(sensor="gelsight", out=tmp_path / "out", set=("thickness",)).run()
+    assert not (tmp_path / "out").exists()

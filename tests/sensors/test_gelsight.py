@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The classic GelSight against the data it was taken from, and the registry."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sensors import sensor_families, sensor_family
+from sensors.gelsight import FAMILY, GelSightParameters
+from taccel_lab.errors import InputError
+
+
+def gelmap() -> np.ndarray:
+    """Height map of the gel in the package taxim [px], shape [480, 640]."""
+    spec = importlib.util.find_spec("taxim")
+    if spec is None or not spec.submodule_search_locations:
+        pytest.skip("the package taxim is not installed")
+    folder = Path(next(iter(spec.submodule_search_locations)))
+    return np.load(folder / "calib" / "gelsight" / "gelmap.npy").astype(np.float64)
+
+
+def test_view_has_the_published_size() -> None:
+    grid = FAMILY.grid()
+    assert (grid.width_px, grid.height_px) == (640, 480)
+    assert grid.width_px * grid.mm_per_px_x == pytest.approx(18.88)
+    assert grid.height_px * grid.mm_per_px_y == pytest.approx(14.16)
+    pad = FAMILY.pad()
+    assert (pad.window_x_mm, pad.window_y_mm) == (pytest.approx(18.88), pytest.approx(14.16))
+
+
+def test_dome_drops_1_40_mm_over_the_image() -> None:
+    grid, pad = FAMILY.grid(), FAMILY.pad()
+    corner = np.array([grid.x_mm()[-1], grid.y_mm()[-1]])
+    assert -pad.height_mm(corner) == pytest.approx(1.40, abs=0.01)
+
+
+def test_pad_matches_the_gel_map_everywhere() -> None:
+    grid, pad = FAMILY.grid(), FAMILY.pad()
+    measured = gelmap() * grid.mm_per_px_x - pad.thickness_mm
+    xy = np.stack(np.meshgrid(grid.x_mm(), grid.y_mm()), axis=-1)
+    error = pad.height_mm(xy) - measured
+    assert np.sqrt((error**2).mean()) < 0.001
+    assert np.abs(error).max() < 0.012
+
+
+def test_a_press_fits_under_the_apex() -> None:
+    # Deepest labelled press of the data: radius 1.976 mm with a 2 mm ball.
+    depth = 2 - np.sqrt(2**2 - 1.976**2)
+    assert FAMILY.pad().thickness_mm > 2 * depth
+
+
+def test_every_default_has_a_source_and_lies_inside_its_bounds() -> None:
+    for name, spec in GelSightParameters.parameters().items():
+        assert len(spec.source) > 10, name
+        assert spec.description, name
+        assert spec.check(spec.default) == spec.default
+    assert FAMILY.sources()["thickness_mm"].count("assumption") == 1
+
+
+def test_material_is_in_si() -> None:
+    material = FAMILY.material(FAMILY.parameters({"young_modulus_mpa": "0.3"}))
+    assert material.young_modulus_pa == pytest.approx(3e5)
+    assert 0 <= material.poisson_ratio < 0.5
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"poisson_ratio": "0.5"}, ["poisson_ratio = 0.5", "0 to 0.499"]),
+        ({"young_modulus_mpa": "-1"}, ["young_modulus_mpa = -1"]),
+        ({"thickness_mm": "1.6"}, ["thickness_mm must be at least"]),
+        ({"length_x_mm": "18.9"}, ["window_x_mm"]),
+        ({"colour": "red"}, ["no parameter 'colour'", "thickness_mm"]),
+        ({"width_px": "640.5"}, ["width_px", "whole number"]),
+    ],
+)
+def test_bad_parameters_name_sensor_and_bound(overrides: dict[str, str], words: list[str]) -> None:
+    with pytest.raises(InputError) as error:
+        FAMILY.parameters(overrides)
+    for word in ["sensor gelsight", *words]:
+        assert word in str(error.value)
+
+
+def test_registry_knows_the_family_and_lists_it() -> None:
+    assert sensor_family("gelsight") is FAMILY
+    with pytest.raises(InputError, match=r"'gelsigth'; known: .*gelsight"):
+        sensor_family("gelsigth")
+
+
+def test_entry_points_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Entry:
+        name = value = "x"
+
+        def __init__(self, item: object) -> None:
+            self._item = item
+
+        def load(self) -> object:
+            return self._item
+
+    def serve(*items: object) -> None:
+        monkeypatch.setattr("sensors.registry.entry_points", lambda group: [*map(Entry, items)])
+
+    mini = replace(FAMILY, name="mini")
+    serve(mini, FAMILY)
+    assert sensor_families() == {"gelsight": FAMILY, "mini": mini}
+    serve(replace(FAMILY, title="another"))
+    with pytest.raises(InputError, match="exists already"):
+        sensor_families()
+    serve("no family")
+    with pytest.raises(InputError, match="not a SensorFamily"):
+        sensor_families()
