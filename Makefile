@@ -1,0 +1,63 @@
+# `make demo` and `make test` do all the set-up: a virtual environment in .venv, exact versions.
+PYTHON ?= python3
+VENV ?= .venv
+PIP_FLAGS ?=
+OUT ?= out/demo
+JOBS ?= auto
+
+PY := $(VENV)/bin/python
+PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt
+# One thread a process: the tests run in parallel processes.
+TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
+PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile
+
+.PHONY: help demo test lint check slow notebook doctor clean
+
+help:
+	@echo "make demo      run the main job on real captures: $(OUT)/report.html"
+	@echo "make test      linters, type checker, import contracts, fast tests"
+	@echo "make slow      the tests that take minutes"
+	@echo "make notebook  execute the notebooks"
+	@echo "make doctor    is this installation complete?"
+	@echo "make clean     remove .venv, out and caches"
+
+demo: $(VENV)/.installed-demo
+	$(VENV)/bin/taccel-lab demo --out $(OUT)
+
+test: lint check
+
+lint: $(VENV)/.installed-dev
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/pyright --pythonpath $(PY)
+	$(VENV)/bin/lint-imports
+
+check: $(VENV)/.installed-dev
+	$(PYTEST)
+
+slow: $(VENV)/.installed-dev
+	$(PYTEST) -m slow
+
+notebook: $(VENV)/.installed-dev
+	$(TEST_ENV) $(PY) -m pytest -q --nbmake --nbmake-timeout=900 notebooks
+
+doctor: $(VENV)/.installed-demo
+	$(VENV)/bin/taccel-lab doctor
+
+$(VENV)/.installed-demo: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 1; }
+	@echo "Installing into $(VENV), once; this takes some minutes."
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) -e ".[demo]"
+	@$(PY) -c 'import build123d' || \
+		{ echo "A system library is missing; on Debian: apt install libgl1 libx11-6 libexpat1"; exit 1; }
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed-demo
+	$(PIP) -e ".[demo,dev]"
+	@touch $@
+
+clean:
+	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

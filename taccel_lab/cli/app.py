@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
+
+Exit codes: 0 done, 1 ``doctor`` found something broken, 2 unusable input or usage, 3 a simulation
+that did not converge, 130 interrupted. Anything else that goes wrong is a bug and keeps its
+traceback. Command modules import heavy libraries inside ``run()`` only, so that help is fast.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Sequence
+from typing import Protocol
+
+from taccel_lab.errors import InputError, SimulationError
+
+DESCRIPTION = """Design and calibrate vision-based tactile sensors.
+
+From a parametric gel pad to simulated presses, a colour model fitted to real captures, and an
+exported sensor profile."""
+
+
+class Command(Protocol):
+    """A parsed sub-command."""
+
+    def run(self) -> None: ...
+
+
+def parse(arguments: Sequence[str] | None = None) -> Command:
+    """Parse command-line arguments; usage errors and --help leave through SystemExit (2 and 0)."""
+    import tyro
+    from tyro.extras import SubcommandApp
+
+    from taccel_lab.cli.calibrate import CalibrateColor
+    from taccel_lab.cli.demo import Demo
+    from taccel_lab.cli.design import Design
+    from taccel_lab.cli.doctor import Doctor
+    from taccel_lab.cli.press import Press
+    from taccel_lab.cli.profile import ProfileShow, ProfileValidate
+    from taccel_lab.cli.sensors import SensorsList, SensorsShow
+
+    calibrate = SubcommandApp()
+    calibrate.command(name="color")(CalibrateColor)
+    profile = SubcommandApp()
+    profile.command(name="show")(ProfileShow)
+    profile.command(name="validate")(ProfileValidate)
+    sensors = SubcommandApp()
+    sensors.command(name="list")(SensorsList)
+    sensors.command(name="show")(SensorsShow)
+
+    app = SubcommandApp()
+    app.command(name="demo")(Demo)
+    app.command(name="design")(Design)
+    app.command(name="press")(Press)
+    app.command(calibrate, name="calibrate", help="Fit a block of a profile to real captures.")
+    app.command(profile, name="profile", help="Show or check an exported sensor profile.")
+    app.command(sensors, name="sensors", help="List the sensors of the catalogue.")
+    app.command(name="doctor")(Doctor)
+    return app.cli(
+        prog="taccel-lab",
+        description=DESCRIPTION,
+        args=arguments,
+        config=(tyro.conf.PositionalMetavarFromFieldName, tyro.conf.FlagCreatePairsOff),
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``taccel-lab`` and return its exit code."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    try:
+        parse(arguments).run()
+    except InputError as error:
+        return _fail(2, f"error: {error}")
+    except (PermissionError, NotADirectoryError, IsADirectoryError) as error:
+        return _fail(2, f"error: {error.filename}: {error.strerror}")
+    except SimulationError as error:
+        return _fail(3, f"simulation failed: {error}")
+    except KeyboardInterrupt:
+        return _fail(130, "interrupted; unfinished outputs were removed")
+    return 0
+
+
+def _fail(code: int, message: str) -> int:
+    sys.stderr.write(message + "\n")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab profile show`` and ``taccel-lab profile validate``."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
+
+
+@dataclass(frozen=True)
+class ProfileShow:
+    """Show what a sensor profile holds and where each block comes from."""
+
+    profile: Positional[Path]
+    """Profile folder."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.profile import load_profile
+
+        profile = load_profile(self.profile)
+        if self.json:
+            print_json(_as_dict(profile))
+        else:
+            _print_tables(profile)
+
+
+@dataclass(frozen=True)
+class ProfileValidate:
+    """Check a sensor profile: schema, bounds, file hashes, arrays. Exits with 2 when unsound."""
+
+    profile: Positional[Path]
+    """Profile folder."""
+    json: bool = False
+    """Print the findings as JSON."""
+
+    def run(self) -> None:
+        from rich.console import Console
+        from rich.text import Text
+
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.profile import validate_profile
+
+        findings = validate_profile(self.profile)
+        errors = sum(finding.severity == "error" for finding in findings)
+        if self.json:
+            print_json(
+                {
+                    "profile": str(self.profile),
+                    "valid": errors == 0,
+                    "findings": [dataclasses.asdict(finding) for finding in findings],
+                }
+            )
+        else:
+            console = Console(soft_wrap=True)
+            for finding in findings:
+                style = "red" if finding.severity == "error" else "yellow"
+                console.print(Text(f"{finding.severity}: {finding}", style=style))
+            if not errors:
+                console.print(Text(f"{self.profile} is a sound profile", style="green"))
+        if errors:
+            plural = "s" if errors > 1 else ""
+            raise InputError(f"{self.profile} is not a sound profile: {errors} error{plural}")
+
+
+def _as_dict(profile: SensorProfile) -> dict[str, Any]:
+    blocks = {key: block.model_dump(mode="json") for key, block in profile.blocks().items()}
+    if profile.color_weights is not None:
+        blocks["color"]["weight_shapes"] = {
+            name: list(array.shape) for name, array in profile.color_weights.items()
+        }
+    return blocks
+
+
+def _print_tables(profile: SensorProfile) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    for key, values in _as_dict(profile).items():
+        provenance = values.pop("provenance")
+        table = Table(title=f"[bold]{key}[/]", title_justify="left", show_header=False)
+        table.add_column(style="cyan", no_wrap=True)
+        table.add_column(overflow="fold")
+        for name, value in (_flat(values) | _flat(provenance, "provenance.")).items():
+            table.add_row(Text(name), Text(str(value)))
+        console.print(table)
+
+
+def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, dict):
+            flat |= _flat(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = value
+    return flat

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sensor profiles: one validated, versioned folder that says everything about a sensor."""
+
+from taccel_lab.profile.io import Finding, load_profile, save_profile, validate_profile
+from taccel_lab.profile.schema import (
+    SCHEMA_VERSION,
+    BackgroundBlock,
+    Block,
+    CameraBlock,
+    ColorBlock,
+    GelBlock,
+    MaterialBlock,
+    Provenance,
+    SensorBlock,
+)
+from taccel_lab.profile.sensor_profile import SensorProfile
+
+__all__ = [
+    "SCHEMA_VERSION",
+    "BackgroundBlock",
+    "Block",
+    "CameraBlock",
+    "ColorBlock",
+    "Finding",
+    "GelBlock",
+    "MaterialBlock",
+    "Provenance",
+    "SensorBlock",
+    "SensorProfile",
+    "load_profile",
+    "save_profile",
+    "validate_profile",
+]

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The array files of a profile as bytes: mesh and background as npz, weights as safetensors.
+
+Encoding is deterministic (equal arrays give equal bytes), so that hashes can be compared between
+profiles. Decoding refuses what it does not expect: missing or extra keys, wrong types, pickles.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Mapping
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+
+MESH_KEYS = ("nodes_m", "tets", "faces", "face_regions")
+
+
+def _encode_npz(arrays: Mapping[str, np.ndarray]) -> bytes:
+    # numpy stamps zip members with a fixed date, hence the determinism.
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def _decode_npz(data: bytes, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            found = set(archive.files)
+            if found != set(keys):
+                raise InputError(f"must hold the arrays {sorted(keys)}, found {sorted(found)}")
+            arrays = {key: archive[key] for key in keys}
+    except InputError:
+        raise
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, KeyError) as error:
+        raise InputError(f"is not a readable npz archive ({error})") from None
+    return arrays
+
+
+def encode_mesh(mesh: TetMesh) -> bytes:
+    """Bytes of ``mesh.npz``."""
+    return _encode_npz({key: getattr(mesh, key) for key in MESH_KEYS})
+
+
+def decode_mesh(data: bytes) -> TetMesh:
+    """The mesh in ``mesh.npz``; raises InputError when it is damaged or not a valid mesh."""
+    arrays = _decode_npz(data, MESH_KEYS)
+    for key, kind in zip(MESH_KEYS, "fiii", strict=True):
+        if arrays[key].dtype.kind != kind:
+            raise InputError(f"{key} has type {arrays[key].dtype}, which is not a {kind}-type")
+    return TetMesh(**arrays)
+
+
+def encode_background(rgb: np.ndarray) -> bytes:
+    """Bytes of ``background.npz``; ``rgb`` has shape [H, W, 3], uint8 or float32."""
+    return _encode_npz({"rgb": rgb})
+
+
+def decode_background(data: bytes) -> np.ndarray:
+    """The RGB image in ``background.npz``, shape [H, W, 3]."""
+    return _decode_npz(data, ("rgb",))["rgb"]
+
+
+def encode_weights(weights: Mapping[str, np.ndarray]) -> bytes:
+    """Bytes of ``color_model.safetensors``."""
+    from safetensors.numpy import save
+
+    # safetensors writes the raw buffer: a transposed view would be stored scrambled.
+    return save({name: np.ascontiguousarray(weights[name]) for name in sorted(weights)})
+
+
+def decode_weights(data: bytes) -> dict[str, np.ndarray]:
+    """The named weights in ``color_model.safetensors``."""
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        return load(data)
+    except (SafetensorError, ValueError, KeyError) as error:
+        raise InputError(f"is not a readable safetensors file ({error})") from None

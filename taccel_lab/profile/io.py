@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading, writing and checking profile folders. The format is described in docs/formats.md."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from taccel_lab.errors import InputError
+from taccel_lab.output import atomic_directory
+from taccel_lab.profile import arrays
+from taccel_lab.profile.migrate import migrate
+from taccel_lab.profile.schema import BLOCK_TYPES, OPTIONAL_BLOCKS, SCHEMA_VERSION, Block
+from taccel_lab.profile.sensor_profile import ARRAY_FIELDS, SensorProfile
+
+PROFILE_FILE = "profile.toml"
+
+_DECODERS: dict[str, Callable[[bytes], Any]] = {
+    "gel": arrays.decode_mesh,
+    "background": arrays.decode_background,
+    "color": arrays.decode_weights,
+}
+_ENCODERS: dict[str, Callable[[Any], bytes]] = {
+    "gel": arrays.encode_mesh,
+    "background": arrays.encode_background,
+    "color": arrays.encode_weights,
+}
+_ARRAY_FILES = {
+    block.key: block.model_fields["file"].default
+    for block in BLOCK_TYPES
+    if block.key in ARRAY_FIELDS
+}
+_HEADER = "# Sensor profile written by taccel-lab. The format is described in docs/formats.md.\n\n"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing noticed about a profile folder."""
+
+    severity: Literal["error", "warning"]
+    where: str
+    """File, or file and key."""
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.message}"
+
+
+def save_profile(profile: SensorProfile, path: Path | str) -> None:
+    """Write ``profile`` as the folder ``path``, which appears whole or not at all.
+
+    An earlier profile there is replaced; a folder that holds anything else is refused.
+    """
+    import tomli_w
+
+    path = Path(path)
+    _refuse_foreign_folder(path)
+    files = {
+        _ARRAY_FILES[key]: _ENCODERS[key](getattr(profile, ARRAY_FIELDS[key]))
+        for key in profile.blocks()
+        if key in ARRAY_FIELDS
+    }
+    document: dict[str, Any] = {
+        "schema_version": SCHEMA_VERSION,
+        "files": {name: _sha256(data) for name, data in files.items()},
+    }
+    for key, block in profile.blocks().items():
+        document[key] = _toml_table(block)
+    text = _HEADER + tomli_w.dumps(document)
+    with atomic_directory(path) as staging:
+        for name, data in files.items():
+            (staging / name).write_bytes(data)
+        (staging / PROFILE_FILE).write_text(text, encoding="utf-8", newline="\n")
+
+
+def load_profile(path: Path | str) -> SensorProfile:
+    """Read and check the profile folder ``path``.
+
+    Raises InputError that names each wrong file and key: nothing is repaired or assumed.
+    """
+    profile, findings = _read(Path(path))
+    errors = [finding for finding in findings if finding.severity == "error"]
+    if errors or profile is None:
+        raise InputError("\n".join(str(finding) for finding in errors))
+    return profile
+
+
+def validate_profile(path: Path | str) -> list[Finding]:
+    """Everything wrong (errors) or odd (warnings) with the profile folder; empty when sound."""
+    return _read(Path(path))[1]
+
+
+def _toml_table(block: Block) -> dict[str, Any]:
+    """The block's values, then its provenance, whose empty tables are left out."""
+    table = block.model_dump(mode="python")
+    provenance = table.pop("provenance")
+    table["provenance"] = {key: value for key, value in provenance.items() if value != {}}
+    return table
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _refuse_foreign_folder(path: Path) -> None:
+    """Saving replaces the folder, so it must not hold somebody's other files."""
+    if not path.is_dir():
+        return
+    known = {PROFILE_FILE, *_ARRAY_FILES.values()}
+    foreign = sorted(entry.name for entry in path.iterdir() if entry.name not in known)
+    if foreign:
+        shown = ", ".join(foreign[:3]) + (" ..." if len(foreign) > 3 else "")
+        raise InputError(f"{path} holds files that are not part of a profile ({shown}); not saved")
+
+
+def _read(path: Path) -> tuple[SensorProfile | None, list[Finding]]:
+    findings: list[Finding] = []
+
+    def error(where: str | Path, problem: object) -> None:
+        for line in str(problem).splitlines():
+            findings.append(Finding("error", str(where), line))
+
+    toml_path = path / PROFILE_FILE
+    try:
+        document = migrate(_read_toml(path))
+    except InputError as problem:
+        error(toml_path, problem)
+        return None, findings
+
+    hashes = document.get("files")
+    if not isinstance(hashes, dict):
+        error(toml_path, "files: the table of file hashes is missing")
+        hashes = {}
+    parts: dict[str, Any] = {}
+    try:
+        _refuse_unknown_tables(document)
+    except InputError as problem:
+        error(toml_path, problem)
+    for block_type in BLOCK_TYPES:
+        try:
+            block = _read_block(block_type, document)
+        except InputError as problem:
+            error(toml_path, problem)
+            continue
+        if block is not None:
+            parts[block_type.key] = block
+    used = {}
+    for key, name in _ARRAY_FILES.items():
+        if key not in document:
+            continue
+        used[name] = key
+        try:
+            data = _read_file(path / name, hashes.get(name))
+            parts[ARRAY_FIELDS[key]] = _DECODERS[key](data)
+        except InputError as problem:
+            error(path / name, problem)
+    for name in hashes:
+        if name not in used:
+            error(toml_path, f"files.{name}: no block refers to this file")
+    for entry in sorted(path.iterdir()):
+        if entry.name != PROFILE_FILE and entry.name not in used:
+            findings.append(Finding("warning", str(entry), "not part of the profile; not read"))
+
+    if any(finding.severity == "error" for finding in findings):
+        return None, findings
+    try:
+        return SensorProfile(**parts), findings
+    except InputError as problem:
+        error(path, problem)
+        return None, findings
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    if not path.is_dir():
+        raise InputError("no such profile folder" if not path.exists() else "is not a folder")
+    toml_path = path / PROFILE_FILE
+    if not toml_path.is_file():
+        raise InputError("no such file; a profile is a folder with profile.toml in it")
+    try:
+        return tomllib.loads(toml_path.read_bytes().decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not UTF-8 text ({error})") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is not valid TOML ({error})") from None
+
+
+def _refuse_unknown_tables(document: dict[str, Any]) -> None:
+    allowed = ["schema_version", "files", *(block.key for block in BLOCK_TYPES)]
+    unknown = [key for key in document if key not in allowed]
+    if unknown:
+        names = ", ".join(unknown)
+        raise InputError(f"{names}: unknown key; allowed: {', '.join(allowed)}")
+
+
+def _read_block(block_type: type[Block], document: dict[str, Any]) -> Block | None:
+    key = block_type.key
+    if key not in document:
+        if key in OPTIONAL_BLOCKS:
+            return None
+        raise InputError(f"{key}: the table is missing")
+    if not isinstance(document[key], dict):
+        raise InputError(f"{key}: must be a table (found {document[key]!r})")
+    return block_type(**document[key])
+
+
+def _read_file(path: Path, stated: object) -> bytes:
+    if not (isinstance(stated, str) and re.fullmatch("[0-9a-f]{64}", stated)):
+        raise InputError(f"{PROFILE_FILE} lists no SHA-256 of it under files (found {stated!r})")
+    if not path.is_file():
+        raise InputError("no such file, though profile.toml lists it")
+    data = path.read_bytes()
+    found = _sha256(data)
+    if found != stated:
+        raise InputError(
+            f"SHA-256 is {found[:12]}..., profile.toml says {stated[:12]}...: the file was changed "
+            "or damaged after the profile was written"
+        )
+    return data

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Old profiles brought to the current schema, one function per version step.
+
+``STEPS[n]`` takes the parsed ``profile.toml`` of version n and returns that of version n + 1,
+without changing its argument. Version 1 is the first, so there are no steps yet; each later step
+comes with a stored profile of the old version in ``tests/profile/old``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from taccel_lab.errors import InputError
+from taccel_lab.profile.schema import SCHEMA_VERSION
+
+Document = dict[str, Any]
+Step = Callable[[Document], Document]
+
+STEPS: Mapping[int, Step] = {}
+
+
+def migrate(
+    document: Document, *, current: int = SCHEMA_VERSION, steps: Mapping[int, Step] = STEPS
+) -> Document:
+    """Return ``document`` in the ``current`` schema version."""
+    version = document.get("schema_version")
+    if isinstance(version, bool) or not isinstance(version, int):
+        raise InputError(f"schema_version: must be a whole number (found {version!r})")
+    if version > current:
+        raise InputError(
+            f"schema_version: {version} was written by a newer version of taccel-lab; this one "
+            f"reads versions up to {current}. Upgrade taccel-lab to read it"
+        )
+    while version < current:
+        if version not in steps:
+            raise InputError(f"schema_version: version {version} is not known")
+        document = steps[version](document)
+        version += 1
+        if document.get("schema_version") != version:
+            raise RuntimeError(f"migration step {version - 1} did not set schema_version {version}")
+    return document

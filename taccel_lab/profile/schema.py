@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The blocks of a sensor profile, schema version 1.
+
+Every block is frozen, refuses unknown keys, checks its bounds and says where it comes from
+(``Provenance``). Blocks are the same in memory and in ``profile.toml``; the arrays they describe
+(mesh, background image, colour-model weights) lie beside them, see ``taccel_lab.profile.arrays``.
+
+A block that is built from bad values raises ``InputError`` with the path of each wrong key. Use
+``block.replace(...)`` for a changed copy; it is checked again, as ``model_copy`` would not be.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import (
+    AwareDatetime,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StrictBool,
+    StrictFloat,
+    StrictInt,
+    StrictStr,
+    StringConstraints,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+import taccel_lab
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+
+SCHEMA_VERSION = 1
+
+Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
+Text = Annotated[str, StringConstraints(min_length=1, max_length=20_000)]
+Scalar = StrictBool | StrictInt | StrictFloat | StrictStr
+ConfigValue = Scalar | list[Scalar] | list[list[Scalar]]
+
+
+def describe_errors(error: ValidationError, model: type[BaseModel]) -> str:
+    """One readable line per wrong key: its path, what was found and what is allowed."""
+    lines = []
+    for item in error.errors(include_url=False):
+        path = ".".join(str(part) for part in item["loc"]) or model.__name__
+        message = item["msg"].removeprefix("Value error, ")
+        message = message[:1].lower() + message[1:]
+        if item["type"] == "extra_forbidden":
+            keys = sorted(model.model_fields) if len(item["loc"]) == 1 else []
+            message = "unknown key" + (f"; allowed: {', '.join(keys)}" if keys else "")
+        elif item["type"] != "missing" and not isinstance(item["input"], (dict, BaseModel)):
+            message += f" (found {item['input']!r})"
+        lines.append(f"{path}: {message}")
+    return "\n".join(lines)
+
+
+class _Frozen(BaseModel):
+    """Shared settings: immutable, no unknown keys, no NaN or infinity, InputError on bad values."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with some fields changed, checked like a new one."""
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        return type(self)(**{**values, **changes})
+
+
+class Provenance(_Frozen):
+    """Where a block comes from and how far it can be trusted."""
+
+    tool_version: Name = Field(default_factory=lambda: taccel_lab.__version__)
+    """Version of taccel-lab that made the block."""
+    created: AwareDatetime = Field(default_factory=lambda: datetime.now(UTC).replace(microsecond=0))
+    """When it was made, UTC."""
+    kind: Literal["assumed", "published", "designed", "measured", "calibrated"]
+    """Assumed for want of data; taken from a publication or data sheet; a design choice; measured
+    directly; or estimated from captures."""
+    method: Text
+    """How the values were obtained."""
+    source: Text
+    """The publication, data set or assumption the values rest on."""
+    inputs: dict[Name, Sha256] = Field(default_factory=dict)
+    """SHA-256 of every input, by file name."""
+    residuals: dict[Name, float] = Field(default_factory=dict)
+    """What the fit left over; names carry the unit (``heldout_crop_psnr_db``)."""
+    spread: dict[Name, float] = Field(default_factory=dict)
+    """Standard deviation, or cross-validated spread, of each estimated quantity."""
+    valid_region: dict[Name, tuple[float, float]] = Field(default_factory=dict)
+    """Interval of each quantity inside which the block was tested."""
+
+    @field_validator("created")
+    @classmethod
+    def _check_utc(cls, value: datetime) -> datetime:
+        if value.utcoffset() != timedelta(0):
+            raise ValueError("must be given in UTC (offset Z)")
+        return value.astimezone(UTC)
+
+    @model_validator(mode="after")
+    def _check_evidence(self) -> Self:
+        if self.kind == "calibrated":
+            for name in ("inputs", "residuals", "valid_region"):
+                if not getattr(self, name):
+                    raise ValueError(f"a calibrated block must name its {name}; the table is empty")
+        for name, (low, high) in self.valid_region.items():
+            if low > high:
+                raise ValueError(f"valid_region.{name}: {low} > {high}")
+        return self
+
+
+class Block(_Frozen):
+    """A part of a profile, with its provenance."""
+
+    key: ClassVar[str]
+    """Name of the block's table in ``profile.toml`` and of its field in ``SensorProfile``."""
+
+    provenance: Provenance
+
+    if not TYPE_CHECKING:  # keeps the checked signature that type checkers derive from the fields
+
+        def __init__(self, **values: Any) -> None:
+            try:
+                super().__init__(**values)
+            except ValidationError as error:
+                lines = describe_errors(error, type(self)).splitlines()
+                raise InputError("\n".join(f"{self.key}.{line}" for line in lines)) from None
+
+
+class SensorBlock(Block):
+    """Which sensor this is."""
+
+    key: ClassVar[str] = "sensor"
+
+    name: Name
+    """Name of this very sensor or model, e.g. ``gelsight``."""
+    family: Name
+    """Design family in the catalogue, e.g. ``gelsight``."""
+    parameters: dict[Name, ConfigValue] = Field(default_factory=dict)
+    """Design parameters of the family; names carry the unit (``width_mm``)."""
+
+
+class GelBlock(Block):
+    """The gel pad's tetrahedral mesh, stored in ``mesh.npz``."""
+
+    key: ClassVar[str] = "gel"
+
+    file: Literal["mesh.npz"] = "mesh.npz"
+    thickness_mm: float = Field(gt=0, le=100)
+    """Depth of the pad below its apex [mm]."""
+    node_count: int = Field(ge=4)
+    tet_count: int = Field(ge=1)
+    min_dihedral_deg: float = Field(gt=0, le=70.53)
+    """Smallest dihedral angle of any tet [degrees]; a regular tet has 70.53."""
+
+
+class MaterialBlock(Block):
+    """The gel as a solid."""
+
+    key: ClassVar[str] = "material"
+
+    model: Literal["neo_hookean"] = "neo_hookean"
+    young_modulus_pa: float = Field(ge=1e2, le=1e9)
+    """Young's modulus at small strain [Pa]."""
+    poisson_ratio: float
+    """Poisson's ratio, above -1 and below 0.5."""
+    density_kg_m3: float = Field(gt=0, le=3e4)
+    friction_coefficient: float = Field(ge=0, le=5)
+    """Coulomb friction between the gel and what presses on it."""
+
+    @field_validator("poisson_ratio")
+    @classmethod
+    def _check_poisson_ratio(cls, value: float) -> float:
+        if value >= 0.5:
+            raise ValueError(
+                "must be below 0.5: at 0.5 the gel is incompressible and its bulk modulus "
+                "E / (3 (1 - 2 nu)) infinite; soft gels are modelled with 0.45 to 0.49"
+            )
+        if value <= -1.0:
+            raise ValueError("must be above -1: at -1 the shear modulus E / (2 (1 + nu)) diverges")
+        return value
+
+
+class CameraBlock(Block):
+    """The pixel grid that the tactile image lays over the gel (see ``PixelGrid``)."""
+
+    key: ClassVar[str] = "camera"
+
+    width_px: int = Field(ge=2, le=20_000)
+    height_px: int = Field(ge=2, le=20_000)
+    mm_per_px_x: float = Field(ge=1e-4, le=1.0)
+    mm_per_px_y: float = Field(ge=1e-4, le=1.0)
+    center_u_px: float
+    """Column of the gel frame's origin [px]."""
+    center_v_px: float
+    """Row of the gel frame's origin [px]."""
+
+    @classmethod
+    def from_grid(cls, grid: PixelGrid, provenance: Provenance) -> CameraBlock:
+        """Make the block of a pixel grid."""
+        return cls(
+            width_px=grid.width_px,
+            height_px=grid.height_px,
+            mm_per_px_x=grid.mm_per_px_x,
+            mm_per_px_y=grid.mm_per_px_y,
+            center_u_px=grid.center_u_px,
+            center_v_px=grid.center_v_px,
+            provenance=provenance,
+        )
+
+    def grid(self) -> PixelGrid:
+        """The pixel grid of the tactile image."""
+        return PixelGrid(
+            width_px=self.width_px,
+            height_px=self.height_px,
+            mm_per_px_x=self.mm_per_px_x,
+            mm_per_px_y=self.mm_per_px_y,
+            center_u_px=self.center_u_px,
+            center_v_px=self.center_v_px,
+        )
+
+
+class BackgroundBlock(Block):
+    """The image of the untouched sensor, RGB, stored in ``background.npz``."""
+
+    key: ClassVar[str] = "background"
+
+    file: Literal["background.npz"] = "background.npz"
+
+
+class ColorBlock(Block):
+    """The model from pixel position and surface normal to colour change.
+
+    Its weights are stored in ``color_model.safetensors``.
+    """
+
+    key: ClassVar[str] = "color"
+
+    file: Literal["color_model.safetensors"] = "color_model.safetensors"
+    architecture: dict[Name, ConfigValue]
+    """What is needed to rebuild the network: features, layer widths, activation, scales."""
+
+
+BLOCK_TYPES: tuple[type[Block], ...] = (
+    SensorBlock,
+    GelBlock,
+    MaterialBlock,
+    CameraBlock,
+    BackgroundBlock,
+    ColorBlock,
+)
+"""All blocks of schema version 1, in the order of the file."""
+
+OPTIONAL_BLOCKS = frozenset({"background", "color"})

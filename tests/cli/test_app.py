@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line as a whole: exit codes, messages, speed of help."""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from taccel_lab.cli import app
+from taccel_lab.errors import InputError, SimulationError
+
+ROOT = Path(__file__).parents[2]
+
+
+class Raises:
+    """A command that ends with the given exception."""
+
+    def __init__(self, error: BaseException | None) -> None:
+        self.error = error
+
+    def run(self) -> None:
+        if self.error is not None:
+            raise self.error
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (None, 0, ""),
+        (InputError("frame 3 is empty"), 2, "error: frame 3 is empty"),
+        (SimulationError("no descent in step 4"), 3, "simulation failed: no descent in step 4"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (PermissionError(13, "Permission denied", "/out"), 2, "error: /out: Permission denied"),
+    ],
+)
+def test_exit_codes(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    error: BaseException | None,
+    code: int,
+    words: str,
+) -> None:
+    monkeypatch.setattr(app, "parse", lambda arguments: Raises(error))
+    assert app.main([]) == code
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert words in captured.err
+    assert "Traceback" not in captured.err
+
+
+def test_bugs_keep_their_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(app, "parse", lambda arguments: Raises(ZeroDivisionError()))
+    with pytest.raises(ZeroDivisionError):
+        app.main([])
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["nonsense"], ["profile", "show"], ["profile", "show", "x", "--wrong"]]
+)
+def test_usage_errors_exit_with_2(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        app.main(arguments)
+    assert caught.value.code == 2
+
+
+COMMANDS = (
+    "demo",
+    "design",
+    "press",
+    "calibrate color",
+    "profile show",
+    "profile validate",
+    "sensors list",
+    "sensors show",
+    "doctor",
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        app.main([*command.split(), "--help"])
+    assert caught.value.code == 0
+    assert f"usage: taccel-lab {command}" in capsys.readouterr().out
+
+
+def command_classes() -> Iterator[ast.ClassDef]:
+    for path in sorted((ROOT / "taccel_lab" / "cli").glob("*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and node.name != "Command":
+                if any(isinstance(m, ast.FunctionDef) and m.name == "run" for m in node.body):
+                    yield node
+
+
+def test_every_option_is_explained() -> None:
+    names = set()
+    for command in command_classes():
+        names.add(command.name)
+        assert ast.get_docstring(command), command.name
+        for field, after in itertools.pairwise(command.body):
+            if isinstance(field, ast.AnnAssign):
+                explained = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                assert explained, f"{command.name}.{ast.unparse(field.target)} has no docstring"
+    assert names >= {"Demo", "Design", "Press", "CalibrateColor", "ProfileShow", "Doctor"}
+
+
+def test_help_is_fast_and_light() -> None:
+    code = (
+        "import sys\n"
+        "from taccel_lab.cli import app\n"
+        "try:\n"
+        "    app.main(['--help'])\n"
+        "except SystemExit:\n"
+        "    pass\n"
+        "heavy = {'warp', 'torch', 'build123d', 'OCP', 'pyvista', 'cv2', 'scipy', 'matplotlib'}\n"
+        "sys.exit(','.join(sorted(heavy & set(sys.modules))) or 0)\n"
+    )
+    best = float("inf")
+    for _ in range(3):
+        start = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        best = min(best, time.perf_counter() - start)
+        assert done.returncode == 0, f"help imports {done.stderr}"
+        assert "calibrate" in done.stdout
+    assert best < 1.0, f"help took {best:.2f} s"

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab doctor`` tells a sound installation from a broken one."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taccel_lab.cli import doctor
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_this_installation_is_sound(capsys: pytest.CaptureFixture[str]) -> None:
+    doctor.Doctor(json=True).run()
+    report = json.loads(capsys.readouterr().out)
+    assert report["problems"] == []
+    assert {package["name"] for package in report["packages"]} >= {"warp-lang", "torch", "numpy"}
+    assert report["machine"]["cores"] >= 1
+    devices = report["warp"]["devices"]
+    assert devices[0]["name"] == "cpu"
+    assert all(device["problem"] is None for device in devices)
+
+
+def test_requirements_are_those_of_the_project() -> None:
+    names = dict(doctor.requirements())
+    assert names["numpy>=2.1,<3"] == ""
+    assert names["pymeshlab>=2023.12"] == "repair"
+
+
+def test_requirements_of_an_installed_wheel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Not ours: other projects leave such files in site-packages.
+    (tmp_path / "pyproject.toml").write_text("[project]\nname = 'other'\n")
+    lines = ["numpy<3,>=2.1", "taxim==1.4.1; extra == 'demo'"]
+    monkeypatch.setattr(importlib.metadata, "requires", lambda name: lines)
+    assert list(doctor.requirements(tmp_path)) == [("numpy<3,>=2.1", ""), ("taxim==1.4.1", "demo")]
+
+
+def broken(pairs: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    def requirements() -> Iterator[tuple[str, str]]:
+        yield from pairs
+
+    monkeypatch.setattr(doctor, "requirements", requirements)
+    return list(doctor.check_packages())
+
+
+def test_missing_and_outdated_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    absent, old, extra = broken(
+        [("no-such-thing>=1", ""), ("numpy<1", ""), ("nor-this", "dev")], monkeypatch
+    )
+    assert absent["problem"] == "not installed"
+    assert old["problem"] == f"version {importlib.metadata.version('numpy')} is outside <1"
+    assert extra["extra"] == "dev" and extra["problem"] == "not installed"
+    report = doctor.collect()
+    assert len(report["problems"]) == 2
+
+
+def test_a_missing_system_library_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(name: str) -> None:
+        raise ImportError("libGL.so.1: cannot open shared object file")
+
+    monkeypatch.setattr(doctor.importlib, "import_module", fail)
+    (package,) = broken([("numpy>=2", "")], monkeypatch)
+    assert package["problem"] == "import numpy fails: libGL.so.1: cannot open shared object file"
+    with pytest.raises(SystemExit) as caught:
+        doctor.Doctor().run()
+    assert caught.value.code == 1
+    assert "broken: numpy" in capsys.readouterr().out
+
+
+def test_demo_captures_are_found_or_reported_absent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TACCEL_LAB_DATA", str(ROOT))
+    assert doctor.find_data()["TACCEL_LAB_DATA"] == str(ROOT)
+    monkeypatch.setenv("TACCEL_LAB_DATA", str(ROOT / "absent"))
+    assert doctor.find_data()["TACCEL_LAB_DATA"] is None

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab profile show`` and ``validate``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.cli import app
+from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.profile import (
+    CameraBlock,
+    GelBlock,
+    MaterialBlock,
+    Provenance,
+    SensorBlock,
+    SensorProfile,
+    save_profile,
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    made_up = Provenance(kind="assumed", method="made up [bold]for[/] a test", source="none")
+    tets = np.array([[0, 1, 2, 3]])
+    mesh = TetMesh(
+        np.array([[0, 0, -1], [1, 0, -1], [0, 1, -1], [0, 0, 0]]) * 1e-3,
+        tets,
+        boundary_faces(tets),
+        np.array([0, 1, 2, 3]),
+    )
+    profile = SensorProfile(
+        sensor=SensorBlock(name="unit 3", family="gelsight", provenance=made_up),
+        gel=GelBlock(
+            thickness_mm=1.0, node_count=4, tet_count=1, min_dihedral_deg=54.7, provenance=made_up
+        ),
+        material=MaterialBlock(
+            young_modulus_pa=1.5e5,
+            poisson_ratio=0.48,
+            density_kg_m3=1070.0,
+            friction_coefficient=0.6,
+            provenance=made_up,
+        ),
+        camera=CameraBlock.from_grid(PixelGrid(12, 9, 0.03, 0.03), made_up),
+        mesh=mesh,
+    )
+    save_profile(profile, tmp_path / "p")
+    return tmp_path / "p"
+
+
+def test_show(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["profile", "show", str(folder)]) == 0
+    text = capsys.readouterr().out
+    for expected in ("unit 3", "young_modulus_pa", "150000.0", "[bold]for[/]"):
+        assert expected in text
+
+
+def test_show_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["profile", "show", str(folder), "--json"]) == 0
+    blocks = json.loads(capsys.readouterr().out)
+    assert list(blocks) == ["sensor", "gel", "material", "camera"]
+    assert blocks["material"]["poisson_ratio"] == 0.48
+    assert blocks["camera"]["provenance"]["kind"] == "assumed"
+
+
+def test_validate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["profile", "validate", str(folder)]) == 0
+    assert "is a sound profile" in capsys.readouterr().out
+
+
+def test_validate_damaged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "mesh.npz").write_bytes(b"PK")
+    (folder / "notes.txt").write_text("mine")
+    assert app.main(["profile", "validate", str(folder)]) == 2
+    captured = capsys.readouterr()
+    assert "mesh.npz: SHA-256" in captured.out
+    assert "warning" in captured.out
+    assert "is not a sound profile: 1 error" in captured.err
+
+    assert app.main(["profile", "validate", str(folder), "--json"]) == 2
+    result = json.loads(capsys.readouterr().out)
+    assert result["valid"] is False
+    assert [finding["severity"] for finding in result["findings"]] == ["error", "warning"]
+
+
+def test_absent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["profile", "show", str(tmp_path / "none")]) == 2
+    assert "none" in capsys.readouterr().err

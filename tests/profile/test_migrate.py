@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Migration steps are chained, checked and leave their input alone."""
+
+from __future__ import annotations
+
+import copy
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taccel_lab.errors import InputError
+from taccel_lab.profile.migrate import STEPS, migrate
+from taccel_lab.profile.schema import SCHEMA_VERSION
+
+OLD = Path(__file__).parent / "old"
+
+
+def rename_pad(document: dict[str, Any]) -> dict[str, Any]:
+    pad = document["pad"]
+    gel = {"thickness_mm": pad["thickness"], "nodes": pad["nodes"]}
+    return {"schema_version": 1, "gel": gel}
+
+
+def rename_nodes(document: dict[str, Any]) -> dict[str, Any]:
+    gel = dict(document["gel"])
+    gel["node_count"] = gel.pop("nodes")
+    return {"schema_version": 2, "gel": gel}
+
+
+@pytest.fixture
+def version_0() -> dict[str, Any]:
+    return tomllib.loads((OLD / "v0" / "profile.toml").read_text())
+
+
+def test_steps_are_chained(version_0: dict[str, Any]) -> None:
+    before = copy.deepcopy(version_0)
+    migrated = migrate(version_0, current=2, steps={0: rename_pad, 1: rename_nodes})
+    assert migrated == {"schema_version": 2, "gel": {"thickness_mm": 4.0, "node_count": 5}}
+    assert version_0 == before
+
+
+def test_current_documents_pass_unchanged() -> None:
+    document = {"schema_version": SCHEMA_VERSION, "x": 1}
+    assert migrate(document) is document
+
+
+def test_a_step_that_forgets_the_version_is_a_bug(version_0: dict[str, Any]) -> None:
+    with pytest.raises(RuntimeError, match="did not set schema_version 1"):
+        migrate(version_0, current=1, steps={0: dict})
+
+
+def test_newer_and_unknown_versions_are_refused(version_0: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="written by a newer version"):
+        migrate({"schema_version": SCHEMA_VERSION + 1})
+    with pytest.raises(InputError, match="version 0 is not known"):
+        migrate(version_0, current=1, steps={})
+
+
+def test_every_released_version_has_a_step_and_an_example() -> None:
+    assert sorted(STEPS) == list(range(1, SCHEMA_VERSION))
+    for version in STEPS:
+        assert (OLD / f"v{version}" / "profile.toml").is_file()
