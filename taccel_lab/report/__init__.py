@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reports and pictures: one self-contained HTML page, a JSON and PNG files."""
+
+from taccel_lab.report.build import write_report
+from taccel_lab.report.figures import (
+    draw_contact_forces,
+    draw_force_depth,
+    draw_height_map,
+    draw_image,
+    draw_normals,
+)
+from taccel_lab.report.style import save_figure
+
+__all__ = [
+    "draw_contact_forces",
+    "draw_force_depth",
+    "draw_height_map",
+    "draw_image",
+    "draw_normals",
+    "save_figure",
+    "write_report",
+]

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes a report: one self-contained HTML page, its figures as PNG files, and the JSON.
+
+The page embeds every figure, loads nothing and runs no script, so it can be mailed as one file.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.output import atomic_file, write_json
+from taccel_lab.report import figures, figures_color, figures_mesh
+from taccel_lab.report.model import Report
+from taccel_lab.report.style import save_figure
+from taccel_lab.report.values import report_values, worst_first
+from taccel_lab.report.verdict import judge_targets, reach_verdict
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FigureMaker = Callable[[], "Figure"]
+
+
+def write_report(report: Report, directory: Path | str) -> dict[str, Any]:
+    """Write ``report.html``, ``report.json`` and ``figures/*.png`` into ``directory``.
+
+    Returns:
+        The figures as written to the JSON.
+    """
+    directory = Path(directory)
+    (directory / "figures").mkdir(parents=True, exist_ok=True)
+    images: dict[str, str] = {}
+    for name, draw in _figures(report):
+        path = directory / "figures" / f"{name}.png"
+        save_figure(draw(), path)
+        images[name] = "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
+    values = report_values(report)
+    results = judge_targets(report, values)
+    verdict = reach_verdict(report, values, results)
+    values["targets"] = [
+        {**asdict(result.target), "value": result.value, "met": result.met} for result in results
+    ]
+    values["verdict"] = asdict(verdict)
+    page = (
+        _environment()
+        .get_template("report.html.j2")
+        .render(report=report, values=values, results=results, verdict=verdict, images=images)
+    )
+    with atomic_file(directory / "report.html") as staging:
+        staging.write_text(page, encoding="utf-8")
+        staging.chmod(0o644)
+    write_json(directory / "report.json", values)
+    return values
+
+
+def _figures(report: Report) -> Iterator[tuple[str, FigureMaker]]:
+    """File name and drawing of every figure that the report's sections call for."""
+    if report.color is not None:
+        ordered = worst_first(report.color)
+        for index, frame in enumerate(ordered):
+            yield f"frame_{index:02d}", lambda frame=frame: figures_color.draw_heldout_frame(frame)
+        if ordered:
+            yield "frame_full", lambda: figures_color.draw_full_frame(ordered[0])
+        discs, loss = report.color.discs, report.color.loss
+        if discs:
+            yield "color_model", lambda: figures_color.draw_color_discs(discs)
+        if loss is not None:
+            yield "loss", lambda: figures_color.draw_loss(loss)
+    if report.press is not None:
+        yield from _press_figures(report)
+    if report.mesh is not None:
+        mesh = report.mesh
+        yield "mesh", lambda: figures_mesh.draw_mesh(mesh)
+        yield "dihedral", lambda: figures_mesh.draw_dihedral_histogram(mesh)
+    if report.detection is not None:
+        detection = report.detection
+        yield "detection", lambda: figures_color.draw_detection(detection)
+
+
+def _press_figures(report: Report) -> Iterator[tuple[str, FigureMaker]]:
+    assert report.press is not None
+    curve, maps = report.press.force_depth, report.press.maps
+    if curve is not None:
+        yield "force_depth", lambda: figures.draw_force_depth(curve)
+    if maps is None:
+        return
+    yield "height_map", lambda: figures.draw_height_map(maps.height_m, maps.grid)
+    yield "normals", lambda: figures.draw_normals(maps.normals, maps.grid)
+    rgb = maps.rgb
+    if rgb is not None:
+        yield "image", lambda: figures.draw_image(rgb, maps.grid)
+    nodes, faces, forces = maps.positions_m, maps.contact_faces, maps.forces_n
+    if nodes is not None and faces is not None and forces is not None:
+        yield "contact_forces", lambda: figures.draw_contact_forces(nodes, faces, forces)
+
+
+def _environment() -> Any:
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("taccel_lab.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = format_number
+    return environment
+
+
+def format_number(value: Any, digits: int | None = None) -> str:
+    """A number for a table cell: fixed digits, or four significant ones; a dash for none."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "–"
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return str(value)
+    if digits is not None:
+        return f"{value:.{digits}f}"
+    if isinstance(value, int):
+        return f"{value:,}"
+    size = abs(value)
+    if size != 0 and (size < 1e-3 or size >= 1e5):
+        return f"{value:.2e}"
+    return f"{value:.4g}"

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of one press: height map, image, normals, contact pressure, force over depth.
+
+Each function returns a matplotlib figure; ``style.save_figure`` writes it as PNG. Maps are drawn
+as the camera sees them: x right, y down, in millimetres of the gel frame.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.report.model import ForceDepth
+from taccel_lab.report.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PURPLE,
+    in_report_style,
+    new_figure,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def _extent_mm(grid: PixelGrid) -> tuple[float, float, float, float]:
+    """Outer edges of the image for imshow with the origin at the top [mm]."""
+    x, y = grid.x_mm(), grid.y_mm()
+    half_x, half_y = grid.mm_per_px_x / 2, grid.mm_per_px_y / 2
+    return (x[0] - half_x, x[-1] + half_x, y[-1] + half_y, y[0] - half_y)
+
+
+def _map_axes(grid: PixelGrid, title: str) -> tuple[Figure, Any]:
+    aspect = (grid.height_px * grid.mm_per_px_y) / (grid.width_px * grid.mm_per_px_x)
+    figure, axes = new_figure(6.4, 0.5 + 5.4 * aspect)
+    axes.set_title(title)
+    axes.set_xlabel("x [mm]")
+    axes.set_ylabel("y [mm]")
+    return figure, axes
+
+
+def _check_image(name: str, image: np.ndarray, grid: PixelGrid, channels: int | None) -> None:
+    shape = (grid.height_px, grid.width_px) + (() if channels is None else (channels,))
+    if image.shape != shape:
+        raise InputError(f"{name} has shape {image.shape}, the pixel grid needs {shape}")
+
+
+@in_report_style
+def draw_height_map(height_m: np.ndarray, grid: PixelGrid, title: str = "Height map") -> Figure:
+    """Height [m], shape [height_px, width_px], with contours; NaN is left white."""
+    _check_image("height_m", height_m, grid, None)
+    height_mm = height_m * 1e3
+    figure, axes = _map_axes(grid, title)
+    image = axes.imshow(height_mm, extent=_extent_mm(grid), cmap="viridis")
+    low, high = np.nanmin(height_mm), np.nanmax(height_mm)
+    if high - low > 1e-6:
+        levels = np.linspace(low, high, 11)[1:-1]
+        axes.contour(
+            grid.x_mm(), grid.y_mm(), height_mm, levels, colors="white", linewidths=0.5, alpha=0.6
+        )
+    figure.colorbar(image, ax=axes, label="height [mm]", shrink=0.9)
+    return figure
+
+
+@in_report_style
+def draw_image(rgb: np.ndarray, grid: PixelGrid, title: str = "Tactile image") -> Figure:
+    """RGB levels 0..255, shape [height_px, width_px, 3]."""
+    _check_image("rgb", rgb, grid, 3)
+    figure, axes = _map_axes(grid, title)
+    axes.imshow(as_uint8(rgb), extent=_extent_mm(grid))
+    return figure
+
+
+@in_report_style
+def draw_normals(normals: np.ndarray, grid: PixelGrid, title: str = "Surface normals") -> Figure:
+    """Outward unit normals as RGB = (n + 1) / 2, shape [height_px, width_px, 3]."""
+    _check_image("normals", normals, grid, 3)
+    figure, axes = _map_axes(grid, title + "  (RGB = (n + 1) / 2)")
+    axes.imshow(np.nan_to_num(np.clip((normals + 1) / 2, 0, 1), nan=1.0), extent=_extent_mm(grid))
+    return figure
+
+
+@in_report_style
+def draw_contact_forces(
+    positions_m: np.ndarray,
+    contact_faces: np.ndarray,
+    forces_n: np.ndarray,
+    title: str = "Contact pressure",
+) -> Figure:
+    """Contact pressure (force along the inward normal over nodal area) and shear arrows.
+
+    Args:
+        positions_m: Deformed nodes, shape [node, 3].
+        contact_faces: Outward triangles of the contact face, shape [face, 3].
+        forces_n: Contact force on each node [N], shape [node, 3].
+    """
+    from matplotlib.tri import Triangulation
+
+    corners = positions_m[contact_faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vector_area = np.zeros_like(positions_m)
+    for corner in range(3):
+        np.add.at(vector_area, contact_faces[:, corner], cross / 6)
+    area = np.linalg.norm(vector_area, axis=1)
+    normal = vector_area / np.maximum(area, 1e-30)[:, None]
+    along = (forces_n * normal).sum(axis=1)
+    pressure_kpa = np.where(area > 0, -along / np.maximum(area, 1e-30), 0.0) * 1e-3
+    shear = (forces_n - along[:, None] * normal)[:, :2]
+
+    loaded = np.flatnonzero(np.linalg.norm(forces_n, axis=1) > 0)
+    figure, axes = new_figure(6.4, 5.2)
+    axes.set_title(f"{title}, {-forces_n[:, 2].sum():.3g} N along -z")
+    xy_mm = positions_m[:, :2] * 1e3
+    mesh = Triangulation(xy_mm[:, 0], xy_mm[:, 1], contact_faces)
+    drawn = axes.tripcolor(mesh, pressure_kpa, shading="gouraud", cmap="magma_r", vmin=0)
+    axes.triplot(mesh, color="black", linewidth=0.25, alpha=0.25)
+    figure.colorbar(drawn, ax=axes, label="pressure [kPa]", shrink=0.9)
+    if len(loaded):
+        center = xy_mm[loaded].mean(axis=0)
+        reach = max(1.6 * np.abs(xy_mm[loaded] - center).max(), 0.2)
+        axes.set_xlim(center[0] - reach, center[0] + reach)
+        axes.set_ylim(center[1] + reach, center[1] - reach)
+        size = np.linalg.norm(shear[loaded], axis=1).max()
+        if size > 0:
+            arrows = axes.quiver(
+                *xy_mm[loaded].T, *shear[loaded].T, angles="xy", color=BLUE, width=0.004,
+                scale_units="xy", scale=size / (0.2 * reach),
+            )  # fmt: skip
+            key = axes.quiverkey(
+                arrows, 0.14, 0.05, size, f"tangential, {size * 1e3:.2g} mN", labelpos="E",
+                coordinates="axes",
+            )  # fmt: skip
+            key.text.set_backgroundcolor("#ffffffcc")
+    else:
+        axes.invert_yaxis()
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [mm]")
+    axes.set_ylabel("y [mm]")
+    return figure
+
+
+@in_report_style
+def draw_force_depth(curve: ForceDepth, title: str = "Force over depth") -> Figure:
+    """Normal force over indentation depth with its references, and the contact radius if known."""
+    figure, axes = new_figure(6.4, 4.0)
+    axes.grid(True)
+    axes.set_axisbelow(True)
+    styles = zip((ORANGE, GREEN, PURPLE, GREY), ("--", "-.", ":", "--"), strict=True)
+    for reference, (color, dash) in zip(curve.references, styles, strict=False):
+        axes.plot(reference.depth_mm, reference.force_n, dash, color=color, label=reference.label)
+    axes.plot(curve.depth_mm, curve.force_n, "o-", color=BLUE, label=curve.label, zorder=3)
+    axes.set_title(title)
+    axes.set_xlabel("indentation depth [mm]")
+    axes.set_ylabel("normal force [N]")
+    axes.set_xlim(left=0)
+    axes.set_ylim(0, 1.15 * max(float(np.nanmax(curve.force_n)), 1e-9))
+    lines, labels = axes.get_legend_handles_labels()
+    if curve.contact_radius_mm is not None:
+        twin = axes.twinx()
+        twin.spines["right"].set_visible(True)
+        twin.grid(False)
+        twin.plot(curve.depth_mm, curve.contact_radius_mm, "s:", color=GREY, markersize=4)
+        twin.set_ylabel("contact radius [mm]", color=GREY)
+        twin.set_ylim(0, 1.3 * float(np.nanmax(curve.contact_radius_mm)))
+        lines.append(twin.lines[0])
+        labels.append("contact radius (right)")
+    axes.legend(lines, labels, loc="upper left", labelcolor=INK)
+    return figure
+
+
+def as_uint8(rgb: np.ndarray) -> np.ndarray:
+    """Levels 0..255 rounded to bytes; NaN becomes white."""
+    return np.nan_to_num(np.clip(np.round(rgb), 0, 255), nan=255.0).astype(np.uint8)

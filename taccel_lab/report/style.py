@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One look for all figures: light, thin axes, colours that colour-blind readers tell apart."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from taccel_lab.output import atomic_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Okabe and Ito (2008), "Color universal design".
+BLUE = "#0072b2"
+ORANGE = "#d55e00"
+GREEN = "#009e73"
+PURPLE = "#cc79a7"
+GREY = "#6b7280"
+LIGHT = "#d1d5db"
+INK = "#1f2937"
+
+_DPI = 110
+_STYLE: Any = {
+    "font.size": 10,
+    "axes.titlesize": 10.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": GREY,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": False,
+    "grid.color": "#e5e7eb",
+    "text.color": INK,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+    "lines.linewidth": 1.8,
+    "image.interpolation": "nearest",
+}
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def in_report_style(draw: Callable[P, R]) -> Callable[P, R]:
+    """Run a drawing function under the report's settings, whatever the caller's are."""
+
+    @functools.wraps(draw)
+    def styled(*args: P.args, **kwargs: P.kwargs) -> R:
+        import matplotlib as mpl
+
+        with mpl.rc_context(_STYLE):
+            return draw(*args, **kwargs)
+
+    return styled
+
+
+def new_figure(
+    width_in: float, height_in: float, rows: int = 1, columns: int = 1, **layout: Any
+) -> tuple[Figure, Any]:
+    """A figure and its axes (one, or an array), apart from pyplot's global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, **layout)
+
+
+@in_report_style
+def save_figure(figure: Figure, path: Path | str, dpi: int = _DPI) -> None:
+    """Write a figure as PNG, whole or not at all."""
+    with atomic_file(path) as staging:
+        figure.savefig(staging, dpi=dpi, format="png", facecolor="white")
+        staging.chmod(0o644)

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tactile image from the gel's surface: a small network gives the colour change of each pixel.
+
+The network maps pixel position, surface normal and the rise of the surface over its rest position
+to an RGB change; the change it gives for the undeformed surface at the same pixel is subtracted,
+so that untouched gel renders as the background, exactly. Position and normal are the inputs of
+Taxim (Si and Yuan, RA-L 2022) and FOTS (Zhao et al., RA-L 2024); the displacement tells the floor
+of a dent from untouched gel, which has the same normal but lies closer to the lamps.
+
+The weights are plain numpy arrays and the settings a flat dict, which is what a sensor profile
+stores; torch is imported when an image is rendered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    import torch
+
+INPUT_NAMES = ("u", "v", "normal_x", "normal_y", "normal_z", "displacement_mm")
+ACTIVATIONS = ("silu", "tanh", "relu")
+CHUNK_PIXELS = 32_768
+
+
+@dataclass(frozen=True)
+class ColorModelConfig:
+    """Everything besides the weights that is needed to rebuild a ``ColorModel``."""
+
+    width_px: int
+    height_px: int
+    inputs: tuple[str, ...] = INPUT_NAMES
+    """Network inputs in order, names from ``INPUT_NAMES``; u and v run over -1..1."""
+    hidden: tuple[int, ...] = (64, 64, 64)
+    """Widths of the hidden layers."""
+    activation: str = "silu"
+    input_mean: tuple[float, ...] = (0.0,) * len(INPUT_NAMES)
+    """Subtracted from each input."""
+    input_scale: tuple[float, ...] = (1.0,) * len(INPUT_NAMES)
+    """Divides each input after that."""
+    output_scale: float = 32.0
+    """Levels (of 255) per unit of network output."""
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.inputs if name not in INPUT_NAMES]
+        if unknown or not self.inputs:
+            raise InputError(
+                f"color model inputs {list(self.inputs)} are not allowed; some of "
+                f"{', '.join(INPUT_NAMES)}"
+            )
+        if self.activation not in ACTIVATIONS:
+            raise InputError(
+                f"color model activation {self.activation!r} is not one of {', '.join(ACTIVATIONS)}"
+            )
+        if self.width_px < 2 or self.height_px < 2:
+            raise InputError(
+                f"color model image size is {self.width_px}x{self.height_px} px; at least 2x2 px"
+            )
+        if any(width < 1 for width in self.hidden):
+            raise InputError(f"color model hidden layers {list(self.hidden)} must be at least 1")
+        for name in ("input_mean", "input_scale"):
+            values = getattr(self, name)
+            if len(values) != len(self.inputs) or not np.isfinite(values).all():
+                raise InputError(
+                    f"color model {name} needs {len(self.inputs)} finite numbers, one per input, "
+                    f"got {list(values)}"
+                )
+        if min(self.input_scale) <= 0 or not self.output_scale > 0:
+            raise InputError("color model input_scale and output_scale must be positive")
+
+    def layer_sizes(self) -> list[tuple[int, int]]:
+        """(outputs, inputs) of each layer."""
+        widths = [len(self.inputs), *self.hidden, 3]
+        return [(widths[i + 1], widths[i]) for i in range(len(widths) - 1)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Flat dict of numbers, strings and lists, as a profile's ``architecture`` stores it."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> ColorModelConfig:
+        """Inverse of ``to_dict``; unknown and missing keys raise InputError."""
+        fields = cls.__dataclass_fields__
+        unknown, missing = set(values) - set(fields), set(fields) - set(values)
+        if unknown or missing:
+            raise InputError(
+                f"color model settings: unknown {sorted(unknown)}, missing {sorted(missing)}; "
+                f"exactly {', '.join(fields)} are allowed"
+            )
+        try:
+            return cls(
+                width_px=int(values["width_px"]),
+                height_px=int(values["height_px"]),
+                inputs=tuple(str(name) for name in values["inputs"]),
+                hidden=tuple(int(width) for width in values["hidden"]),
+                activation=str(values["activation"]),
+                input_mean=tuple(float(mean) for mean in values["input_mean"]),
+                input_scale=tuple(float(scale) for scale in values["input_scale"]),
+                output_scale=float(values["output_scale"]),
+            )
+        except InputError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"color model settings hold a value of a wrong type: {error}"
+            ) from None
+
+
+class ColorModel:
+    """Colour change of tactile pixels.
+
+    ``weights`` holds float32 arrays ``layer<i>.weight`` [outputs, inputs] and ``layer<i>.bias``
+    [outputs].
+    """
+
+    def __init__(self, config: ColorModelConfig, weights: Mapping[str, np.ndarray]) -> None:
+        self.config = config
+        self.weights = {
+            name: np.array(value, dtype=np.float32, order="C") for name, value in weights.items()
+        }
+        expected = expected_shapes(config)
+        found = {name: value.shape for name, value in self.weights.items()}
+        if found != expected:
+            raise InputError(f"color model weights have shapes {found}, expected {expected}")
+        if not all(np.isfinite(value).all() for value in self.weights.values()):
+            raise InputError("color model weights hold NaN or infinite values")
+
+    def predict(
+        self,
+        normals: np.ndarray,
+        displacement_mm: np.ndarray,
+        rest_normals: np.ndarray,
+    ) -> np.ndarray:
+        """Colour change [levels of 255], float32, shape [..., height_px, width_px, 3].
+
+        ``normals`` and ``rest_normals`` are outward unit normals of the deformed and undeformed
+        contact face, shape [..., height_px, width_px, 3]; ``displacement_mm`` is the rise of the
+        face over rest [mm] (negative in a dent), shape [..., height_px, width_px]. Pixels where
+        the surface is undeformed change by exactly zero and are not computed.
+        """
+        normals = np.asarray(normals)
+        lead = self._check_maps(normals, displacement_mm, rest_normals)
+        rest = np.broadcast_to(rest_normals, normals.shape).reshape(-1, 3)
+        displacement = np.broadcast_to(displacement_mm, normals.shape[:-1]).reshape(-1)
+        flat = normals.reshape(-1, 3)
+        moved = np.flatnonzero((displacement != 0) | (flat != rest).any(axis=1))
+        change = np.zeros((len(flat), 3), dtype=np.float32)
+        change[moved] = self.predict_pixels(
+            moved % (self.config.width_px * self.config.height_px),
+            flat[moved],
+            displacement[moved],
+            rest[moved],
+        )
+        return change.reshape(*lead, self.config.height_px, self.config.width_px, 3)
+
+    def predict_pixels(
+        self,
+        pixel_idx: np.ndarray,
+        normals: np.ndarray,
+        displacement_mm: np.ndarray,
+        rest_normals: np.ndarray,
+    ) -> np.ndarray:
+        """Colour change [levels of 255] of single pixels, float32, shape [n, 3].
+
+        ``pixel_idx`` counts along rows, shape [n]; ``normals`` and ``rest_normals`` have shape
+        [n, 3], ``displacement_mm`` [n].
+        """
+        import torch
+
+        change = np.empty((len(pixel_idx), 3), dtype=np.float32)
+        layers = layer_tensors(self.config, self.weights)
+        with torch.inference_mode():
+            for start in range(0, len(pixel_idx), CHUNK_PIXELS):
+                part = slice(start, start + CHUNK_PIXELS)
+                uv = pixel_uv(self.config, pixel_idx[part])
+                pressed = stack_inputs(self.config, uv, normals[part], displacement_mm[part])
+                at_rest = stack_inputs(self.config, uv, rest_normals[part], np.zeros(len(uv)))
+                change[part] = color_change(
+                    self.config, layers, torch.from_numpy(pressed), torch.from_numpy(at_rest)
+                ).numpy()
+        return change
+
+    def render(
+        self,
+        normals: np.ndarray,
+        displacement_mm: np.ndarray,
+        rest_normals: np.ndarray,
+        background: np.ndarray,
+    ) -> np.ndarray:
+        """Tactile image: ``background`` (RGB levels, shape [height_px, width_px, 3]) plus change.
+
+        Float32 levels in 0..255, shape [..., height_px, width_px, 3]; arguments as ``predict``.
+        """
+        expected = (self.config.height_px, self.config.width_px, 3)
+        if np.shape(background) != expected:
+            raise InputError(
+                f"the background has shape {np.shape(background)}, the color model was made for "
+                f"{expected}"
+            )
+        change = self.predict(normals, displacement_mm, rest_normals)
+        return np.clip(np.asarray(background, dtype=np.float32) + change, 0.0, 255.0)
+
+    def _check_maps(
+        self, normals: np.ndarray, displacement_mm: np.ndarray, rest_normals: np.ndarray
+    ) -> tuple[int, ...]:
+        expected = (self.config.height_px, self.config.width_px, 3)
+        if normals.shape[-3:] != expected:
+            raise InputError(f"normals have shape {normals.shape}, expected [..., {expected}]")
+        for name, value, shape in (
+            ("displacement_mm", displacement_mm, normals.shape[:-1]),
+            ("rest_normals", rest_normals, normals.shape),
+        ):
+            try:
+                np.broadcast_to(value, shape)
+            except ValueError:
+                raise InputError(
+                    f"{name} has shape {np.shape(value)}, which does not fit {shape}"
+                ) from None
+        return normals.shape[:-3]
+
+
+def expected_shapes(config: ColorModelConfig) -> dict[str, tuple[int, ...]]:
+    """Name and shape of every weight array."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    for i, (outputs, inputs) in enumerate(config.layer_sizes()):
+        shapes[f"layer{i}.weight"] = (outputs, inputs)
+        shapes[f"layer{i}.bias"] = (outputs,)
+    return shapes
+
+
+def pixel_uv(config: ColorModelConfig, pixel_idx: np.ndarray) -> np.ndarray:
+    """Normalised (u, v) of flat pixel indices, -1..1 over the image, shape [n, 2]."""
+    column = pixel_idx % config.width_px
+    row = pixel_idx // config.width_px
+    return np.stack(
+        [2 * column / (config.width_px - 1) - 1, 2 * row / (config.height_px - 1) - 1], axis=-1
+    )
+
+
+def stack_inputs(
+    config: ColorModelConfig, uv: np.ndarray, normals: np.ndarray, displacement_mm: np.ndarray
+) -> np.ndarray:
+    """Normalised network inputs, float32, shape [n, input_count]; arguments have n rows."""
+    columns = {
+        "u": uv[:, 0],
+        "v": uv[:, 1],
+        "normal_x": normals[:, 0],
+        "normal_y": normals[:, 1],
+        "normal_z": normals[:, 2],
+        "displacement_mm": displacement_mm,
+    }
+    stacked = np.stack([columns[name] for name in config.inputs], axis=-1)
+    stacked = (stacked - np.array(config.input_mean)) / np.array(config.input_scale)
+    return stacked.astype(np.float32)
+
+
+def layer_tensors(
+    config: ColorModelConfig, weights: Mapping[str, np.ndarray]
+) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """(weight, bias) of each layer as torch tensors."""
+    import torch
+
+    return [
+        (torch.from_numpy(weights[f"layer{i}.weight"]), torch.from_numpy(weights[f"layer{i}.bias"]))
+        for i in range(len(config.layer_sizes()))
+    ]
+
+
+def color_change(
+    config: ColorModelConfig,
+    layers: Sequence[tuple[torch.Tensor, torch.Tensor]],
+    pressed: torch.Tensor,
+    at_rest: torch.Tensor,
+) -> torch.Tensor:
+    """Change in levels of 255 between two sets of network inputs, shape [n, 3]; differentiable."""
+    import torch
+
+    both = torch.cat([pressed, at_rest])
+    activation = getattr(torch.nn.functional, config.activation)
+    for weight, bias in layers[:-1]:
+        both = activation(torch.nn.functional.linear(both, weight, bias))
+    # The last bias cancels in the difference; it is kept so that the layers are ordinary ones.
+    last_weight, last_bias = layers[-1]
+    both = torch.nn.functional.linear(both, last_weight, last_bias) * config.output_scale
+    return both[: len(pressed)] - both[len(pressed) :]

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which triangle a pixel's ray meets: orthographic rasterisation in FP64.
+
+The camera looks along +z through the gel, so a ray meets the surface of lowest z first, and only
+triangles that face the ray's far side can be met. Pixel centres are tested with barycentric
+coordinates, inclusive on edges, so that no pixel falls between two triangles.
+"""
+
+# Warp compiles the kernels from their source; its type stubs describe neither vectors' operators
+# nor FP64 overloads.
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.geometry import PixelGrid
+
+wp.set_module_options({"enable_backward": False})
+
+# Barycentric slack: a pixel exactly on a shared edge must belong to at least one triangle.
+_EDGE_SLACK = wp.constant(wp.float64(1e-10))
+# Two passes evaluate the same z with possibly different rounding; a picometre is far below both
+# the mesh and the light's resolution.
+_TIE_M = wp.constant(wp.float64(1e-12))
+
+
+@wp.struct
+class GridMap:
+    """Pixel (u, v) = xy [m] * scale + centre."""
+
+    px_per_m: wp.vec2d
+    center_px: wp.vec2d
+
+
+@wp.func
+def barycentric(p: wp.vec2d, a: wp.vec2d, b: wp.vec2d, c: wp.vec2d) -> wp.vec3d:
+    """Barycentric coordinates of ``p`` in triangle ``abc`` (signed, sum one)."""
+    ab = b - a
+    ac = c - a
+    ap = p - a
+    area = ab[0] * ac[1] - ab[1] * ac[0]
+    l1 = (ap[0] * ac[1] - ap[1] * ac[0]) / area
+    l2 = (ab[0] * ap[1] - ab[1] * ap[0]) / area
+    return wp.vec3d(wp.float64(1.0) - l1 - l2, l1, l2)
+
+
+@wp.func
+def xy_of(p: wp.vec3d) -> wp.vec2d:
+    return wp.vec2d(p[0], p[1])
+
+
+@wp.func
+def pixel_xy(grid: GridMap, u: int, v: int) -> wp.vec2d:
+    """Gel xy of a pixel centre [m]."""
+    return wp.vec2d(
+        (wp.float64(u) - grid.center_px[0]) / grid.px_per_m[0],
+        (wp.float64(v) - grid.center_px[1]) / grid.px_per_m[1],
+    )
+
+
+@wp.func
+def signed_area2(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
+    """Twice the signed area of the xy projection [m^2]."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+@wp.kernel
+def _rasterize_faces_kernel(
+    positions: wp.array2d(dtype=wp.vec3d),
+    faces: wp.array2d(dtype=wp.int32),
+    grid: GridMap,
+    facing: wp.float64,
+    min_area2: wp.float64,
+    write_faces: int,
+    # Out
+    lowest_z: wp.array3d(dtype=wp.float64),
+    face_at_pixel: wp.array3d(dtype=wp.int32),
+):
+    env, face = wp.tid()
+    a = positions[env, faces[face, 0]]
+    b = positions[env, faces[face, 1]]
+    c = positions[env, faces[face, 2]]
+    if facing * signed_area2(a, b, c) <= min_area2:
+        return
+    low = wp.min(wp.min(xy_of(a), xy_of(b)), xy_of(c))
+    high = wp.max(wp.max(xy_of(a), xy_of(b)), xy_of(c))
+    slack = wp.float64(1e-6)
+    u0 = wp.max(int(wp.ceil(low[0] * grid.px_per_m[0] + grid.center_px[0] - slack)), 0)
+    v0 = wp.max(int(wp.ceil(low[1] * grid.px_per_m[1] + grid.center_px[1] - slack)), 0)
+    u1 = wp.min(
+        int(wp.floor(high[0] * grid.px_per_m[0] + grid.center_px[0] + slack)),
+        lowest_z.shape[2] - 1,
+    )
+    v1 = wp.min(
+        int(wp.floor(high[1] * grid.px_per_m[1] + grid.center_px[1] + slack)),
+        lowest_z.shape[1] - 1,
+    )
+    for v in range(v0, v1 + 1):
+        for u in range(u0, u1 + 1):
+            bary = barycentric(pixel_xy(grid, u, v), xy_of(a), xy_of(b), xy_of(c))
+            if wp.min(wp.min(bary[0], bary[1]), bary[2]) >= -_EDGE_SLACK:
+                z = bary[0] * a[2] + bary[1] * b[2] + bary[2] * c[2]
+                if write_faces == 0:
+                    wp.atomic_min(lowest_z, env, v, u, z)
+                elif z <= lowest_z[env, v, u] + _TIE_M:
+                    # The larger index wins a shared edge: the same on every run and device.
+                    wp.atomic_max(face_at_pixel, env, v, u, face)
+
+
+def grid_map(grid: PixelGrid) -> Any:
+    """The kernel-side form of a pixel grid."""
+    value = GridMap()
+    value.px_per_m = wp.vec2d(1e3 / grid.mm_per_px_x, 1e3 / grid.mm_per_px_y)
+    value.center_px = wp.vec2d(grid.center_u_px, grid.center_v_px)
+    return value
+
+
+class FaceRaster:
+    """For each pixel the first triangle that a ray from the camera meets.
+
+    Construct with the triangulation and the pixel grid, call ``update(positions)``, read
+    ``lowest_z`` [m] (infinite where there is no triangle) and ``face_at_pixel`` (-1 there), both
+    of shape [env, height_px, width_px].
+    """
+
+    def __init__(
+        self,
+        faces: np.ndarray,
+        grid: PixelGrid,
+        *,
+        faces_up: bool = True,
+        device: str = "cpu",
+    ) -> None:
+        """
+        Args:
+            faces: Triangles, shape [face_count, 3].
+            grid: Pixel grid of the image.
+            faces_up: True for triangles whose outward normal has positive z (a gel seen from
+                inside), False for the underside of an object that rests on the gel.
+            device: Warp device.
+        """
+        self.grid = grid
+        self.device = device
+        self.faces = wp.array(np.ascontiguousarray(faces, dtype=np.int32), device=device)
+        self.face_count = len(faces)
+        self.map = grid_map(grid)
+        self.lowest_z: Any = None
+        self.face_at_pixel: Any = None
+        self._facing = 1.0 if faces_up else -1.0
+        # A triangle thinner than a millionth of a pixel cannot hold a pixel centre but would
+        # divide by nearly zero.
+        self._min_area2 = 1e-12 * grid.mm_per_px_x * grid.mm_per_px_y
+
+    def update(self, positions: Any) -> None:
+        """Rasterise nodes at ``positions`` [m], Warp array of vec3d, shape [env, node]."""
+        env_count = positions.shape[0]
+        shape = (env_count, self.grid.height_px, self.grid.width_px)
+        self.lowest_z = wp.full(shape, np.inf, dtype=wp.float64, device=self.device)
+        self.face_at_pixel = wp.full(shape, -1, dtype=wp.int32, device=self.device)
+        # The first pass finds the lowest z, the second names the triangle that holds it.
+        for write_faces in (0, 1):
+            wp.launch(
+                _rasterize_faces_kernel,
+                dim=(env_count, self.face_count),
+                inputs=[
+                    positions,
+                    self.faces,
+                    self.map,
+                    self._facing,
+                    self._min_area2,
+                    write_faces,
+                ],
+                outputs=[self.lowest_z, self.face_at_pixel],
+                device=self.device,
+            )

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures carry the data they are given and come out as PNG files."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from taccel_lab.errors import InputError
+from taccel_lab.report import (
+    draw_contact_forces,
+    draw_force_depth,
+    draw_height_map,
+    draw_image,
+    draw_normals,
+    save_figure,
+)
+from taccel_lab.report.figures import as_uint8
+from taccel_lab.report.figures_color import disc_normals, draw_heldout_frame
+from taccel_lab.report.model import ForceDepth
+from tests.report.sample_report import GRID, full_report, heldout_frame
+
+
+def _png_size(path: Path) -> tuple[int, int]:
+    head = path.read_bytes()[:24]
+    assert head.startswith(b"\x89PNG\r\n\x1a\n")
+    return struct.unpack(">II", head[16:24])
+
+
+def test_height_map_is_drawn_in_millimetres_over_the_gel(tmp_path):
+    height = np.full((60, 80), np.nan)
+    height[10:50, 10:70] = -2e-4
+    height[30, 40] = -5e-4
+    figure = draw_height_map(height, GRID)
+    image = figure.axes[0].images[0]
+    assert np.nanmin(image.get_array().filled(np.nan)) == pytest.approx(-0.5)
+    assert image.get_extent() == pytest.approx((-4.0, 4.0, 3.0, -3.0))
+    save_figure(figure, tmp_path / "h.png")
+    width, tall = _png_size(tmp_path / "h.png")
+    assert width > 500 and tall > 300
+
+
+def test_flat_height_maps_have_no_contours_to_draw(tmp_path):
+    save_figure(draw_height_map(np.zeros((60, 80)), GRID), tmp_path / "flat.png")
+    assert (tmp_path / "flat.png").stat().st_size > 1000
+
+
+def test_normals_and_image_are_drawn(tmp_path):
+    maps = full_report().press.maps
+    figure = draw_normals(maps.normals, GRID)
+    assert figure.axes[0].images[0].get_array()[0, 0, 2] == pytest.approx(0.933, abs=1e-3)
+    save_figure(draw_image(maps.rgb, GRID), tmp_path / "rgb.png")
+    with pytest.raises(InputError, match="rgb"):
+        draw_image(maps.rgb[:-1], GRID)
+    with pytest.raises(InputError, match="height_m"):
+        draw_height_map(np.zeros((60, 81)), GRID)
+
+
+def test_contact_pressure_is_force_over_area():
+    """A uniform pressure on a flat face, given as its consistent nodal forces."""
+    x, y = np.meshgrid(np.linspace(-1e-3, 1e-3, 5), np.linspace(-1e-3, 1e-3, 5))
+    nodes = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+    corner = np.arange(20).reshape(4, 5)[:, :4].ravel()
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + 6], axis=1),
+            np.stack([corner, corner + 6, corner + 5], axis=1),
+        ]
+    )
+    area = np.zeros(25)
+    np.add.at(area, faces.ravel(), 0.5 * (0.5e-3) ** 2 / 3)
+    forces = np.column_stack([0 * area, 0 * area, -50e3 * area])
+    figure = draw_contact_forces(nodes, faces, forces)
+    assert np.allclose(figure.axes[0].collections[0].get_array(), 50.0)
+    assert "0.2 N" in figure.axes[0].get_title()
+    draw_contact_forces(nodes, faces, np.zeros_like(forces))
+
+
+def test_force_depth_shows_the_curve():
+    depth = np.array([0.2, 0.4])
+    figure = draw_force_depth(
+        ForceDepth("simulation", depth, depth * 3, contact_radius_mm=np.array([0.5, 0.7]))
+    )
+    assert np.allclose(figure.axes[0].lines[0].get_ydata(), [0.6, 1.2])
+    assert figure.axes[1].get_ylabel() == "contact radius [mm]"
+
+
+def test_crops_are_cut_at_the_border():
+    frame = heldout_frame("a", 30.0)
+    figure = draw_heldout_frame(frame)
+    shown = figure.axes[2].images[0].get_array()
+    assert shown.shape == (39, 29)
+    expected = np.abs(frame.real_rgb[11:50, 0:29].astype(float) - frame.rendered_rgb[11:50, 0:29])
+    assert np.allclose(shown, expected.mean(axis=-1))
+
+
+def test_disc_normals_are_unit_and_oriented():
+    normals = disc_normals(33, 0.8)
+    inside = np.isfinite(normals).all(axis=-1)
+    assert np.allclose(np.linalg.norm(normals[inside], axis=-1), 1)
+    assert normals[16, 32] == pytest.approx([0.8, 0.0, 0.6])
+    assert normals[32, 16] == pytest.approx([0.0, 0.8, 0.6])
+    assert not inside[0, 0]
+
+
+def test_drawing_leaves_the_callers_settings_alone():
+    before = dict(mpl.rcParams)
+    draw_height_map(np.zeros((60, 80)), GRID)
+    assert dict(mpl.rcParams) == before
+
+
+def test_bytes_are_rounded_and_clipped():
+    assert as_uint8(np.array([-3.0, 1.6, 300.0, np.nan])).tolist() == [0, 2, 255, 255]

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The colour model: anchoring at rest, batches, round trip of weights, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.numpy import load, save
+
+from taccel_lab.errors import InputError
+from taccel_lab.signals.color_model import (
+    CHUNK_PIXELS,
+    INPUT_NAMES,
+    ColorModel,
+    ColorModelConfig,
+    expected_shapes,
+    pixel_uv,
+)
+
+CONFIG = ColorModelConfig(width_px=20, height_px=15, hidden=(16, 8))
+
+
+def random_model(config: ColorModelConfig = CONFIG, seed: int = 0) -> ColorModel:
+    rng = np.random.default_rng(seed)
+    return ColorModel(
+        config, {name: rng.normal(0, 0.5, shape) for name, shape in expected_shapes(config).items()}
+    )
+
+
+def random_normals(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
+    slope = np.random.default_rng(seed).normal(0, 0.5, (*shape, 2))
+    normals = np.concatenate([-slope, np.ones((*shape, 1))], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def test_forward_pass_by_hand() -> None:
+    config = ColorModelConfig(
+        width_px=3, height_px=2, hidden=(1,), inputs=("u", "normal_x", "displacement_mm"),
+        input_mean=(0.0, 0.0, 0.5), input_scale=(1.0, 2.0, 4.0), output_scale=10.0,
+        activation="tanh",
+    )  # fmt: skip
+    model = ColorModel(
+        config,
+        {
+            "layer0.weight": np.array([[0.3, 0.7, -0.2]]),
+            "layer0.bias": np.array([0.1]),
+            "layer1.weight": np.array([[1.0], [2.0], [-1.0]]),
+            "layer1.bias": np.array([5.0, 6.0, 7.0]),
+        },
+    )
+    rest = np.tile([0.0, 0.0, 1.0], (2, 3, 1))
+    normals = rest.copy()
+    normals[1, 2] = [0.6, 0.0, 0.8]
+    displacement = np.zeros((2, 3))
+    displacement[1, 2] = -1.5
+    change = model.predict(normals, displacement, rest)
+    # Pixel (row 1, column 2): u = 1.
+    pressed = math.tanh(0.3 * 1 + 0.7 * 0.6 / 2 - 0.2 * (-1.5 - 0.5) / 4 + 0.1)
+    at_rest = math.tanh(0.3 * 1 - 0.2 * (0 - 0.5) / 4 + 0.1)
+    expected = 10 * (pressed - at_rest) * np.array([1.0, 2.0, -1.0])
+    assert change[1, 2] == pytest.approx(expected, rel=1e-5)
+    assert np.count_nonzero(change) == 3
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 999))
+def test_undeformed_pixels_do_not_change(seed: int) -> None:
+    rest = random_normals((15, 20), seed)
+    normals = rest.copy()
+    displacement = np.zeros((15, 20))
+    moved = np.random.default_rng(seed).random((15, 20)) < 0.3
+    displacement[moved] = -0.4
+    change = random_model(seed=seed).predict(normals, displacement, rest)
+    assert not change[~moved].any()
+    assert (np.abs(change[moved]).sum(axis=-1) > 0).all()
+
+
+def test_batches_equal_single_images() -> None:
+    model = random_model()
+    normals = random_normals((3, 2, 15, 20))
+    displacement = np.random.default_rng(1).normal(0, 1, (3, 2, 15, 20))
+    rest = random_normals((15, 20), 5)
+    batch = model.predict(normals, displacement, rest)
+    assert batch.shape == (3, 2, 15, 20, 3)
+    for i in range(3):
+        for j in range(2):
+            single = model.predict(normals[i, j], displacement[i, j], rest)
+            assert batch[i, j] == pytest.approx(single, abs=1e-4)
+
+
+def test_chunks_leave_no_seam() -> None:
+    config = dataclasses.replace(CONFIG, width_px=CHUNK_PIXELS // 100, height_px=130)
+    model = random_model(config)
+    shape = (130, CHUNK_PIXELS // 100)
+    normals, rest = random_normals(shape), random_normals(shape, 1)
+    displacement = np.full(shape, -0.3)
+    whole = model.predict(normals, displacement, rest).reshape(-1, 3)
+    idx = np.array([0, CHUNK_PIXELS - 1, CHUNK_PIXELS, CHUNK_PIXELS + 1, whole.shape[0] - 1])
+    some = model.predict_pixels(
+        idx, normals.reshape(-1, 3)[idx], np.full(len(idx), -0.3), rest.reshape(-1, 3)[idx]
+    )
+    assert some == pytest.approx(whole[idx], abs=1e-4)
+
+
+def test_render_adds_and_clips() -> None:
+    model = random_model()
+    normals, rest = random_normals((15, 20)), random_normals((15, 20), 1)
+    displacement = np.full((15, 20), -1.0)
+    background = np.full((15, 20, 3), 250, dtype=np.uint8)
+    change = model.predict(normals, displacement, rest)
+    image = model.render(normals, displacement, rest, background)
+    assert change.max() > 5
+    assert image == pytest.approx(np.clip(250 + change, 0, 255), abs=1e-4)
+    assert image.max() == 255.0
+
+
+def test_weights_and_settings_round_trip() -> None:
+    model = random_model()
+    settings_text = json.dumps(model.config.to_dict())
+    weights = load(save(dict(model.weights)))
+    copy = ColorModel(ColorModelConfig.from_dict(json.loads(settings_text)), weights)
+    assert copy.config == model.config
+    args = random_normals((15, 20)), np.full((15, 20), -0.2), random_normals((15, 20), 2)
+    assert np.array_equal(copy.predict(*args), model.predict(*args))
+
+
+def test_uv_covers_the_image() -> None:
+    uv = pixel_uv(CONFIG, np.array([0, 19, 20 * 14, 20 * 15 - 1]))
+    assert uv == pytest.approx(np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]]))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"inputs": ("u", "shade")}, "inputs"),
+        ({"inputs": ()}, "inputs"),
+        ({"activation": "sine"}, "silu, tanh, relu"),
+        ({"hidden": (0,)}, "hidden"),
+        ({"width_px": 1}, "1x15 px"),
+        ({"input_mean": (0.0,)}, "input_mean needs 6"),
+        ({"input_mean": (math.nan,) * 6}, "input_mean needs 6 finite"),
+        ({"input_scale": (0.0,) * 6}, "positive"),
+    ],
+)
+def test_bad_settings(change: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        dataclasses.replace(CONFIG, **change)  # type: ignore[arg-type]
+
+
+def test_settings_refuse_unknown_and_missing_keys() -> None:
+    values = CONFIG.to_dict()
+    with pytest.raises(InputError, match=r"unknown \['gamma'\]"):
+        ColorModelConfig.from_dict({**values, "gamma": 2})
+    with pytest.raises(InputError, match="wrong type"):
+        ColorModelConfig.from_dict({**values, "hidden": ["many"]})
+    values.pop("hidden")
+    with pytest.raises(InputError, match=r"missing \['hidden'\]"):
+        ColorModelConfig.from_dict(values)
+
+
+def test_bad_weights_and_maps() -> None:
+    model = random_model()
+    weights = dict(model.weights)
+    with pytest.raises(InputError, match="weights have shapes"):
+        ColorModel(CONFIG, {k: v for k, v in weights.items() if k != "layer1.bias"})
+    weights["layer1.bias"] = np.full(8, np.nan)
+    with pytest.raises(InputError, match="NaN"):
+        ColorModel(CONFIG, weights)
+    normals = random_normals((15, 20))
+    with pytest.raises(InputError, match="normals have shape"):
+        model.predict(normals[:10], np.zeros((10, 20)), normals[:10])
+    with pytest.raises(InputError, match="displacement_mm has shape"):
+        model.predict(normals, np.zeros((7, 20)), normals)
+    with pytest.raises(InputError, match="background has shape"):
+        model.render(normals, np.zeros((15, 20)), normals, np.zeros((15, 21, 3)))
+
+
+def test_all_inputs_are_used() -> None:
+    """Each input changes the result, so none is dropped or swapped on the way."""
+    assert len(INPUT_NAMES) == 6
+    model = random_model()
+    idx = np.array([7])
+    base = [np.array([[0.1, 0.2, 0.97]]), np.array([-0.2]), np.array([[0.0, 0.0, 1.0]])]
+    reference = model.predict_pixels(idx, *base)
+    for axis in range(3):
+        normals = base[0].copy()
+        normals[0, axis] += 0.05
+        assert np.abs(model.predict_pixels(idx, normals, *base[1:]) - reference).max() > 1e-3
+    assert np.abs(model.predict_pixels(idx, base[0], base[1] * 2, base[2]) - reference).max() > 1e-3
+    assert np.abs(model.predict_pixels(idx + 1, *base) - reference).max() > 1e-3
+    assert np.abs(model.predict_pixels(idx + 20, *base) - reference).max() > 1e-3

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fused surface and its contact against analytic presses, and objects finer than the mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid, Region, TetMesh
+from taccel_lab.signals import (
+    ContactSurface,
+    HeightFieldSurface,
+    SignalFusedSurface,
+    SignalHeightMap,
+    SphereSurface,
+    normals_from_height,
+)
+from tests.signals.pressed_surface import PressedSphere, angle_deg, flat_pad, pixel_xy, shaped
+
+GRID = PixelGrid(192, 144, 0.05, 0.05)
+PAD_HALF_MM = (5.2, 4.2)
+
+
+def _press(
+    sphere: PressedSphere, element_mm: float, seed: int = 0, *, filter_ripple: bool = True
+) -> SignalFusedSurface:
+    mesh = flat_pad(element_mm, PAD_HALF_MM, seed)
+    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=0.0, filter_ripple=filter_ripple)
+    surface = SphereSurface(sphere.center_m, sphere.radius_m, GRID)
+    signal.update(shaped(mesh, sphere.height), surface)
+    return signal
+
+
+def _errors(signal: SignalFusedSurface, sphere: PressedSphere) -> dict[str, float]:
+    """RMS errors [um, deg] in the contact and in the ring out to 1.6 contact radii."""
+    x, y = pixel_xy(GRID)
+    r = sphere.distance_xy(x, y) / sphere.contact_radius_m
+    height = (signal.height_m[0] - sphere.height(x, y)) * 1e6
+    normal = angle_deg(signal.normals[0], sphere.normals(x, y))
+    result = {}
+    for name, where in (("disc", r < 1), ("ring", (r >= 1) & (r < 1.6))):
+        result[f"{name}_um"] = float(np.sqrt((height[where] ** 2).mean()))
+        result[f"{name}_deg"] = float(np.sqrt((normal[where] ** 2).mean()))
+    return result
+
+
+@pytest.mark.parametrize("contact_mm", [1.0, 1.4, 1.8])
+def test_fused_surface_of_a_ball_press(contact_mm):
+    """Limits are about twice what is measured at 0.2 mm elements (seven pixels of the image)."""
+    sphere = PressedSphere(contact_mm * 1e-3)
+    errors = _errors(_press(sphere, 0.2), sphere)
+    assert errors["disc_um"] < 0.2 and errors["disc_deg"] < 0.8
+    assert errors["ring_um"] < 2.5 and errors["ring_deg"] < 1.4
+
+
+def test_fused_surface_converges():
+    sphere = PressedSphere(1.8e-3)
+    coarse, fine = (_errors(_press(sphere, h, filter_ripple=False), sphere) for h in (0.3, 0.15))
+    for name in coarse:
+        assert fine[name] < 0.4 * coarse[name], name
+
+
+@pytest.mark.parametrize("contact_mm", [0.8, 1.3, 1.8])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_contact_radius_is_found_within_a_fraction_of_an_element(contact_mm, seed):
+    sphere = PressedSphere(contact_mm * 1e-3)
+    radius_mm = _press(sphere, 0.2, seed).contact_radius_m[0] * 1e3
+    assert abs(radius_mm - contact_mm) < 0.1 * 0.2
+
+
+def test_contact_radius_grows_with_the_press():
+    """A search for the depth of a labelled radius needs a monotone answer."""
+    mesh = flat_pad(0.2, PAD_HALF_MM)
+    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=0.0)
+    found = []
+    for contact in np.linspace(1.2e-3, 1.4e-3, 9):
+        sphere = PressedSphere(float(contact))
+        surface = SphereSurface(sphere.center_m, sphere.radius_m, GRID)
+        signal.update(shaped(mesh, sphere.height), surface)
+        found.append(signal.contact_radius_m[0])
+    assert (np.diff(found) > 0).all()
+    assert found[-1] - found[0] == pytest.approx(0.2e-3, rel=0.1)
+
+
+def test_no_ripple_across_the_contact_edge():
+    """The error of the slope along a radius stays small on both sides of the edge."""
+    sphere = PressedSphere(1.8e-3)
+    signal = _press(sphere, 0.2)
+    x, y = pixel_xy(GRID)
+    r = sphere.distance_xy(x, y)
+    near = np.abs(r - 1.8e-3) < 0.3e-3
+    error = angle_deg(signal.normals[0], sphere.normals(x, y))[near]
+    assert error.max() < 6.0
+    # The plain C1 surface smears the edge over an element.
+    plain = SignalHeightMap(flat_pad(0.2, PAD_HALF_MM), GRID)
+    plain.update(shaped(flat_pad(0.2, PAD_HALF_MM), sphere.height))
+    plain_error = angle_deg(plain.normals[0], sphere.normals(x, y))[near]
+    assert np.sqrt((error**2).mean()) < 0.6 * np.sqrt((plain_error**2).mean())
+
+
+def test_slope_is_the_derivative_of_the_fused_height():
+    sphere = PressedSphere(1.5e-3)
+    grid = PixelGrid(500, 40, 0.01, 0.01)
+    mesh = flat_pad(0.25, PAD_HALF_MM)
+    signal = SignalFusedSurface(mesh, grid, contact_gap_m=0.0)
+    surface = SphereSurface(sphere.center_m, sphere.radius_m, grid)
+    signal.update(shaped(mesh, sphere.height), surface)
+    step = 0.01e-3
+    along_x = (signal.height_m[0, :, 2:] - signal.height_m[0, :, :-2]) / (2 * step)
+    error = np.abs(along_x - signal.slope[0, :, 1:-1, 0])
+    # The curvature jumps at the edge, where a central difference is off by a step times it.
+    assert np.quantile(error, 0.99) < 0.01
+    assert error.max() < 0.15
+
+
+def _hovering(sphere: PressedSphere, mesh: TetMesh, dhat: float) -> np.ndarray:
+    """Node positions as a barrier leaves them: edges touch, nodes hang below, less under load."""
+    positions = shaped(mesh, sphere.height)
+    top = mesh.region_nodes(Region.CONTACT)
+    surface = ContactSurface.from_mesh(mesh)
+    towards = sphere.center_m - positions[0, top]
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    r = sphere.distance_xy(positions[0, top, 0], positions[0, top, 1]) / sphere.contact_radius_m
+    middle = positions[0, top][surface.edges].mean(axis=1)
+    dip = sphere.radius_m - np.linalg.norm(middle - sphere.center_m, axis=1)
+    hang = np.zeros(len(top))
+    for ends in surface.edges.T:
+        np.add.at(hang, ends, dip / np.diff(surface.ring_start)[ends])
+    pressure = np.sqrt(np.maximum(1 - r**2, 0))
+    positions[0, top] -= (dhat * (1 - 0.6 * pressure) + hang * (r < 1))[:, None] * towards
+    return positions
+
+
+@pytest.mark.parametrize("contact_mm", [0.9, 1.5])
+def test_barrier_gap_and_chords_do_not_move_the_edge(contact_mm):
+    sphere, dhat = PressedSphere(contact_mm * 1e-3), 20e-6
+    mesh = flat_pad(0.2, PAD_HALF_MM)
+    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=dhat)
+    signal.update(
+        _hovering(sphere, mesh, dhat), SphereSurface(sphere.center_m, sphere.radius_m, GRID)
+    )
+    assert signal.contact_radius_m[0] == pytest.approx(contact_mm * 1e-3, abs=0.03e-3)
+    errors = _errors(signal, sphere)
+    assert errors["disc_um"] < 0.5 and errors["disc_deg"] < 0.8
+    assert errors["ring_deg"] < 2.0
+
+
+def test_ripple_from_node_to_node_is_taken_out():
+    """Alternating heights, as linear tets of a nearly incompressible gel have them."""
+    sphere = PressedSphere(1.5e-3)
+    mesh = flat_pad(0.2, PAD_HALF_MM)
+    positions = shaped(mesh, sphere.height)
+    top = mesh.region_nodes(Region.CONTACT)
+    open_nodes = top[sphere.distance_xy(*positions[0, top, :2].T) > 1.5e-3]
+    ripple = np.random.default_rng(0).choice([-4e-6, 4e-6], len(open_nodes))
+    positions[0, open_nodes, 2] += np.where(ripple > 0, 0.25 * ripple, ripple)
+    surface = SphereSurface(sphere.center_m, sphere.radius_m, GRID)
+    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=0.0)
+    signal.update(positions, surface)
+    plain = SignalFusedSurface(mesh, GRID, contact_gap_m=0.0, filter_ripple=False)
+    plain.update(positions, surface)
+    x, y = pixel_xy(GRID)
+    skirt = (sphere.distance_xy(x, y) > 2.4e-3) & (sphere.distance_xy(x, y) < 3.5e-3)
+    true = sphere.normals(x, y)
+    rms = [np.sqrt((angle_deg(s.normals[0], true)[skirt] ** 2).mean()) for s in (signal, plain)]
+    assert rms[1] > 1.0 and rms[0] < 0.55 * rms[1]
+
+
+def test_without_contact_the_gel_surface_is_untouched():
+    mesh = flat_pad(0.4, PAD_HALF_MM)
+    positions = shaped(mesh, lambda x, y: 0.1 * x)
+    fused = SignalFusedSurface(mesh, GRID, contact_gap_m=1e-6)
+    fused.update(positions, SphereSurface(np.array([0, 0, 3e-3]), 2e-3, GRID))
+    plain = SignalHeightMap(mesh, GRID)
+    plain.update(positions)
+    assert np.array_equal(fused.height_m, plain.height_m)
+    assert fused.contact_radius_m[0] == 0.0
+    assert not fused.contact_mask.any()
+    assert np.isnan(fused.gap_m).all()
+
+
+def test_texture_finer_than_the_mesh_shows_in_contact_only():
+    """A flat square stamp with 0.2 mm grooves on a gel of 0.4 mm elements."""
+    mesh = flat_pad(0.4, PAD_HALF_MM)
+    x, y = pixel_xy(GRID)
+    groove = 5e-6 * (1 - np.cos(2 * np.pi * x / 0.2e-3))
+    stamp = np.where(np.maximum(np.abs(x), np.abs(y)) < 1.5e-3, -0.3e-3 + groove, np.nan)
+    flat = lambda px, py: np.where(  # noqa: E731
+        np.maximum(np.abs(px), np.abs(py)) < 1.5e-3,
+        -0.3e-3,
+        -0.3e-3 * np.exp(-(np.maximum(np.abs(px), np.abs(py)) - 1.5e-3) / 0.5e-3),
+    )
+    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=12e-6)
+    signal.update(shaped(mesh, flat), HeightFieldSurface(stamp, GRID))
+    inner = np.maximum(np.abs(x), np.abs(y)) < 0.9e-3
+    outer = np.maximum(np.abs(x), np.abs(y)) > 3.0e-3
+    assert np.abs(signal.height_m[0] - stamp)[inner].max() < 1e-9
+    assert np.isfinite(signal.height_m).all() and np.isfinite(signal.normals).all()
+    assert np.abs(signal.height_m[0])[outer].max() < 30e-6
+
+
+def test_a_sphere_mesh_gives_the_sphere():
+    sphere = PressedSphere(1.2e-3)
+    vertices, triangles = _icosphere(4)
+    vertices = vertices * sphere.radius_m + sphere.center_m
+    surface = HeightFieldSurface.from_mesh(vertices, triangles, GRID)
+    x, y = pixel_xy(GRID)
+    r = sphere.distance_xy(x, y)
+    inside = r < 1.5e-3
+    exact = sphere.center_m[2] - np.sqrt(sphere.radius_m**2 - np.minimum(r, 1.9e-3) ** 2)
+    # Chords of a convex body lie inside it: the mesh is above the sphere's underside.
+    difference = (surface.height_m[0] - exact)[inside]
+    assert difference.min() > -1e-12 and difference.max() < 12e-6
+    mesh = flat_pad(0.2, PAD_HALF_MM)
+    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=12e-6)
+    signal.update(shaped(mesh, sphere.height), surface)
+    assert signal.contact_radius_m[0] == pytest.approx(1.2e-3, abs=0.06e-3)
+    true = sphere.normals(x, y)
+    assert np.sqrt((angle_deg(signal.normals[0], true)[r < 1.0e-3] ** 2).mean()) < 2.0
+
+
+def test_environments_do_not_mix():
+    spheres = [PressedSphere(1.0e-3), PressedSphere(1.6e-3, center_xy_m=(0.5e-3, 0.2e-3))]
+    mesh = flat_pad(0.3, PAD_HALF_MM)
+    # The third ball hovers over the rest shape.
+    positions = np.concatenate([*(shaped(mesh, s.height) for s in spheres), mesh.nodes_m[None]])
+    centers = np.stack([*(s.center_m for s in spheres), [0.0, 0.0, 2.5e-3]])
+    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=5e-6)
+    signal.update(positions, SphereSurface(centers, 2e-3, GRID))
+    together = signal.height_m.copy(), signal.contact_radius_m.copy()
+    assert together[1][2] == 0.0 and (together[0][2] == 0.0).all()
+    for env in range(3):
+        signal.update(positions[env : env + 1], SphereSurface(centers[env], 2e-3, GRID))
+        assert np.array_equal(together[0][env], signal.height_m[0])
+        assert together[1][env] == signal.contact_radius_m[0]
+    assert together[1][1] > together[1][0] + 0.4e-3
+
+
+def test_a_contact_cut_by_the_image_says_so():
+    sphere = PressedSphere(1.5e-3, center_xy_m=(3.9e-3, 0.0))
+    assert _press(sphere, 0.3).contact_clipped[0]
+    assert not _press(PressedSphere(1.5e-3), 0.3).contact_clipped[0]
+
+
+def test_bad_input_is_refused():
+    mesh = flat_pad(0.4, PAD_HALF_MM)
+    with pytest.raises(InputError, match="contact_gap_m"):
+        SignalFusedSurface(mesh, GRID, contact_gap_m=-1e-6)
+    with pytest.raises(InputError, match="radius_m"):
+        SphereSurface(np.zeros(3), 0.0, GRID)
+    with pytest.raises(InputError, match="center_m"):
+        SphereSurface(np.array([0, 0, np.nan]), 1e-3, GRID)
+    with pytest.raises(InputError, match="vertices_m"):
+        HeightFieldSurface.from_mesh(np.full((3, 3), np.nan), np.array([[0, 1, 2]]), GRID)
+
+
+def test_normals_from_height_are_exact_on_planes_up_to_nan_borders():
+    x, y = pixel_xy(GRID)
+    height = 0.3 * x - 0.7 * y
+    height[40:60, 50:90] = np.nan
+    normals = normals_from_height(height, GRID)
+    expected = np.array([-0.3, 0.7, 1.0]) / np.sqrt(1 + 0.3**2 + 0.7**2)
+    valid = np.isfinite(height)
+    assert np.abs(normals[valid] - expected).max() < 1e-10
+    assert np.isnan(normals[~valid]).all()
+    with pytest.raises(InputError, match="pixel grid"):
+        normals_from_height(height[:-1], GRID)
+
+
+def _icosphere(levels: int) -> tuple[np.ndarray, np.ndarray]:
+    """A unit sphere by subdividing an octahedron, outward faces."""
+    vertices = np.array(
+        [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float
+    )
+    triangles = np.array(
+        [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
+    )
+    for _ in range(levels):
+        edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        unique, index = np.unique(edges, axis=0, return_inverse=True)
+        middle = index.reshape(-1, 3) + len(vertices)
+        points = vertices[unique].sum(axis=1)
+        vertices = np.concatenate([vertices, points / np.linalg.norm(points, axis=1)[:, None]])
+        a, b, c = triangles.T
+        ab, bc, ca = middle.T
+        triangles = np.concatenate(
+            [np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+        )
+    return vertices, triangles
