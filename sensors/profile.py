@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
-from cad.mesh.quality import MeshQuality
+from cad.mesh.quality import MeshQuality, measure_quality, require_quality
+from cad.mesh.structured import even_gel_mesh
 from sensors.base import FamilyParameters, SensorFamily
+from sensors.registry import sensor_family
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import (
     CameraBlock,
@@ -79,3 +81,13 @@ def designed_profile(
         ),
         mesh=mesh,
     )
+
+
+def catalogue_profile(name: str) -> SensorProfile:
+    """Profile of a catalogue sensor with its default parameters and the structured mesh."""
+    family = sensor_family(name)
+    parameters = family.parameters()
+    mesh = even_gel_mesh(parameters.pad())
+    quality = measure_quality(mesh, parameters.pad())
+    require_quality(mesh, quality)
+    return designed_profile(family, parameters, mesh, quality, mesher="structured")

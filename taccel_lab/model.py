@@ -63,6 +63,8 @@ class SurfaceArrays:
     """float64, shape [rest_count, face_count]."""
     node_radii: wp.array
     """Radius of a ball about a node [m], 0 for nodes of meshes, float64, shape [node_count]."""
+    node_bodies: wp.array
+    """Kinematic body of a node, -1 for soft nodes, int32, shape [node_count]."""
 
 
 @dataclass
@@ -214,6 +216,7 @@ def build_model(scene: Scene, device: str) -> Model:
     topology = surface_topology(faces, node_count, "collision surface")
     areas = surface_areas(rest_positions, topology)
     node_radii = np.zeros(node_count)
+    node_bodies = np.full(node_count, -1)
 
     # Unique edges are sorted by node, so those of one body are contiguous.
     edge_body_starts = np.searchsorted(topology.edges[:, 0], node_starts)
@@ -225,6 +228,7 @@ def build_model(scene: Scene, device: str) -> Model:
     kinematic = []
     for i, body in enumerate(scene.kinematic_bodies):
         local, body_faces = shapes[i]
+        node_bodies[node_starts[i] : node_starts[i + 1]] = i
         local_edges = topology.edges[edge_body_starts[i] : edge_body_starts[i + 1]] - node_starts[i]
         if isinstance(body.shape, Ball):
             node_radii[node_starts[i]] = body.shape.radius_m
@@ -283,7 +287,7 @@ def build_model(scene: Scene, device: str) -> Model:
             node_tet_starts=put(node_tet_starts.astype(np.int32), wp.int32),
             node_tets=put(order.astype(np.int32), wp.int32),
         ),
-        surface=_surface_arrays(topology, areas, node_radii, put),
+        surface=_surface_arrays(topology, areas, node_radii, node_bodies, put),
         kinematic=kinematic,
         pattern=pattern,
         row_starts=put(pattern.row_starts, wp.int32),
@@ -302,6 +306,7 @@ def _surface_arrays(
     topology: SurfaceTopology,
     areas: tuple[np.ndarray, np.ndarray, np.ndarray],
     node_radii: np.ndarray,
+    node_bodies: np.ndarray,
     put: Callable[[np.ndarray, Any], wp.array],
 ) -> SurfaceArrays:
     return SurfaceArrays(
@@ -317,4 +322,5 @@ def _surface_arrays(
         edge_areas=put(areas[1], wp.float64),
         face_areas=put(areas[2], wp.float64),
         node_radii=put(node_radii, wp.float64),
+        node_bodies=put(node_bodies, wp.int32),
     )

@@ -18,20 +18,43 @@ import numpy as np
 from taccel_lab.errors import InputError
 
 
-@contextmanager
-def atomic_directory(target: Path | str) -> Iterator[Path]:
-    """Yield a temporary folder that replaces ``target`` when the block ends without an error.
+OUTPUT_MARKER = ".taccel_lab_output"
+"""Empty file in every folder that a command wrote: only such folders are ever replaced."""
 
-    An earlier folder at ``target`` stays untouched until then and is removed only after the new
-    one stands. A file at ``target`` is refused.
+
+def require_replaceable(target: Path | str) -> None:
+    """Refuse an output folder that exists, is not empty and was not written by a command.
+
+    Commands call this first, before any long work.
     """
     target = Path(target)
     if target.exists() and not target.is_dir():
         raise InputError(f"{target} is a file; an output folder is needed")
+    if target.is_dir() and any(target.iterdir()) and not (target / OUTPUT_MARKER).exists():
+        raise InputError(
+            f"{target} holds files that taccel-lab did not write; name a new or empty folder"
+        )
+
+
+@contextmanager
+def atomic_directory(target: Path | str, *, own: bool = False) -> Iterator[Path]:
+    """Yield a temporary folder that replaces ``target`` when the block ends without an error.
+
+    An earlier folder at ``target`` stays untouched until then and is removed only after the new
+    one stands. A file, or a folder with files of somebody else, is refused; ``own`` says that the
+    caller has already made sure of the latter by other means.
+    """
+    target = Path(target)
+    if target.exists() and not target.is_dir():
+        raise InputError(f"{target} is a file; an output folder is needed")
+    if not own:
+        require_replaceable(target)
     target.parent.mkdir(parents=True, exist_ok=True)
     staging = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
     staging.chmod(0o755)
     try:
+        if not own:
+            (staging / OUTPUT_MARKER).touch()
         yield staging
         old = None
         if target.exists():

@@ -62,6 +62,7 @@ class CalibrateColor:
         from calibration.estimators.color import ColorFitOptions
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
+        from sensors.profile import catalogue_profile
         from taccel_lab.profile import load_profile, save_profile
 
         console = Console(stderr=True)
@@ -78,8 +79,8 @@ class CalibrateColor:
         if self.base is not None:
             base = load_profile(self.base)
         else:
-            base = _designed_profile(captures.sensor)
-        base = _with_camera_of(base, captures)
+            base = catalogue_profile(captures.sensor)
+        base = with_camera_of(base, captures)
         circles = _contact_circles(captures, self.circles, console)
         surfaces = self._surfaces(captures, circles, base, console)
         with fit_progress(console, "fitting the colour model") as progress:
@@ -120,21 +121,7 @@ class CalibrateColor:
         ]
 
 
-def _designed_profile(sensor: str) -> SensorProfile:
-    from cad.mesh.quality import measure_quality, require_quality
-    from cad.mesh.structured import even_gel_mesh
-    from sensors.profile import designed_profile
-    from sensors.registry import sensor_family
-
-    family = sensor_family(sensor)
-    parameters = family.parameters()
-    mesh = even_gel_mesh(parameters.pad())
-    quality = measure_quality(mesh, parameters.pad())
-    require_quality(mesh, quality)
-    return designed_profile(family, parameters, mesh, quality, mesher="structured")
-
-
-def _with_camera_of(profile: SensorProfile, captures: CaptureSet) -> SensorProfile:
+def with_camera_of(profile: SensorProfile, captures: CaptureSet) -> SensorProfile:
     """The profile with the captures' image size and scale."""
     from taccel_lab.profile import CameraBlock, Provenance
 

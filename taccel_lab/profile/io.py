@@ -72,7 +72,7 @@ def save_profile(profile: SensorProfile, path: Path | str) -> None:
     for key, block in profile.blocks().items():
         document[key] = _toml_table(block)
     text = _HEADER + tomli_w.dumps(document)
-    with atomic_directory(path) as staging:
+    with atomic_directory(path, own=True) as staging:
         for name, data in files.items():
             (staging / name).write_bytes(data)
         (staging / PROFILE_FILE).write_text(text, encoding="utf-8", newline="\n")

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -49,6 +49,17 @@ class StepReport:
     def converged(self) -> np.ndarray:
         """Whether each environment reached its tolerance."""
         return self.status == EnvStatus.CONVERGED
+
+    def followed_by(self, later: StepReport) -> StepReport:
+        """The end of ``later`` with the work of both."""
+        return replace(
+            later,
+            newton_iterations=self.newton_iterations + later.newton_iterations,
+            cg_iterations=self.cg_iterations + later.cg_iterations,
+            friction_lags=self.friction_lags + later.friction_lags,
+            smallest_step=np.minimum(self.smallest_step, later.smallest_step),
+            seconds=self.seconds + later.seconds,
+        )
 
     def summary(self) -> str:
         """One line for a log."""

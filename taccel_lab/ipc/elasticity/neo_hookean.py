@@ -7,29 +7,61 @@ psi(F) = mu/2 (tr F^T F - 3) - mu ln J + lambda/2 (ln J)^2,  J = det F
 so a line search on the energy keeps tets from inverting. Left out: viscosity, quasi-incompressible
 (mixed) forms; linear tets lock as nu -> 0.5.
 
-The Hessian is written block by block for two nodes with rest-shape gradients b_i, b_j. Its
-indefinite part lives in the spectral modes of the operator dF -> F^-T dF^T F^-T, which are known
-in closed form from the singular values of F [Smith et al. 2019, Analytic Eigensystems for
-Isotropic Distortion Energies].
+With F = U diag(s) V^T the Hessian falls apart in the principal frame: the three stretches couple in
+a 3x3 matrix, and each pair of axes a, b has a flip and a twist mode with eigenvalues
+mu +- c / (s_a s_b), c = mu - lambda ln J [Smith et al. 2019, Analytic Eigensystems for Isotropic
+Distortion Energies]. Negative eigenvalues are lifted there, at the cost of nine numbers.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.eigen import symmetric_eigen_3x3
+
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
+def log_excess(x: wp.float64) -> wp.float64:
+    """x - ln(1 + x) for x > -1, without the cancellation of its two terms at small x.
+
+    ln(1 + x) = 2 artanh(s) and x - 2 s = x s with s = x / (2 + x).
+    """
+    s = x / (wp.float64(2.0) + x)
+    if wp.abs(s) > wp.float64(0.05):
+        return x - wp.log(wp.float64(1.0) + x)
+    q = s * s
+    tail = wp.float64(1.0) / wp.float64(13.0)
+    for k in range(5):
+        tail = tail * q + wp.float64(1.0) / wp.float64(11 - 2 * k)
+    return x * s - wp.float64(2.0) * s * q * tail
+
+
+@wp.func
 def neo_hookean_energy(f: wp.mat33d, mu: wp.float64, lam: wp.float64) -> wp.float64:
-    """Energy density psi [J/m^3]; +inf for an inverted or flat element."""
-    j = wp.determinant(f)
-    if not (j > wp.float64(0.0)):
+    """Energy density psi [J/m^3]; +inf for an inverted or flat element.
+
+    Written in H = F - I, whose invariants I, II, III give J - 1 = I + II + III: the terms of psi
+    are of order one, psi itself of order H^2, and the line search compares tiny changes of it.
+    """
+    if not (wp.determinant(f) > wp.float64(0.0)):
         return wp.float64(wp.inf)
-    log_j = wp.log(j)
+    h = f - wp.identity(n=3, dtype=wp.float64)
+    second = (
+        h[0, 0] * h[1, 1]
+        - h[0, 1] * h[1, 0]
+        + h[1, 1] * h[2, 2]
+        - h[1, 2] * h[2, 1]
+        + h[2, 2] * h[0, 0]
+        - h[2, 0] * h[0, 2]
+    )
+    higher = second + wp.determinant(h)
+    growth = wp.trace(h) + higher
+    excess = log_excess(growth)
+    log_j = growth - excess
     return (
-        wp.float64(0.5) * mu * (wp.ddot(f, f) - wp.float64(3.0))
-        - mu * log_j
+        mu * (wp.float64(0.5) * wp.ddot(h, h) + excess - higher)
         + wp.float64(0.5) * lam * log_j * log_j
     )
 
@@ -42,42 +74,93 @@ def neo_hookean_piola(f: wp.mat33d, mu: wp.float64, lam: wp.float64) -> wp.mat33
     return mu * f + (lam * log_j - mu) * f_inv_t
 
 
+PSD_NONE = 0
+"""The exact Hessian."""
+PSD_CLAMP = 1
+"""Negative element eigenvalues become zero [Teran et al. 2005]."""
+PSD_ABS = 2
+"""Negative element eigenvalues change sign [Chen et al. 2024]: fewer iterations as nu -> 0.5."""
+
+
+@wp.struct
+class PrincipalHessian:
+    """d^2 psi of a change X = U^T dF V: sum_ab direct_ab X_ab^2 + stretch_ab X_aa X_bb
+    + swap_ab X_ab X_ba, where ``stretch`` and ``swap`` have no diagonal [Pa]."""
+
+    u: wp.mat33d
+    v: wp.mat33d
+    direct: wp.mat33d
+    stretch: wp.mat33d
+    swap: wp.mat33d
+
+
 @wp.func
-def neo_hookean_block(
-    b_i: wp.vec3d,
-    b_j: wp.vec3d,
-    g_i: wp.vec3d,
-    g_j: wp.vec3d,
-    mu: wp.float64,
-    lam: wp.float64,
-    log_j: wp.float64,
+def lifted(value: wp.float64, mode: int) -> wp.float64:
+    """An eigenvalue, clamped or mirrored when it is negative."""
+    if value >= wp.float64(0.0) or mode == 0:
+        return value
+    if mode == 2:
+        return -value
+    return wp.float64(0.0)
+
+
+@wp.func
+def stretch_hessian(
+    s: wp.vec3d, mu: wp.float64, lam: wp.float64, c: wp.float64, mode: int
 ) -> wp.mat33d:
-    """Hessian block d^2 psi / dx_i dx_j per rest volume, with g = F^-T b.
-
-    mu (b_i.b_j) I + (mu - lambda ln J) g_j g_i^T + lambda g_i g_j^T
-    """
-    return (
-        mu * wp.dot(b_i, b_j) * wp.identity(n=3, dtype=wp.float64)
-        + (mu - lam * log_j) * wp.outer(g_j, g_i)
-        + lam * wp.outer(g_i, g_j)
-    )
-
-
-@wp.func
-def twist_flip_value(
-    s_a: wp.float64, s_b: wp.float64, sign: wp.float64, mu: wp.float64, c: wp.float64
-) -> wp.float64:
-    """Eigenvalue of the flip (sign +1) or twist (sign -1) mode of singular values s_a, s_b."""
-    return mu + sign * c / (s_a * s_b)
+    """Hessian of psi in the singular values: delta_ab (mu + c / s_a^2) + lambda / (s_a s_b)."""
+    inv = wp.cw_div(wp.vec3d(wp.float64(1.0)), s)
+    h = lam * wp.outer(inv, inv)
+    for a in range(3):
+        h[a, a] = h[a, a] + mu + c * inv[a] * inv[a]
+    # Positive definite when c >= 0; otherwise only the eigenvalues tell.
+    if mode == 0 or c >= wp.float64(0.0):
+        return h
+    values, vectors = symmetric_eigen_3x3(h)
+    for a in range(3):
+        values[a] = lifted(values[a], mode)
+    return vectors * wp.diag(values) * wp.transpose(vectors)
 
 
 @wp.func
-def diagonal_block(
-    s: wp.vec3d, mu: wp.float64, lam: wp.float64, c: wp.float64
-) -> wp.mat33d:
-    """Hessian of psi in the three singular values: delta_ab (mu + c/s_a^2) + lambda/(s_a s_b)."""
-    inv = wp.vec3d(
-        wp.float64(1.0) / s[0], wp.float64(1.0) / s[1], wp.float64(1.0) / s[2]
+def neo_hookean_hessian(
+    f: wp.mat33d, mu: wp.float64, lam: wp.float64, mode: int
+) -> PrincipalHessian:
+    """Hessian of psi, with its negative eigenvalues treated as ``mode`` says (PSD_*)."""
+    half = wp.float64(0.5)
+    squares, v = symmetric_eigen_3x3(wp.transpose(f) * f)
+    s = wp.vec3d(wp.sqrt(squares[0]), wp.sqrt(squares[1]), wp.sqrt(squares[2]))
+    h = PrincipalHessian()
+    h.u = f * v * wp.diag(wp.cw_div(wp.vec3d(wp.float64(1.0)), s))
+    h.v = v
+    c = mu - lam * wp.log(s[0] * s[1] * s[2])
+    stretch = stretch_hessian(s, mu, lam, c, mode)
+    direct = wp.diag(wp.get_diag(stretch))
+    swap = wp.mat33d()
+    for k in range(3):
+        a = k
+        b = (k + 1) % 3
+        ratio = c / (s[a] * s[b])
+        flip = lifted(mu + ratio, mode)
+        twist = lifted(mu - ratio, mode)
+        direct[a, b] = half * (flip + twist)
+        direct[b, a] = direct[a, b]
+        swap[a, b] = half * (flip - twist)
+        swap[b, a] = swap[a, b]
+        stretch[k, k] = wp.float64(0.0)
+    h.direct = direct
+    h.stretch = stretch
+    h.swap = swap
+    return h
+
+
+@wp.func
+def principal_block(h: PrincipalHessian, beta_i: wp.vec3d, beta_j: wp.vec3d) -> wp.mat33d:
+    """Hessian block d^2 psi / dx_i dx_j per rest volume, with beta = V^T b of the rest-shape
+    gradients b: dF = sum_i dx_i b_i^T."""
+    middle = (
+        wp.diag(h.direct * wp.cw_mul(beta_i, beta_j))
+        + wp.cw_mul(h.stretch, wp.outer(beta_i, beta_j))
+        + wp.cw_mul(h.swap, wp.outer(beta_j, beta_i))
     )
-    d = wp.vec3d(mu + c * inv[0] * inv[0], mu + c * inv[1] * inv[1], mu + c * inv[2] * inv[2])
-    return wp.diag(d) + lam * wp.outer(inv, inv)
+    return h.u * middle * wp.transpose(h.u)

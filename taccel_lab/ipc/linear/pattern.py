@@ -3,7 +3,7 @@
 
 Contact with kinematic bodies couples only gel nodes that already share a face or an edge, so the
 pattern is computed once per mesh and shared by all environments; only the values are per
-environment, shape [env_count, block_count].
+environment, shape [env_count, block_count]. The matrix is symmetric: its lower triangle is stored.
 """
 
 from __future__ import annotations
@@ -18,18 +18,45 @@ TET_PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]
 
 @dataclass(frozen=True)
 class BlockPattern:
-    """Block-CSR pattern over free nodes, with the element blocks that each entry gathers."""
+    """Block-CSR pattern of the lower triangle, with the element blocks that each entry gathers."""
 
     row_starts: np.ndarray
     """int32, shape [free_count + 1]."""
     columns: np.ndarray
-    """Free-node columns, ascending within a row, int32, shape [block_count]."""
+    """Free-node columns, ascending within a row and ending at the diagonal, int32,
+    shape [block_count]."""
     diagonal: np.ndarray
     """Index of each row's diagonal block, int32, shape [free_count]."""
     source_starts: np.ndarray
     """int32, shape [block_count + 1]: range of each block in ``sources``."""
     sources: np.ndarray
     """Element blocks as 20 * tet + 2 * pair + transposed, int32, shape [source_count]."""
+
+    @property
+    def free_count(self) -> int:
+        """Rows of the matrix."""
+        return len(self.row_starts) - 1
+
+    @property
+    def block_count(self) -> int:
+        """Stored blocks of one environment."""
+        return len(self.columns)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Row of each stored block, int32, shape [block_count]."""
+        return np.repeat(np.arange(self.free_count, dtype=np.int32), np.diff(self.row_starts))
+
+    def dense(self, values: np.ndarray) -> np.ndarray:
+        """Full symmetric matrices of blocks [env_count, block_count, 3, 3], for inspection.
+
+        Shape [env_count, 3 free_count, 3 free_count].
+        """
+        n = self.free_count
+        full = np.zeros((len(values), n, n, 3, 3))
+        full[:, self.columns, self.rows] = np.swapaxes(values, -1, -2)
+        full[:, self.rows, self.columns] = values
+        return full.transpose(0, 1, 3, 2, 4).reshape(len(values), 3 * n, 3 * n)
 
 
 def tet_block_pattern(tets: np.ndarray, free_index: np.ndarray) -> BlockPattern:
@@ -42,12 +69,11 @@ def tet_block_pattern(tets: np.ndarray, free_index: np.ndarray) -> BlockPattern:
     rows, cols, codes = [], [], []
     tet_ids = np.arange(len(tets), dtype=np.int64)
     for pair, (i, j) in enumerate(TET_PAIRS):
-        for transposed, (a, b) in enumerate(((i, j), (j, i)) if i != j else ((i, j),)):
-            row, col = free_index[tets[:, a]], free_index[tets[:, b]]
-            keep = (row >= 0) & (col >= 0)
-            rows.append(row[keep])
-            cols.append(col[keep])
-            codes.append(20 * tet_ids[keep] + 2 * pair + transposed)
+        first, second = free_index[tets[:, i]], free_index[tets[:, j]]
+        keep = (first >= 0) & (second >= 0)
+        rows.append(np.maximum(first, second)[keep])
+        cols.append(np.minimum(first, second)[keep])
+        codes.append((20 * tet_ids + 2 * pair + (first < second))[keep])
     row, col, code = (np.concatenate(part).astype(np.int64) for part in (rows, cols, codes))
     order = np.lexsort((code, col, row))
     row, col, code = row[order], col[order], code[order]

@@ -1,25 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Preconditioned conjugate gradients on the Newton system of all environments at once.
+"""Preconditioned conjugate gradients on the Newton systems of all environments at once.
 
-The iteration is `warp.optim.linear.cg` on a batched operator; ours are the block product over the
-shared pattern and the 3x3 block-Jacobi preconditioner.
+For GPUs. The iteration is `warp.optim.linear.cg` on a batched operator; ours are the block product
+over the shared pattern and the 3x3 block-Jacobi preconditioner. Environments iterate together, each
+with its own step lengths, until all have reached the smallest of the tolerances.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
-from warp.optim.linear import CG, LinearOperator, cg
+from warp.optim.linear import LinearOperator, cg
 
-from taccel_lab.model import Model
+from taccel_lab.ipc.linear.pattern import BlockPattern
+from taccel_lab.ipc.linear.report import LinearReport
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def _row_product(
+    env: int,
+    row: int,
+    row_starts: wp.array(dtype=wp.int32),
+    columns: wp.array(dtype=wp.int32),
+    codes: wp.array(dtype=wp.int32),
+    values: wp.array2d(dtype=wp.mat33d),
+    x: wp.array2d(dtype=wp.vec3d),
+) -> wp.vec3d:
+    """Row of A x; a code is 2 * block + 1 for a block of the upper triangle, stored transposed."""
+    total = wp.vec3d()
+    for k in range(row_starts[row], row_starts[row + 1]):
+        code = codes[k]
+        block = values[env, code / 2]
+        if code % 2 == 1:
+            total += x[env, columns[k]] * block
+        else:
+            total += block * x[env, columns[k]]
+    return total
 
 
 @wp.kernel
 def _block_product_kernel(
     row_starts: wp.array(dtype=wp.int32),
     columns: wp.array(dtype=wp.int32),
+    codes: wp.array(dtype=wp.int32),
     values: wp.array2d(dtype=wp.mat33d),
     active: wp.array(dtype=wp.int32),
     x: wp.array2d(dtype=wp.vec3d),
@@ -30,12 +57,9 @@ def _block_product_kernel(
 ):
     """z = alpha A x + beta y; rows of environments at rest are the identity."""
     env, row = wp.tid()
-    total = wp.vec3d()
-    if active[env] == 0:
-        total = x[env, row]
-    else:
-        for k in range(row_starts[row], row_starts[row + 1]):
-            total += values[env, k] * x[env, columns[k]]
+    total = x[env, row]
+    if active[env] != 0:
+        total = _row_product(env, row, row_starts, columns, codes, values, x)
     total = alpha * total
     if beta != wp.float64(0.0):
         total += beta * y[env, row]
@@ -43,17 +67,44 @@ def _block_product_kernel(
 
 
 @wp.kernel
-def _diagonal_inverse_kernel(
+def _residual_kernel(
+    row_starts: wp.array(dtype=wp.int32),
+    columns: wp.array(dtype=wp.int32),
+    codes: wp.array(dtype=wp.int32),
+    values: wp.array2d(dtype=wp.mat33d),
+    active: wp.array(dtype=wp.int32),
+    b: wp.array2d(dtype=wp.vec3d),
+    x: wp.array2d(dtype=wp.vec3d),
+    squares: wp.array2d(dtype=wp.vec3d),
+):
+    """squares = |row of b - A x|^2, |row of b|^2 and x . A x."""
+    env, row = wp.tid()
+    if active[env] == 0:
+        squares[env, row] = wp.vec3d()
+        return
+    product = _row_product(env, row, row_starts, columns, codes, values, x)
+    r = b[env, row] - product
+    squares[env, row] = wp.vec3d(
+        wp.dot(r, r), wp.dot(b[env, row], b[env, row]), wp.dot(x[env, row], product)
+    )
+
+
+@wp.kernel
+def _prepare_kernel(
     diagonal: wp.array(dtype=wp.int32),
     values: wp.array2d(dtype=wp.mat33d),
     active: wp.array(dtype=wp.int32),
+    rhs: wp.array2d(dtype=wp.vec3d),
     inverses: wp.array2d(dtype=wp.mat33d),
+    b: wp.array2d(dtype=wp.vec3d),
 ):
     env, row = wp.tid()
     if active[env] == 0:
         inverses[env, row] = wp.identity(n=3, dtype=wp.float64)
+        b[env, row] = wp.vec3d()
     else:
         inverses[env, row] = wp.inverse(values[env, diagonal[row]])
+        b[env, row] = rhs[env, row]
 
 
 @wp.kernel
@@ -73,84 +124,116 @@ def _diagonal_product_kernel(
 
 
 class BlockJacobiCG:
-    """Workspace of the solve H p = rhs."""
+    """Solver of H p = rhs over the lower triangle of ``pattern``, for many threads."""
 
-    def __init__(self, model: Model) -> None:
-        self.model = model
-        self.values = wp.zeros(
-            (model.env_count, model.columns.shape[0]), dtype=wp.mat33d, device=model.device
-        )
-        """Matrix blocks [N/m], shape [env_count, block_count]."""
-        shape = (model.env_count, model.free_count)
-        self.rhs = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
-        self.solution = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
-        self._inverses = wp.zeros(shape, dtype=wp.mat33d, device=model.device)
-        self._active = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
+    def __init__(self, pattern: BlockPattern, env_count: int, device: wp.Device) -> None:
+        self._device = device
+        self._shape = (env_count, pattern.free_count)
+        # Both triangles, so that each row gathers its product without atomics.
+        block = np.arange(pattern.block_count, dtype=np.int64)
+        upper = pattern.columns < pattern.rows
+        row = np.concatenate([pattern.rows, pattern.columns[upper]])
+        column = np.concatenate([pattern.columns, pattern.rows[upper]])
+        code = np.concatenate([2 * block, 2 * block[upper] + 1])
+        order = np.lexsort((column, row))
+        starts = np.searchsorted(row[order], np.arange(pattern.free_count + 1))
+
+        def put(array: np.ndarray) -> wp.array:
+            return wp.array(array.astype(np.int32), dtype=wp.int32, device=device)
+
+        self._diagonal = put(pattern.diagonal)
+        self._full = [put(starts), put(column[order]), put(code[order])]
+        self._inverses = wp.zeros(self._shape, dtype=wp.mat33d, device=device)
+        self._b = wp.zeros(self._shape, dtype=wp.vec3d, device=device)
+        self._squares = wp.zeros(self._shape, dtype=wp.vec3d, device=device)
         # Warp counts scalar degrees of freedom, three to a node.
-        dof_count = 3 * model.free_count
-        size = model.env_count * dof_count
-        offsets = wp.array(
-            np.arange(model.env_count + 1, dtype=np.int32) * dof_count,
-            dtype=wp.int32,
-            device=model.device,
-        )
+        dof_count = 3 * pattern.free_count
+        size = env_count * dof_count
+        offsets = put(np.arange(env_count + 1) * dof_count)
 
-        def operator(matvec) -> LinearOperator:
-            return LinearOperator(
-                (size, size), wp.vec3d, model.device, matvec, offsets, dof_count
-            )
+        def operator(matvec: Any) -> LinearOperator:
+            return LinearOperator((size, size), wp.vec3d, device, matvec, offsets, dof_count)
 
         self._matrix = operator(self._multiply)
         self._preconditioner = operator(self._precondition)
-        self._solver: CG | None = None
+        self._values: wp.array | None = None
+        self._active: wp.array | None = None
 
     def _grid(self, x: wp.array) -> wp.array:
-        return x.reshape((self.model.env_count, self.model.free_count))
+        return x.reshape(self._shape)
 
-    def _multiply(self, x, y, z, alpha, beta) -> None:
+    def _multiply(self, x: wp.array, y: wp.array, z: wp.array, alpha: float, beta: float) -> None:
         wp.launch(
             _block_product_kernel,
-            dim=self.rhs.shape,
-            inputs=[self.model.row_starts, self.model.columns, self.values, self._active]
+            dim=self._shape,
+            inputs=[*self._full, self._values, self._active]
             + [self._grid(x), self._grid(y), wp.float64(alpha), wp.float64(beta)],
             outputs=[self._grid(z)],
-            device=self.model.device,
+            device=self._device,
         )
 
-    def _precondition(self, x, y, z, alpha, beta) -> None:
+    def _precondition(
+        self, x: wp.array, y: wp.array, z: wp.array, alpha: float, beta: float
+    ) -> None:
         wp.launch(
             _diagonal_product_kernel,
-            dim=self.rhs.shape,
+            dim=self._shape,
             inputs=[self._inverses, self._grid(x), self._grid(y)]
             + [wp.float64(alpha), wp.float64(beta)],
             outputs=[self._grid(z)],
-            device=self.model.device,
+            device=self._device,
         )
 
-    def solve(self, active: wp.array, relative_tolerance: float, max_iterations: int) -> int:
-        """Solve for ``solution`` [m] from ``rhs`` [N]; returns the iterations.
-
-        Environments that are not active get a zero solution.
-        """
-        wp.copy(self._active, active)
+    def solve(
+        self,
+        values: wp.array,
+        rhs: wp.array,
+        solution: wp.array,
+        active: wp.array,
+        tolerances: wp.array,
+        max_iterations: int,
+    ) -> LinearReport:
+        """See ``LinearSystem.solve``; all active environments report the common iterations."""
+        self._values, self._active = values, active
         wp.launch(
-            _diagonal_inverse_kernel,
-            dim=self.rhs.shape,
-            inputs=[self.model.diagonal, self.values, active],
-            outputs=[self._inverses],
-            device=self.model.device,
+            _prepare_kernel,
+            dim=self._shape,
+            inputs=[self._diagonal, values, active, rhs],
+            outputs=[self._inverses, self._b],
+            device=self._device,
         )
-        self.solution.zero_()
-        if not self.rhs.numpy().any():
-            return 0
-        iterations, _, _ = cg(
-            self._matrix,
-            self.rhs.flatten(),
-            self.solution.flatten(),
-            tol=relative_tolerance,
-            atol=0.0,
-            maxiter=max_iterations,
-            M=self._preconditioner,
-            check_every=8,
+        solution.zero_()
+        running = active.numpy() != 0
+        iterations = np.zeros(len(running), dtype=np.int64)
+        if running.any():
+            count, _, _ = cg(
+                self._matrix,
+                self._b.flatten(),
+                solution.flatten(),
+                tol=float(tolerances.numpy()[running].min()),
+                atol=0.0,
+                maxiter=max_iterations,
+                M=self._preconditioner,
+                check_every=8,
+            )
+            iterations[running] = int(count)
+        wp.launch(
+            _residual_kernel,
+            dim=self._shape,
+            inputs=[*self._full, values, active, self._b, solution],
+            outputs=[self._squares],
+            device=self._device,
         )
-        return int(iterations)
+        r_sq, b_sq, curvature = np.moveaxis(self._squares.numpy().sum(axis=1), -1, 0)
+        ratio = np.divide(r_sq, b_sq, out=np.zeros_like(b_sq), where=b_sq != 0)
+        # An early stop of one environment is not visible from outside the batched iteration, but
+        # an indefinite matrix shows in the sign of x . A x, or the residual is not finite.
+        broken = running & (b_sq != 0) & ~(np.isfinite(r_sq) & (curvature >= 0))
+        if broken.any():
+            x = solution.numpy()
+            x[broken] = 0.0
+            solution.assign(x)
+            iterations[broken], ratio[broken] = 0, 1.0
+        return LinearReport(
+            iterations=iterations, relative_residual=np.sqrt(ratio), breakdown=broken
+        )

@@ -13,8 +13,8 @@ class NewtonSystem:
     """H p = rhs of all environments, over free nodes.
 
     free_index: row of a node or -1 when its motion is prescribed, [node_count].
-    row_starts, columns: shared block pattern.
-    values: blocks [N/m], [env_count, block_count].
+    row_starts, columns: shared block pattern of the lower triangle.
+    values: blocks of the lower triangle [N/m], [env_count, block_count].
     rhs: right-hand side [N], [env_count, free_count].
     displacements: motion of prescribed nodes over this iteration [m], [env_count, node_count].
     """
@@ -31,7 +31,7 @@ class NewtonSystem:
 def find_block(
     row: int, column: int, row_starts: wp.array(dtype=wp.int32), columns: wp.array(dtype=wp.int32)
 ) -> int:
-    """Index of block (row, column) in the pattern, -1 when absent."""
+    """Index of block (row, column), column <= row, in the pattern, -1 when absent."""
     low = row_starts[row]
     high = row_starts[row + 1] - 1
     while low <= high:
@@ -48,13 +48,16 @@ def find_block(
 
 @wp.func
 def add_block(env: int, node_i: int, node_j: int, block: wp.mat33d, system: NewtonSystem):
-    """Add d^2E/dx_i dx_j: to the matrix, or to the right-hand side when node j is prescribed."""
+    """Add d^2E/dx_i dx_j: to the matrix, or to the right-hand side when node j is prescribed.
+
+    Called for both orders of a pair; only the one in the lower triangle is stored.
+    """
     row = system.free_index[node_i]
     if row < 0:
         return
     column = system.free_index[node_j]
     if column < 0:
         wp.atomic_sub(system.rhs, env, row, block * system.displacements[env, node_j])
-    else:
+    elif column <= row:
         index = find_block(row, column, system.row_starts, system.columns)
         wp.atomic_add(system.values, env, index, block)

@@ -11,22 +11,20 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.elasticity.neo_hookean import (
-    diagonal_block,
-    neo_hookean_block,
+    PSD_ABS,
+    PSD_CLAMP,
+    PSD_NONE,
     neo_hookean_energy,
+    neo_hookean_hessian,
     neo_hookean_piola,
+    principal_block,
 )
 from taccel_lab.ipc.reduce import sum_rows
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
 
-PSD_NONE = 0
-"""The exact Hessian."""
-PSD_CLAMP = 1
-"""Negative element eigenvalues become zero [Teran et al. 2005]."""
-PSD_ABS = 2
-"""Negative element eigenvalues change sign [Chen et al. 2024]: fewer iterations as nu -> 0.5."""
+__all__ = ["PSD_ABS", "PSD_CLAMP", "PSD_NONE", "ElasticPotential"]
 
 
 @wp.func
@@ -106,35 +104,6 @@ def _gather_gradient_kernel(
     gradient[env, node] = total
 
 
-@wp.func
-def lift(value: wp.float64, mode: int) -> wp.float64:
-    """How much to add to a negative eigenvalue so that it is clamped or mirrored."""
-    if value >= wp.float64(0.0) or mode == 0:
-        return wp.float64(0.0)
-    if mode == 2:
-        return wp.float64(-2.0) * value
-    return -value
-
-
-@wp.func
-def add_mode(
-    env: int,
-    tet: int,
-    rest: int,
-    weight: wp.float64,
-    q: wp.mat33d,
-    shape_gradients: wp.array3d(dtype=wp.vec3d),
-    blocks: wp.array3d(dtype=wp.mat33d),
-):
-    """Add weight (Q b_i)(Q b_j)^T to the element blocks, i <= j."""
-    slot = int(0)
-    for i in range(4):
-        qi = weight * (q * shape_gradients[rest, tet, i])
-        for j in range(i, 4):
-            blocks[env, tet, slot] += wp.outer(qi, q * shape_gradients[rest, tet, j])
-            slot += 1
-
-
 @wp.kernel
 def _tet_hessian_kernel(
     active: wp.array(dtype=wp.int32),
@@ -153,56 +122,31 @@ def _tet_hessian_kernel(
     rest = env % volumes.shape[0]
     f = deformation_gradient(env, rest, tet, tets[tet], positions, shape_gradients)
     volume = volumes[rest, tet]
-    m = volume * mu[tet]
-    l = volume * lam[tet]
-    f_inv_t = wp.transpose(wp.inverse(f))
-    log_j = wp.log(wp.determinant(f))
-    slot = int(0)
-    for i in range(4):
-        b_i = shape_gradients[rest, tet, i]
-        g_i = f_inv_t * b_i
-        for j in range(i, 4):
-            b_j = shape_gradients[rest, tet, j]
-            blocks[env, tet, slot] = neo_hookean_block(b_i, b_j, g_i, f_inv_t * b_j, m, l, log_j)
-            slot += 1
-    if psd_mode == 0:
-        return
-
-    # Spectral modes: F = U S V^T from the eigenvectors of F^T F.
-    v = wp.mat33d()
-    squares = wp.vec3d()
-    wp.eig3(wp.transpose(f) * f, v, squares)
-    s = wp.vec3d(wp.sqrt(squares[0]), wp.sqrt(squares[1]), wp.sqrt(squares[2]))
-    fv = f * v
-    u = fv * wp.diag(
-        wp.vec3d(wp.float64(1.0) / s[0], wp.float64(1.0) / s[1], wp.float64(1.0) / s[2])
-    )
-    c = m - l * log_j
-    half = wp.float64(0.7071067811865476)
-    for k in range(3):
-        a = k
-        b = (k + 1) % 3
-        u_a = wp.vec3d(u[0, a], u[1, a], u[2, a])
-        u_b = wp.vec3d(u[0, b], u[1, b], u[2, b])
-        v_a = wp.vec3d(v[0, a], v[1, a], v[2, a])
-        v_b = wp.vec3d(v[0, b], v[1, b], v[2, b])
-        ratio = c / (s[a] * s[b])
-        twist = lift(m - ratio, psd_mode)
-        if twist > wp.float64(0.0):
-            q = half * (wp.outer(u_a, v_b) - wp.outer(u_b, v_a))
-            add_mode(env, tet, rest, twist, q, shape_gradients, blocks)
-        flip = lift(m + ratio, psd_mode)
-        if flip > wp.float64(0.0):
-            q = half * (wp.outer(u_a, v_b) + wp.outer(u_b, v_a))
-            add_mode(env, tet, rest, flip, q, shape_gradients, blocks)
-    w = wp.mat33d()
-    values = wp.vec3d()
-    wp.eig3(diagonal_block(s, m, l, c), w, values)
-    for k in range(3):
-        stretch = lift(values[k], psd_mode)
-        if stretch > wp.float64(0.0):
-            q = u * wp.diag(wp.vec3d(w[0, k], w[1, k], w[2, k])) * wp.transpose(v)
-            add_mode(env, tet, rest, stretch, q, shape_gradients, blocks)
+    h = neo_hookean_hessian(f, mu[tet], lam[tet], psd_mode)
+    to_principal = wp.transpose(h.v)
+    beta_1 = to_principal * shape_gradients[rest, tet, 1]
+    beta_2 = to_principal * shape_gradients[rest, tet, 2]
+    beta_3 = to_principal * shape_gradients[rest, tet, 3]
+    h_11 = principal_block(h, volume * beta_1, beta_1)
+    h_12 = principal_block(h, volume * beta_1, beta_2)
+    h_13 = principal_block(h, volume * beta_1, beta_3)
+    h_22 = principal_block(h, volume * beta_2, beta_2)
+    h_23 = principal_block(h, volume * beta_2, beta_3)
+    h_33 = principal_block(h, volume * beta_3, beta_3)
+    # A rigid translation costs nothing: the blocks of corner 0 are minus the sums of the others.
+    h_10 = -(h_11 + h_12 + h_13)
+    h_20 = -(wp.transpose(h_12) + h_22 + h_23)
+    h_30 = -(wp.transpose(h_13 + h_23) + h_33)
+    blocks[env, tet, 0] = -(h_10 + h_20 + h_30)
+    blocks[env, tet, 1] = wp.transpose(h_10)
+    blocks[env, tet, 2] = wp.transpose(h_20)
+    blocks[env, tet, 3] = wp.transpose(h_30)
+    blocks[env, tet, 4] = h_11
+    blocks[env, tet, 5] = h_12
+    blocks[env, tet, 6] = h_13
+    blocks[env, tet, 7] = h_22
+    blocks[env, tet, 8] = h_23
+    blocks[env, tet, 9] = h_33
 
 
 @wp.kernel

@@ -6,6 +6,8 @@ until the force residual with the new values is small too.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -25,6 +27,23 @@ from taccel_lab.ipc.reduce import sum_lists
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class StepMotion:
+    """Where everything is and where it was at the start of the step.
+
+    positions, previous: nodes [m], [env_count, node_count].
+    poses, previous_poses: world_from_body, [env_count, body_count].
+    node_radii [m], node_bodies: radius and kinematic body of a node, [node_count].
+    """
+
+    positions: wp.array2d(dtype=wp.vec3d)
+    previous: wp.array2d(dtype=wp.vec3d)
+    poses: wp.array2d(dtype=wp.transformd)
+    previous_poses: wp.array2d(dtype=wp.transformd)
+    node_radii: wp.array(dtype=wp.float64)
+    node_bodies: wp.array(dtype=wp.int32)
 
 
 @wp.kernel
@@ -82,20 +101,28 @@ def sliding(
     nodes: wp.vec4i,
     weights: wp.vec4d,
     normal: wp.vec3d,
-    positions: wp.array2d(dtype=wp.vec3d),
-    previous: wp.array2d(dtype=wp.vec3d),
+    motion: StepMotion,
 ) -> wp.vec3d:
     """Tangential displacement of the two closest points against each other in this step [m]."""
-    return tangential(
-        normal,
-        relative_displacement(
-            weights,
-            positions[env, nodes[0]] - previous[env, nodes[0]],
-            positions[env, nodes[1]] - previous[env, nodes[1]],
-            positions[env, nodes[2]] - previous[env, nodes[2]],
-            positions[env, nodes[3]] - previous[env, nodes[3]],
-        ),
+    now = motion.positions
+    then = motion.previous
+    u = relative_displacement(
+        weights,
+        now[env, nodes[0]] - then[env, nodes[0]],
+        now[env, nodes[1]] - then[env, nodes[1]],
+        now[env, nodes[2]] - then[env, nodes[2]],
+        now[env, nodes[3]] - then[env, nodes[3]],
     )
+    radius = motion.node_radii[nodes[0]]
+    if radius > wp.float64(0.0):
+        # A ball is one node: what its surface moves by turning comes on top.
+        body = motion.node_bodies[nodes[0]]
+        turn = wp.transform_get_rotation(motion.poses[env, body]) * wp.quat_inverse(
+            wp.transform_get_rotation(motion.previous_poses[env, body])
+        )
+        arm = -radius * normal
+        u += arm - wp.quat_rotate_inv(turn, arm)
+    return tangential(normal, u)
 
 
 @wp.kernel
@@ -106,8 +133,7 @@ def _energy_kernel(
     weights: wp.array2d(dtype=wp.vec4d),
     normals: wp.array2d(dtype=wp.vec3d),
     mu_lambdas: wp.array2d(dtype=wp.float64),
-    positions: wp.array2d(dtype=wp.vec3d),
-    previous: wp.array2d(dtype=wp.vec3d),
+    motion: StepMotion,
     eps_u: wp.float64,
     energies: wp.array2d(dtype=wp.float64),
 ):
@@ -115,7 +141,7 @@ def _energy_kernel(
     if active[env] == 0 or slot >= counts[env]:
         return
     nodes = stencils[env, slot]
-    u = sliding(env, nodes, weights[env, slot], normals[env, slot], positions, previous)
+    u = sliding(env, nodes, weights[env, slot], normals[env, slot], motion)
     energies[env, slot] = friction_potential(u, mu_lambdas[env, slot], eps_u)
 
 
@@ -127,8 +153,7 @@ def _gradient_kernel(
     weights: wp.array2d(dtype=wp.vec4d),
     normals: wp.array2d(dtype=wp.vec3d),
     mu_lambdas: wp.array2d(dtype=wp.float64),
-    positions: wp.array2d(dtype=wp.vec3d),
-    previous: wp.array2d(dtype=wp.vec3d),
+    motion: StepMotion,
     eps_u: wp.float64,
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
@@ -137,7 +162,7 @@ def _gradient_kernel(
         return
     nodes = stencils[env, slot]
     w = weights[env, slot]
-    u = sliding(env, nodes, w, normals[env, slot], positions, previous)
+    u = sliding(env, nodes, w, normals[env, slot], motion)
     force = friction_gradient(u, mu_lambdas[env, slot], eps_u)
     for i in range(4):
         if w[i] != wp.float64(0.0):
@@ -152,8 +177,7 @@ def _hessian_kernel(
     weights: wp.array2d(dtype=wp.vec4d),
     normals: wp.array2d(dtype=wp.vec3d),
     mu_lambdas: wp.array2d(dtype=wp.float64),
-    positions: wp.array2d(dtype=wp.vec3d),
-    previous: wp.array2d(dtype=wp.vec3d),
+    motion: StepMotion,
     eps_u: wp.float64,
     system: NewtonSystem,
 ):
@@ -163,7 +187,7 @@ def _hessian_kernel(
     nodes = stencils[env, slot]
     w = weights[env, slot]
     n = normals[env, slot]
-    u = sliding(env, nodes, w, n, positions, previous)
+    u = sliding(env, nodes, w, n, motion)
     core = friction_hessian(n, u, mu_lambdas[env, slot], eps_u)
     for i in range(4):
         for j in range(4):
@@ -201,6 +225,17 @@ class FrictionPotential:
     def _lists(self) -> list[wp.array]:
         return [self.stencils, self.weights, self.normals, self.mu_lambdas]
 
+    def motion(
+        self, positions: wp.array, previous: wp.array, poses: wp.array, previous_poses: wp.array
+    ) -> StepMotion:
+        """Gather what sliding is measured from."""
+        motion = StepMotion()
+        motion.positions, motion.previous = positions, previous
+        motion.poses, motion.previous_poses = poses, previous_poses
+        motion.node_radii = self.model.surface.node_radii
+        motion.node_bodies = self.model.surface.node_bodies
+        return motion
+
     def lag(self, active: wp.array, positions: wp.array) -> None:
         """Freeze the current collisions of the active environments at ``positions``."""
         c = self.collisions
@@ -222,30 +257,25 @@ class FrictionPotential:
         self.max_count = 0
 
     def _launch(
-        self, kernel: wp.Kernel, active: wp.array, positions: wp.array, previous: wp.array, out
+        self, kernel: wp.Kernel, active: wp.array, motion: StepMotion, out: Any
     ) -> None:
         if self.max_count:
             wp.launch(
                 kernel,
                 dim=(self.model.env_count, self.max_count),
-                inputs=[active, self.counts, *self._lists(), positions, previous]
-                + [self.eps_u_m, out],
+                inputs=[active, self.counts, *self._lists(), motion, self.eps_u_m, out],
                 device=self.model.device,
             )
 
-    def energy(self, active: wp.array, positions: wp.array, previous: wp.array) -> np.ndarray:
-        """Energy for sliding from ``previous`` to ``positions`` [J], shape [env_count]."""
-        self._launch(_energy_kernel, active, positions, previous, self.energies)
+    def energy(self, active: wp.array, motion: StepMotion) -> np.ndarray:
+        """Energy of this step's sliding [J], shape [env_count]."""
+        self._launch(_energy_kernel, active, motion, self.energies)
         return sum_lists(self.energies, self.counts)
 
-    def add_gradient(
-        self, active: wp.array, positions: wp.array, previous: wp.array, gradient: wp.array
-    ) -> None:
+    def add_gradient(self, active: wp.array, motion: StepMotion, gradient: wp.array) -> None:
         """Add d energy / dx [N] of all nodes."""
-        self._launch(_gradient_kernel, active, positions, previous, gradient)
+        self._launch(_gradient_kernel, active, motion, gradient)
 
-    def add_hessian(
-        self, active: wp.array, positions: wp.array, previous: wp.array, system: NewtonSystem
-    ) -> None:
+    def add_hessian(self, active: wp.array, motion: StepMotion, system: NewtonSystem) -> None:
         """Add the Hessian, positive semi-definite as it is, to the Newton system."""
-        self._launch(_hessian_kernel, active, positions, previous, system)
+        self._launch(_hessian_kernel, active, motion, system)

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Captures in memory: a background, presses of one ball, scale, hashes, and the held-out split."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+
+
+@dataclass(frozen=True)
+class ContactCircle:
+    """Rim of a contact patch in the image; pixel (0, 0) is the centre of the top left pixel."""
+
+    u_px: float
+    v_px: float
+    radius_px: float
+
+    def distance_px(self, grid: PixelGrid) -> np.ndarray:
+        """Distance of every pixel from the centre in column pixels, shape [height_px, width_px].
+
+        Rows are weighed with the scale's ratio, so that a round contact is a circle even when
+        the pixels are not square.
+        """
+        ratio = grid.mm_per_px_y / grid.mm_per_px_x
+        du = np.arange(grid.width_px)[None, :] - self.u_px
+        dv = (np.arange(grid.height_px)[:, None] - self.v_px) * ratio
+        return np.hypot(du, dv)
+
+
+@dataclass(frozen=True)
+class Press:
+    """One image of one press."""
+
+    name: str
+    source: str
+    """File (and frame) the image comes from, for error messages."""
+    sha256: str
+    """Hash of the image file, or of the frame's bytes in a packed file."""
+    circle: ContactCircle | None
+    """Contact circle given with the capture, or None."""
+    read: Callable[[], np.ndarray]
+
+    def image(self) -> np.ndarray:
+        """The image, RGB uint8, shape [height_px, width_px, 3]."""
+        return self.read()
+
+
+@dataclass(frozen=True)
+class CaptureSet:
+    """Presses of one ball on one sensor, checked when they were loaded."""
+
+    source: str
+    sensor: str
+    background: np.ndarray
+    """Image of the untouched sensor, RGB uint8, shape [height_px, width_px, 3]."""
+    background_sha256: str
+    mask: np.ndarray
+    """Pixels that may be used, bool, shape [height_px, width_px]."""
+    ball_radius_mm: float
+    grid: PixelGrid
+    presses: tuple[Press, ...]
+    provenance: dict[str, str]
+
+    def __post_init__(self) -> None:
+        if not self.presses:
+            raise InputError(f"{self.source} holds no presses; at least one image is needed")
+        names = [press.name for press in self.presses]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise InputError(
+                f"{self.source}: press names must differ, {', '.join(twice)} appears twice"
+            )
+        for press in self.presses:
+            if press.circle is not None:
+                check_circle(press.circle, self.grid, self.ball_radius_mm, press.source)
+
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of every input by name, the background under ``background``."""
+        return {"background": self.background_sha256} | {p.name: p.sha256 for p in self.presses}
+
+    def split(self, holdout_every: int) -> tuple[list[int], list[int]]:
+        """Indices of the presses to fit and to hold out.
+
+        Every ``holdout_every``-th press is held out: 4 gives 3, 7, 11, ...; 0 holds none out.
+        """
+        if holdout_every == 0:
+            return list(range(len(self.presses))), []
+        if holdout_every < 2:
+            raise InputError(f"holdout_every must be 0 or at least 2, got {holdout_every}")
+        held = list(range(holdout_every - 1, len(self.presses), holdout_every))
+        if not held:
+            raise InputError(
+                f"{self.source} holds {len(self.presses)} presses, too few to hold out every "
+                f"{holdout_every}th; give more captures or holdout_every of 0 or "
+                f"2 to {len(self.presses)}"
+            )
+        return [i for i in range(len(self.presses)) if i not in held], held
+
+
+def check_circle(
+    circle: ContactCircle, grid: PixelGrid, ball_radius_mm: float, source: str
+) -> None:
+    """Refuse a contact circle that no press of this ball on this image can leave."""
+    values = (circle.u_px, circle.v_px, circle.radius_px)
+    if not all(math.isfinite(value) for value in values):
+        raise InputError(
+            f"{source}: the contact circle (u, v, radius) is {values}; three finite numbers of "
+            "pixels are allowed"
+        )
+    if circle.radius_px < 3.0:
+        raise InputError(
+            f"{source}: contact radius {circle.radius_px:g} px is too small; at least 3 px"
+        )
+    ratio = grid.mm_per_px_x / grid.mm_per_px_y
+    if not (
+        circle.radius_px <= circle.u_px <= grid.width_px - 1 - circle.radius_px
+        and circle.radius_px * ratio <= circle.v_px <= grid.height_px - 1 - circle.radius_px * ratio
+    ):
+        raise InputError(
+            f"{source}: the contact circle at ({circle.u_px:g}, {circle.v_px:g}) px with radius "
+            f"{circle.radius_px:g} px reaches outside the image of {grid.width_px}x"
+            f"{grid.height_px} px; it has to lie inside"
+        )
+    radius_mm = circle.radius_px * grid.mm_per_px_x
+    if radius_mm > ball_radius_mm:
+        raise InputError(
+            f"{source}: contact radius {circle.radius_px:g} px is {radius_mm:.3f} mm at "
+            f"{grid.mm_per_px_x:g} mm/px, more than the ball's radius of {ball_radius_mm:g} mm; "
+            "check mm_per_px_x, the ball's radius and the circle"
+        )

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ball presses that ship in the PyPI wheel ``taxim`` (MIT), read from their ``dataPack.npz``.
+
+Layout of the file (Si and Yuan, "Taxim: an example-based simulation model for GelSight tactile
+sensors", RA-L 2022, and the wheel's ``calibration.py``): ``f0`` background and ``imgs`` frames in
+BGR, ``touch_center`` (u, v) and ``touch_radius`` in px; the scale is ``sensor.pixmm`` of the
+``params.json`` beside it. The ball's radius of 2.0 mm is Taxim's documented default and appears
+nowhere in the wheel.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import zipfile
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calibration.capture.captures import CaptureSet, ContactCircle, Press
+from calibration.capture.schema import (
+    MANIFEST_NAME,
+    MAX_MM_PER_PX,
+    MIN_MM_PER_PX,
+    SCHEMA_VERSION,
+)
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.output import atomic_directory
+
+PACK_PATH_IN_WHEEL = Path("calib") / "gelsight" / "dataPack.npz"
+TAXIM_BALL_RADIUS_MM = 2.0
+REQUIRED_KEYS = ("f0", "imgs", "touch_center", "touch_radius")
+SOURCE = "PyPI wheel taxim, calib/gelsight/dataPack.npz (Taxim, Si and Yuan 2022)"
+LICENSE = "MIT"
+
+
+def find_taxim_pack() -> Path:
+    """Path of the GelSight ``dataPack.npz`` of the installed ``taxim`` wheel.
+
+    The package is located without importing it: its import pulls in a renderer this needs not.
+    """
+    spec = importlib.util.find_spec("taxim")
+    if spec is None or spec.origin is None:
+        raise InputError(
+            "the package taxim is not installed; install the extra 'demo' or give the path of a "
+            "dataPack.npz"
+        )
+    path = Path(spec.origin).parent / PACK_PATH_IN_WHEEL
+    if not path.is_file():
+        raise InputError(f"{path} is missing from the installed taxim package; reinstall taxim")
+    return path
+
+
+def load_taxim_pack(path: Path) -> CaptureSet:
+    """Captures of a Taxim ``dataPack.npz``; the scale comes from ``params.json`` beside it."""
+    mm_per_px = _read_scale(path.parent / "params.json", path)
+    arrays = _read_arrays(path)
+    background = np.ascontiguousarray(arrays["f0"][..., ::-1])
+    images = arrays["imgs"]
+    centers = np.asarray(arrays["touch_center"], dtype=np.float64)
+    radii = np.asarray(arrays["touch_radius"], dtype=np.float64)
+    _check_arrays(path, background, images, centers, radii)
+    height, width = background.shape[:2]
+    presses = tuple(
+        Press(
+            # Positional: the pack's own name list is one longer than its frames.
+            name=f"press_{i:03d}",
+            source=f"{path}[{i}]",
+            sha256=hashlib.sha256(images[i].tobytes()).hexdigest(),
+            circle=ContactCircle(float(centers[i, 0]), float(centers[i, 1]), float(radii[i])),
+            read=partial(_rgb_frame, images, i),
+        )
+        for i in range(len(images))
+    )
+    return CaptureSet(
+        source=str(path),
+        sensor="gelsight",
+        background=background,
+        background_sha256=hashlib.sha256(arrays["f0"].tobytes()).hexdigest(),
+        mask=np.ones((height, width), dtype=bool),
+        ball_radius_mm=TAXIM_BALL_RADIUS_MM,
+        grid=PixelGrid(width, height, mm_per_px, mm_per_px),
+        presses=presses,
+        provenance={
+            "source": SOURCE,
+            "license": LICENSE,
+            "pack_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        },
+    )
+
+
+def import_taxim(out_dir: Path | str, pack: Path | str | None = None) -> Path:
+    """Write the Taxim presses as a capture folder (PNG and ``captures.toml``); return the folder.
+
+    ``pack`` is the ``dataPack.npz`` to import, that of the installed wheel when None.
+    """
+    captures = load_taxim_pack(Path(pack) if pack is not None else find_taxim_pack())
+    grid = captures.grid
+    lines = [
+        f"schema_version = {SCHEMA_VERSION}",
+        f'sensor = "{captures.sensor}"',
+        'background = "background.png"',
+        f"mm_per_px_x = {grid.mm_per_px_x!r}",
+        f"mm_per_px_y = {grid.mm_per_px_y!r}",
+        f'source = "{SOURCE}"',
+        f'license = "{LICENSE}"',
+        "",
+        "[indenter]",
+        'kind = "sphere"',
+        f"radius_mm = {captures.ball_radius_mm!r}",
+    ]
+    with atomic_directory(out_dir) as folder:
+        _write_png(folder / "background.png", captures.background)
+        for press in captures.presses:
+            _write_png(folder / f"{press.name}.png", press.image())
+            lines += ["", "[[presses]]", f'image = "{press.name}.png"']
+            if press.circle is not None:
+                c = press.circle
+                lines.append(
+                    f"contact = {{ u_px = {c.u_px!r}, v_px = {c.v_px!r}, "
+                    f"radius_px = {c.radius_px!r} }}"
+                )
+        (folder / MANIFEST_NAME).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return Path(out_dir)
+
+
+def _rgb_frame(images: np.ndarray, index: int) -> np.ndarray:
+    return np.ascontiguousarray(images[index][..., ::-1])
+
+
+def _write_png(path: Path, rgb: np.ndarray) -> None:
+    if not cv2.imwrite(str(path), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)):
+        raise OSError(f"{path} could not be written")
+
+
+def _read_scale(params_path: Path, pack_path: Path) -> float:
+    if not params_path.is_file():
+        raise InputError(f"{params_path} is missing; the scale of {pack_path} is read from it")
+    try:
+        scale = float(json.loads(params_path.read_text(encoding="utf-8"))["sensor"]["pixmm"])
+    except (json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{params_path}: sensor.pixmm [mm/px] cannot be read: {error}") from error
+    if not MIN_MM_PER_PX <= scale <= MAX_MM_PER_PX:
+        raise InputError(
+            f"{params_path}: sensor.pixmm is {scale:g}; {MIN_MM_PER_PX:g} to {MAX_MM_PER_PX:g} "
+            "mm/px is allowed"
+        )
+    return scale
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    try:
+        # Only the numeric arrays are read, so no pickle has to be trusted.
+        with np.load(path, allow_pickle=False) as pack:
+            missing = [key for key in REQUIRED_KEYS if key not in pack.files]
+            if missing:
+                raise InputError(
+                    f"{path} lacks {', '.join(missing)}; a Taxim pack holds "
+                    f"{', '.join(REQUIRED_KEYS)}"
+                )
+            return {key: pack[key] for key in REQUIRED_KEYS}
+    except (OSError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path} is not a readable .npz file: {error}") from error
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is not a readable .npz of plain arrays: {error}") from error
+
+
+def _check_arrays(
+    path: Path,
+    background: np.ndarray,
+    images: np.ndarray,
+    centers: np.ndarray,
+    radii: np.ndarray,
+) -> None:
+    if background.ndim != 3 or background.shape[2] != 3 or background.dtype != np.uint8:
+        raise InputError(
+            f"{path}: f0 is {background.dtype} {background.shape}; uint8 [height, width, 3] needed"
+        )
+    if images.ndim != 4 or images.dtype != np.uint8 or len(images) == 0:
+        raise InputError(
+            f"{path}: imgs is {images.dtype} {images.shape}; uint8 [frames, height, width, 3] with "
+            "at least one frame is needed"
+        )
+    if images.shape[1:] != background.shape:
+        raise InputError(
+            f"{path}: imgs are {images.shape[2]}x{images.shape[1]} px but the background f0 is "
+            f"{background.shape[1]}x{background.shape[0]} px; all images have to be of one size"
+        )
+    if centers.shape != (len(images), 2) or radii.shape != (len(images),):
+        raise InputError(
+            f"{path}: {len(images)} frames need touch_center [{len(images)}, 2] and touch_radius "
+            f"[{len(images)}], got {centers.shape} and {radii.shape}"
+        )

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mesh of a sensor's gel for one press: fine around the contact, one connectivity for all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cad.mesh.structured import structured_gel_mesh
+from sensors.registry import sensor_family
+from taccel_lab.geometry import TetMesh
+
+
+@dataclass(frozen=True)
+class PressMeshOptions:
+    """Resolution around a press, in units of the contact radius."""
+
+    elements_per_radius: float = 10.0
+    """Elements along the contact radius."""
+    fine_radii: float = 1.9
+    """Radius of the fine part in contact radii: the gel sinks visibly that far around a press."""
+    core: int = 12
+    rings: int = 20
+    layers: int = 4
+    """Core, rings and layers of ``structured_gel_mesh``; they set the number of nodes."""
+
+
+def press_mesh(
+    family: str,
+    parameters: Mapping[str, Any],
+    at_mm: tuple[float, float],
+    contact_radius_mm: float,
+    options: PressMeshOptions | None = None,
+) -> TetMesh:
+    """Gel pad of a catalogue sensor, graded around the contact at gel xy ``at_mm``.
+
+    All meshes of the same options share tets, faces and regions bitwise, whatever the place.
+    Raises InputError for an unknown family or a place too close to the pad's edge.
+    """
+    options = options or PressMeshOptions()
+    found = sensor_family(family)
+    return structured_gel_mesh(
+        found.pad(found.parameters(parameters)),
+        focus_mm=at_mm,
+        focus_radius_mm=options.fine_radii * contact_radius_mm,
+        focus_size_mm=contact_radius_mm / options.elements_per_radius,
+        core=options.core,
+        rings=options.rings,
+        layers=options.layers,
+    )

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A whole press of one environment and everything a sensor reads at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.envs.indenter import Indenter
+from taccel_lab.envs.press import PressEnv, PressPath
+from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.scene import Ball, Material
+from taccel_lab.signals import (
+    HeightFieldSurface,
+    SignalFusedSurface,
+    SignalHeightMap,
+    SphereSurface,
+)
+from taccel_lab.solvers import SolverConfig, StepReport
+
+if TYPE_CHECKING:
+    from taccel_lab.signals.color_model import ColorModel
+
+
+@dataclass(frozen=True)
+class PressStep:
+    """One converged step."""
+
+    depth_mm: float
+    shear_mm: tuple[float, float]
+    twist_deg: float
+    wrench: np.ndarray
+    """Force [N] and moment about the gel's origin [N m] of the gel on the indenter, [6]."""
+    report: StepReport
+
+
+@dataclass(frozen=True)
+class PressOutcome:
+    """The steps of a press and the signals at its end."""
+
+    mesh: TetMesh
+    path: PressPath
+    steps: list[PressStep]
+    positions_m: np.ndarray
+    """Deformed gel nodes [m], shape [node, 3]."""
+    contact_forces_n: np.ndarray
+    """Force of the indenter on each gel node [N], shape [node, 3]."""
+    indenter_pose: np.ndarray
+    """gel_from_indenter: position [m], quaternion x, y, z, w; shape [7]."""
+    height_m: np.ndarray
+    """z of the contact face [m], NaN outside the pad, shape [height_px, width_px]."""
+    rest_height_m: np.ndarray
+    normals: np.ndarray
+    rest_normals: np.ndarray
+    contact_mask: np.ndarray
+    """Pixels in contact, shape [height_px, width_px]."""
+    contact_radius_m: float
+    """Radius of the disc of the contact's area [m]."""
+    smallest_volume_ratio: float
+    """Smallest det F of any tet: above 0 when no tet is inverted."""
+
+    @property
+    def last(self) -> StepReport:
+        return self.steps[-1].report
+
+    def render(self, model: ColorModel, background_rgb: np.ndarray) -> np.ndarray:
+        """Tactile image, RGB levels 0..255, shape [height_px, width_px, 3]."""
+        flat = np.array([0.0, 0.0, 1.0])
+        seen = np.isfinite(self.height_m) & np.isfinite(self.rest_height_m)
+        return model.render(
+            np.where(seen[..., None], self.normals, flat),
+            np.where(seen, self.height_m - self.rest_height_m, 0.0) * 1e3,
+            np.where(seen[..., None], self.rest_normals, flat),
+            background_rgb,
+        )
+
+    def figures(self) -> dict[str, Any]:
+        """Numbers of the press for a JSON file."""
+        steps = [step.report for step in self.steps]
+        final = self.steps[-1]
+        return {
+            "force_n": float(final.wrench[2]),
+            "wrench": {"force_n": final.wrench[:3], "moment_nm": final.wrench[3:]},
+            "residual_n": float(self.last.residual_n[0]),
+            "contact_force_sum_n": float(self.last.contact_force_n[0]),
+            "newton_iterations": int(sum(r.newton_iterations[0] for r in steps)),
+            "cg_iterations": int(sum(r.cg_iterations[0] for r in steps)),
+            "friction_lags": int(sum(r.friction_lags[0] for r in steps)),
+            "seconds_per_step": float(np.mean([r.seconds for r in steps])),
+            "step_count": len(steps),
+            "min_distance_m": float(min(r.min_distance_m[0] for r in steps)),
+            "contact_radius_mm": self.contact_radius_m * 1e3,
+            "smallest_volume_ratio": self.smallest_volume_ratio,
+            "steps": [
+                {
+                    "depth_mm": step.depth_mm,
+                    "shear_mm": step.shear_mm,
+                    "twist_deg": step.twist_deg,
+                    "force_n": step.wrench[:3],
+                    "moment_nm": step.wrench[3:],
+                    "residual_n": float(step.report.residual_n[0]),
+                    "newton_iterations": int(step.report.newton_iterations[0]),
+                    "cg_iterations": int(step.report.cg_iterations[0]),
+                    "friction_lags": int(step.report.friction_lags[0]),
+                    "min_distance_m": float(step.report.min_distance_m[0]),
+                    "seconds": step.report.seconds,
+                }
+                for step in self.steps
+            ],
+        }
+
+
+def simulate_press(
+    mesh: TetMesh,
+    material: Material,
+    indenter: Indenter,
+    at_mm: tuple[float, float],
+    path: PressPath,
+    grid: PixelGrid,
+    *,
+    friction_coefficient: float = 0.0,
+    config: SolverConfig | None = None,
+    device: str = "cpu",
+    progress: Callable[[int, int, PressStep], None] | None = None,
+) -> PressOutcome:
+    """Press once, read everything. Errors as of ``PressEnv``; see there for the arguments.
+
+    ``progress`` is told step, step count and what the step gave.
+    """
+    env = PressEnv(
+        mesh,
+        material,
+        indenter,
+        np.array([at_mm]),
+        friction_coefficient=friction_coefficient,
+        config=config,
+        device=device,
+    )
+    waypoints = path.waypoints()
+    steps = []
+    for i, (depth, shear, twist) in enumerate(waypoints):
+        report = env.move_to(depth, shear, twist)
+        steps.append(PressStep(depth, shear, twist, env.wrench[0].copy(), report))
+        if progress is not None:
+            progress(i + 1, len(waypoints), steps[-1])
+    dhat = env.solver.config.dhat_m
+    pose = env.poses[0, 0]
+    if isinstance(indenter.shape, Ball):
+        surface = SphereSurface(pose[:3], indenter.shape.radius_m, grid)
+    else:
+        vertices = env.state.positions.numpy()[:, env.model.soft_count :].copy()
+        surface = HeightFieldSurface.from_mesh(vertices, indenter.shape.faces, grid)
+    fused = SignalFusedSurface(mesh, grid, contact_gap_m=dhat, device=device)
+    fused.update(env.positions.copy(), surface)
+    rest = SignalHeightMap(mesh, grid, device=device)
+    rest.update(mesh.nodes_m[None])
+    corners = env.positions[0][mesh.tets]
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    return PressOutcome(
+        mesh=mesh,
+        path=path,
+        steps=steps,
+        positions_m=env.positions[0].copy(),
+        contact_forces_n=env.contact_forces[0].copy(),
+        indenter_pose=pose,
+        height_m=fused.height_m[0],
+        rest_height_m=rest.height_m[0],
+        normals=fused.normals[0],
+        rest_normals=rest.normals[0],
+        contact_mask=fused.contact_mask[0],
+        contact_radius_m=float(fused.contact_radius_m[0]),
+        smallest_volume_ratio=float((volumes / mesh.volumes_m3()).min()),
+    )

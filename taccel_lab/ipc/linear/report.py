@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a linear solve did, per environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class LinearReport:
+    """Arrays of shape [env_count]; environments that were not active read 0, 0 and False."""
+
+    iterations: np.ndarray
+    """CG iterations, int64."""
+    relative_residual: np.ndarray
+    """True residual ||rhs - H p|| / ||rhs|| of the solution, float64; 0 when rhs is 0."""
+    breakdown: np.ndarray
+    """Whether the solve stopped early because the matrix is not positive definite or a number is
+    not finite; the solution is then the last good iterate, at worst zero. bool."""

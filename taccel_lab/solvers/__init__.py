@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stepping a model: orchestration only."""
+
+from taccel_lab.solvers.config import ElementProjection, SolverConfig
+from taccel_lab.solvers.report import EnvStatus, StepReport
+from taccel_lab.solvers.solver_ipc import SolverIPC
+
+__all__ = ["ElementProjection", "EnvStatus", "SolverConfig", "SolverIPC", "StepReport"]
