@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Synthetic ball presses with a known colour law, and a small profile to put results in."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from calibration.capture import CaptureSet, ContactCircle, Press
+from calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.profile import (
+    CameraBlock,
+    GelBlock,
+    MaterialBlock,
+    Provenance,
+    SensorBlock,
+    SensorProfile,
+)
+
+GRID = PixelGrid(160, 120, 0.1, 0.1)
+BALL_RADIUS_MM = 2.0
+
+
+def known_change(surface: PressSurface) -> np.ndarray:
+    """Three lamps at 120 degrees whose strength falls over the image, plus a depth term."""
+    slope = surface.normals - surface.rest_normals
+    u = np.linspace(0.8, 1.2, GRID.width_px)[None, :]
+    channels = []
+    for k in range(3):
+        angle = 2 * np.pi * k / 3
+        tilt = slope[..., 0] * np.cos(angle) + slope[..., 1] * np.sin(angle)
+        channels.append(60 * u * tilt - 10 * surface.displacement_mm())
+    return np.stack(channels, axis=-1)
+
+
+def flat_background() -> np.ndarray:
+    u, v = np.meshgrid(np.linspace(0, 1, GRID.width_px), np.linspace(0, 1, GRID.height_px))
+    return np.stack([100 + 20 * u, 120 - 10 * v, 110 + 10 * u * v], axis=-1)
+
+
+def press_image(
+    circle: ContactCircle, rng: np.random.Generator, noise: float = 1.0
+) -> tuple[np.ndarray, PressSurface]:
+    """A noisy capture of one press, RGB uint8, with the surface that made it."""
+    surface = analytic_surface(circle, GRID, BALL_RADIUS_MM, decay_mm=1.0)
+    image = flat_background() + known_change(surface)
+    image += rng.normal(0, noise, image.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8), surface
+
+
+def synthetic_captures(
+    count: int = 12, seed: int = 0, noise: float = 1.0
+) -> tuple[CaptureSet, list[PressSurface]]:
+    """A capture set in memory, and the true surface of each press."""
+    rng = np.random.default_rng(seed)
+    presses, surfaces = [], []
+    for i in range(count):
+        circle = ContactCircle(
+            float(rng.uniform(35, 125)), float(rng.uniform(35, 85)), float(rng.uniform(11, 16))
+        )
+        image, surface = press_image(circle, rng, noise)
+        presses.append(Press(f"p{i}", f"memory[{i}]", f"{i:064x}", circle, partial(np.copy, image)))
+        surfaces.append(surface)
+    background = np.rint(flat_background()).astype(np.uint8)
+    captures = CaptureSet(
+        source="memory",
+        sensor="gelsight",
+        background=background,
+        background_sha256="0" * 64,
+        mask=np.ones(background.shape[:2], dtype=bool),
+        ball_radius_mm=BALL_RADIUS_MM,
+        grid=GRID,
+        presses=tuple(presses),
+        provenance={},
+    )
+    return captures, surfaces
+
+
+def tiny_profile(grid: PixelGrid) -> SensorProfile:
+    """A profile of one tet, without background and colour."""
+    provenance = Provenance(kind="assumed", method="made up for a test", source="none")
+    tets = np.array([[0, 2, 1, 3]])
+    nodes = np.array([[0, 0, 0], [1, 0, -1], [0, 1, -1], [0, 0, -1]]) * 1e-3
+    faces = boundary_faces(tets)
+    return SensorProfile(
+        sensor=SensorBlock(name="test", family="gelsight", provenance=provenance),
+        gel=GelBlock(
+            thickness_mm=1.0, node_count=4, tet_count=1, min_dihedral_deg=54.7,
+            provenance=provenance,
+        ),
+        material=MaterialBlock(
+            young_modulus_pa=1.5e5, poisson_ratio=0.48, density_kg_m3=1000.0,
+            friction_coefficient=0.5, provenance=provenance,
+        ),
+        camera=CameraBlock.from_grid(grid, provenance),
+        mesh=TetMesh(nodes, tets, faces, np.arange(4)),
+    )  # fmt: skip

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab calibrate color`` from a folder on disk to a profile, and its refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import pytest
+
+from taccel_lab.cli.calibrate import CalibrateColor
+from taccel_lab.errors import InputError
+from taccel_lab.profile import load_profile, save_profile
+from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, synthetic_captures, tiny_profile
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Eight synthetic presses on disk, the last without a circle, and the base profile beside."""
+    captures, _ = synthetic_captures(8)
+    path = tmp_path / "captures"
+    path.mkdir()
+    lines = [
+        "schema_version = 1",
+        'sensor = "gelsight"',
+        'background = "background.png"',
+        f"mm_per_px_x = {GRID.mm_per_px_x}",
+        f"mm_per_px_y = {GRID.mm_per_px_y}",
+        "[indenter]",
+        f"radius_mm = {BALL_RADIUS_MM}",
+    ]
+    cv2.imwrite(str(path / "background.png"), captures.background[..., ::-1])
+    for press in captures.presses:
+        cv2.imwrite(str(path / f"{press.name}.png"), press.image()[..., ::-1])
+        lines += ["[[presses]]", f'image = "{press.name}.png"']
+        if press.circle is not None and press.name != "p7":
+            c = press.circle
+            lines.append(
+                f"contact = {{ u_px = {c.u_px}, v_px = {c.v_px}, radius_px = {c.radius_px} }}"
+            )
+    (path / "captures.toml").write_text("\n".join(lines))
+    save_profile(tiny_profile(GRID), tmp_path / "base")
+    return path
+
+
+def test_writes_a_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder.parent / "profile"
+    CalibrateColor(
+        folder, out, base=folder.parent / "base", surface="hertz", steps=60, folds=2, json=True
+    ).run()
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["profile"] == str(out)
+    heldout = figures["color"]["heldout"]
+    assert set(heldout) == {"disc_l1", "crop_l1", "full_l1", "crop_psnr_db", "crop_ssim"}
+    assert heldout["disc_l1"] < figures["color"]["background_only"]["disc_l1"]
+    assert {row["name"] for row in figures["color"]["presses"]} == {"p3", "p7"}
+    profile = load_profile(out)
+    assert profile.color is not None and profile.background_rgb is not None
+    assert "analytic hertz" in profile.color.provenance.method
+    assert profile.color.provenance.residuals["heldout_disc_l1"] == pytest.approx(
+        heldout["disc_l1"]
+    )
+
+
+def test_table_names_the_figures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder.parent / "profile"
+    CalibrateColor(
+        folder, out, base=folder.parent / "base", surface="cap", steps=5, folds=0,
+        holdout_every=0,
+    ).run()  # fmt: skip
+    assert "no press was held out" in capsys.readouterr().out
+    assert load_profile(out).color is not None
+
+
+def test_an_empty_frame_stops_it(folder: Path) -> None:
+    (folder / "p2.png").write_bytes((folder / "background.png").read_bytes())
+    out = folder.parent / "profile"
+    with pytest.raises(InputError, match=r"p2\.png: no contact found"):
+        CalibrateColor(folder, out, base=folder.parent / "base").run()
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"holdout_every": 1}, "holdout_every must be 0 or at least 2"),
+        ({"holdout_every": 9}, "too few to hold out"),
+        ({"folds": 1}, "folds must be 0 or at least 2"),
+        ({"steps": 0}, "steps must be at least 1"),
+        ({"sensor": "digit"}, "captured with sensor 'gelsight', not 'digit'"),
+        ({"captures": Path("nowhere")}, "nowhere does not exist"),
+    ],
+)
+def test_bad_options(folder: Path, change: dict[str, object], message: str) -> None:
+    out = folder.parent / "profile"
+    values = {"captures": folder, "out": out, "base": folder.parent / "base", **change}
+    with pytest.raises(InputError, match=message):
+        CalibrateColor(**values).run()  # type: ignore[arg-type]
+    assert not out.exists()

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Capture folders: what loads, and every way a folder can be refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calibration.capture import CaptureSet, ContactCircle, import_taxim, load_captures
+from calibration.capture.captures import check_circle
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+
+MANIFEST = """
+schema_version = 1
+sensor = "gelsight"
+background = "background.png"
+mm_per_px_x = 0.1
+mm_per_px_y = 0.1
+[indenter]
+radius_mm = 2.0
+[[presses]]
+image = "a.png"
+contact = { u_px = 30.0, v_px = 25.0, radius_px = 12.0 }
+[[presses]]
+image = "b.png"
+name = "second"
+"""
+
+
+def write_image(path: Path, shape: tuple[int, ...] = (48, 64, 3), value: int = 90) -> None:
+    assert cv2.imwrite(str(path), np.full(shape, value, dtype=np.uint8))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("background", "a", "b"):
+        write_image(tmp_path / f"{name}.png")
+    red = np.zeros((48, 64, 3), dtype=np.uint8)
+    red[..., 2] = 200  # OpenCV writes BGR.
+    assert cv2.imwrite(str(tmp_path / "b.png"), red)
+    (tmp_path / "captures.toml").write_text(MANIFEST)
+    return tmp_path
+
+
+def edit(folder: Path, old: str, new: str) -> None:
+    path = folder / "captures.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_loads_a_folder_as_rgb(folder: Path) -> None:
+    captures = load_captures(folder)
+    assert [press.name for press in captures.presses] == ["a", "second"]
+    assert captures.presses[0].circle == ContactCircle(30.0, 25.0, 12.0)
+    assert captures.presses[1].circle is None
+    assert captures.presses[1].image()[0, 0].tolist() == [200, 0, 0]
+    assert captures.grid == PixelGrid(64, 48, 0.1, 0.1)
+    hashes = captures.hashes()
+    assert set(hashes) == {"background", "a", "second"}
+    # a.png and background.png are the same bytes, b.png is not.
+    assert hashes["a"] == hashes["background"] != hashes["second"]
+
+
+def test_mask_is_read(folder: Path) -> None:
+    mask = np.full((48, 64), 255, dtype=np.uint8)
+    mask[:10] = 0
+    assert cv2.imwrite(str(folder / "mask.png"), mask)
+    edit(folder, 'background = "background.png"', 'background = "background.png"\nmask="mask.png"')
+    captures = load_captures(folder)
+    assert not captures.mask[:10].any() and captures.mask[10:].all()
+
+
+def test_missing_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nowhere does not exist.*captures\.toml"):
+        load_captures(tmp_path / "nowhere")
+
+
+def test_empty_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"an empty folder.*captures\.toml"):
+        load_captures(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("mm_per_px_x = 0.1", "mm_per_px_x = nan", r"mm_per_px_x.*"),
+        ("mm_per_px_x = 0.1", "mm_per_px_x = 0.0", r"mm_per_px_x.*greater than or equal.*0\.0001"),
+        ("mm_per_px_y = 0.1", "mm_per_px_y = 500.0", r"mm_per_px_y.*less than or equal to 1.*500"),
+        ("radius_mm = 2.0", "radius_mm = -2.0", r"indenter\.radius_mm.*greater than"),
+        ("radius_mm = 2.0", "radius_mm = 1.0", r"a\.png: contact radius .*more than the ball"),
+        ("schema_version = 1", "schema_version = 2", r"schema_version"),
+        ('name = "second"', "colour = 3", r"presses\.1\.colour.*[Ee]xtra"),
+        ('name = "second"', 'name = "a"', r"names must differ, a appears twice"),
+        ("u_px = 30.0", "u_px = nan", r"presses\.0\.contact\.u_px.*finite"),
+        ("u_px = 30.0", "u_px = 60.0", r"a\.png: the contact circle.*outside the image of 64x48"),
+        ("radius_px = 12.0", "radius_px = 1.0", r"contact radius 1 px is too small"),
+        ("radius_px = 12.0", "radius_px = -1.0", r"radius_px.*greater than 0"),
+        ("schema_version = 1", "schema_version =", r"not valid TOML"),
+    ],
+)
+def test_bad_manifest(folder: Path, old: str, new: str, message: str) -> None:
+    edit(folder, old, new)
+    with pytest.raises(InputError, match=message) as caught:
+        load_captures(folder)
+    assert str(folder) in str(caught.value)
+
+
+def test_no_presses(folder: Path) -> None:
+    text = MANIFEST[: MANIFEST.index("[[presses]]")]
+    (folder / "captures.toml").write_text(
+        text.replace("schema_version", "presses = []\nschema_version")
+    )
+    with pytest.raises(InputError, match=r"presses.*at least 1"):
+        load_captures(folder)
+
+
+def test_no_background(folder: Path) -> None:
+    (folder / "background.png").unlink()
+    with pytest.raises(InputError, match=r"background\.png does not exist"):
+        load_captures(folder)
+
+
+def test_images_of_other_size(folder: Path) -> None:
+    write_image(folder / "b.png", (40, 64, 3))
+    with pytest.raises(InputError, match=r"b\.png is 64x40 px but the background .* is 64x48 px"):
+        load_captures(folder)
+
+
+def test_broken_image(folder: Path) -> None:
+    (folder / "b.png").write_bytes((folder / "b.png").read_bytes()[:20])
+    with pytest.raises(InputError, match=r"b\.png is not an image"):
+        load_captures(folder)
+
+
+def test_mask_without_pixels(folder: Path) -> None:
+    write_image(folder / "mask.png", (48, 64), 0)
+    edit(folder, 'sensor = "gelsight"', 'sensor = "gelsight"\nmask = "mask.png"')
+    with pytest.raises(InputError, match=r"mask\.png masks every pixel"):
+        load_captures(folder)
+
+
+def write_pack(folder: Path, **changes: object) -> Path:
+    frames = np.zeros((2, 48, 64, 3), dtype=np.uint8)
+    frames[..., 0] = 50  # blue
+    arrays = {
+        "f0": np.full((48, 64, 3), 9, dtype=np.uint8),
+        "imgs": frames,
+        "touch_center": np.array([[30.0, 24.0], [33.0, 24.0]]),
+        "touch_radius": np.array([12, 13]),
+        **changes,
+    }
+    path = folder / "dataPack.npz"
+    np.savez(path, **{k: v for k, v in arrays.items() if v is not None})  # type: ignore[arg-type]
+    (folder / "params.json").write_text(json.dumps({"sensor": {"pixmm": 0.1}}))
+    return path
+
+
+def test_pack_becomes_the_same_folder(tmp_path: Path) -> None:
+    pack = write_pack(tmp_path)
+    direct = load_captures(pack)
+    assert direct.presses[0].image()[0, 0].tolist() == [0, 0, 50]
+    imported = load_captures(import_taxim(tmp_path / "out", pack))
+    assert imported.grid == direct.grid
+    assert np.array_equal(imported.background, direct.background)
+    for a, b in zip(imported.presses, direct.presses, strict=True):
+        assert (a.name, a.circle) == (b.name, b.circle)
+        assert np.array_equal(a.image(), b.image())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"f0": None}, r"lacks f0"),
+        ({"imgs": np.zeros((0, 48, 64, 3), np.uint8)}, r"at least one frame"),
+        ({"imgs": np.zeros((2, 40, 64, 3), np.uint8)}, r"64x40 px but the background f0 is 64x48"),
+        ({"touch_center": np.array([[30.0, math.nan], [33.0, 24.0]])}, r"\[0\].*finite"),
+        ({"touch_radius": np.array([12, 13, 14])}, r"2 frames need touch_center"),
+        ({"touch_center": np.array([[30.0, 24.0], [3.0, 24.0]])}, r"\[1\].*outside the image"),
+        ({"touch_radius": np.array([12, 21])}, r"\[1\].*(more than the ball|outside)"),
+    ],
+)
+def test_bad_pack(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    pack = write_pack(tmp_path, **changes)
+    with pytest.raises(InputError, match=message) as caught:
+        load_captures(pack)
+    assert str(pack) in str(caught.value)
+
+
+def test_truncated_pack(tmp_path: Path) -> None:
+    pack = write_pack(tmp_path)
+    pack.write_bytes(pack.read_bytes()[:100])
+    with pytest.raises(InputError, match="not a readable"):
+        load_captures(pack)
+
+
+@pytest.mark.parametrize("scale", [0.0, -0.1, 40.0])
+def test_absurd_scale_of_a_pack(tmp_path: Path, scale: float) -> None:
+    pack = write_pack(tmp_path)
+    (tmp_path / "params.json").write_text(json.dumps({"sensor": {"pixmm": scale}}))
+    with pytest.raises(InputError, match=r"params\.json: sensor\.pixmm is"):
+        load_captures(pack)
+
+
+@given(
+    u=st.floats(-50, 250), v=st.floats(-50, 200), radius=st.floats(0.1, 120), ball=st.floats(0.5, 9)
+)
+def test_accepted_circles_fit_image_and_ball(
+    u: float, v: float, radius: float, ball: float
+) -> None:
+    grid = PixelGrid(160, 120, 0.1, 0.05)
+    circle = ContactCircle(u, v, radius)
+    rows = radius * 0.1 / 0.05
+    fits = 3 <= radius <= ball / 0.1 and radius <= u <= 159 - radius and rows <= v <= 119 - rows
+    try:
+        check_circle(circle, grid, ball, "x.png")
+        accepted = True
+    except InputError as error:
+        assert "x.png" in str(error)
+        accepted = False
+    near = abs(radius * 0.1 - ball) < 1e-9
+    assert accepted == fits or near
+
+
+@given(count=st.integers(1, 40), every=st.integers(-2, 45))
+def test_split_is_a_partition(count: int, every: int) -> None:
+    captures = object.__new__(CaptureSet)
+    object.__setattr__(captures, "presses", tuple(range(count)))
+    object.__setattr__(captures, "source", "somewhere")
+    if every < 0 or every == 1 or every > count:
+        with pytest.raises(InputError):
+            captures.split(every)
+        return
+    train, held = captures.split(every)
+    assert sorted(train + held) == list(range(count))
+    assert held == [i for i in range(count) if every and i % every == every - 1]
+
+
+def test_taxim_presses(taxim_captures: CaptureSet) -> None:
+    assert len(taxim_captures.presses) == 48
+    assert taxim_captures.grid == PixelGrid(640, 480, 0.0295, 0.0295)
+    train, held = taxim_captures.split(4)
+    assert held == list(range(3, 48, 4)) and len(train) == 36

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Both conjugate-gradient solvers against direct solutions, alone and in batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.ipc.linear.systems import BACKENDS, delaunay_pattern, random_spd, solve_batch
+
+
+def _residuals(dense: np.ndarray, x: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+    n = len(rhs)
+    left = rhs.reshape(n, -1) - np.einsum("eij,ej->ei", dense, x.reshape(n, -1))
+    return np.linalg.norm(left, axis=1) / np.linalg.norm(rhs.reshape(n, -1), axis=1)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    nodes=st.integers(5, 60),
+    stiffness=st.floats(1.0, 1e5),
+    tolerance=st.floats(1e-8, 1e-2),
+)
+@settings(max_examples=15)
+def test_reaches_the_tolerance_as_true_residual(
+    backend: str, seed: int, nodes: int, stiffness: float, tolerance: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    pattern = delaunay_pattern(rng, nodes, bonded=nodes // 5)
+    values = random_spd(rng, pattern, stiffness)[None]
+    rhs = rng.normal(size=(1, pattern.free_count, 3)) * 10.0 ** rng.uniform(-12, 3)
+    x, report = solve_batch(pattern, values, rhs, np.ones(1), tolerance, backend=backend)
+
+    residual = _residuals(pattern.dense(values), x, rhs)
+    assert residual[0] <= tolerance * (1 + 1e-3)
+    np.testing.assert_allclose(report.relative_residual, residual, rtol=1e-3, atol=1e-3 * tolerance)
+    assert not report.breakdown[0]
+    assert report.iterations[0] >= 1
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("seed", range(3))
+def test_equals_a_direct_solve(backend: str, seed: int) -> None:
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
+    rng = np.random.default_rng(seed)
+    pattern = delaunay_pattern(rng, 80, bonded=20)
+    values = random_spd(rng, pattern, 100.0)[None]
+    rhs = rng.normal(size=(1, pattern.free_count, 3))
+    x, _ = solve_batch(pattern, values, rhs, np.ones(1), 1e-12, backend=backend)
+    direct = splu(csc_array(pattern.dense(values)[0])).solve(rhs.ravel()).reshape(-1, 3)
+    assert np.abs(x[0] - direct).max() <= 1e-8 * np.abs(direct).max()
+
+
+def test_an_environment_never_sees_the_others() -> None:
+    rng = np.random.default_rng(3)
+    pattern = delaunay_pattern(rng, 60, bonded=10)
+    values = np.stack([random_spd(rng, pattern, 10.0**k) for k in range(5)])
+    rhs = rng.normal(size=(5, pattern.free_count, 3))
+    # One at rest with an indefinite matrix, one that breaks down: neither may leak.
+    values[3] = -values[3]
+    values[4] = -values[4]
+    active = np.array([1, 1, 1, 0, 1])
+    tolerances = np.array([1e-3, 1e-6, 1e-9, 1e-9, 1e-6])
+    together, report = solve_batch(pattern, values, rhs, active, tolerances)
+    for env in (0, 1, 2):
+        alone, single = solve_batch(
+            pattern, values[env : env + 1], rhs[env : env + 1], np.ones(1), tolerances[env]
+        )
+        assert np.array_equal(alone[0], together[env])
+        assert single.iterations[0] == report.iterations[env]
+        assert single.relative_residual[0] == report.relative_residual[env]
+    assert len(set(report.iterations[:3])) == 3
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_resting_environments_and_empty_loads_give_zero(backend: str) -> None:
+    rng = np.random.default_rng(4)
+    pattern = delaunay_pattern(rng, 30, bonded=5)
+    values = np.repeat(random_spd(rng, pattern, 10.0)[None], 3, axis=0)
+    values[0] = np.nan
+    rhs = rng.normal(size=(3, pattern.free_count, 3))
+    rhs[1] = 0.0
+    x, report = solve_batch(pattern, values, rhs, np.array([0, 1, 1]), 1e-8, backend=backend)
+    assert (x[:2] == 0).all()
+    assert (report.relative_residual[:2] == 0).all()
+    assert not report.breakdown.any()
+    assert report.iterations[0] == 0
+    assert _residuals(pattern.dense(values[2:]), x[2:], rhs[2:])[0] <= 1e-8
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("trouble", ["indefinite", "nan matrix", "nan load", "infinite load"])
+def test_breakdown_is_flagged_where_it_happens(backend: str, trouble: str) -> None:
+    rng = np.random.default_rng(5)
+    pattern = delaunay_pattern(rng, 30, bonded=5)
+    values = np.repeat(random_spd(rng, pattern, 10.0)[None], 2, axis=0)
+    rhs = rng.normal(size=(2, pattern.free_count, 3))
+    if trouble == "indefinite":
+        # Blocks on the diagonal stay positive definite, the matrix does not.
+        off = np.setdiff1d(np.arange(pattern.block_count), pattern.diagonal)
+        values[0, off] *= 20.0
+    elif trouble == "nan matrix":
+        values[0, 7] = np.nan
+    else:
+        rhs[0, 3] = np.nan if trouble == "nan load" else np.inf
+    x, report = solve_batch(pattern, values, rhs, np.ones(2), 1e-8, backend=backend)
+    assert report.breakdown.tolist() == [True, False]
+    assert np.isfinite(x).all()
+    assert report.relative_residual[1] <= 1e-8
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_stops_at_the_iteration_limit_and_says_so(backend: str) -> None:
+    rng = np.random.default_rng(6)
+    pattern = delaunay_pattern(rng, 60, bonded=10)
+    values = random_spd(rng, pattern, 1e6)[None]
+    rhs = rng.normal(size=(1, pattern.free_count, 3))
+    x, report = solve_batch(
+        pattern, values, rhs, np.ones(1), 1e-12, max_iterations=8, backend=backend
+    )
+    assert report.iterations[0] == 8
+    assert report.relative_residual[0] > 1e-12
+    np.testing.assert_allclose(
+        report.relative_residual, _residuals(pattern.dense(values), x, rhs), rtol=1e-9
+    )

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each potential as it is assembled, against finite differences."""
