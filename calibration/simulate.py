@@ -45,6 +45,8 @@ STEP_MM = 0.35
 DEEPEST_RADII = 1.2
 """The search does not go deeper than this many ball radii: beyond, the contact closes in under the
 ball and its radius no longer grows."""
+
+
 @dataclass(frozen=True)
 class _Batch:
     """What one process needs; plain data."""
@@ -66,7 +68,7 @@ def simulate_presses(
     profile: SensorProfile,
     *,
     mesh: PressMeshOptions | None = None,
-    friction_coefficient: float | None = None,
+    friction_coefficient: float = 0.0,
     processes: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[PressSurface]:
@@ -77,7 +79,9 @@ def simulate_presses(
         circles: Contact circle of each press [px].
         profile: The designed sensor: family, parameters and material.
         mesh: Resolution; the defaults resolve a 2 mm ball.
-        friction_coefficient: Between ball and gel; the profile's when None.
+        friction_coefficient: Between ball and gel. Frictionless presses fit best what the images
+            of real ball presses show: the slope beside the contact that they imply falls off as
+            without friction (docs/captures.md).
         processes: Worker processes; the number of cores, at most 8, when None.
         progress: Told how many presses are done, and of how many.
 
@@ -97,8 +101,6 @@ def simulate_presses(
                 "the scale and the ball's radius"
             )
     material = profile.material
-    if friction_coefficient is None:
-        friction_coefficient = material.friction_coefficient
     batches = [
         _Batch(
             first=start,
@@ -140,18 +142,19 @@ def simulate_presses(
 
 def _simulate_batch(batch: _Batch) -> list[PressSurface]:
     """Simulate the presses of a batch; runs in a process of its own."""
+    import warp as wp
+
     from taccel_lab.envs import Indenter, PressEnv
     from taccel_lab.scene import Ball
-    from taccel_lab.signals import SignalFusedSurface, SphereSurface
+    from taccel_lab.signals import SignalHeightMap
 
+    wp.config.log_level = wp.LOG_WARNING
     grid, ball_mm = batch.grid, batch.ball_radius_mm
-    scale = np.array([grid.mm_per_px_x, grid.mm_per_px_y])
-    at_mm = np.array([grid.gel_from_pixel((c.u_px, c.v_px)) for c in batch.circles])
-    target_mm = np.array([c.radius_px for c in batch.circles]) * scale[0]
+    scale = grid.mm_per_px_x
+    at_mm = grid.gel_from_pixel(np.array([[c.u_px, c.v_px] for c in batch.circles]))
+    target_mm = np.array([c.radius_px for c in batch.circles]) * scale
     meshes = [
-        press_mesh(
-            batch.family, batch.parameters, (float(x), float(y)), float(radius), batch.mesh
-        )
+        press_mesh(batch.family, batch.parameters, (float(x), float(y)), float(radius), batch.mesh)
         for (x, y), radius in zip(at_mm, target_mm, strict=True)
     ]
     env = PressEnv(
@@ -162,7 +165,7 @@ def _simulate_batch(batch: _Batch) -> list[PressSurface]:
         friction_coefficient=batch.friction,
         rest_positions_m=np.stack([mesh.nodes_m for mesh in meshes]),
     )
-    search = _DepthSearch(target_mm, ball_mm, RADIUS_TOLERANCE_PX * scale[0])
+    search = _DepthSearch(target_mm, ball_mm, RADIUS_TOLERANCE_PX * scale)
     reach_mm = 1.4 * ball_mm
     reports: list[StepReport] = []
     while True:
@@ -174,23 +177,22 @@ def _simulate_batch(batch: _Batch) -> list[PressSurface]:
         if search.update(np.array(radii)):
             break
     surfaces = []
-    forces = env.wrench
+    forces, positions = env.wrench, env.positions.copy()
     for i, mesh in enumerate(meshes):
-        signal = SignalFusedSurface(mesh, grid, contact_gap_m=env.solver.config.dhat_m)
-        center = env.poses[i, 0, :3]
-        signal.update(env.positions[i : i + 1], SphereSurface(center, ball_mm * 1e-3, grid))
-        rest = _rest_surface(mesh, grid)
+        signal = SignalHeightMap(mesh, grid)
+        signal.update(np.stack([mesh.nodes_m, positions[i]]))
+        (rest_height, height), (rest_normals, normals) = signal.height_m, signal.normals
         surfaces.append(
             PressSurface(
-                height_m=signal.height_m[0],
-                rest_height_m=rest[0],
-                normals=signal.normals[0],
-                rest_normals=rest[1],
-                contact_radius_px=float(signal.contact_radius_m[0] * 1e3 / scale[0]),
+                height_m=height,
+                rest_height_m=rest_height,
+                normals=normals,
+                rest_normals=rest_normals,
+                contact_radius_px=float(search.radius_mm[i] / scale),
                 depth_mm=float(search.depth_mm[i]),
                 force_n=float(forces[i, 2]),
                 residual_n=float(reports[-1].residual_n[i]),
-                provider="finite elements",
+                provider=f"finite elements, friction {batch.friction:g}",
                 effort=SimulationEffort(
                     step_count=len(reports),
                     newton_iterations=int(sum(r.newton_iterations[i] for r in reports)),
@@ -224,10 +226,13 @@ class _DepthSearch:
         self._slope = FIRST_DEPTH_PER_CAP * target_mm / below
         self._last: tuple[np.ndarray, np.ndarray] | None = None
         self._rounds = 0
+        self.radius_mm = np.zeros_like(target_mm)
+        """Contact radii at the latest depths [mm]."""
 
     def update(self, radius_mm: np.ndarray) -> bool:
         """Take the radii found at ``depth_mm`` and set the next; True when all are met."""
         self._rounds += 1
+        self.radius_mm = radius_mm
         error = self.target_mm - radius_mm
         done = np.abs(error) <= self.tolerance_mm
         if done.all() or self._rounds >= MAX_ROUNDS:
@@ -264,11 +269,3 @@ def _contact_radius_mm(
     sphere = SphereSurface(env.poses[index, 0, :3], ball_mm * 1e-3, window)
     signal.update(env.positions[index : index + 1], sphere)
     return float(signal.contact_radius_m[0] * 1e3)
-
-
-def _rest_surface(mesh: TetMesh, grid: PixelGrid) -> tuple[np.ndarray, np.ndarray]:
-    from taccel_lab.signals import SignalHeightMap
-
-    rest = SignalHeightMap(mesh, grid)
-    rest.update(mesh.nodes_m[None])
-    return rest.height_m[0], rest.normals[0]

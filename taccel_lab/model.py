@@ -30,7 +30,7 @@ class ElasticArrays:
     tets: wp.array
     """Corners, vec4i, shape [tet_count]."""
     shape_gradients: wp.array
-    """Gradients of the corner functions in the rest shape [1/m], vec3d, [rest_count, tet_count, 4]."""
+    """Rest gradients of the corner functions [1/m], vec3d, [rest_count, tet_count, 4]."""
     volumes: wp.array
     """Rest volumes [m^3], float64, shape [rest_count, tet_count]."""
     mu: wp.array

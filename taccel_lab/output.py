@@ -17,7 +17,6 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 
-
 OUTPUT_MARKER = ".taccel_lab_output"
 """Empty file in every folder that a command wrote: only such folders are ever replaced."""
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from taccel_lab.geometry.tet_mesh import Region, boundary_faces
 
+
 @dataclass(frozen=True)
 class GridTopology:
     """Connectivity of one O-grid with its face regions."""

@@ -60,9 +60,9 @@ class CalibrateColor:
         from calibration.capture import load_captures
         from calibration.color_calibration import calibrate_color
         from calibration.estimators.color import ColorFitOptions
+        from sensors.profile import catalogue_profile
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
-        from sensors.profile import catalogue_profile
         from taccel_lab.profile import load_profile, save_profile
 
         console = Console(stderr=True)

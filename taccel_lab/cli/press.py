@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from rich.console import Console
 
-    from taccel_lab.envs import Indenter, PressOutcome, PressPath
+    from taccel_lab.envs import Indenter, PressOutcome
     from taccel_lab.geometry import TetMesh
     from taccel_lab.profile import SensorProfile
 
@@ -78,9 +78,7 @@ class Press:
         from taccel_lab.solvers import SolverConfig
 
         require_replaceable(self.out)
-        path = PressPath(
-            self.depth_mm, self.shear_mm, self.twist_deg, self.step_mm, self.step_deg
-        )
+        path = PressPath(self.depth_mm, self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
         indenter = parse_indenter(self.indenter)
         config = SolverConfig(relative_tolerance=self.tolerance, dhat_m=self.dhat_mm * 1e-3)
         profile = load_sensor(self.sensor)
@@ -115,9 +113,7 @@ class Press:
         from sensors.press_mesh import press_mesh
 
         radius_mm = contact_radius_guess_mm(indenter, self.depth_mm)
-        return press_mesh(
-            profile.sensor.family, profile.sensor.parameters, self.at_mm, radius_mm
-        )
+        return press_mesh(profile.sensor.family, profile.sensor.parameters, self.at_mm, radius_mm)
 
 
 def load_sensor(name: str) -> SensorProfile:
@@ -227,7 +223,7 @@ def _write(
     from taccel_lab.report.model import ForceDepth
 
     grid = profile.grid()
-    arrays = {
+    arrays: dict[str, Any] = {
         "height_m": outcome.height_m,
         "rest_height_m": outcome.rest_height_m,
         "normals": outcome.normals,

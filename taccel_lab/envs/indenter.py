@@ -68,7 +68,10 @@ def _read_mesh(path: Path) -> TriangleMesh:
         raise InputError(f"indenter mesh {path} does not exist")
     if path.suffix.lower() not in (".stl", ".ply", ".obj"):
         raise InputError(f"indenter mesh {path}: only .stl, .ply and .obj files can be read")
-    surface = pyvista.read(path).extract_surface().triangulate().clean()
+    loaded = pyvista.read(path)
+    assert isinstance(loaded, pyvista.DataSet)
+    surface = loaded.extract_surface().triangulate().clean()
+    assert surface is not None
     if surface.n_cells == 0:
         raise InputError(f"indenter mesh {path} holds no faces, or is not a readable mesh file")
     if not surface.is_manifold:

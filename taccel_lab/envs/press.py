@@ -242,5 +242,5 @@ class PressEnv:
 
     @property
     def wrench(self) -> np.ndarray:
-        """Force [N] and moment about the gel's origin [N m] of the gel on the indenter, [env, 6]."""
+        """Force [N] and moment about the origin [N m] of the gel on the indenter, [env, 6]."""
         return -resultant_wrench(self.positions, self.contact_forces)

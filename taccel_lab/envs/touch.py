@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where an indenter that comes straight down first touches a surface at rest."""
+"""Where an indenter that comes straight down first touches a surface at rest, exactly.
+
+The height of first touch is the largest over all pairs of features that can touch: face, edge or
+corner of the surface against the ball, and for a mesh corner against face, face against corner and
+edge against edge (two triangulated surfaces have no other first contacts).
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from taccel_lab.scene import Ball, TriangleMesh
+from taccel_lab.scene.primitives import unique_edges
 
-_SUBDIVISIONS = 6
 _CHUNK = 512
 
 
@@ -17,29 +22,19 @@ def first_touch_m(
     """Height of the indenter's origin [m] at first touch, -inf when it passes beside the surface.
 
     ``positions`` [node, 3] and ``faces`` [face, 3] are the contact face, ``at_m`` [2] the xy of
-    the indenter's origin. Faces are sampled ``_SUBDIVISIONS`` to an edge: for a ball of radius R
-    and edges of length h the error is below h^2 / (8 R _SUBDIVISIONS^2).
+    the indenter's origin.
     """
     reach = _reach(shape)
     corners = positions[faces]
     low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
-    near = ((low <= at_m + reach) & (high >= at_m - reach)).all(axis=1)
-    if not near.any():
+    near = faces[((low <= at_m + reach) & (high >= at_m - reach)).all(axis=1)]
+    if len(near) == 0:
         return -np.inf
-    weights = _barycentric_grid(_SUBDIVISIONS)
-    samples = np.einsum("sw,fwi->fsi", weights, corners[near]).reshape(-1, 3)
-    offset = samples[:, :2] - at_m
+    # From here on relative to the indenter's axis.
+    points = positions - np.append(at_m, 0.0)
     if isinstance(shape, Ball):
-        below_sq = shape.radius_m**2 - (offset**2).sum(axis=1)
-        hit = below_sq > 0
-        heights = samples[hit, 2] + np.sqrt(below_sq[hit])
-        return float(heights.max(initial=-np.inf))
-    under = _height_over(offset, shape.vertices_m, shape.faces, lowest=True)
-    down = samples[:, 2] - under
-    over = _height_over(shape.vertices_m[:, :2] + at_m, positions, faces[near], lowest=False)
-    up = over - shape.vertices_m[:, 2]
-    both = np.concatenate([down, up])
-    return float(both[np.isfinite(both)].max(initial=-np.inf))
+        return _ball_touch(shape.radius_m, points, near)
+    return _mesh_touch(shape, points, near)
 
 
 def _reach(shape: Ball | TriangleMesh) -> float:
@@ -48,11 +43,89 @@ def _reach(shape: Ball | TriangleMesh) -> float:
     return float(np.abs(shape.vertices_m[:, :2]).max())
 
 
-def _barycentric_grid(n: int) -> np.ndarray:
-    """Barycentric coordinates of a regular grid over a triangle, shape [samples, 3]."""
-    i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
-    keep = i + j <= n
-    return np.stack([i[keep], j[keep], n - i[keep] - j[keep]], axis=1) / n
+def _ball_touch(radius: float, points: np.ndarray, faces: np.ndarray) -> float:
+    """Largest height over the origin at which the ball's lower side touches the surface."""
+    return max(
+        _ball_on_corners(radius, points[np.unique(faces)]),
+        _ball_on_edges(radius, points[unique_edges(faces)]),
+        _ball_on_faces(radius, points[faces]),
+    )
+
+
+def _ball_on_corners(radius: float, points: np.ndarray) -> float:
+    below_sq = radius**2 - (points[:, :2] ** 2).sum(axis=1)
+    hit = below_sq >= 0
+    return float((points[hit, 2] + np.sqrt(below_sq[hit])).max(initial=-np.inf))
+
+
+def _ball_on_edges(radius: float, edges: np.ndarray) -> float:
+    """The centre (0, 0, z) at distance ``radius`` of the line, its foot between the ends."""
+    start, along = edges[:, 0], edges[:, 1] - edges[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    unit = along / length[:, None]
+    flat = 1 - unit[:, 2] ** 2
+    offset_along = -(start[:, :2] * unit[:, :2]).sum(axis=1)
+    # flat h^2 - 2 unit_z offset_along h + offset^2 - offset_along^2 - radius^2 = 0, h over start
+    half = unit[:, 2] * offset_along
+    rest = (start[:, :2] ** 2).sum(axis=1) - offset_along**2 - radius**2
+    root_sq = half**2 - flat * rest
+    # The corners of an upright edge say all about it.
+    usable = (flat > 1e-12) & (root_sq >= 0)
+    above = (half[usable] + np.sqrt(root_sq[usable])) / flat[usable]
+    foot = offset_along[usable] + unit[usable, 2] * above
+    between = (foot >= 0) & (foot <= length[usable])
+    return float((start[usable, 2] + above)[between].max(initial=-np.inf))
+
+
+def _ball_on_faces(radius: float, corners: np.ndarray) -> float:
+    """The point of the ball that faces the triangle lies on it."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal *= np.sign(normal[:, 2:])
+    usable = normal[:, 2] > 1e-12
+    normal, corners = normal[usable], corners[usable]
+    foot = -radius * normal[:, :2]
+    a, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    det = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    p = foot - a[:, :2]
+    u = (p[:, 0] * ac[:, 1] - p[:, 1] * ac[:, 0]) / det
+    v = (ab[:, 0] * p[:, 1] - ab[:, 1] * p[:, 0]) / det
+    inside = (u >= 0) & (v >= 0) & (u + v <= 1)
+    height = a[:, 2] + u * ab[:, 2] + v * ac[:, 2] + radius * normal[:, 2]
+    return float(height[inside].max(initial=-np.inf))
+
+
+def _mesh_touch(shape: TriangleMesh, points: np.ndarray, faces: np.ndarray) -> float:
+    nodes = points[np.unique(faces)]
+    down = nodes[:, 2] - _height_over(nodes[:, :2], shape.vertices_m, shape.faces, lowest=True)
+    over = _height_over(shape.vertices_m[:, :2], points, faces, lowest=False)
+    both = np.concatenate([down, over - shape.vertices_m[:, 2]])
+    best = float(both[np.isfinite(both)].max(initial=-np.inf))
+    # Only edges that reach high, or low, enough to touch any earlier.
+    surface, indenter = points[unique_edges(faces)], shape.vertices_m[shape.edges()]
+    low = shape.vertices_m[:, 2].min()
+    surface = surface[surface[..., 2].max(axis=1) - low > best]
+    indenter = indenter[nodes[:, 2].max() - indenter[..., 2].min(axis=1) > best]
+    return max(best, _edge_touch(surface, indenter))
+
+
+def _edge_touch(surface: np.ndarray, indenter: np.ndarray) -> float:
+    """Largest height difference where edges [n, 2, 3] and [m, 2, 3] cross, seen from above."""
+    best = -np.inf
+    q, d = indenter[:, 0], indenter[:, 1] - indenter[:, 0]
+    for start in range(0, len(surface), _CHUNK):
+        edges = surface[start : start + _CHUNK, None]
+        p, e = edges[:, :, 0], edges[:, :, 1] - edges[:, :, 0]
+        det = e[..., 0] * d[:, 1] - e[..., 1] * d[:, 0]
+        # The ends of parallel edges say all about them.
+        det = np.where(det == 0, np.nan, det)
+        w = q[:, :2] - p[..., :2]
+        s = (w[..., 0] * d[:, 1] - w[..., 1] * d[:, 0]) / det
+        t = (w[..., 0] * e[..., 1] - w[..., 1] * e[..., 0]) / det
+        crossing = (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
+        gap = p[..., 2] + s * e[..., 2] - q[:, 2] - t * d[:, 2]
+        best = max(best, float(gap[crossing].max(initial=-np.inf)))
+    return best
 
 
 def _height_over(

@@ -42,7 +42,6 @@ POINT_POINT = 2
 EDGE_EDGE = 3
 
 
-
 @wp.func
 def closest_pair(
     env: int, kind: int, nodes: wp.vec4i, positions: wp.array2d(dtype=wp.vec3d)
@@ -70,9 +69,7 @@ def collision_gap(
 
 
 @wp.func
-def face_region(
-    env: int, node: int, face: wp.vec3i, positions: wp.array2d(dtype=wp.vec3d)
-) -> int:
+def face_region(env: int, node: int, face: wp.vec3i, positions: wp.array2d(dtype=wp.vec3d)) -> int:
     """Feature of a face that is closest to a node (PointTriangleRegion)."""
     return closest_point_triangle(
         positions[env, node],

@@ -69,7 +69,9 @@ def sphere_mesh(radius_m: float, edge_m: float) -> TriangleMesh:
     _require_length("sphere mesh edge", edge_m)
     golden = (1 + 5**0.5) / 2
     corners = [(-1, golden, 0), (1, golden, 0), (-1, -golden, 0), (1, -golden, 0)]
-    vertices = np.array(corners + [(c, a, b) for a, b, c in corners] + [(b, c, a) for a, b, c in corners])
+    vertices = np.array(
+        corners + [(c, a, b) for a, b, c in corners] + [(b, c, a) for a, b, c in corners]
+    )
     vertices = vertices / np.linalg.norm(vertices[0])
     # The icosahedron's faces are its 20 triples of mutually nearest corners.
     gap = np.linalg.norm(vertices[:, None] - vertices[None], axis=-1)
@@ -83,18 +85,31 @@ def sphere_mesh(radius_m: float, edge_m: float) -> TriangleMesh:
             if near[i, j] and near[j, k] and near[i, k]
         ]
     )
-    inward = np.einsum("ij,ij->i", np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]],
-                       vertices[faces[:, 2]] - vertices[faces[:, 0]]), vertices[faces[:, 0]]) < 0
+    inward = (
+        np.einsum(
+            "ij,ij->i",
+            np.cross(
+                vertices[faces[:, 1]] - vertices[faces[:, 0]],
+                vertices[faces[:, 2]] - vertices[faces[:, 0]],
+            ),
+            vertices[faces[:, 0]],
+        )
+        < 0
+    )
     faces[inward] = faces[inward][:, [0, 2, 1]]
     edge = 1.05146 * radius_m
     while edge > edge_m * 1.2:
         edges = unique_edges(faces)
         key = {(int(a), int(b)): len(vertices) + i for i, (a, b) in enumerate(edges)}
         middle = vertices[edges].sum(axis=1)
-        vertices = np.concatenate([vertices, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
+        vertices = np.concatenate(
+            [vertices, middle / np.linalg.norm(middle, axis=1, keepdims=True)]
+        )
         mid = np.array(
-            [[key[min(f[i], f[j]), max(f[i], f[j])] for i, j in ((0, 1), (1, 2), (2, 0))]
-             for f in faces.tolist()]
+            [
+                [key[min(f[i], f[j]), max(f[i], f[j])] for i, j in ((0, 1), (1, 2), (2, 0))]
+                for f in faces.tolist()
+            ]
         )
         faces = np.concatenate(
             [
@@ -106,9 +121,7 @@ def sphere_mesh(radius_m: float, edge_m: float) -> TriangleMesh:
         )
         edge /= 2
     # A chord of length e dips e^2/(6 r) at a triangle's centre; half of the mean dip goes outward.
-    mean_dip = np.mean(
-        1 - np.linalg.norm(vertices[faces].mean(axis=1), axis=1)
-    )
+    mean_dip = np.mean(1 - np.linalg.norm(vertices[faces].mean(axis=1), axis=1))
     return TriangleMesh(vertices * radius_m * (1 + 0.75 * mean_dip), faces)
 
 

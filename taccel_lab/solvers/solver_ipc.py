@@ -104,7 +104,9 @@ class _StepRun:
         moved = np.abs(self.end_poses - self.start_poses).reshape(n, -1).max(1, initial=0.0)
         self.progress = np.where(moved > 0, 0.0, 1.0)
         self.turning = (
-            bool((turn_angle(self.start_poses, self.end_poses) > 1e-9).any()) if moved.any() else False
+            bool((turn_angle(self.start_poses, self.end_poses) > 1e-9).any())
+            if moved.any()
+            else False
         )
         self.active = np.ones(n, dtype=bool)
         self.status = np.zeros(n, dtype=np.int32)
@@ -390,7 +392,9 @@ class _StepRun:
         if not self.turning:
             return np.ones(len(who), dtype=bool)
         path = wp.array(
-            s._trial.numpy() - self.state.positions.numpy(), dtype=wp.vec3d, device=self.model.device
+            s._trial.numpy() - self.state.positions.numpy(),
+            dtype=wp.vec3d,
+            device=self.model.device,
         )
         limits = wp.zeros(len(who), dtype=wp.float64, device=self.model.device)
         limit_step(self.model, s._active, s.candidates, self.state.positions, path, limits)

@@ -187,7 +187,7 @@ def _ball_face_kernel(
     counts: wp.array(dtype=wp.int32),
     pairs: wp.array2d(dtype=wp.vec2i),
 ):
-    """A ball against a soft face: boxes around both paths, in the frame that moves with the ball."""
+    """A ball against a soft face: a box around the face's path as seen from the ball."""
     env, i = wp.tid()
     if active[env] == 0:
         return

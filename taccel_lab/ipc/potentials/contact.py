@@ -77,9 +77,7 @@ def _energy_kernel(
         return
     nodes = stencils[env, slot]
     pair = closest_pair(env, kinds[env, slot], nodes, positions)
-    energy = contact_potential(
-        collision_gap(pair, nodes, node_radii), dhat, stiffnesses[env, slot]
-    )
+    energy = contact_potential(collision_gap(pair, nodes, node_radii), dhat, stiffnesses[env, slot])
     threshold = thresholds[env, slot]
     if is_mollified(env, nodes, threshold, positions):
         cross_sq = edge_edge_cross_sq(
@@ -162,9 +160,7 @@ def _hessian_kernel(
     size = stencil_size(kind)
     if is_mollified(env, nodes, thresholds[env, slot], positions):
         e0 = contact_potential(d, dhat, k)
-        mollified = mollified_hessian(
-            pair, x0, x1, x2, x3, thresholds[env, slot], e0, e1, e2, mode
-        )
+        mollified = mollified_hessian(pair, x0, x1, x2, x3, thresholds[env, slot], e0, e1, e2, mode)
         for i in range(size):
             for j in range(size):
                 add_block(env, nodes[i], nodes[j], mollified_hessian_block(mollified, i, j), system)

@@ -256,9 +256,7 @@ class FrictionPotential:
         self.counts.zero_()
         self.max_count = 0
 
-    def _launch(
-        self, kernel: wp.Kernel, active: wp.array, motion: StepMotion, out: Any
-    ) -> None:
+    def _launch(self, kernel: wp.Kernel, active: wp.array, motion: StepMotion, out: Any) -> None:
         if self.max_count:
             wp.launch(
                 kernel,
