@@ -7,7 +7,7 @@ image, with the background alone as the baseline.
 
 SSIM is that of Wang, Bovik, Sheikh and Simoncelli (IEEE TIP 13(4), 2004): Gaussian window with
 sigma 1.5 px cut at 3.5 sigma (11x11 px), K1 = 0.01, K2 = 0.03, population moments, 255 levels,
-mean over channels and over the pixels whose window lies inside the image.
+mean over channels and over the pixels whose window lies inside the image; computed by kornia.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
-import cv2
 import numpy as np
 
 from calibration.capture.captures import ContactCircle
@@ -27,8 +26,7 @@ CROP_RADII = 1.6
 FAR_RADII = 3.0
 """Beyond this many contact radii an image is taken as untouched."""
 MAX_LEVEL = 255.0
-SSIM_SIGMA_PX = 1.5
-SSIM_HALF_WINDOW_PX = 5
+SSIM_WINDOW_PX = 11
 
 
 @dataclass(frozen=True)
@@ -88,23 +86,16 @@ def ssim(a: np.ndarray, b: np.ndarray) -> float:
     """Structural similarity of two images, shape [height, width, channels], both over 11 px."""
     a = np.asarray(a, dtype=np.float64)
     b = np.asarray(b, dtype=np.float64)
-    size = 2 * SSIM_HALF_WINDOW_PX + 1
+    size = SSIM_WINDOW_PX
     if min(a.shape[:2]) < size:
         raise InputError(f"SSIM needs images of at least {size}x{size} px, got {a.shape}")
 
-    def smooth(image: np.ndarray) -> np.ndarray:
-        return cv2.GaussianBlur(image, (size, size), SSIM_SIGMA_PX, borderType=cv2.BORDER_REFLECT)
+    import kornia.metrics
+    import torch
 
-    mean_a, mean_b = smooth(a), smooth(b)
-    var_a = smooth(a * a) - mean_a**2
-    var_b = smooth(b * b) - mean_b**2
-    covariance = smooth(a * b) - mean_a * mean_b
-    c1, c2 = (0.01 * MAX_LEVEL) ** 2, (0.03 * MAX_LEVEL) ** 2
-    score = ((2 * mean_a * mean_b + c1) * (2 * covariance + c2)) / (
-        (mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2)
-    )
-    inner = slice(SSIM_HALF_WINDOW_PX, -SSIM_HALF_WINDOW_PX)
-    return float(score[inner, inner].mean())
+    first, second = (torch.from_numpy(image).permute(2, 0, 1)[None] for image in (a, b))
+    score = kornia.metrics.ssim(first, second, size, max_val=MAX_LEVEL, padding="valid")
+    return float(score.mean())
 
 
 def noise_floor_l1(

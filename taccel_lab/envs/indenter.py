@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,9 +69,12 @@ def _read_mesh(path: Path) -> TriangleMesh:
         raise InputError(f"indenter mesh {path} does not exist")
     if path.suffix.lower() not in (".stl", ".ply", ".obj"):
         raise InputError(f"indenter mesh {path}: only .stl, .ply and .obj files can be read")
-    loaded = pyvista.read(path)
-    assert isinstance(loaded, pyvista.DataSet)
-    surface = loaded.extract_surface().triangulate().clean()
+    with warnings.catch_warnings():
+        # VTK's own words about a broken file; what is wrong is said below.
+        warnings.simplefilter("ignore", UserWarning)
+        loaded = pyvista.read(path)
+    assert isinstance(loaded, pyvista.PolyData)
+    surface = loaded.triangulate().clean()
     assert surface is not None
     if surface.n_cells == 0:
         raise InputError(f"indenter mesh {path} holds no faces, or is not a readable mesh file")

@@ -17,6 +17,7 @@ from taccel_lab.envs.indenter import Indenter
 from taccel_lab.envs.touch import first_touch_m
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.ipc.intersection import require_separated
 from taccel_lab.ipc.kinematics import interpolate_poses
 from taccel_lab.scene import KinematicBody, Material, Scene, SoftBody
 from taccel_lab.signals.forces import resultant_wrench
@@ -29,6 +30,8 @@ MAX_DEPTH_FRACTION = 0.9
 """Deepest press as a part of the gel's thickness."""
 START_CLEARANCE_M = 5e-6
 """Gap between first touch and the start, on top of two dhat."""
+MAX_STEPS = 10_000
+"""Longest path: a step length mistaken for another unit would keep a machine busy for days."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,17 @@ class PressPath:
         if abs(self.twist_deg) > 180:
             raise InputError(f"twist must lie within +-180 deg, got {self.twist_deg:g}")
         if self.step_mm <= 0 or self.step_deg <= 0:
-            raise InputError("step_mm and step_deg must be above 0")
+            raise InputError(
+                f"step_mm and step_deg must be above 0, got {self.step_mm:g} and {self.step_deg:g}"
+            )
+        motion_mm = max(self.depth_mm, math.hypot(*self.shear_mm))
+        least_mm, least_deg = motion_mm / MAX_STEPS, abs(self.twist_deg) / MAX_STEPS
+        if self.step_mm < least_mm or self.step_deg < least_deg:
+            raise InputError(
+                f"step_mm {self.step_mm:g} and step_deg {self.step_deg:g} make more than "
+                f"{MAX_STEPS} steps of this path; at least {least_mm:.3g} mm and {least_deg:.3g} "
+                "deg are needed"
+            )
 
     def waypoints(self) -> list[tuple[float, tuple[float, float], float]]:
         """(depth [mm], shear [mm], twist [deg]) at the end of each step."""
@@ -135,6 +148,7 @@ class PressEnv:
         clearance = 2 * self.solver.config.dhat_m + START_CLEARANCE_M
         self._start = self._poses(np.full(env_count, -clearance), np.zeros((env_count, 2)), 0.0)
         self.state = initial_state(self.model, self._start)
+        require_separated(self.model, self.state)
 
     def _gel_depth(self, rest: np.ndarray, contact: np.ndarray) -> np.ndarray:
         """Gel below the contact face nearest to each press [m], shape [env_count]."""

@@ -118,7 +118,8 @@ def _edge_touch(surface: np.ndarray, indenter: np.ndarray) -> float:
         p, e = edges[:, :, 0], edges[:, :, 1] - edges[:, :, 0]
         det = e[..., 0] * d[:, 1] - e[..., 1] * d[:, 0]
         # The ends of parallel edges say all about them.
-        det = np.where(det == 0, np.nan, det)
+        scale = np.linalg.norm(e[..., :2], axis=-1) * np.linalg.norm(d[:, :2], axis=-1)
+        det = np.where(np.abs(det) <= 1e-12 * scale, np.nan, det)
         w = q[:, :2] - p[..., :2]
         s = (w[..., 0] * d[:, 1] - w[..., 1] * d[:, 0]) / det
         t = (w[..., 0] * e[..., 1] - w[..., 1] * e[..., 0]) / det
