@@ -27,6 +27,7 @@ import numpy as np
 import warp as wp
 
 wp.config.log_level = wp.LOG_WARNING
+plt.rcParams["figure.dpi"] = 60
 
 from calibration.capture import find_taxim_pack, load_captures
 
