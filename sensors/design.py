@@ -17,7 +17,7 @@ from sensors.profile import designed_profile
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.vtu import write_mesh_vtu
-from taccel_lab.output import atomic_directory, write_json
+from taccel_lab.output import atomic_directory, require_replaceable, write_json
 from taccel_lab.profile import SensorProfile, save_profile
 
 MESHERS = ("structured", "tetwild")
@@ -62,6 +62,7 @@ def design_sensor(
     """
     if mesher not in MESHERS:
         raise InputError(f"mesher {mesher!r} is not allowed; use one of {', '.join(MESHERS)}")
+    require_replaceable(out_dir)
     parameters = family.parameters(overrides)
     pad = parameters.pad()
     seconds: dict[str, float] = {}

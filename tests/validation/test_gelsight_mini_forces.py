@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated against measured forces of a ball pressed into a GelSight Mini gel.
+
+A steel ball of 7.5 mm radius was driven 0.5, 1.0 and 1.5 mm into a 25.25 x 20.75 x 4 mm gel and
+the normal force measured (FEATS, MIT licence). A single Young's modulus has to explain all three
+points: depth dependence is what a wrong contact or layer model gets wrong, a half-space (Hertz)
+needs a modulus that rises by more than half.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cad.mesh.structured import structured_gel_mesh
+from cad.parts.gel_pad import GelPad
+from taccel_lab.envs import PressEnv, parse_indenter
+from taccel_lab.scene import Material
+
+DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
+MEASURED = DATA / "gsmini_feats_calib" / "force_indentation.json"
+UNIT_MODULUS_PA = 1e6
+
+
+def simulated_forces(depths_mm: list[float], poisson_ratio: float) -> np.ndarray:
+    """Frictionless press forces [N] for a Young's modulus of 1 MPa; forces scale with it."""
+    pad = GelPad(
+        length_x_mm=25.25,
+        length_y_mm=20.75,
+        corner_radius_mm=1.5,
+        thickness_mm=4.0,
+        window_x_mm=18.0,
+        window_y_mm=14.0,
+    )
+    mesh = structured_gel_mesh(
+        pad,
+        focus_mm=(0.0, 0.0),
+        focus_radius_mm=5.0,
+        focus_size_mm=0.3,
+        core=12,
+        rings=14,
+        layers=6,
+        layer_ratio=1.15,
+    )
+    env = PressEnv(
+        mesh,
+        Material(UNIT_MODULUS_PA, poisson_ratio),
+        parse_indenter("sphere:7.5"),
+        np.zeros((1, 2)),
+    )
+    forces = []
+    for depth in depths_mm:
+        env.move_to(depth)
+        forces.append(env.wrench[0, 2])
+    return np.array(forces)
+
+
+@pytest.mark.skipif(not MEASURED.is_file(), reason=f"measured forces not found at {MEASURED}")
+def test_one_modulus_explains_the_measured_forces() -> None:
+    data = json.loads(MEASURED.read_text())
+    measured = np.array(data["normal_force_N"])
+    depth_mm = data["indentation_mm"]
+    simulated = simulated_forces(depth_mm, poisson_ratio=0.48)
+    # Least squares in relative error over the scale, which is the modulus in MPa.
+    ratio = simulated / measured
+    modulus_mpa = ratio.sum() / (ratio**2).sum()
+    error = modulus_mpa * ratio - 1
+    assert np.abs(error).max() < 0.03
+    # 55 Shore 00 is about 10 to 12 Shore A, for which Gent's formula gives 0.41 to 0.47 MPa.
+    assert 0.3 < modulus_mpa < 0.5
+    # The half-space formula cannot do this.
+    hertz = 4 / 3 * np.sqrt(7.5e-3) * (np.array(depth_mm) * 1e-3) ** 1.5 / (1 - 0.48**2)
+    needed = measured / hertz
+    assert needed.max() / needed.min() > 1.5
