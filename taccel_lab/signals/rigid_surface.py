@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The underside of a rigid object over the gel, as the fused tactile image needs it.
 
-A surface answers three questions, all in the gel frame: how far a gel point is from it
-(``gap``), at which height over the same xy a point has another gap (``height_at_gap``), and the
-same with its slope at the pixels (``offset_height``). The gap is whatever measure makes the others
-its exact inverses: the radial distance for a sphere, the vertical one for a height field.
+A surface answers three questions, all in the gel frame: how far a gel point is from it (``gap``),
+the height and slope of the surface a given gap below it at the pixels (``offset_height``), and
+where that surface can be followed at all (``seen``). The gap is whatever measure makes the second
+the exact inverse of the first: the radial distance for a sphere, the vertical one for a height
+field.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -19,19 +21,16 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.normals import slopes_from_height
 from taccel_lab.signals.raster import FaceRaster
 
+# Steepness at which the side of a ball begins to fade and has faded out: further up a pixel spans
+# as much of it as an element of the gel does, and above the equator there is nothing to follow.
+_SEEN_DEG = (68.0, 82.0)
+
 
 class RigidSurface(Protocol):
     """Underside of an object in the gel frame, one pose an environment."""
 
     def gap(self, points: np.ndarray) -> np.ndarray:
         """Gap of gel points [m], [env, n, 3] to [env, n]; NaN where nothing is above the point."""
-        ...
-
-    def height_at_gap(self, points: np.ndarray, gap: np.ndarray) -> np.ndarray:
-        """Height of the point over the same xy whose gap is ``gap`` [m], shape [env, n].
-
-        NaN where there is no such point.
-        """
         ...
 
     def offset_height(
@@ -47,6 +46,22 @@ class RigidSurface(Protocol):
 
         Returns:
             Height [m], shape [n], and slope, shape [n, 2]; NaN where the surface is not defined.
+        """
+        ...
+
+    def seen(
+        self, env: int, pixels: np.ndarray, gap: np.ndarray, gap_slope: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """How far that surface can be followed: 1, falling to 0 towards a steep silhouette.
+
+        Args:
+            env: Environment.
+            pixels: Flat pixel indices, shape [n].
+            gap: Gap at those pixels [m], shape [n].
+            gap_slope: Its gradient over xy, shape [n, 2].
+
+        Returns:
+            Weight, shape [n], and its gradient over xy [1/m], shape [n, 2].
         """
         ...
 
@@ -70,30 +85,37 @@ class SphereSurface:
         self._grid = grid
 
     def gap(self, points: np.ndarray) -> np.ndarray:
-        offset = points - self.center_m[:, None]
-        gap = np.linalg.norm(offset, axis=-1) - self.radius_m
-        return np.where(offset[..., 2] < 0, gap, np.nan)
-
-    def height_at_gap(self, points: np.ndarray, gap: np.ndarray) -> np.ndarray:
-        offset = points[..., :2] - self.center_m[:, None, :2]
-        below2 = (self.radius_m + gap) ** 2 - (offset**2).sum(axis=-1)
-        return self.center_m[:, None, 2] - np.sqrt(np.where(below2 > 0, below2, np.nan))
+        return np.linalg.norm(points - self.center_m[:, None], axis=-1) - self.radius_m
 
     def offset_height(
         self, env: int, pixels: np.ndarray, gap: np.ndarray, gap_slope: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        row, column = np.divmod(pixels, self._grid.width_px)
         center = self.center_m[min(env, len(self.center_m) - 1)]
-        offset = np.stack(
-            [self._grid.x_mm()[column] * 1e-3, self._grid.y_mm()[row] * 1e-3], axis=-1
-        )
-        offset -= center[:2]
+        offset = self._offset(env, pixels)
         radius = self.radius_m + gap
         below2 = radius**2 - (offset**2).sum(axis=-1)
         # Above the equator of the offset sphere the lower envelope ends.
         below = np.sqrt(np.where(below2 > 0, below2, np.nan))
         slope = (offset - radius[:, None] * gap_slope) / below[:, None]
         return center[2] - below, slope
+
+    def seen(
+        self, env: int, pixels: np.ndarray, gap: np.ndarray, gap_slope: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        offset = self._offset(env, pixels)
+        radius = (self.radius_m + gap)[:, None]
+        sine2 = ((offset / radius) ** 2).sum(axis=-1)
+        sine2_slope = 2.0 * (offset / radius**2 - sine2[:, None] * gap_slope / radius)
+        full, none = (math.sin(math.radians(angle)) ** 2 for angle in _SEEN_DEG)
+        t = np.clip((none - sine2) / (none - full), 0.0, 1.0)
+        rate = -6.0 * t * (1.0 - t) / (none - full)
+        return t * t * (3.0 - 2.0 * t), rate[:, None] * sine2_slope
+
+    def _offset(self, env: int, pixels: np.ndarray) -> np.ndarray:
+        """Gel xy of pixels from the centre [m], shape [n, 2]."""
+        row, column = np.divmod(pixels, self._grid.width_px)
+        xy = np.stack([self._grid.x_mm()[column], self._grid.y_mm()[row]], axis=-1) * 1e-3
+        return xy - self.center_m[min(env, len(self.center_m) - 1), :2]
 
 
 class HeightFieldSurface:
@@ -134,9 +156,6 @@ class HeightFieldSurface:
     def gap(self, points: np.ndarray) -> np.ndarray:
         return self._sample(points) - points[..., 2]
 
-    def height_at_gap(self, points: np.ndarray, gap: np.ndarray) -> np.ndarray:
-        return self._sample(points) - gap
-
     def _sample(self, points: np.ndarray) -> np.ndarray:
         """Height at points, bilinear between pixels; NaN beside the image and on its rim."""
         uv = self._grid.pixel_from_gel(points[..., :2] * 1e3)
@@ -160,3 +179,10 @@ class HeightFieldSurface:
         env = min(env, len(self.height_m) - 1)
         height = self.height_m[env].ravel()[pixels] - gap
         return height, self._slope[env].reshape(-1, 2)[pixels] - gap_slope
+
+    def seen(
+        self, env: int, pixels: np.ndarray, gap: np.ndarray, gap_slope: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        height = self.height_m[min(env, len(self.height_m) - 1)].ravel()[pixels]
+        # A stamp's side is sharp: its surface ends where it ends.
+        return np.isfinite(height).astype(np.float64), np.zeros((len(pixels), 2))

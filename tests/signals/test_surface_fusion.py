@@ -22,11 +22,9 @@ GRID = PixelGrid(192, 144, 0.05, 0.05)
 PAD_HALF_MM = (5.2, 4.2)
 
 
-def _press(
-    sphere: PressedSphere, element_mm: float, seed: int = 0, *, filter_ripple: bool = True
-) -> SignalFusedSurface:
+def _press(sphere: PressedSphere, element_mm: float, seed: int = 0) -> SignalFusedSurface:
     mesh = flat_pad(element_mm, PAD_HALF_MM, seed)
-    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=0.0, filter_ripple=filter_ripple)
+    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=0.0)
     surface = SphereSurface(sphere.center_m, sphere.radius_m, GRID)
     signal.update(shaped(mesh, sphere.height), surface)
     return signal
@@ -47,16 +45,19 @@ def _errors(signal: SignalFusedSurface, sphere: PressedSphere) -> dict[str, floa
 
 @pytest.mark.parametrize("contact_mm", [1.0, 1.4, 1.8])
 def test_fused_surface_of_a_ball_press(contact_mm):
-    """Limits are about twice what is measured at 0.2 mm elements (seven pixels of the image)."""
+    """Limits are about twice what is measured at 0.2 mm elements (four pixels of this image).
+
+    In the disc the height is off by the chord that nodes of a solved press would hang below.
+    """
     sphere = PressedSphere(contact_mm * 1e-3)
     errors = _errors(_press(sphere, 0.2), sphere)
-    assert errors["disc_um"] < 0.2 and errors["disc_deg"] < 0.8
-    assert errors["ring_um"] < 2.5 and errors["ring_deg"] < 1.4
+    assert errors["disc_um"] < 12 and errors["disc_deg"] < 0.3
+    assert errors["ring_um"] < 4.0 and errors["ring_deg"] < 1.9
 
 
 def test_fused_surface_converges():
     sphere = PressedSphere(1.8e-3)
-    coarse, fine = (_errors(_press(sphere, h, filter_ripple=False), sphere) for h in (0.3, 0.15))
+    coarse, fine = (_errors(_press(sphere, h), sphere) for h in (0.3, 0.15))
     for name in coarse:
         assert fine[name] < 0.4 * coarse[name], name
 
@@ -91,12 +92,12 @@ def test_no_ripple_across_the_contact_edge():
     r = sphere.distance_xy(x, y)
     near = np.abs(r - 1.8e-3) < 0.3e-3
     error = angle_deg(signal.normals[0], sphere.normals(x, y))[near]
-    assert error.max() < 6.0
+    assert error.max() < 11.0
     # The plain C1 surface smears the edge over an element.
     plain = SignalHeightMap(flat_pad(0.2, PAD_HALF_MM), GRID)
     plain.update(shaped(flat_pad(0.2, PAD_HALF_MM), sphere.height))
     plain_error = angle_deg(plain.normals[0], sphere.normals(x, y))[near]
-    assert np.sqrt((error**2).mean()) < 0.6 * np.sqrt((plain_error**2).mean())
+    assert np.sqrt((error**2).mean()) < 0.8 * np.sqrt((plain_error**2).mean())
 
 
 def test_slope_is_the_derivative_of_the_fused_height():
@@ -142,29 +143,14 @@ def test_barrier_gap_and_chords_do_not_move_the_edge(contact_mm):
     )
     assert signal.contact_radius_m[0] == pytest.approx(contact_mm * 1e-3, abs=0.03e-3)
     errors = _errors(signal, sphere)
-    assert errors["disc_um"] < 0.5 and errors["disc_deg"] < 0.8
-    assert errors["ring_deg"] < 2.0
-
-
-def test_ripple_from_node_to_node_is_taken_out():
-    """Alternating heights, as linear tets of a nearly incompressible gel have them."""
-    sphere = PressedSphere(1.5e-3)
-    mesh = flat_pad(0.2, PAD_HALF_MM)
-    positions = shaped(mesh, sphere.height)
-    top = mesh.region_nodes(Region.CONTACT)
-    open_nodes = top[sphere.distance_xy(*positions[0, top, :2].T) > 1.5e-3]
-    ripple = np.random.default_rng(0).choice([-4e-6, 4e-6], len(open_nodes))
-    positions[0, open_nodes, 2] += np.where(ripple > 0, 0.25 * ripple, ripple)
-    surface = SphereSurface(sphere.center_m, sphere.radius_m, GRID)
-    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=0.0)
-    signal.update(positions, surface)
-    plain = SignalFusedSurface(mesh, GRID, contact_gap_m=0.0, filter_ripple=False)
-    plain.update(positions, surface)
+    assert errors["disc_deg"] < 0.8 and errors["ring_deg"] < 2.0
+    # In contact the surface is the ball's, a barrier's gap (and the chord's few um) lower.
     x, y = pixel_xy(GRID)
-    skirt = (sphere.distance_xy(x, y) > 2.4e-3) & (sphere.distance_xy(x, y) < 3.5e-3)
-    true = sphere.normals(x, y)
-    rms = [np.sqrt((angle_deg(s.normals[0], true)[skirt] ** 2).mean()) for s in (signal, plain)]
-    assert rms[1] > 1.0 and rms[0] < 0.55 * rms[1]
+    r = sphere.distance_xy(x, y)
+    inside = r < sphere.contact_radius_m - 0.2e-3
+    layer = np.hypot(r, signal.height_m[0] - sphere.center_m[2]) - sphere.radius_m
+    assert np.ptp(layer[inside]) < 1e-9
+    assert dhat < layer[inside].mean() < dhat + 5e-6
 
 
 def test_without_contact_the_gel_surface_is_untouched():
@@ -195,7 +181,7 @@ def test_texture_finer_than_the_mesh_shows_in_contact_only():
     signal.update(shaped(mesh, flat), HeightFieldSurface(stamp, GRID))
     inner = np.maximum(np.abs(x), np.abs(y)) < 0.9e-3
     outer = np.maximum(np.abs(x), np.abs(y)) > 3.0e-3
-    assert np.abs(signal.height_m[0] - stamp)[inner].max() < 1e-9
+    assert np.abs(signal.height_m[0] - stamp + 12e-6)[inner].max() < 1e-9
     assert np.isfinite(signal.height_m).all() and np.isfinite(signal.normals).all()
     assert np.abs(signal.height_m[0])[outer].max() < 30e-6
 

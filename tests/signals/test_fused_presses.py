@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fused surface and its contact measure on presses that the solver computed.
+
+Truth comes from the nodes: where they carry contact force, where they are nearer than the barrier's
+range, and the plain C1 surface through them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from sensors.press_mesh import press_mesh
+from taccel_lab.envs import Indenter, PressEnv
+from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.scene import Ball, Material
+from taccel_lab.signals import (
+    ContactSurface,
+    SignalFusedSurface,
+    SignalHeightMap,
+    SphereSurface,
+    normals_from_height,
+)
+from tests.signals.pressed_surface import angle_deg, pixel_xy
+
+GRID = PixelGrid(640, 480, 0.0295, 0.0295)
+BALL_M = 2e-3
+DEPTHS_MM = (0.4, 0.8, 1.1, 1.4, 1.6, 1.8, 2.2)
+"""The last goes past the ball's equator."""
+PRESSES = {
+    "frictionless": (0.0, (0.0, 0.0)),
+    "friction 0.3": (0.3, (0.0, 0.0)),
+    "friction 1": (1.0, (0.0, 0.0)),
+    "off centre": (0.0, (3.0, 2.0)),
+}
+
+
+@dataclass(frozen=True)
+class _Press:
+    mesh: TetMesh
+    surface: ContactSurface
+    dhat_m: float
+    positions_m: np.ndarray
+    """[depth, node, 3]."""
+    forces_n: np.ndarray
+    centers_m: np.ndarray
+    fused: SignalFusedSurface
+    plain: SignalHeightMap
+
+    def nodes(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Surface nodes [m], their gaps [m] and whether they carry normal force, at depth ``i``."""
+        points = self.positions_m[i, self.surface.node_idx]
+        towards = self.centers_m[i] - points
+        distance = np.linalg.norm(towards, axis=1)
+        force = self.forces_n[i, self.surface.node_idx]
+        normal = -(force * towards).sum(axis=1) / distance
+        return points, distance - BALL_M, normal > 1e-8
+
+    def radius_of(self, i: int, nodes: np.ndarray) -> float:
+        """Radius [m] of the disc that has the projected area of a set of nodes."""
+        xy = self.nodes(i)[0][:, :2]
+        a, b, c = (xy[self.surface.faces[:, k]] for k in range(3))
+        share = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 6
+        return float(np.sqrt((share[:, None] * nodes[self.surface.faces]).sum() / np.pi))
+
+    def rim(self, i: int) -> tuple[float, float, float]:
+        """Least and largest distance of the contact's edge from the axis, element length [m]."""
+        points, _, loaded = self.nodes(i)
+        r = np.linalg.norm(points[:, :2] - self.centers_m[i, :2], axis=1)
+        leaving = self.surface.edges[loaded[self.surface.edges].sum(axis=1) == 1]
+        ends = points[leaving, :2]
+        element = np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+        return float(r[~loaded].min()), float(r[loaded].max()), float(element)
+
+    def distance(self, i: int) -> np.ndarray:
+        """Distance of the pixels from the ball's axis [m]."""
+        x, y = pixel_xy(GRID)
+        return np.hypot(x - self.centers_m[i, 0], y - self.centers_m[i, 1])
+
+
+@pytest.fixture(scope="module", params=PRESSES)
+def press(request) -> _Press:
+    friction, at_mm = PRESSES[request.param]
+    return _simulate(friction, at_mm, DEPTHS_MM)
+
+
+def _simulate(friction: float, at_mm: tuple[float, float], depths_mm: tuple[float, ...]) -> _Press:
+    mesh = press_mesh("gelsight", {}, at_mm, 1.85)
+    env = PressEnv(
+        mesh,
+        Material(1.5e5, 0.46),
+        Indenter("ball", Ball(BALL_M)),
+        np.array([at_mm]),
+        friction_coefficient=friction,
+    )
+    positions, forces, centers = [], [], []
+    for depth in depths_mm:
+        env.move_to(depth)
+        positions.append(env.positions[0].copy())
+        forces.append(env.contact_forces[0].copy())
+        centers.append(env.poses[0, 0, :3].copy())
+    fused = SignalFusedSurface(mesh, GRID, contact_gap_m=env.solver.config.dhat_m)
+    fused.update(np.stack(positions), SphereSurface(np.stack(centers), BALL_M, GRID))
+    plain = SignalHeightMap(mesh, GRID)
+    plain.update(np.stack(positions))
+    return _Press(
+        mesh,
+        plain.surface,
+        env.solver.config.dhat_m,
+        np.stack(positions),
+        np.stack(forces),
+        np.stack(centers),
+        fused,
+        plain,
+    )
+
+
+def test_outside_the_contact_it_is_the_surface_through_the_nodes(press):
+    for i in range(len(DEPTHS_MM)):
+        _, rim, element = press.rim(i)
+        outside = press.distance(i) > rim + 1.25 * element
+        difference = (press.fused.height_m[i] - press.plain.height_m[i])[outside]
+        angle = angle_deg(press.fused.normals[i], press.plain.normals[i])[outside]
+        # Pixels beside the pad are NaN in both.
+        assert np.isnan(difference).sum() == np.isnan(press.plain.height_m[i][outside]).sum()
+        assert np.nanmax(np.abs(difference)) < 1e-6
+        assert np.nanmax(angle) < 0.5
+
+
+def test_inside_it_is_the_ball_less_the_barrier(press):
+    for i in range(len(DEPTHS_MM)):
+        rim, _, element = press.rim(i)
+        r = press.distance(i)
+        inside = r < rim - element
+        layer = np.hypot(r, press.fused.height_m[i] - press.centers_m[i, 2]) - BALL_M
+        # Up the steep side of a deep press it gives way to the gel's surface, which has chords.
+        tolerance = 1e-9 if DEPTHS_MM[i] < 2 else 4e-6
+        assert np.ptp(layer[inside]) < tolerance
+        assert press.dhat_m < layer[inside].mean() < press.dhat_m + 8e-6
+        ball = r / np.sqrt(BALL_M**2 - np.minimum(r, 0.99 * BALL_M) ** 2)
+        slope = np.linalg.norm(press.fused.slope[i], axis=-1)
+        assert np.degrees(np.abs(np.arctan(slope) - np.arctan(ball)))[inside].max() < 1.3
+
+
+def test_it_stays_near_the_nodes_and_below_the_ball(press):
+    """No spikes, also at the silhouette."""
+    for i in range(len(DEPTHS_MM)):
+        fused, plain = press.fused.height_m[i], press.plain.height_m[i]
+        assert np.array_equal(np.isnan(fused), np.isnan(plain))
+        assert np.isfinite(press.fused.slope[i][np.isfinite(fused)]).all()
+        r = press.distance(i)
+        seen = r < np.sin(np.radians(75)) * BALL_M
+        assert np.abs(fused - plain)[seen].max() < 40e-6
+        assert np.nanmax(np.abs(fused - plain)) < 120e-6
+        ball = press.centers_m[i, 2] - np.sqrt(np.maximum(BALL_M**2 - r**2, 0))
+        assert (fused - ball)[seen].max() < 0
+        assert np.nanmax(fused) < np.nanmax(plain) + 1e-6
+
+
+def test_gel_that_hangs_over_the_equator_does_not_break_it():
+    """Nothing can be followed up there: the surface is that of the nodes, finite and close."""
+    press = _simulate(0.0, (-4.0, 4.0), (0.7, 1.4, 2.1, 2.8))
+    points, gap, _ = press.nodes(3)
+    above = points[:, 2] > press.centers_m[3, 2]
+    assert (above & (gap < 0.3e-3)).any()
+    fused, plain = press.fused.height_m[3], press.plain.height_m[3]
+    assert np.array_equal(np.isnan(fused), np.isnan(plain))
+    assert np.isfinite(press.fused.normals[3][np.isfinite(fused)]).all()
+    assert np.nanmax(np.abs(fused - plain)) < 120e-6
+    assert (np.diff(press.fused.contact_radius_m) > 0).all()
+    assert press.fused.contact_radius_m[3] < 1.02 * BALL_M
+
+
+def test_no_ring_around_the_contact(press):
+    """Away from a central contact the skirt flattens, as the nodes do."""
+    if np.abs(press.centers_m[0, :2]).max() > 0:
+        pytest.skip("off centre the pad's own dome tilts the skirt")
+    for i, depth in enumerate(DEPTHS_MM):
+        if depth < 0.8:
+            # A shallow press is resolved by four elements; its nodes show their own ripple.
+            continue
+        r = press.distance(i)
+        slope = np.degrees(np.arctan(np.linalg.norm(press.fused.slope[i], axis=-1)))
+        start = press.rim(i)[1]
+        rings = np.arange(start, 1.5 * start, 2 * GRID.mm_per_px_x * 1e-3)
+        mean = np.array([slope[(r >= a) & (r < b)].mean() for a, b in pairwise(rings)])
+        assert np.diff(mean).max() < 0.2
+
+
+def test_slope_is_the_derivative_of_the_height(press):
+    for i, depth in enumerate(DEPTHS_MM):
+        by_pixels = normals_from_height(press.fused.height_m[i], GRID)
+        near = press.distance(i) < 3e-3
+        error = angle_deg(press.fused.normals[i], by_pixels)[near]
+        # Across the edge of contact the slope turns by degrees a pixel.
+        assert np.quantile(error, 0.99) < (1.5 if depth < 2 else 6.0)
+
+
+def test_contact_radius_is_that_of_the_nodes(press):
+    """Between the nodes nearer than dhat (too few: they hang) and those with force (too many)."""
+    for i in range(len(DEPTHS_MM)):
+        _, gap, loaded = press.nodes(i)
+        least, most = press.radius_of(i, gap < press.dhat_m), press.radius_of(i, loaded)
+        radius, element = press.fused.contact_radius_m[i], press.rim(i)[2]
+        assert least - 1e-6 < radius < most
+        assert abs(radius - 0.5 * (least + most)) < 0.25 * element
+        assert most - radius < 0.5 * element
+    assert (np.diff(press.fused.contact_radius_m) > 0).all()
+
+
+def test_contact_radius_follows_small_changes_of_depth():
+    """The depth search takes secants of it: no steps from node to node."""
+    mesh = press_mesh("gelsight", {}, (3.0, 2.0), 1.85)
+    env = PressEnv(
+        mesh, Material(1.5e5, 0.46), Indenter("ball", Ball(BALL_M)), np.array([[3.0, 2.0]])
+    )
+    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=env.solver.config.dhat_m)
+    depths = np.linspace(1.5, 1.7, 9)
+    radii = []
+    for depth in (0.4, 0.8, 1.2, *depths):
+        env.move_to(depth)
+        if depth >= depths[0]:
+            signal.update(env.positions, SphereSurface(env.poses[0, 0, :3], BALL_M, GRID))
+            radii.append(signal.contact_radius_m[0])
+    assert (np.diff(radii) > 0).all()
+    smooth = np.polyval(np.polyfit(depths, radii, 2), depths)
+    assert np.abs(radii - smooth).max() < 3e-6
