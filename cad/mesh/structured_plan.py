@@ -20,6 +20,7 @@ from cad.parts.gel_pad import GelPad
 
 _ANGLE_WEIGHT = 0.6
 _BULGE = 0.45
+_HELD_RINGS = 5
 _BOUNDARY_DECAY = 3
 _SEEN_WEIGHT = 0.8
 
@@ -114,7 +115,9 @@ def focus_plan(pad: GelPad, core: int, rings: int, focus: Focus) -> np.ndarray:
     xy = np.stack([np.real(plan), np.imag(plan)], axis=-1)
     xy[-count:] = inner
     # Far from the focus the grid is skewed where the outline's corners pull at it.
-    loose = np.arange((core + 1) ** 2 + count * even, len(xy) - count)
+    # The first rings outside the focus keep their even growth: a jump in size would show as a ring.
+    held = even + min(_HELD_RINGS, free - even - 1)
+    loose = np.arange((core + 1) ** 2 + count * held, len(xy) - count)
     xy = smooth_plan(xy, plan_quads(core, free), loose)
     return np.concatenate([xy, *(outline - normals * d for d in rim_distances_mm(pad))])
 
