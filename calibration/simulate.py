@@ -22,6 +22,7 @@ import numpy as np
 from calibration.capture import CaptureSet, ContactCircle
 from calibration.surfaces.types import PressSurface, SimulationEffort
 from sensors.press_mesh import PressMeshOptions, press_mesh
+from sensors.registry import sensor_family
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.profile import SensorProfile
@@ -100,6 +101,7 @@ def simulate_presses(
                 f"{contact_mm:.3f} mm, which a ball of radius {radius_mm:g} mm cannot make; check "
                 "the scale and the ball's radius"
             )
+    _require_view_on_pad(captures, profile)
     material = profile.material
     batches = [
         _Batch(
@@ -138,6 +140,21 @@ def simulate_presses(
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
     return [surface for surface in surfaces if surface is not None]
+
+
+def _require_view_on_pad(captures: CaptureSet, profile: SensorProfile) -> None:
+    """Refuse captures that show more than the pad: there is no surface under those pixels."""
+    grid, family = captures.grid, sensor_family(profile.sensor.family)
+    pad = family.pad(family.parameters(profile.sensor.parameters))
+    last = np.array([grid.width_px - 1, grid.height_px - 1])
+    corners = grid.gel_from_pixel(np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * last)
+    if pad.inside_distance_mm(corners).min() < 0:
+        width_mm, height_mm = last * (grid.mm_per_px_x, grid.mm_per_px_y)
+        raise InputError(
+            f"{captures.source}: at {grid.mm_per_px_x:g} x {grid.mm_per_px_y:g} mm/px the image "
+            f"shows {width_mm:.1f} x {height_mm:.1f} mm, more than the pad of {pad.length_x_mm:g} "
+            f"x {pad.length_y_mm:g} mm; check the scale, or design a larger pad"
+        )
 
 
 def _simulate_batch(batch: _Batch) -> list[PressSurface]:
@@ -223,7 +240,8 @@ class _DepthSearch:
         self._limit_mm = DEEPEST_RADII * ball_mm
         self.depth_mm = np.minimum(FIRST_DEPTH_PER_CAP * (ball_mm - below), self._limit_mm)
         # Slope of depth over radius of the same rule, until two points give a better one.
-        self._slope = FIRST_DEPTH_PER_CAP * target_mm / below
+        self._rule_slope = FIRST_DEPTH_PER_CAP * target_mm / below
+        self._slope = self._rule_slope
         self._last: tuple[np.ndarray, np.ndarray] | None = None
         self._rounds = 0
         self.radius_mm = np.zeros_like(target_mm)
@@ -239,10 +257,11 @@ class _DepthSearch:
             return True
         if self._last is not None:
             step_depth, step_radius = self.depth_mm - self._last[0], radius_mm - self._last[1]
-            usable = np.abs(step_radius) > 1e-4
+            # A measured radius carries noise of about the tolerance: between points that close the
+            # secant is noise, and so is one far from the rule.
+            usable = np.abs(step_radius) > 3 * self.tolerance_mm
             secant = step_depth / np.where(usable, step_radius, 1.0)
-            # Contact grows with depth; a secant far from the rule is noise of the measurement.
-            good = usable & (secant > 0.3 * self._slope) & (secant < 3.0 * self._slope)
+            good = usable & (secant > 0.3 * self._rule_slope) & (secant < 3 * self._rule_slope)
             self._slope = np.where(good, secant, self._slope)
         self._last = (self.depth_mm.copy(), radius_mm.copy())
         change = np.where(done, 0.0, self._slope * error)

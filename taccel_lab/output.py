@@ -26,13 +26,22 @@ def require_replaceable(target: Path | str) -> None:
 
     Commands call this first, before any long work.
     """
-    target = Path(target)
-    if target.exists() and not target.is_dir():
-        raise InputError(f"{target} is a file; an output folder is needed")
+    target = _folder_path(target)
     if target.is_dir() and any(target.iterdir()) and not (target / OUTPUT_MARKER).exists():
         raise InputError(
             f"{target} holds files that taccel-lab did not write; name a new or empty folder"
         )
+
+
+def _folder_path(target: Path | str) -> Path:
+    """The path, absolute where it goes through "." or ".."; refused where a file is in the way."""
+    target = Path(target)
+    if not target.name or ".." in target.parts:
+        target = Path(os.path.abspath(target))
+    for path in (target, *target.parents):
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path} is a file; an output folder is needed")
+    return target
 
 
 @contextmanager
@@ -43,28 +52,45 @@ def atomic_directory(target: Path | str, *, own: bool = False) -> Iterator[Path]
     one stands. A file, or a folder with files of somebody else, is refused; ``own`` says that the
     caller has already made sure of the latter by other means.
     """
-    target = Path(target)
-    if target.exists() and not target.is_dir():
-        raise InputError(f"{target} is a file; an output folder is needed")
+    target = _folder_path(target)
     if not own:
         require_replaceable(target)
+    new_parents = [path for path in target.parents if not path.exists()]
     target.parent.mkdir(parents=True, exist_ok=True)
-    staging = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
-    staging.chmod(0o755)
     try:
-        if not own:
-            (staging / OUTPUT_MARKER).touch()
-        yield staging
-        old = None
-        if target.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{target.name}.old.", dir=target.parent))
-            os.replace(target, old / target.name)
+        staging = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+        try:
+            staging.chmod(0o755)
+            if not own:
+                (staging / OUTPUT_MARKER).touch()
+            yield staging
+            _swap(staging, target)
+        finally:
+            if staging.exists():
+                shutil.rmtree(staging)
+    except BaseException:
+        for path in new_parents:
+            if not any(path.iterdir()):
+                path.rmdir()
+        raise
+
+
+def _swap(staging: Path, target: Path) -> None:
+    """Put ``staging`` in the place of ``target``; an earlier one comes back if that fails."""
+    if not target.exists():
         os.replace(staging, target)
-        if old is not None:
-            shutil.rmtree(old)
+        return
+    shelf = Path(tempfile.mkdtemp(prefix=f".{target.name}.old.", dir=target.parent))
+    earlier = shelf / target.name
+    try:
+        os.replace(target, earlier)
+        os.replace(staging, target)
+    except BaseException:
+        if earlier.exists() and not target.exists():
+            os.replace(earlier, target)
+        raise
     finally:
-        if staging.exists():
-            shutil.rmtree(staging)
+        shutil.rmtree(shelf)
 
 
 @contextmanager

@@ -22,6 +22,8 @@ def smooth_plan(
     """
     from scipy.optimize import minimize
 
+    if len(free) == 0:
+        return xy.copy()
     touched = quads[np.isin(quads, free).any(axis=1)]
     corner = touched.ravel()
     ahead, behind = np.roll(touched, -1, axis=1).ravel(), np.roll(touched, 1, axis=1).ravel()

@@ -63,9 +63,10 @@ class CalibrateColor:
         from sensors.profile import catalogue_profile
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
-        from taccel_lab.profile import load_profile, save_profile
+        from taccel_lab.profile import load_profile, require_profile_folder, save_profile
 
         console = Console(stderr=True)
+        require_profile_folder(self.out)
         if self.folds == 1 or self.folds < 0:
             raise InputError(f"folds must be 0 or at least 2, got {self.folds}")
         options = ColorFitOptions(steps=self.steps, seed=self.seed)

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from taccel_lab.errors import InputError
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -19,6 +21,7 @@ DEMO_SENSOR = "gelsight"
 DEMO_INDENTER = "sphere:2.0"
 DEMO_AT_MM = (1.0, -0.5)
 """A place where no capture was taken."""
+HOLDOUT_EVERY = 4
 
 
 @dataclass(frozen=True)
@@ -72,11 +75,23 @@ class Demo:
         from sensors.registry import sensor_family
         from taccel_lab.cli.calibrate import with_camera_of
         from taccel_lab.cli.demo_report import DemoResults
+        from taccel_lab.cli.press import check_depth, load_sensor
         from taccel_lab.cli.progress import count_progress, fit_progress
+        from taccel_lab.envs import PressPath
         from taccel_lab.profile import save_profile
 
+        # What can be refused is refused before minutes of work.
+        options = ColorFitOptions(steps=self.steps, seed=self.seed)
+        PressPath(self.depth_mm)
+        check_depth(self.depth_mm, load_sensor(DEMO_SENSOR))
         with clock.stage("loading the captures"):
             captures = load_captures(self.captures or find_taxim_pack())
+            captures.split(HOLDOUT_EVERY)
+        if captures.sensor != DEMO_SENSOR:
+            raise InputError(
+                f"{captures.source} was captured with sensor {captures.sensor!r}; the demo takes "
+                f"captures of a {DEMO_SENSOR!r}"
+            )
         with clock.stage("designing the gel pad"):
             design = design_sensor(sensor_family(DEMO_SENSOR), None, folder / "design")
             base = with_camera_of(design.profile, captures)
@@ -96,7 +111,8 @@ class Demo:
                 captures,
                 circles,
                 surfaces,
-                options=ColorFitOptions(steps=self.steps, seed=self.seed),
+                holdout_every=HOLDOUT_EVERY,
+                options=options,
                 progress=fit_bar,
             )
         profile = calibration.apply_to(base)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from taccel_lab.envs import Indenter, PressOutcome
     from taccel_lab.geometry import TetMesh
     from taccel_lab.profile import SensorProfile
+    from taccel_lab.signals.color_model import ColorModel
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ class Press:
         from taccel_lab.solvers import SolverConfig
 
         require_replaceable(self.out)
+        _require_device(self.device)
         path = PressPath(self.depth_mm, self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
         indenter = parse_indenter(self.indenter)
         config = SolverConfig(relative_tolerance=self.tolerance, dhat_m=self.dhat_mm * 1e-3)
@@ -85,7 +87,8 @@ class Press:
         block = profile.material
         material = Material(block.young_modulus_pa, block.poisson_ratio, block.density_kg_m3)
         friction = block.friction_coefficient if self.friction is None else self.friction
-        _check_depth(self.depth_mm, profile)
+        check_depth(self.depth_mm, profile)
+        model = _color_model(profile)
         gel = self._mesh(profile, indenter)
         started = time.perf_counter()
         with step_progress(console, f"pressing {self.indenter}") as progress:
@@ -102,7 +105,9 @@ class Press:
                 progress=progress,
             )
         seconds = time.perf_counter() - started
-        rgb = _render(profile, outcome)
+        rgb = None
+        if model is not None and profile.background_rgb is not None:
+            rgb = outcome.render(model, profile.background_rgb)
         with atomic_directory(self.out) as folder:
             _write(folder, self, profile, outcome, rgb, friction, seconds)
         return outcome, rgb
@@ -113,7 +118,15 @@ class Press:
         from sensors.press_mesh import press_mesh
 
         radius_mm = contact_radius_guess_mm(indenter, self.depth_mm)
-        return press_mesh(profile.sensor.family, profile.sensor.parameters, self.at_mm, radius_mm)
+        try:
+            return press_mesh(
+                profile.sensor.family, profile.sensor.parameters, self.at_mm, radius_mm
+            )
+        except InputError as error:
+            x, y = self.at_mm
+            raise InputError(
+                f"{self.sensor} cannot be meshed for a press at ({x:g}, {y:g}) mm: {error}"
+            ) from error
 
 
 def load_sensor(name: str) -> SensorProfile:
@@ -147,22 +160,42 @@ def contact_radius_guess_mm(indenter: Indenter, depth_mm: float) -> float:
     return float(np.clip(footprint, 0.3, 4.0))
 
 
-def _check_depth(depth_mm: float, profile: SensorProfile) -> None:
-    if depth_mm >= profile.gel.thickness_mm:
+def check_depth(depth_mm: float, profile: SensorProfile) -> None:
+    """Refuse a depth that no place of the pad allows, before a mesh is made for it."""
+    from taccel_lab.envs.press import MAX_DEPTH_FRACTION
+
+    thickness_mm = profile.gel.thickness_mm
+    if not depth_mm <= MAX_DEPTH_FRACTION * thickness_mm:
         raise InputError(
-            f"depth {depth_mm:g} mm goes past the gel, which is "
-            f"{profile.gel.thickness_mm:g} mm thick"
+            f"depth {depth_mm:g} mm goes past the gel, which is {thickness_mm:g} mm thick; at most "
+            f"{MAX_DEPTH_FRACTION * thickness_mm:.3g} mm ({MAX_DEPTH_FRACTION:.0%}) is allowed"
         )
 
 
-def _render(profile: SensorProfile, outcome: PressOutcome) -> Any:
-    """The tactile image, or None for a profile without a colour model."""
+def _require_device(name: str) -> None:
+    import warp as wp
+
+    try:
+        wp.get_device(name)
+    except ValueError:
+        known = ", ".join(device.alias for device in wp.get_devices())
+        raise InputError(f"device {name!r} is not there; this machine has: {known}") from None
+
+
+def _color_model(profile: SensorProfile) -> ColorModel | None:
+    """The profile's colour model, None when it has none."""
     if profile.color is None or profile.background_rgb is None or profile.color_weights is None:
         return None
     from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 
     config = ColorModelConfig.from_dict(profile.color.architecture)
-    return outcome.render(ColorModel(config, profile.color_weights), profile.background_rgb)
+    camera = profile.camera
+    if (config.width_px, config.height_px) != (camera.width_px, camera.height_px):
+        raise InputError(
+            f"color.architecture is for {config.width_px}x{config.height_px} px but the camera "
+            f"block says {camera.width_px}x{camera.height_px} px; both have to agree"
+        )
+    return ColorModel(config, profile.color_weights)
 
 
 def step_progress(console: Console, title: str) -> Any:

@@ -55,6 +55,8 @@ class PressPath:
             raise InputError(f"a press path must be finite numbers, got {values}")
         if self.depth_mm <= 0:
             raise InputError(f"depth must be above 0 mm, got {self.depth_mm:g} mm")
+        if self.depth_mm > 100:
+            raise InputError(f"depth must be at most 100 mm, got {self.depth_mm:g} mm")
         if max(abs(v) for v in self.shear_mm) > 20:
             raise InputError(f"shear must lie within +-20 mm, got {self.shear_mm}")
         if abs(self.twist_deg) > 180:
@@ -78,8 +80,9 @@ class PressPath:
         side = max(
             math.ceil(math.hypot(*self.shear_mm) / self.step_mm - 1e-9),
             math.ceil(abs(self.twist_deg) / self.step_deg - 1e-9),
+            int(any((*self.shear_mm, self.twist_deg))),
         )
-        path = [(self.depth_mm * (i + 1) / down, (0.0, 0.0), 0.0) for i in range(down)]
+        path = [(self.depth_mm * ((i + 1) / down), (0.0, 0.0), 0.0) for i in range(down)]
         for i in range(side):
             t = (i + 1) / side
             shear = (self.shear_mm[0] * t, self.shear_mm[1] * t)
@@ -172,6 +175,21 @@ class PressEnv:
         """Back to rest, the indenter above the gel."""
         self.state = initial_state(self.model, self._start)
 
+    def checked_depth_m(self, depth_mm: np.ndarray | float) -> np.ndarray:
+        """Depths [m], shape [env_count]; raises InputError for one past the gel's thickness."""
+        depth_m = np.broadcast_to(np.asarray(depth_mm, dtype=np.float64), (len(self.at_m),)) * 1e-3
+        if not np.isfinite(depth_m).all():
+            raise InputError("the depth of a press must be finite numbers in mm")
+        limit = MAX_DEPTH_FRACTION * self._thickness_m
+        if (depth_m > limit).any():
+            env = int(np.argmax(depth_m - limit))
+            raise InputError(
+                f"depth {depth_m[env] * 1e3:g} mm goes past the gel, which is "
+                f"{self._thickness_m[env] * 1e3:g} mm thick there; at most "
+                f"{limit[env] * 1e3:.3g} mm ({MAX_DEPTH_FRACTION:.0%}) is allowed"
+            )
+        return depth_m
+
     def move_to(
         self,
         depth_mm: np.ndarray | float,
@@ -185,17 +203,7 @@ class PressEnv:
             SimulationError: An environment did not converge even in small steps.
         """
         count = len(self.at_m)
-        depth_m = np.broadcast_to(np.asarray(depth_mm, dtype=np.float64), (count,)) * 1e-3
-        if not np.isfinite(depth_m).all():
-            raise InputError("the depth of a press must be finite numbers in mm")
-        limit = MAX_DEPTH_FRACTION * self._thickness_m
-        if (depth_m > limit).any():
-            env = int(np.argmax(depth_m - limit))
-            raise InputError(
-                f"depth {depth_m[env] * 1e3:g} mm goes past the gel, which is "
-                f"{self._thickness_m[env] * 1e3:g} mm thick there; at most "
-                f"{limit[env] * 1e3:.3g} mm ({MAX_DEPTH_FRACTION:.0%}) is allowed"
-            )
+        depth_m = self.checked_depth_m(depth_mm)
         shear_m = np.broadcast_to(np.asarray(shear_mm, dtype=np.float64), (count, 2)) * 1e-3
         target = self._poses(depth_m, shear_m, math.radians(twist_deg))
         report = self._advance(target, 0)
@@ -228,6 +236,7 @@ class PressEnv:
         self, path: PressPath, progress: Callable[[int, int, StepReport], None] | None = None
     ) -> list[StepReport]:
         """Go along a path in all environments; ``progress`` gets step, step count and report."""
+        self.checked_depth_m(path.depth_mm)
         waypoints = path.waypoints()
         reports = []
         for i, (depth, shear, twist) in enumerate(waypoints):

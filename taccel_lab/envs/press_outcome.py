@@ -139,6 +139,7 @@ def simulate_press(
         config=config,
         device=device,
     )
+    env.checked_depth_m(path.depth_mm)
     waypoints = path.waypoints()
     steps = []
     for i, (depth, shear, twist) in enumerate(waypoints):

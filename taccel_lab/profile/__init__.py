@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensor profiles: one validated, versioned folder that says everything about a sensor."""
 
-from taccel_lab.profile.io import Finding, load_profile, save_profile, validate_profile
+from taccel_lab.profile.io import (
+    Finding,
+    load_profile,
+    require_profile_folder,
+    save_profile,
+    validate_profile,
+)
 from taccel_lab.profile.schema import (
     SCHEMA_VERSION,
     BackgroundBlock,
@@ -28,6 +34,7 @@ __all__ = [
     "SensorBlock",
     "SensorProfile",
     "load_profile",
+    "require_profile_folder",
     "save_profile",
     "validate_profile",
 ]

@@ -59,7 +59,7 @@ def save_profile(profile: SensorProfile, path: Path | str) -> None:
     import tomli_w
 
     path = Path(path)
-    _refuse_foreign_folder(path)
+    require_profile_folder(path)
     files = {
         _ARRAY_FILES[key]: _ENCODERS[key](getattr(profile, ARRAY_FIELDS[key]))
         for key in profile.blocks()
@@ -107,8 +107,15 @@ def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _refuse_foreign_folder(path: Path) -> None:
-    """Saving replaces the folder, so it must not hold somebody's other files."""
+def require_profile_folder(path: Path | str) -> None:
+    """Refuse a target of ``save_profile`` that is a file or holds anything but a profile.
+
+    Saving replaces the folder, so it must not hold somebody's other files. Commands call this
+    first, before any long work.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path} is a file; a profile is a folder")
     if not path.is_dir():
         return
     known = {PROFILE_FILE, *_ARRAY_FILES.values()}

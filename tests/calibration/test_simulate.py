@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Presses simulated until the contact has the radius of the capture's circle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import calibration.simulate as simulate
+from calibration.capture import CaptureSet, ContactCircle, Press
+from calibration.simulate import MAX_ROUNDS, simulate_presses
+from calibration.surfaces import PressSurface
+from sensors.press_mesh import PressMeshOptions
+from sensors.profile import catalogue_profile
+from taccel_lab.cli.calibrate import with_camera_of
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import SensorProfile
+
+BALL_MM = 2.0
+TOLERANCE_MM = 0.007
+GRID = PixelGrid(96, 72, 0.1, 0.1)
+MESH = PressMeshOptions(elements_per_radius=6.0, core=6, rings=10, layers=3)
+# Contacts of 0.8, 1.2 and 1.0 mm at places where the dome leans.
+CIRCLES = (
+    ContactCircle(30.0, 40.0, 8.0),
+    ContactCircle(60.0, 30.0, 12.0),
+    ContactCircle(47.5, 35.5, 10.0),
+)
+
+Law = Callable[[np.ndarray], np.ndarray]
+
+
+def search(targets_mm: np.ndarray, law: Law) -> tuple[simulate._DepthSearch, int]:
+    """Let the search run on an analytic radius(depth); returns it and its rounds."""
+    found = simulate._DepthSearch(targets_mm, BALL_MM, TOLERANCE_MM)
+    for rounds in range(1, MAX_ROUNDS + 1):
+        assert (found.depth_mm >= 0).all() and (found.depth_mm <= 1.2 * BALL_MM).all()
+        if found.update(law(found.depth_mm)):
+            return found, rounds
+    raise AssertionError("the search did not end")
+
+
+@given(
+    scale=st.floats(0.75, 1.25),
+    power=st.floats(0.42, 0.58),
+    targets=st.lists(st.floats(0.3, 1.5), min_size=1, max_size=6),
+)
+def test_search_on_smooth_laws(scale: float, power: float, targets: list[float]) -> None:
+    """Contact radii from Hertz (1.0 R sqrt(d / R)) to the cap (1.41 R sqrt(d / R)) and beyond."""
+    wanted = np.array(targets)
+
+    def law(depth: np.ndarray) -> np.ndarray:
+        return scale * 1.1 * BALL_MM * (depth / BALL_MM) ** power
+
+    found, _ = search(wanted, law)
+    assert np.abs(law(found.depth_mm) - wanted).max() <= TOLERANCE_MM
+    assert np.array_equal(found.radius_mm, law(found.depth_mm))
+
+
+def test_search_needs_few_rounds_on_the_cap_like_law_it_starts_from() -> None:
+    def law(depth: np.ndarray) -> np.ndarray:
+        cap = np.clip(depth / 1.5, 0, BALL_MM)
+        return np.sqrt(2 * BALL_MM * cap - cap**2)
+
+    _, rounds = search(np.array([0.5, 0.9, 1.3]), law)
+    assert rounds <= 3
+
+
+@pytest.mark.parametrize(
+    ("noise_mm", "p90_mm", "worst_mm"), [(0.003, 0.008, 0.015), (0.01, 0.013, 0.04)]
+)
+def test_search_with_noise_comes_as_near_as_the_noise_lets_it(
+    noise_mm: float, p90_mm: float, worst_mm: float
+) -> None:
+    """Measured radii carry noise; secants over small steps would send the search astray."""
+
+    def true_radius(depth: np.ndarray) -> np.ndarray:
+        return 1.05 * np.sqrt(BALL_MM * depth)
+
+    errors = []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        wanted = rng.uniform(0.3, 1.5, 3)
+        found, _ = search(
+            wanted, lambda d, rng=rng: true_radius(d) + rng.uniform(-noise_mm, noise_mm, d.shape)
+        )
+        errors.append(np.abs(true_radius(found.depth_mm) - wanted).max())
+    assert np.percentile(errors, 90) < p90_mm
+    assert max(errors) < worst_mm
+
+
+def test_search_of_a_contact_that_stops_growing() -> None:
+    """A circle larger than the gel can close around the ball: stop at the limit, unmet."""
+
+    def law(depth: np.ndarray) -> np.ndarray:
+        return np.minimum(1.1 * np.sqrt(BALL_MM * depth), 1.7)
+
+    found, rounds = search(np.array([1.9, 0.8]), law)
+    assert rounds == MAX_ROUNDS
+    assert found.depth_mm[0] == pytest.approx(1.2 * BALL_MM)
+    assert found.radius_mm[0] == pytest.approx(1.7)
+    assert law(found.depth_mm)[1] == pytest.approx(0.8, abs=TOLERANCE_MM)
+
+
+def test_search_leaves_alone_what_is_met() -> None:
+    depths: list[np.ndarray] = []
+
+    def law(depth: np.ndarray) -> np.ndarray:
+        depths.append(depth.copy())
+        return np.array([0.5, 0.9 * np.sqrt(BALL_MM * depth[1])])
+
+    search(np.array([0.5, 1.2]), law)
+    assert len({float(d[0]) for d in depths}) == 1
+    assert len({float(d[1]) for d in depths}) > 1
+
+
+@pytest.fixture(scope="module")
+def profile() -> SensorProfile:
+    return catalogue_profile("gelsight")
+
+
+@pytest.fixture(scope="module")
+def captures() -> CaptureSet:
+    black = np.zeros((GRID.height_px, GRID.width_px, 3), dtype=np.uint8)
+    return CaptureSet(
+        source="memory",
+        sensor="gelsight",
+        background=black,
+        background_sha256="0" * 64,
+        mask=np.ones(black.shape[:2], dtype=bool),
+        ball_radius_mm=BALL_MM,
+        grid=GRID,
+        presses=tuple(
+            Press(f"p{i}", f"memory[{i}]", f"{i:064x}", circle, partial(np.copy, black))
+            for i, circle in enumerate(CIRCLES)
+        ),
+        provenance={},
+    )
+
+
+@pytest.fixture(scope="module")
+def base(profile: SensorProfile, captures: CaptureSet) -> SensorProfile:
+    return with_camera_of(profile, captures)
+
+
+@pytest.fixture(scope="module")
+def surfaces(captures: CaptureSet, base: SensorProfile) -> list[PressSurface]:
+    return simulate_presses(captures, CIRCLES, base, mesh=MESH, processes=1)
+
+
+def test_contact_meets_the_circle(surfaces: list[PressSurface]) -> None:
+    assert len(surfaces) == len(CIRCLES)
+    for circle, surface in zip(CIRCLES, surfaces, strict=True):
+        assert surface.contact_radius_px == pytest.approx(circle.radius_px, abs=0.3)
+        assert surface.force_n > 0
+        assert surface.residual_n < 1e-4 * 3 * surface.force_n
+        effort = surface.effort
+        assert effort is not None
+        assert effort.step_count >= 1 and effort.newton_iterations >= effort.step_count
+        assert 0 < effort.min_distance_m < 2e-5
+    # A larger contact is deeper and takes more force: 0.8, 1.2, 1.0 mm.
+    depths = [s.depth_mm for s in surfaces]
+    forces = [s.force_n for s in surfaces]
+    assert depths[0] < depths[2] < depths[1] and forces[0] < forces[2] < forces[1]
+    for circle, depth in zip(CIRCLES, depths, strict=True):
+        radius_mm = circle.radius_px * GRID.mm_per_px_x
+        cap = BALL_MM - np.sqrt(BALL_MM**2 - radius_mm**2)
+        assert cap < depth < 2.2 * cap
+
+
+def test_surfaces_lie_under_their_circles(surfaces: list[PressSurface]) -> None:
+    for circle, surface in zip(CIRCLES, surfaces, strict=True):
+        sunk = surface.displacement_mm()
+        assert sunk.shape == (GRID.height_px, GRID.width_px)
+        assert np.isfinite(sunk).all() and np.isfinite(surface.normals).all()
+        away = circle.distance_px(GRID)
+        v, u = np.unravel_index(np.argmin(sunk), sunk.shape)
+        assert np.hypot(u - circle.u_px, v - circle.v_px) < 2.0
+        # The gel keeps a gap below dhat to the ball, and no pixel lies just below its lowest point.
+        assert -0.02 < sunk.min() + surface.depth_mm < 0.003
+        # The gel sinks beside the contact too, less and less.
+        ring = [sunk[np.abs(away - r * circle.radius_px) < 1].mean() for r in (1.2, 1.6, 2.2)]
+        assert ring[0] < ring[1] < ring[2] and ring[0] < -0.01
+        # Within the contact the surface is the ball's: slope r / sqrt(R^2 - r^2) to its centre.
+        x_mm = (np.arange(GRID.width_px) - circle.u_px) * GRID.mm_per_px_x
+        row = round(circle.v_px)
+        inside = np.abs(x_mm) < 0.7 * circle.radius_px * GRID.mm_per_px_x
+        expected = -x_mm[inside] / BALL_MM
+        assert surface.normals[row, inside, 0] == pytest.approx(expected, abs=0.05)
+
+
+def test_friction_is_named_and_matters(
+    captures: CaptureSet, base: SensorProfile, surfaces: list[PressSurface]
+) -> None:
+    one = replace(captures, presses=captures.presses[:1])
+    (rough,) = simulate_presses(
+        one, CIRCLES[:1], base, mesh=MESH, friction_coefficient=0.8, processes=1
+    )
+    assert rough.provider == "finite elements, friction 0.8"
+    assert surfaces[0].provider == "finite elements, friction 0"
+    assert rough.force_n > 1.01 * surfaces[0].force_n
+
+
+def test_order_and_progress_with_several_processes(
+    captures: CaptureSet,
+    base: SensorProfile,
+    surfaces: list[PressSurface],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(simulate, "BATCH", 2)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    results = {}
+    for processes in (1, 2):
+        told: list[tuple[int, int]] = []
+        results[processes] = simulate_presses(
+            captures,
+            CIRCLES,
+            base,
+            mesh=MESH,
+            processes=processes,
+            progress=lambda done, total, told=told: told.append((done, total)),
+        )
+        assert told[-1] == (3, 3) and len(told) == 2
+        assert [done for done, _ in told] == sorted(done for done, _ in told)
+    for one, two, alone in zip(results[1], results[2], surfaces, strict=True):
+        assert np.array_equal(one.height_m, two.height_m)
+        assert np.array_equal(one.normals, two.normals)
+        assert (one.depth_mm, one.force_n) == (two.depth_mm, two.force_n)
+        # Batched otherwise, the search goes other ways to the same circle.
+        assert one.contact_radius_px == pytest.approx(alone.contact_radius_px, abs=0.6)
+        assert one.depth_mm == pytest.approx(alone.depth_mm, rel=0.06)
+
+
+def test_circle_larger_than_the_ball_is_refused(captures: CaptureSet, base: SensorProfile) -> None:
+    circles = [CIRCLES[0], ContactCircle(48.0, 36.0, 20.0), CIRCLES[2]]
+    with pytest.raises(InputError, match=r"memory: press 'p1' has a contact radius of 2\.000 mm"):
+        simulate_presses(captures, circles, base, mesh=MESH, processes=1)
+
+
+def test_a_view_past_the_pad_is_refused(captures: CaptureSet, base: SensorProfile) -> None:
+    wide = replace(captures, grid=PixelGrid(96, 72, 0.26, 0.26), ball_radius_mm=5.0)
+    with pytest.raises(InputError, match=r"memory: .* shows 24\.7 x 18\.5 mm, more than the pad"):
+        simulate_presses(wide, CIRCLES, base, mesh=MESH, processes=1)
+
+
+def test_a_circle_for_every_press(captures: CaptureSet, base: SensorProfile) -> None:
+    with pytest.raises(InputError, match="2 contact circles for 3 presses"):
+        simulate_presses(captures, CIRCLES[:2], base, mesh=MESH, processes=1)
+
+
+def fail(batch: object) -> list[PressSurface]:
+    raise SimulationError("made up")
+
+
+def test_a_failed_press_stops_everything(
+    captures: CaptureSet, base: SensorProfile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simulate, "_simulate_batch", fail)
+    with pytest.raises(SimulationError, match="made up"):
+        simulate_presses(captures, CIRCLES, base, mesh=MESH, processes=1)
+
+
+def test_a_failure_in_a_worker_keeps_its_message(
+    captures: CaptureSet, base: SensorProfile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simulate, "BATCH", 2)
+    with pytest.raises(InputError, match="core = 5 is odd"):
+        simulate_presses(captures, CIRCLES, base, mesh=replace(MESH, core=5), processes=2)

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab demo``: the main job end to end, on captures small enough for a test."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sensors.press_mesh import PressMeshOptions
+from taccel_lab.cli.app import main
+from taccel_lab.geometry.vtu import read_mesh_vtu
+from taccel_lab.output import OUTPUT_MARKER
+from taccel_lab.profile import load_profile, validate_profile
+from tests.cli.small_captures import CIRCLES, GRID, everything_below, never, write_captures
+
+SMALL = partial(PressMeshOptions, elements_per_radius=5.0, core=6, rings=10, layers=3)
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_captures(tmp_path_factory.mktemp("demo") / "captures")
+
+
+@pytest.fixture(scope="module")
+def out(captures: Path) -> Path:
+    """Output of one demo."""
+    folder = captures.parent / "out" / "demo"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calibration.simulate.PressMeshOptions", SMALL)
+        patch.setattr("sensors.press_mesh.PressMeshOptions", SMALL)
+        arguments = ["--captures", str(captures), "--out", str(folder)]
+        assert main(["demo", *arguments, "--steps", "50", "--depth-mm", "0.4"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def values(out: Path) -> dict[str, Any]:
+    return json.loads((out / "report.json").read_text())
+
+
+def test_everything_is_there(out: Path) -> None:
+    assert {path.name for path in out.iterdir()} == {
+        OUTPUT_MARKER, "design", "figures", "press", "profile", "report.html", "report.json",
+    }  # fmt: skip
+    assert os.listdir(out.parent) == ["demo"]
+    for name in ("pad.step", "pad.stl", "pad.vtu", "quality.json"):
+        assert (out / "design" / name).stat().st_size > 100
+    for name in ("press.json", "signals.npz", "gel.vtu", "image.png"):
+        assert (out / "press" / name).stat().st_size > 100
+
+
+def test_color_figures(values: dict[str, Any]) -> None:
+    color = values["color"]
+    for group in ("heldout", "background_only"):
+        for key in ("crop_psnr_db", "crop_ssim", "disc_l1", "full_l1"):
+            assert math.isfinite(color[group][key]), (group, key)
+    assert color["heldout"]["disc_l1"] < color["background_only"]["disc_l1"]
+    assert color["heldout_count"] == 1 and color["train_count"] == len(CIRCLES) - 1
+    assert [frame["name"] for frame in color["frames"]] == ["p3"]
+
+
+def test_press_figures(values: dict[str, Any], out: Path) -> None:
+    press = values["press"]
+    assert press["force_n"] > 0
+    assert 0 <= press["residual_n"] < 1e-3 * press["force_n"]
+    assert press["newton_iterations"] >= 1 and press["seconds_per_step"] > 0
+    assert 0 < press["min_distance_m"] < 2e-5
+    assert press["all_converged"]
+    assert [record["name"] for record in press["records"]] == [f"p{i}" for i in range(5)]
+    for record, circle in zip(press["records"], CIRCLES, strict=True):
+        assert record["contact_radius_mm"] == pytest.approx(
+            circle.radius_px * GRID.mm_per_px_x, abs=0.1
+        )
+    alone = json.loads((out / "press" / "press.json").read_text())
+    assert alone["press"]["force_n"] == press["force_n"]
+    assert alone["path"]["depth_mm"] == 0.4
+
+
+def test_mesh_figures(values: dict[str, Any], out: Path) -> None:
+    mesh = read_mesh_vtu(out / "design" / "pad.vtu")
+    assert values["mesh"]["node_count"] == mesh.node_count
+    assert values["mesh"]["tet_count"] == mesh.tet_count
+    assert 5 < values["mesh"]["min_dihedral_deg"] < 71
+
+
+def test_verdict_and_targets(values: dict[str, Any]) -> None:
+    keys = {target["key"] for target in values["targets"]}
+    assert keys == {f"color.heldout.{k}" for k in ("crop_psnr_db", "crop_ssim", "disc_l1")}
+    for target in values["targets"]:
+        value = values["color"]["heldout"][target["key"].rsplit(".", 1)[1]]
+        assert target["value"] == value
+        better = value >= target["goal"] if target["at_least"] else value <= target["goal"]
+        assert target["met"] == better
+    assert values["verdict"]
+    assert values["total_s"] == pytest.approx(sum(values["timings_s"].values()))
+
+
+def test_page_is_self_contained(out: Path) -> None:
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/png;base64,") >= 5
+    for outside in ('src="http', "src='http", 'href="http', 'src="figures'):
+        assert outside not in page
+
+
+def test_profile_is_sound(out: Path) -> None:
+    assert validate_profile(out / "profile") == []
+    profile = load_profile(out / "profile")
+    assert profile.color is not None and profile.background_rgb is not None
+    assert profile.grid() == GRID
+    assert main(["profile", "validate", str(out / "profile")]) == 0
+
+
+def run(captures: Path, out: Path, *options: str) -> int:
+    return main(["demo", "--captures", str(captures), "--out", str(out), *options])
+
+
+def interrupt(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_interrupted_in_the_middle(
+    captures: Path, out: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("calibration.simulate.simulate_presses", interrupt)
+    assert run(captures, tmp_path / "new" / "demo") == 130
+    assert everything_below(tmp_path) == {}
+    before = everything_below(out.parent)
+    assert run(captures, out) == 130
+    assert everything_below(out.parent) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--steps", "0"], "steps must be at least 1, got 0"),
+        (["--depth-mm", "5.2"], "depth 5.2 mm goes past the gel, which is 5 mm thick"),
+        (["--depth-mm", "-1"], "depth must be above 0 mm"),
+        (["--depth-mm", "nan"], "must be finite"),
+    ],
+)
+def test_bad_options_are_refused_before_any_work(
+    captures: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    words: str,
+) -> None:
+    monkeypatch.setattr("sensors.design.design_sensor", never)
+    assert run(captures, tmp_path / "demo", *options) == 2
+    assert words in capsys.readouterr().err
+    assert everything_below(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('sensor = "gelsight"', 'sensor = "digit"', "was captured with sensor 'digit'"),
+        ('[[presses]]\nimage = "p3.png"', '[[presses]]\nimage = "absent.png"', "absent.png"),
+    ],
+)
+def test_bad_captures_are_refused_before_any_work(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    old: str,
+    new: str,
+    words: str,
+) -> None:
+    folder = write_captures(tmp_path / "captures")
+    manifest = folder / "captures.toml"
+    text = manifest.read_text()
+    assert old in text
+    manifest.write_text(text.replace(old, new))
+    monkeypatch.setattr("sensors.design.design_sensor", never)
+    assert run(folder, tmp_path / "demo") == 2
+    message = capsys.readouterr().err
+    assert words in message and str(folder) in message
+    assert os.listdir(tmp_path) == ["captures"]
+
+
+def test_too_few_captures_to_hold_one_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_captures(tmp_path / "captures")
+    manifest = folder / "captures.toml"
+    blocks = manifest.read_text().split("[[presses]]")
+    manifest.write_text("[[presses]]".join(blocks[:4]))
+    monkeypatch.setattr("sensors.design.design_sensor", never)
+    assert run(folder, tmp_path / "demo") == 2
+    assert "holds 3 presses, too few" in capsys.readouterr().err
+
+
+def test_foreign_folder_is_refused_before_any_work(
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calibration.capture.load_captures", never)
+    (tmp_path / "notes.txt").write_text("mine")
+    assert run(captures, tmp_path) == 2
+    assert everything_below(tmp_path) == {"notes.txt": b"mine"}

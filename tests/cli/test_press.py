@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab press`` from the command line to the files it leaves."""
+
+from __future__ import annotations
+
+import json
+import os
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from sensors.press_mesh import PressMeshOptions
+from taccel_lab.cli.app import main
+from taccel_lab.cli.press import contact_radius_guess_mm
+from taccel_lab.envs import parse_indenter
+from taccel_lab.envs.press import PressEnv
+from taccel_lab.errors import SimulationError
+from taccel_lab.geometry.vtu import read_mesh_vtu
+from taccel_lab.output import OUTPUT_MARKER
+from taccel_lab.profile import load_profile
+from tests.cli.small_captures import GRID, background, everything_below, write_profile
+
+FILES = {
+    OUTPUT_MARKER,
+    "contact_pressure.png",
+    "force_depth.png",
+    "gel.vtu",
+    "height_map.png",
+    "normals.png",
+    "press.json",
+    "signals.npz",
+}
+IMAGES = {"image.png", "image_raw.png"}
+SMALL = partial(PressMeshOptions, elements_per_radius=5.0, core=6, rings=10, layers=3)
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Coarser meshes than the command's, so that a press takes a fraction of a second."""
+    monkeypatch.setattr("sensors.press_mesh.PressMeshOptions", SMALL)
+
+
+def press(sensor: object, out: Path, *options: str) -> int:
+    return main(["press", str(sensor), "--out", str(out), *options])
+
+
+def read(out: Path) -> dict[str, Any]:
+    return json.loads((out / "press.json").read_text())
+
+
+def check_press_figures(values: dict[str, Any], steps: int) -> None:
+    figures = values["press"]
+    assert figures["force_n"] > 0
+    assert figures["force_n"] == figures["wrench"]["force_n"][2]
+    assert 0 <= figures["residual_n"] <= 1e-4 * figures["contact_force_sum_n"]
+    assert figures["newton_iterations"] >= steps
+    assert figures["seconds_per_step"] > 0
+    assert 0 < figures["min_distance_m"] < 2e-5
+    assert figures["smallest_volume_ratio"] > 0
+    assert figures["step_count"] == len(figures["steps"]) == steps
+
+
+def test_press_on_a_sensor_of_the_catalogue(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "deep" / "press"
+    options = ["--depth-mm", "0.4", "--at-mm", "1.0", "-0.5", "--shear-mm", "0.1", "0"]
+    assert press("gelsight", out, *options, "--twist-deg", "2") == 0
+    assert {path.name for path in out.iterdir()} == FILES
+    assert os.listdir(out.parent) == ["press"]
+    values = read(out)
+    check_press_figures(values, 3)
+    assert values["sensor"] == "gelsight"
+    assert values["indenter"] == "sphere:2.0"
+    assert values["at_mm"] == [1.0, -0.5]
+    assert values["path"] == {"depth_mm": 0.4, "shear_mm": [0.1, 0.0], "twist_deg": 2.0}
+    assert values["friction_coefficient"] == 1.0
+    assert values["material"] == {"young_modulus_pa": 150000.0, "poisson_ratio": 0.46}
+    assert values["press"]["wrench"]["force_n"][0] < 0
+    assert values["indenter_pose"][:2] == pytest.approx([1.1e-3, -0.5e-3])
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    for words in ("force of the gel on the indenter", "smallest gap", "wrote"):
+        assert words in captured.err
+
+    with np.load(out / "signals.npz") as signals:
+        assert set(signals.files) == {
+            "height_m", "rest_height_m", "normals", "rest_normals", "contact_mask",
+            "contact_forces_n",
+        }  # fmt: skip
+        assert signals["height_m"].shape == signals["contact_mask"].shape == (480, 640)
+        assert signals["normals"].shape == (480, 640, 3)
+        v, u = np.unravel_index(
+            np.nanargmin(signals["height_m"] - signals["rest_height_m"]), (480, 640)
+        )
+        assert (u - 319.5) * 0.0295 == pytest.approx(1.1, abs=0.2)
+        assert (v - 239.5) * 0.0295 == pytest.approx(-0.5, abs=0.2)
+        total = signals["contact_forces_n"].sum(axis=0)
+    assert total == pytest.approx(-np.array(values["press"]["wrench"]["force_n"]), rel=1e-6)
+    mesh = read_mesh_vtu(out / "gel.vtu")
+    assert mesh.node_count == values["mesh"]["node_count"]
+    assert mesh.tet_count == values["mesh"]["tet_count"]
+    for name in FILES:
+        if name.endswith(".png"):
+            image = cv2.imread(str(out / name))
+            assert image is not None and image.std() > 5, name
+
+
+def test_press_on_a_profile_gives_an_image(tmp_path: Path) -> None:
+    profile = write_profile(tmp_path / "unit")
+    out = tmp_path / "press"
+    assert press(profile, out, "--depth-mm", "0.3", "--friction", "0", "--at-mm", "1", "0.5") == 0
+    assert {path.name for path in out.iterdir()} == FILES | IMAGES
+    values = read(out)
+    check_press_figures(values, 2)
+    assert values["friction_coefficient"] == 0.0
+    with np.load(out / "signals.npz") as signals:
+        rgb, mask = signals["rgb"], signals["contact_mask"]
+    assert rgb.shape == (GRID.height_px, GRID.width_px, 3) and rgb.dtype == np.uint8
+    assert np.array_equal(cv2.imread(str(out / "image_raw.png"))[..., ::-1], rgb)
+    changed = np.abs(rgb.astype(int) - background()).max(axis=-1)
+    assert np.median(changed[mask]) > 5
+    # Far from the contact the gel has hardly moved, so the image is nearly the background.
+    assert np.median(changed[:, :10]) < np.median(changed[mask]) / 2
+
+
+def test_profile_without_colour_gives_no_image(tmp_path: Path) -> None:
+    profile = write_profile(tmp_path / "unit", color=False)
+    out = tmp_path / "press"
+    options = ["--depth-mm", "0.2", "--friction", "0", "--mesh", "profile"]
+    assert press(profile, out, *options, "--indenter", "box:4x3") == 0
+    assert {path.name for path in out.iterdir()} == FILES
+    values = read(out)
+    assert values["mesh"]["node_count"] == load_profile(profile).mesh.node_count
+    assert values["indenter"] == "box:4x3"
+
+
+def test_options_reach_the_solver(tmp_path: Path) -> None:
+    common = ["--depth-mm", "0.3", "--friction", "0", "--step-mm", "0.1"]
+    assert press("gelsight", tmp_path / "a", *common) == 0
+    assert press("gelsight", tmp_path / "b", *common, "--tolerance", "1e-7") == 0
+    assert press("gelsight", tmp_path / "c", *common, "--dhat-mm", "0.05") == 0
+    a, b, c = (read(tmp_path / name)["press"] for name in "abc")
+    assert a["step_count"] == 3
+    # The absolute tolerance of 1e-7 N is always good enough.
+    assert b["residual_n"] <= 1e-7 < a["residual_n"] <= 1e-4 * a["contact_force_sum_n"]
+    assert a["min_distance_m"] < 2e-5 < c["min_distance_m"] < 5e-5
+
+
+def test_same_press_gives_same_files(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert press("gelsight", tmp_path / name, "--depth-mm", "0.2") == 0
+    with np.load(tmp_path / "a" / "signals.npz") as a, np.load(tmp_path / "b" / "signals.npz") as b:
+        for key in a.files:
+            assert np.array_equal(a[key], b[key], equal_nan=True), key
+
+
+def test_earlier_press_is_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "press"
+    assert press("gelsight", out, "--depth-mm", "0.2") == 0
+    (out / "image.png").write_bytes(b"of another press")
+    assert press("gelsight", out, "--depth-mm", "0.3") == 0
+    assert {path.name for path in out.iterdir()} == FILES
+    assert read(out)["path"]["depth_mm"] == 0.3
+    assert os.listdir(tmp_path) == ["press"]
+
+
+def test_a_press_that_fails_leaves_the_earlier_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "press"
+    assert press("gelsight", out, "--depth-mm", "0.2") == 0
+    before = everything_below(tmp_path)
+
+    def fail(self: PressEnv, *_: object) -> None:
+        raise SimulationError("no luck at depth 0.2 mm")
+
+    monkeypatch.setattr(PressEnv, "move_to", fail)
+    assert press("gelsight", out, "--depth-mm", "0.3") == 3
+    assert "simulation failed: no luck at depth 0.2 mm" in capsys.readouterr().err
+    assert everything_below(tmp_path) == before
+    assert press("gelsight", tmp_path / "new", "--depth-mm", "0.3") == 3
+    assert everything_below(tmp_path) == before
+
+
+def test_an_interrupted_press_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    # While the files are being written, after the press.
+    monkeypatch.setattr("taccel_lab.report.draw_normals", interrupt)
+    assert press("gelsight", tmp_path / "a" / "press", "--depth-mm", "0.2") == 130
+    assert everything_below(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "depth_mm", "radius_mm"),
+    [
+        ("sphere:2.0", 0.5, 1.0),
+        ("sphere:2.0", 3.0, 1.9),
+        ("sphere:0.05", 0.001, 0.1),
+        ("cylinder:1.5", 0.5, 1.5),
+        ("box:6x8", 0.5, 4.0),
+        ("box:0.1x0.1", 0.5, 0.3),
+    ],
+)
+def test_radius_to_grade_the_mesh_for(text: str, depth_mm: float, radius_mm: float) -> None:
+    assert contact_radius_guess_mm(parse_indenter(text), depth_mm) == pytest.approx(radius_mm)

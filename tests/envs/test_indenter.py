@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Indenters from text and from mesh files, and every way they are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taccel_lab.envs import parse_indenter
+from taccel_lab.errors import InputError
+from taccel_lab.scene import Ball, TriangleMesh
+
+
+def signed_volume(mesh: TriangleMesh) -> float:
+    a, b, c = (mesh.vertices_m[mesh.faces[:, k]] for k in range(3))
+    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
+
+
+def test_sphere() -> None:
+    indenter = parse_indenter("sphere:2.5")
+    assert indenter.name == "sphere:2.5"
+    assert indenter.shape == Ball(2.5e-3)
+
+
+def test_cylinder() -> None:
+    mesh = parse_indenter("cylinder:1.5").shape
+    assert isinstance(mesh, TriangleMesh)
+    assert np.linalg.norm(mesh.vertices_m[:, :2], axis=1).max() == pytest.approx(1.5e-3)
+    assert np.ptp(mesh.vertices_m[:, 2]) == pytest.approx(4e-3)
+    assert signed_volume(mesh) == pytest.approx(np.pi * 1.5e-3**2 * 4e-3, rel=2e-3)
+
+
+def test_box_is_x_by_y() -> None:
+    mesh = parse_indenter("box:4x2").shape
+    assert isinstance(mesh, TriangleMesh)
+    assert np.ptp(mesh.vertices_m, axis=0) == pytest.approx([4e-3, 2e-3, 4e-3])
+    assert signed_volume(mesh) == pytest.approx(32e-9)
+
+
+@given(size=st.floats(0.05, 100.0))
+def test_every_allowed_size_is_read_in_mm(size: float) -> None:
+    shape = parse_indenter(f"sphere:{size!r}").shape
+    assert isinstance(shape, Ball)
+    assert shape.radius_m == pytest.approx(size * 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not understood"),
+        ("sphere", "'' is not a number"),
+        ("sphere:", "'' is not a number"),
+        ("ball:2", "not understood; allowed: sphere:RADIUS"),
+        ("Sphere:2", "not understood"),
+        ("sphere:2mm", "'2mm' is not a number"),
+        ("sphere:2x3", "'2x3' is not a number"),
+        ("sphere:0", r"must lie in \[0.05, 100\] mm, got 0 mm"),
+        ("sphere:-2", r"must lie in \[0.05, 100\] mm, got -2 mm"),
+        ("sphere:nan", r"must lie in \[0.05, 100\] mm, got nan mm"),
+        ("cylinder:inf", r"must lie in \[0.05, 100\] mm, got inf mm"),
+        ("cylinder:0.002", r"must lie in \[0.05, 100\] mm"),
+        ("box:4", "not understood"),
+        ("box:4x", "'' is not a number"),
+        ("box:4x2x3", "'2x3' is not a number"),
+        ("box:4x-2", "must lie in"),
+        ("mesh:", "does not exist"),
+        ("mesh:absent.stl", "mesh absent.stl does not exist"),
+    ],
+)
+def test_bad_text(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        parse_indenter(text)
+    if not text.startswith("mesh"):
+        assert repr(text) in str(caught.value)
+
+
+def save(surface: pyvista.PolyData, path: Path) -> str:
+    surface.save(path)
+    return f"mesh:{path}"
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
+def test_mesh_file_in_mm_is_centred(tmp_path: Path, suffix: str) -> None:
+    cone = pyvista.Cone(center=(7, -3, 20), direction=(0, 0, -1), height=4, radius=1.5)
+    mesh = parse_indenter(save(cone.triangulate(), tmp_path / f"cone.{suffix}")).shape
+    assert isinstance(mesh, TriangleMesh)
+    low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+    assert low + high == pytest.approx(np.zeros(3), abs=1e-9)
+    assert high[2] == pytest.approx(2e-3)
+    assert signed_volume(mesh) > 0
+
+
+def test_faces_that_look_inwards_are_turned(tmp_path: Path) -> None:
+    cube = pyvista.Cube(x_length=3, y_length=2, z_length=1).triangulate().clean()
+    faces = cube.faces.reshape(-1, 4)[:, [0, 1, 3, 2]]
+    inside_out = pyvista.PolyData(np.asarray(cube.points), faces)
+    mesh = parse_indenter(save(inside_out, tmp_path / "cube.stl")).shape
+    assert isinstance(mesh, TriangleMesh)
+    assert signed_volume(mesh) == pytest.approx(6e-9)
+
+
+def test_open_surface_is_refused(tmp_path: Path) -> None:
+    text = save(pyvista.Plane(i_size=3, j_size=3).triangulate(), tmp_path / "plane.stl")
+    with pytest.raises(InputError, match=r"plane\.stl is not a closed manifold .*open edges"):
+        parse_indenter(text)
+
+
+def test_surface_with_a_fin_is_refused(tmp_path: Path) -> None:
+    cube = pyvista.Cube(x_length=3, y_length=2, z_length=1).triangulate().clean()
+    points = np.vstack([cube.points, [0.0, 0.0, 5.0]])
+    faces = cube.faces.reshape(-1, 4)
+    extra = [3, faces[0, 1], faces[0, 2], len(points) - 1]
+    fin = pyvista.PolyData(points, np.vstack([faces, extra]))
+    with pytest.raises(InputError, match="not a closed manifold"):
+        parse_indenter(save(fin, tmp_path / "fin.stl"))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("scale", "unit"), [(1e-3, "metres"), (1 / 254, "inches"), (1e3, "")])
+def test_mesh_in_another_unit_is_refused(tmp_path: Path, scale: float, unit: str) -> None:
+    sphere = pyvista.Sphere(radius=0.4 * scale)
+    with pytest.raises(InputError, match=rf"units across; a size in \[0.05, 100\] mm.*{unit}"):
+        parse_indenter(save(sphere, tmp_path / "ball.stl"))
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "ball.step"
+    path.write_text("ISO-10303-21;")
+    with pytest.raises(InputError, match=r"ball\.step: only \.stl, \.ply and \.obj"):
+        parse_indenter(f"mesh:{path}")
+    with pytest.raises(InputError, match="does not exist"):
+        parse_indenter(f"mesh:{tmp_path}")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
+@pytest.mark.parametrize("content", [b"", b"not a mesh at all", bytes(range(256)) * 4])
+def test_broken_mesh_file_is_refused(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"broken.{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"broken\.{suffix}"):
+        parse_indenter(f"mesh:{path}")
+
+
+def test_truncated_mesh_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "ball.stl"
+    pyvista.Sphere(radius=2.0).save(path)
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(InputError, match=r"ball\.stl"):
+        parse_indenter(f"mesh:{path}")

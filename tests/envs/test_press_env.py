@@ -1,0 +1,341 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``PressEnv``: converged presses, signs of wrenches, halved steps, limits, batches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taccel_lab.envs import PressEnv, PressPath, parse_indenter
+from taccel_lab.envs.press import MAX_HALVINGS
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.ipc.intersection import find_intersections, require_separated
+from taccel_lab.scene import Material
+from taccel_lab.solvers import EnvStatus, SolverConfig, StepReport
+from taccel_lab.state import initial_state
+from tests.envs.pads import COARSE, FINER, GEL, pad
+
+CENTRE = np.array([[0.0, 0.0]])
+
+
+def press_env(
+    indenter: str = "sphere:2.0",
+    at_mm: tuple[float, float] = (0.0, 0.0),
+    friction: float = 0.0,
+    config: SolverConfig | None = None,
+) -> PressEnv:
+    return PressEnv(
+        pad(at_mm),
+        GEL,
+        parse_indenter(indenter),
+        np.array([at_mm]),
+        friction_coefficient=friction,
+        config=config,
+    )
+
+
+@pytest.mark.parametrize("indenter", ["sphere:2.0", "cylinder:1.0", "box:2x1.5"])
+def test_force_grows_with_depth(indenter: str) -> None:
+    env = press_env(indenter)
+    assert env.wrench == pytest.approx(np.zeros((1, 6)), abs=0)
+    forces = []
+    for depth in (0.1, 0.2, 0.4, 0.6):
+        report = env.move_to(depth)
+        assert report.converged.all()
+        assert report.residual_n[0] <= 1e-4 * report.contact_force_n[0]
+        assert 0 < report.min_distance_m[0] < 2e-5
+        assert not find_intersections(env.model, env.state)[0]
+        assert env.touch_m[0] - env.poses[0, 0, 2] == pytest.approx(depth * 1e-3, abs=1e-15)
+        forces.append(env.wrench[0, 2])
+    assert forces[0] > 0 and (np.diff(forces) > 0).all()
+    if indenter == "sphere:2.0":
+        # The floor 5 mm below and the coarse mesh stiffen: Hertz's half-space is the least.
+        hertz = 4 / 3 * 1.5e5 / (1 - 0.46**2) * math.sqrt(2e-3) * (0.6e-3) ** 1.5
+        assert hertz < forces[-1] < 3 * hertz
+
+
+def test_no_force_before_first_touch() -> None:
+    env = press_env()
+    # The barrier begins at dhat, 0.02 mm above touch.
+    report = env.move_to(-0.025)
+    assert report.contact_force_n[0] == 0.0
+    assert report.min_distance_m[0] == math.inf
+    assert env.positions[0] == pytest.approx(pad().nodes_m, abs=1e-15)
+    env.move_to(0.0)
+    assert env.wrench[0, 2] > 0
+
+
+def test_frictionless_force_follows_depth_alone() -> None:
+    env = press_env()
+    env.move_to(0.4)
+    deep = env.wrench.copy()
+    env.move_to(0.15)
+    assert env.wrench[0, 2] < 0.5 * deep[0, 2]
+    env.move_to(0.4)
+    assert env.wrench[0, :3] == pytest.approx(deep[0, :3], abs=3e-4 * deep[0, 2])
+
+
+@pytest.mark.parametrize("at_mm", [(3.0, 0.0), (-3.0, 0.0), (0.0, 2.5), (2.0, -2.0)])
+def test_moment_of_an_off_centre_press(at_mm: tuple[float, float]) -> None:
+    env = press_env(at_mm=at_mm)
+    env.move_to(0.3)
+    force, moment = env.wrench[0, :3], env.wrench[0, 3:]
+    assert force[2] > 0
+    # Frictionless on a dome: the force leans outwards, away from the apex, along the ball's axis.
+    place = np.array(at_mm) * 1e-3
+    assert force[:2] @ place > 0
+    lean = np.linalg.norm(force[:2]) / force[2]
+    assert lean == pytest.approx(np.linalg.norm(place) / 52e-3, rel=0.35)
+    # All forces pass through the ball's centre.
+    assert moment == pytest.approx(np.cross(env.poses[0, 0, :3], force), abs=1e-7)
+    assert moment[0] * place[1] >= 0 and moment[1] * place[0] <= 0
+    # The normal force outweighs: it turns about y by -x Fz and about x by y Fz.
+    assert moment[:2] == pytest.approx(
+        [place[1] * force[2], -place[0] * force[2]], abs=0.35 * np.linalg.norm(place) * force[2]
+    )
+
+
+@pytest.mark.parametrize("direction", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_shear_is_resisted(direction: tuple[int, int]) -> None:
+    env = press_env(friction=0.5)
+    env.move_to(0.4)
+    normal = env.wrench[0, 2]
+    env.move_to(0.4, np.array(direction) * 0.05)
+    along = env.wrench[0, :2] @ np.array(direction)
+    across = abs(env.wrench[0, :2] @ np.array([-direction[1], direction[0]]))
+    # Gel on indenter: against the motion, within the friction cone.
+    assert -0.5 * normal * 1.1 < along < -0.05 * normal
+    assert across < 0.2 * abs(along)
+    assert env.poses[0, 0, :2] == pytest.approx(np.array(direction) * 5e-5)
+
+
+def test_sliding_keeps_to_coulombs_law() -> None:
+    env = press_env("sphere:2.0", friction=0.1)
+    env.follow(PressPath(0.3, (0.8, 0.0), step_mm=0.2))
+    forces = env.contact_forces[0]
+    normal = -env.solver.contact_gradient.numpy()[0, : env.model.soft_count]
+    tangential = np.linalg.norm(forces - normal, axis=1)
+    pushed = np.linalg.norm(normal, axis=1)
+    assert tangential.sum() == pytest.approx(0.1 * pushed.sum(), rel=0.02)
+
+
+@pytest.mark.parametrize("twist", [4.0, -4.0])
+def test_twist_is_resisted(twist: float) -> None:
+    mesh = pad((0.0, 0.0), 1.41)
+    env = PressEnv(mesh, GEL, parse_indenter("box:2x2"), CENTRE, friction_coefficient=0.5)
+    env.move_to(0.3)
+    before = env.wrench[0, 5]
+    env.move_to(0.3, twist_deg=twist)
+    assert np.sign(env.wrench[0, 5] - before) == -np.sign(twist)
+    assert abs(env.wrench[0, 5]) > 5e-5
+    half = math.radians(twist) / 2
+    assert env.poses[0, 0, 3:] == pytest.approx([0, 0, math.sin(half), math.cos(half)])
+
+
+def test_without_friction_nothing_resists_a_ball_that_turns() -> None:
+    env = press_env()
+    env.move_to(0.3)
+    before = env.wrench[0].copy()
+    env.move_to(0.3, twist_deg=20.0)
+    assert env.wrench[0] == pytest.approx(before, abs=1e-4 * before[2])
+
+
+class Steps:
+    """Notes how far each attempt of the solver meant to go, and how it ended."""
+
+    def __init__(self, env: PressEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.targets: list[np.ndarray] = []
+        self.converged: list[np.ndarray] = []
+        step = env.solver.step
+
+        def noted(state: object, target: np.ndarray) -> StepReport:
+            report = step(state, target)  # type: ignore[arg-type]
+            self.targets.append(env.touch_m - target[:, 0, 2])
+            self.converged.append(report.converged.copy())
+            return report
+
+        monkeypatch.setattr(env.solver, "step", noted)
+
+
+def test_a_step_that_fails_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = press_env()
+    plain = whole.move_to(0.6)
+    limited = SolverConfig(max_newton_iterations=int(plain.newton_iterations[0]) - 2)
+    env = press_env(config=limited)
+    steps = Steps(env, monkeypatch)
+    report = env.move_to(0.6)
+    assert report.converged.all()
+    assert not steps.converged[0].all() and steps.converged[-1].all()
+    assert steps.targets[0] == steps.targets[-1] == pytest.approx([0.6e-3])
+    start = -(2 * limited.dhat_m + 5e-6)
+    assert steps.targets[1] == pytest.approx([(start + 0.6e-3) / 2])
+    # The report owns up to the work of the failed attempt too.
+    assert report.newton_iterations[0] > limited.max_newton_iterations
+    assert env.wrench[0] == pytest.approx(whole.wrench[0], abs=3e-4 * whole.wrench[0, 2])
+
+
+def test_only_what_failed_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
+    at = np.array([[0.0, 0.0], [0.0, 0.0]])
+    env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), at)
+    alone = press_env()
+    easy = int(alone.move_to(0.05).newton_iterations[0])
+    hard = int(press_env().move_to(0.8).newton_iterations[0])
+    assert hard > easy + 2
+    config = replace(env.solver.config, max_newton_iterations=hard - 2)
+    env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), at, config=config)
+    steps = Steps(env, monkeypatch)
+    report = env.move_to(np.array([0.05, 0.8]))
+    assert report.converged.all()
+    assert steps.converged[0].tolist() == [True, False]
+    assert {round(float(t[0]), 9) for t in steps.targets} == {0.05e-3}
+    assert env.wrench[0] == pytest.approx(alone.wrench[0], abs=1e-6)
+    assert (env.touch_m - env.poses[:, 0, 2]) * 1e3 == pytest.approx([0.05, 0.8])
+
+
+def test_a_press_that_never_converges_says_so() -> None:
+    env = press_env(config=SolverConfig(max_newton_iterations=1))
+    with pytest.raises(SimulationError) as caught:
+        env.move_to(0.5)
+    for words in ("(0, 0) mm", "depth 0.5 mm", EnvStatus.NO_CONVERGENCE.name, "residual"):
+        assert words in str(caught.value)
+    assert f"{MAX_HALVINGS} halvings" in str(caught.value)
+    assert not find_intersections(env.model, env.state)[0]
+
+
+def test_reset() -> None:
+    env = press_env(friction=0.5)
+    env.follow(PressPath(0.3, (0.1, 0.0), step_mm=0.3))
+    first = env.wrench.copy()
+    env.reset()
+    assert np.array_equal(env.positions[0], pad().nodes_m)
+    assert env.poses[0, 0, 2] > env.touch_m[0]
+    env.follow(PressPath(0.3, (0.1, 0.0), step_mm=0.3))
+    assert np.array_equal(env.wrench, first)
+
+
+def test_follow_tells_progress() -> None:
+    env = press_env()
+    told: list[tuple[int, int, bool]] = []
+    reports = env.follow(
+        PressPath(0.2, step_mm=0.05),
+        lambda done, total, report: told.append((done, total, bool(report.converged.all()))),
+    )
+    assert told == [(i, 4, True) for i in (1, 2, 3, 4)]
+    assert len(reports) == 4
+
+
+def test_batch_equals_single_presses() -> None:
+    places = [(0.0, 0.0), (2.0, -1.0), (-3.0, 1.5)]
+    depths = np.array([0.2, 0.35, 0.1])
+    meshes = [pad(place) for place in places]
+    batch = PressEnv(
+        meshes[0],
+        GEL,
+        parse_indenter("sphere:2.0"),
+        np.array(places),
+        friction_coefficient=0.5,
+        rest_positions_m=np.stack([mesh.nodes_m for mesh in meshes]),
+    )
+    batch.move_to(depths)
+    for i, place in enumerate(places):
+        single = press_env(at_mm=place, friction=0.5)
+        single.move_to(depths[i])
+        assert batch.touch_m[i] == single.touch_m[0]
+        assert batch.wrench[i] == pytest.approx(single.wrench[0], abs=1e-3 * single.wrench[0, 2])
+        assert batch.positions[i] == pytest.approx(single.positions[0], abs=1e-7)
+
+
+@pytest.mark.parametrize(("at_mm", "thick_mm"), [((0.0, 0.0), 5.0), ((6.0, 0.0), 4.639)])
+def test_depth_is_limited_by_the_gel_below(at_mm: tuple[float, float], thick_mm: float) -> None:
+    env = press_env(at_mm=at_mm)
+    with pytest.raises(InputError, match="goes past the gel, which is") as caught:
+        env.move_to(0.9 * thick_mm + 0.02)
+    message = str(caught.value)
+    thickness = float(message.split("which is ")[1].split(" mm")[0])
+    assert thickness == pytest.approx(thick_mm, abs=0.03)
+    assert "90%" in message
+    # Refused before anything moved.
+    assert np.array_equal(env.positions[0], pad(at_mm).nodes_m)
+    assert env.poses[0, 0, 2] > env.touch_m[0]
+
+
+def test_deepest_of_a_batch_is_named() -> None:
+    env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), np.zeros((2, 2)))
+    with pytest.raises(InputError, match="depth 7 mm goes past the gel"):
+        env.move_to(np.array([0.1, 7.0]))
+
+
+@pytest.mark.parametrize("depth", [math.nan, math.inf, np.array([math.nan])])
+def test_depth_must_be_finite(depth: float) -> None:
+    with pytest.raises(InputError, match="depth of a press must be finite"):
+        press_env().move_to(depth)
+
+
+@pytest.mark.parametrize("motion", [{"shear_mm": (math.nan, 0.0)}, {"twist_deg": math.nan}])
+def test_motion_must_be_finite(motion: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="NaN or infinite"):
+        press_env().move_to(0.1, **motion)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("at_mm", [(15.0, 0.0), (0.0, -13.0), (-1e6, 0.0)])
+def test_a_press_beside_the_gel_is_refused(at_mm: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match=r"misses the gel; x must lie in \[-12, 12\] mm") as caught:
+        PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), np.array([at_mm]))
+    assert "y in [-10, 10] mm" in str(caught.value)
+    assert f"({at_mm[0]:g}, {at_mm[1]:g}) mm" in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_place_must_be_finite(value: float) -> None:
+    with pytest.raises(InputError, match="place of a press must be finite"):
+        PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), np.array([[0.0, value]]))
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.6, -1.0, math.nan])
+def test_poisson_ratio_is_bounded(ratio: float) -> None:
+    with pytest.raises(InputError, match="Poisson's ratio must lie in"):
+        Material(1.5e5, ratio)
+
+
+@pytest.mark.parametrize("modulus", [0.0, -1e5, 50.0, 1e13, math.nan, math.inf])
+def test_modulus_is_bounded(modulus: float) -> None:
+    with pytest.raises(InputError, match="Young's modulus must lie in"):
+        Material(modulus, 0.46)
+
+
+@pytest.mark.parametrize("friction", [-0.1, 11.0, math.nan])
+def test_friction_is_bounded(friction: float) -> None:
+    with pytest.raises(InputError, match=r"friction coefficient of 'sphere:2\.0' must lie in"):
+        press_env(friction=friction)
+
+
+@pytest.mark.parametrize("indenter", ["sphere:2.0", "cylinder:1.0", "box:2x1.5"])
+@pytest.mark.parametrize("at_mm", [(0.0, 0.0), (4.0, -3.0)])
+def test_a_press_starts_apart_and_close(indenter: str, at_mm: tuple[float, float]) -> None:
+    env = press_env(indenter, at_mm)
+    assert not find_intersections(env.model, env.state)[0]
+    start = env.poses.copy()
+    start[:, 0, 2] = env.touch_m - 1e-6
+    inside = initial_state(env.model, start)
+    with pytest.raises(InputError, match="starts inside the gel"):
+        require_separated(env.model, inside)
+
+
+def test_an_indenter_that_starts_inside_the_gel_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever first touch comes from, an overlap at the start is never simulated."""
+    monkeypatch.setattr("taccel_lab.envs.press.first_touch_m", lambda *_: 1e-3)
+    with pytest.raises(InputError, match=r"'sphere:2\.0' starts inside the gel"):
+        press_env()
+
+
+def test_a_coarser_mesh_is_a_little_stiffer() -> None:
+    """Fewer ways to deform: the force comes down to that of the gel, it does not jump about."""
+    forces = []
+    for options in (COARSE, FINER):
+        env = PressEnv(pad((0.0, 0.0), 1.0, options), GEL, parse_indenter("sphere:2.0"), CENTRE)
+        env.move_to(0.4)
+        forces.append(env.wrench[0, 2])
+    assert forces[1] < forces[0] < 1.35 * forces[1]

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``simulate_press``: what is read at the end of a press agrees with itself."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from taccel_lab.envs import PressOutcome, PressPath, PressStep, parse_indenter, simulate_press
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.output import to_jsonable
+from taccel_lab.scene import Ball
+from taccel_lab.signals.forces import resultant_wrench
+from tests.envs.pads import FINER, GEL, pad
+
+GRID = PixelGrid(64, 48, 0.1, 0.1)
+AT_MM = (0.5, -0.3)
+PATH = PressPath(0.5, (0.06, 0.0), 2.0, step_mm=0.25)
+
+
+def press(
+    indenter: str, friction: float = 0.5
+) -> tuple[PressOutcome, list[tuple[int, int, PressStep]]]:
+    told: list[tuple[int, int, PressStep]] = []
+    outcome = simulate_press(
+        pad(AT_MM, 1.0, FINER),
+        GEL,
+        parse_indenter(indenter),
+        AT_MM,
+        PATH,
+        GRID,
+        friction_coefficient=friction,
+        progress=lambda *values: told.append(values),
+    )
+    return outcome, told
+
+
+@pytest.fixture(scope="module")
+def pressed() -> tuple[PressOutcome, list[tuple[int, int, PressStep]]]:
+    return press("sphere:2.0")
+
+
+@pytest.fixture(scope="module")
+def outcome(pressed: tuple[PressOutcome, list]) -> PressOutcome:
+    return pressed[0]
+
+
+def test_progress_is_told_every_step(
+    pressed: tuple[PressOutcome, list[tuple[int, int, PressStep]]],
+) -> None:
+    outcome, told = pressed
+    assert [t[:2] for t in told] == [(1, 3), (2, 3), (3, 3)]
+    assert [t[2] for t in told] == outcome.steps
+    waypoints = [(s.depth_mm, s.shear_mm, s.twist_deg) for s in outcome.steps]
+    assert waypoints == PATH.waypoints()
+
+
+def test_forces_add_up_to_the_wrench(outcome: PressOutcome) -> None:
+    on_gel = resultant_wrench(outcome.positions_m[None], outcome.contact_forces_n[None])[0]
+    wrench = outcome.steps[-1].wrench
+    assert wrench == pytest.approx(-on_gel, abs=1e-12)
+    assert outcome.contact_forces_n.sum(axis=0) == pytest.approx(-wrench[:3], abs=1e-12)
+    assert wrench[2] > 0 > wrench[0]
+    # Only nodes of the contact face are touched.
+    touched = np.flatnonzero(np.abs(outcome.contact_forces_n).max(axis=1) > 0)
+    assert 0 < len(touched)
+    assert np.isin(touched, outcome.mesh.region_nodes(Region.CONTACT)).all()
+
+
+def test_glue_holds_and_no_tet_is_inverted(outcome: PressOutcome) -> None:
+    bonded = outcome.mesh.bonded_nodes()
+    assert np.array_equal(outcome.positions_m[bonded], outcome.mesh.nodes_m[bonded])
+    corners = outcome.positions_m[outcome.mesh.tets]
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    ratio = (volumes / outcome.mesh.volumes_m3()).min()
+    assert outcome.smallest_volume_ratio == pytest.approx(ratio)
+    assert 0 < ratio < 1
+
+
+def test_pose_is_at_the_end_of_the_path(outcome: PressOutcome) -> None:
+    pose = outcome.indenter_pose
+    assert pose[:2] == pytest.approx([0.56e-3, -0.3e-3])
+    touch = np.sqrt(52e-3**2 - (np.array(AT_MM) ** 2).sum() * 1e-6) - 50e-3
+    assert pose[2] == pytest.approx(touch - 0.5e-3, abs=1e-6)
+    assert pose[3:] == pytest.approx([0, 0, np.sin(np.pi / 180), np.cos(np.pi / 180)])
+
+
+def test_surface_wraps_the_ball(outcome: PressOutcome) -> None:
+    ball = parse_indenter("sphere:2.0").shape
+    assert isinstance(ball, Ball)
+    x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
+    points = np.stack([x, y, outcome.height_m], axis=-1) - outcome.indenter_pose[:3]
+    distance = np.linalg.norm(points, axis=-1) - ball.radius_m
+    inside = outcome.contact_mask
+    assert inside.any() and not inside.all()
+    # Nothing pokes through the ball; where they touch, the gap is at most dhat.
+    assert np.nanmin(distance) > -1e-6
+    assert distance[inside].max() < 2.5e-5
+    assert np.nanmin(distance[~inside]) > 0
+    # The normal of the gel in contact is the ball's.
+    outward = -points / np.linalg.norm(points, axis=-1, keepdims=True)
+    cosine = (outward * outcome.normals).sum(axis=-1)[inside]
+    assert cosine.min() > np.cos(np.radians(3))
+
+
+def test_contact_radius_is_that_of_its_area(outcome: PressOutcome) -> None:
+    area = outcome.contact_mask.sum() * (GRID.mm_per_px_x * 1e-3) ** 2
+    assert outcome.contact_radius_m == pytest.approx(np.sqrt(area / np.pi), rel=0.1)
+    # Between Hertz on a half-space and the cap that the depth cuts off.
+    assert 0.9e-3 < outcome.contact_radius_m < 1.33e-3
+
+
+def test_rest_surface_is_the_dome(outcome: PressOutcome) -> None:
+    x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
+    dome = np.sqrt(50e-3**2 - x**2 - y**2) - 50e-3
+    # Facets of edge h dip by h^2 / 8 R: 20 um where this coarse mesh is coarsest.
+    assert outcome.rest_height_m == pytest.approx(dome, abs=2e-5)
+    near = np.hypot(x - AT_MM[0] * 1e-3, y - AT_MM[1] * 1e-3) < 1.5e-3
+    assert outcome.rest_height_m[near] == pytest.approx(dome[near], abs=1e-6)
+    assert np.linalg.norm(outcome.rest_normals, axis=-1) == pytest.approx(np.ones(x.shape))
+    assert np.linalg.norm(outcome.normals, axis=-1) == pytest.approx(np.ones(x.shape))
+    sunk = outcome.height_m - outcome.rest_height_m
+    v, u = np.unravel_index(np.argmin(sunk), sunk.shape)
+    assert [GRID.x_mm()[u], GRID.y_mm()[v]] == pytest.approx([0.56, -0.3], abs=0.15)
+    assert sunk.min() == pytest.approx(-0.5e-3, abs=3e-5)
+
+
+def test_figures(outcome: PressOutcome) -> None:
+    figures = outcome.figures()
+    reports = [step.report for step in outcome.steps]
+    assert figures["force_n"] == outcome.steps[-1].wrench[2]
+    assert figures["residual_n"] <= 1e-4 * figures["contact_force_sum_n"]
+    assert figures["newton_iterations"] == sum(int(r.newton_iterations[0]) for r in reports)
+    assert figures["seconds_per_step"] == pytest.approx(np.mean([r.seconds for r in reports]))
+    assert figures["min_distance_m"] == min(float(r.min_distance_m[0]) for r in reports) > 0
+    assert figures["step_count"] == len(figures["steps"]) == 3
+    assert [step["depth_mm"] for step in figures["steps"]] == [0.25, 0.5, 0.5]
+    forces = [step["force_n"][2] for step in figures["steps"]]
+    assert 0 < forces[0] < forces[1]
+    json.dumps(to_jsonable(figures), allow_nan=False)
+
+
+def test_flat_indenter_leaves_a_flat_floor() -> None:
+    outcome, _ = press("cylinder:1.0", friction=0.0)
+    x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
+    away = np.hypot(x - outcome.indenter_pose[0], y - outcome.indenter_pose[1])
+    end = outcome.indenter_pose[2] - 2e-3
+    floor = outcome.height_m[away < 0.8e-3]
+    assert (floor < end).all()
+    assert floor.max() == pytest.approx(end, abs=2.5e-5)
+    assert outcome.contact_mask[away < 0.8e-3].mean() > 0.9
+    assert not outcome.contact_mask[away > 1.2e-3].any()
+
+
+def test_a_depth_past_the_gel_is_refused_before_anything_is_read() -> None:
+    told: list[object] = []
+    with pytest.raises(InputError, match=r"depth 4\.6 mm goes past the gel.* at most 4\.5 mm"):
+        simulate_press(
+            pad(),
+            GEL,
+            parse_indenter("sphere:2.0"),
+            (0.0, 0.0),
+            PressPath(4.6),
+            GRID,
+            progress=lambda *values: told.append(values),
+        )
+    assert not told

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Meshes for one press: fine where the contact is, the same arrays wherever that is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cad.mesh.quality_measures import dihedral_angles_deg
+from sensors.press_mesh import PressMeshOptions, press_mesh
+from sensors.registry import sensor_families, sensor_family
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region, TetMesh
+
+SMALL = PressMeshOptions(elements_per_radius=4.0, core=6, rings=10, layers=3)
+
+
+def contact_edges(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Midpoints [mm] and lengths [mm] of the contact face's edges."""
+    corners = mesh.nodes_m[mesh.region_faces(Region.CONTACT)] * 1e3
+    ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    return ends.mean(axis=1), np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+
+
+@settings(max_examples=25)
+@given(x=st.floats(-7.5, 7.5), y=st.floats(-5.5, 5.5), radius=st.floats(0.5, 1.6))
+def test_shape_is_that_of_the_pad_and_arrays_are_shared(x: float, y: float, radius: float) -> None:
+    mesh = press_mesh("gelsight", {}, (x, y), radius, SMALL)
+    middle = press_mesh("gelsight", {}, (0.0, 0.0), 1.0, SMALL)
+    assert np.array_equal(mesh.tets, middle.tets)
+    assert np.array_equal(mesh.faces, middle.faces)
+    assert np.array_equal(mesh.face_regions, middle.face_regions)
+    pad = sensor_family("gelsight").pad()
+    top = mesh.nodes_m[mesh.region_nodes(Region.CONTACT)] * 1e3
+    assert top[:, 2] == pytest.approx(pad.height_mm(top[:, :2]), abs=1e-9)
+    assert mesh.nodes_m[mesh.bonded_nodes(), 2] == pytest.approx(-5e-3, abs=1e-15)
+    low, high = mesh.nodes_m.min(axis=0), mesh.nodes_m.max(axis=0)
+    assert high[:2] - low[:2] == pytest.approx([24e-3, 20e-3])
+    assert dihedral_angles_deg(mesh.nodes_m, mesh.tets).min() > 1.0
+
+
+@pytest.mark.parametrize("at_mm", [(0.0, 0.0), (4.0, -3.0)])
+@pytest.mark.parametrize("radius", [0.6, 1.2])
+def test_elements_are_fine_around_the_contact(at_mm: tuple[float, float], radius: float) -> None:
+    options = PressMeshOptions(elements_per_radius=5.0, fine_radii=1.5, core=10, rings=16, layers=3)
+    places, lengths = contact_edges(press_mesh("gelsight", {}, at_mm, radius, options))
+    away = np.linalg.norm(places[:, :2] - at_mm, axis=1)
+    near = lengths[away < 0.8 * radius]
+    assert len(near) > 20
+    assert np.median(near) == pytest.approx(radius / 5, rel=0.5)
+    assert np.median(lengths[away > 4 * radius]) > 2 * np.median(near)
+
+
+def test_options_set_the_number_of_nodes() -> None:
+    for core, rings, layers in ((4, 8, 2), (6, 10, 3)):
+        options = PressMeshOptions(core=core, rings=rings, layers=layers)
+        mesh = press_mesh("gelsight", {}, (0.0, 0.0), 1.0, options)
+        plan = (core + 1) ** 2 + 4 * core * rings
+        assert mesh.node_count == plan * (layers + 1)
+
+
+def test_parameters_shape_the_pad() -> None:
+    changes = {"thickness_mm": 7.0, "length_x_mm": 30.0}
+    mesh = press_mesh("gelsight", changes, (0.0, 0.0), 1.0, SMALL)
+    assert mesh.nodes_m[:, 2].min() == pytest.approx(-7e-3)
+    assert np.ptp(mesh.nodes_m[:, 0]) == pytest.approx(30e-3)
+
+
+@pytest.mark.parametrize("name", sorted(sensor_families()))
+def test_every_family_has_one(name: str) -> None:
+    mesh = press_mesh(name, {}, (0.0, 0.0), 0.8, SMALL)
+    assert (mesh.volumes_m3() > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("digit9", {}, (0.0, 0.0), 1.0), r"digit9.*gelsight"),
+        (("gelsight", {"thick": 3.0}, (0.0, 0.0), 1.0), "thick"),
+        (("gelsight", {"thickness_mm": -3.0}, (0.0, 0.0), 1.0), r"thickness_mm.*-3"),
+        (("gelsight", {}, (11.5, 0.0), 1.0), r"focus_mm = \(11\.5, 0\).*at least 1\.5 mm"),
+        (("gelsight", {}, (40.0, 0.0), 1.0), r"focus_mm = \(40, 0\)"),
+        (("gelsight", {}, (0.0, math.nan), 1.0), "focus_mm"),
+        (("gelsight", {}, (0.0, 0.0), 0.0), "focus_radius_mm = 0"),
+        (("gelsight", {}, (0.0, 0.0), -1.0), "focus_radius_mm = -1"),
+        (("gelsight", {}, (0.0, 0.0), math.nan), "focus_radius_mm = nan"),
+        (("gelsight", {}, (0.0, 0.0), 9.0), "focus_radius_mm"),
+    ],
+)
+def test_refused(arguments: tuple, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        press_mesh(*arguments, SMALL)
