@@ -85,7 +85,8 @@ from calibration.simulate import simulate_presses
 surfaces = simulate_presses(captures, circles, base, processes=2)
 depth = [surface.depth_mm for surface in surfaces]
 force = [surface.force_n for surface in surfaces]
-print(f"depths {min(depth):.2f} to {max(depth):.2f} mm, forces {min(force):.2f} to {max(force):.2f} N")
+print(f"depths {min(depth):.2f} to {max(depth):.2f} mm")
+print(f"forces {min(force):.2f} to {max(force):.2f} N")
 print(f"largest force residual {max(surface.residual_n for surface in surfaces):.1e} N")
 
 row = round(circles[0].v_px)

@@ -19,6 +19,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from taccel_lab.ipc.linear.pattern import BlockPattern, tet_block_pattern
 from taccel_lab.scene.description import Scene
+from taccel_lab.scene.material import MaterialModel
 from taccel_lab.scene.primitives import Ball, TriangleMesh
 from taccel_lab.scene.surface_topology import SurfaceTopology, surface_areas, surface_topology
 
@@ -37,6 +38,8 @@ class ElasticArrays:
     """Shear modulus [Pa], float64, shape [tet_count]."""
     lam: wp.array
     """Lame's first parameter [Pa], float64, shape [tet_count]."""
+    mooney_ratio: wp.array
+    """c01 / (c10 + c01), float64, shape [tet_count]; empty unless Mooney-Rivlin."""
     node_tet_starts: wp.array
     """CSR of the tets around a node, int32, shape [soft_count + 1]."""
     node_tets: wp.array
@@ -284,6 +287,12 @@ def build_model(scene: Scene, device: str) -> Model:
             volumes=put(volumes, wp.float64),
             mu=put(np.full(mesh.tet_count, material.shear_modulus_pa), wp.float64),
             lam=put(np.full(mesh.tet_count, material.lame_lambda_pa), wp.float64),
+            mooney_ratio=put(
+                np.full(mesh.tet_count, material.mooney_ratio)
+                if material.model is MaterialModel.MOONEY_RIVLIN
+                else np.zeros(0),
+                wp.float64,
+            ),
             node_tet_starts=put(node_tet_starts.astype(np.int32), wp.int32),
             node_tets=put(order.astype(np.int32), wp.int32),
         ),

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Host-side description of a scene: bodies, materials, motion. ``Scene.finalize`` makes a Model."""
 
-from taccel_lab.scene.description import KinematicBody, Material, Scene, SoftBody, TimeStepping
+from taccel_lab.scene.description import KinematicBody, Scene, SoftBody, TimeStepping
+from taccel_lab.scene.material import Material, MaterialField, MaterialModel
 from taccel_lab.scene.primitives import (
     Ball,
     TriangleMesh,
@@ -14,6 +15,8 @@ __all__ = [
     "Ball",
     "KinematicBody",
     "Material",
+    "MaterialField",
+    "MaterialModel",
     "Scene",
     "SoftBody",
     "TimeStepping",

@@ -11,6 +11,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.scene.material import Material, MaterialField
 from taccel_lab.scene.primitives import Ball, TriangleMesh
 
 if TYPE_CHECKING:
@@ -18,50 +19,23 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Material:
-    """An isotropic hyperelastic solid (compressible Neo-Hookean)."""
-
-    young_modulus_pa: float
-    poisson_ratio: float
-    density_kg_m3: float = 1000.0
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.young_modulus_pa) and 1e2 <= self.young_modulus_pa <= 1e12):
-            raise InputError(
-                f"Young's modulus must lie in [100 Pa, 1 TPa], got {self.young_modulus_pa:g} Pa "
-                "(a gel is 1e4 to 1e6 Pa; the unit is pascal)"
-            )
-        if not (math.isfinite(self.poisson_ratio) and -1.0 < self.poisson_ratio < 0.5):
-            raise InputError(
-                f"Poisson's ratio must lie in (-1, 0.5), got {self.poisson_ratio:g}; 0.5 is an "
-                "incompressible solid, which this energy cannot represent (use 0.45 to 0.49)"
-            )
-        if not (math.isfinite(self.density_kg_m3) and 1.0 <= self.density_kg_m3 <= 3e4):
-            raise InputError(f"density must lie in [1, 3e4] kg/m^3, got {self.density_kg_m3:g}")
-
-    @property
-    def shear_modulus_pa(self) -> float:
-        """Lame's second parameter mu [Pa]."""
-        return self.young_modulus_pa / (2 * (1 + self.poisson_ratio))
-
-    @property
-    def lame_lambda_pa(self) -> float:
-        """Lame's first parameter lambda [Pa]."""
-        nu = self.poisson_ratio
-        return self.young_modulus_pa * nu / ((1 + nu) * (1 - 2 * nu))
-
-
-@dataclass(frozen=True)
 class SoftBody:
     """A FEM body of linear tets; its bonded nodes never move and carry no degrees of freedom."""
 
     mesh: TetMesh
-    material: Material
+    material: Material | MaterialField
     bonded_nodes: np.ndarray | None = None
     """Sorted node indices held fixed; the mesh's bond and window nodes when None."""
     rest_positions_m: np.ndarray | None = None
     """Rest shape per environment [m], shape [env_count, node_count, 3]: one connectivity, graded
     differently in each environment. The mesh's nodes for all environments when None."""
+
+    def __post_init__(self) -> None:
+        count = self.material.tet_count
+        if count is not None and count != self.mesh.tet_count:
+            raise InputError(
+                f"material has moduli of {count} tets, the mesh has {self.mesh.tet_count} tets"
+            )
 
     def bonded(self) -> np.ndarray:
         """Bonded node indices, int64, shape [n]."""
@@ -99,6 +73,13 @@ class TimeStepping:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dt_s) and 1e-6 <= self.dt_s <= 10):
             raise InputError(f"dt must lie in [1e-6, 10] s, got {self.dt_s}")
+        gravity = self.gravity_m_s2
+        if len(gravity) != 3 or not all(math.isfinite(g) for g in gravity):
+            raise InputError(f"gravity_m_s2 must be three finite numbers, got {gravity}")
+        if self.quasi_static and any(gravity):
+            raise InputError(
+                f"gravity_m_s2 = {gravity} needs quasi_static=False: otherwise nothing has mass"
+            )
 
 
 @dataclass(frozen=True)
@@ -116,11 +97,21 @@ class Scene:
     def __post_init__(self) -> None:
         if self.env_count < 1:
             raise InputError(f"env_count must be at least 1, got {self.env_count}")
+        if self.time.quasi_static and self.soft_body.material.damping_time_s > 0:
+            raise InputError(
+                "damping_time_s needs quasi_static=False: a quasi-static step has no strain rate"
+            )
         rest = self.soft_body.rest_positions_m
         expected = (self.env_count, self.soft_body.mesh.node_count, 3)
         if rest is not None and np.shape(rest) != expected:
             raise InputError(f"rest_positions_m has shape {np.shape(rest)}, expected {expected}")
-        if self.time.quasi_static and len(self.soft_body.bonded()) < 3:
+        if rest is not None and not np.isfinite(rest).all():
+            env = int(np.argwhere(~np.isfinite(rest))[0, 0])
+            raise InputError(f"rest_positions_m holds NaN or infinite values in environment {env}")
+        bonded_count = len(self.soft_body.bonded())
+        if bonded_count >= self.soft_body.mesh.node_count:
+            raise InputError("all nodes of the soft body are bonded; at least one must be free")
+        if self.time.quasi_static and bonded_count < 3:
             raise InputError(
                 "a quasi-static soft body needs at least three bonded nodes: "
                 "without inertia nothing else holds it"

@@ -18,8 +18,8 @@ through the open nodes, so the blend trades interpolation errors only. Lifting t
 object itself instead draws a moat around it: 25 um over an element are 5 degrees.
 
 Measured on 640x480 px with 0.2 mm elements: 0.05 to 0.1 s a frame; simulated presses of a 2 mm ball
-with and without friction, 0.4 to 1.8 mm deep, give the contact radius of a mesh more than twice as fine
-less 0.01 to 0.05 mm, and in contact the slope of the ball to 1.1 degrees (that of g0).
+with and without friction, 0.4 to 1.8 mm deep, give the contact radius of a mesh twice as fine
+less 0.01 to 0.05 mm, and in contact the slope of the ball to 1.3 degrees (that of g0).
 """
 
 from __future__ import annotations

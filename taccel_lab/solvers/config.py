@@ -29,7 +29,8 @@ class SolverConfig:
     dhat_m: float = 2e-5
     """Gap at which contact begins."""
     kappa_pa: float | None = None
-    """Contact pressure at about half of dhat; Young's modulus of the soft body when None."""
+    """Contact pressure at about half of dhat; the largest Young's modulus of the soft body when
+    None."""
     relative_tolerance: float = 1e-4
     """Force residual over the sum of nodal contact forces at which a step has converged."""
     absolute_tolerance_n: float = 1e-7
@@ -43,6 +44,7 @@ class SolverConfig:
     """How often friction may be frozen anew within a step."""
     element_projection: ElementProjection = ElementProjection.CLAMP
     contact_hessian_mode: int = 1
+    """1: projected to positive semidefinite; 2: only the Gauss-Newton term."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -58,6 +60,16 @@ class SolverConfig:
             math.isfinite(self.kappa_pa) and 1.0 <= self.kappa_pa <= 1e13
         ):
             raise InputError(f"kappa_pa must lie in [1, 1e13] Pa, got {self.kappa_pa:g}")
-        for name in ("max_newton_iterations", "max_cg_iterations", "max_friction_lags"):
+        for name in (
+            "max_newton_iterations",
+            "max_cg_iterations",
+            "max_line_search_cuts",
+            "max_friction_lags",
+        ):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.contact_hessian_mode not in (1, 2):
+            raise InputError(
+                "contact_hessian_mode must be 1 (projected) or 2 (Gauss-Newton), "
+                f"got {self.contact_hessian_mode}"
+            )

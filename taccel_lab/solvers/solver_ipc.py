@@ -25,6 +25,7 @@ from taccel_lab.ipc.potentials.contact import ContactPotential
 from taccel_lab.ipc.potentials.elastic import ElasticPotential
 from taccel_lab.ipc.potentials.friction import FrictionPotential, StepMotion
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
+from taccel_lab.ipc.potentials.viscosity import ViscousPotential
 from taccel_lab.ipc.step_limit import limit_step
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
@@ -38,9 +39,11 @@ class SolverIPC:
     def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
         self.model = model
         self.config = config or SolverConfig()
-        kappa = self.config.kappa_pa or model.scene.soft_body.material.young_modulus_pa
+        kappa = self.config.kappa_pa or model.scene.soft_body.material.largest_young_modulus_pa
         self.elastic = ElasticPotential(model)
         self.inertia = None if model.scene.time.quasi_static else InertiaPotential(model)
+        damped = model.scene.soft_body.material.damping_time_s > 0
+        self.viscosity = ViscousPotential(model) if damped else None
         self.candidates = Candidates(model)
         self.collisions = Collisions(model, kappa, self.config.dhat_m)
         self.contact = ContactPotential(model, self.collisions)
@@ -132,6 +135,8 @@ class _StepRun:
         self._push_active()
         if s.inertia is not None:
             s.inertia.begin_step(state.positions, state.velocities)
+        if s.viscosity is not None:
+            s.viscosity.begin_step(state.positions)
         s._displacements.zero_()
         s.candidates.update(
             s._active, state.positions, s._displacements, state.poses, state.poses, s.config.dhat_m
@@ -164,8 +169,9 @@ class _StepRun:
         self._evaluate_outputs()
         if s.inertia is not None:
             dt = self.model.scene.time.dt_s
-            change = (self.state.positions.numpy() - s._previous.numpy()) / dt
-            self.state.velocities.assign(change)
+            velocities = (self.state.positions.numpy() - s._previous.numpy()) / dt
+            velocities[failed] = self.state.velocities.numpy()[failed]
+            self.state.velocities.assign(velocities)
         return StepReport(
             status=self.status,
             newton_iterations=self.newton,
@@ -221,6 +227,8 @@ class _StepRun:
         s.elastic.add_gradient(s._active, x, s._gradient)
         if s.inertia is not None:
             s.inertia.add_gradient(s._active, x, s._gradient)
+        if s.viscosity is not None:
+            s.viscosity.add_gradient(s._active, x, s._gradient)
         s.contact.add_gradient(s._active, x, s.contact_gradient, s._min_distance)
         self._measure_residual()
 
@@ -297,6 +305,9 @@ class _StepRun:
         s.elastic.set_hessian(s._active, x, s.linear.values, s.config.element_projection.code)
         if s.inertia is not None:
             s.inertia.add_hessian(s._active, s.linear.values)
+        if s.viscosity is not None:
+            mode = s.config.element_projection.code
+            s.viscosity.add_hessian(s._active, x, s.linear.values, mode)
         moving = wp.array(
             (self.active & (self.progress < 1)).astype(np.int32), device=self.model.device
         )
@@ -412,6 +423,8 @@ class _StepRun:
         total = s.elastic.energy(s._active, positions) + s.contact.energy(s._active, positions)
         if s.inertia is not None:
             total += s.inertia.energy(s._active, positions)
+        if s.viscosity is not None:
+            total += s.viscosity.energy(s._active, positions)
         if s.friction is not None:
             total += s.friction.energy(s._active, self._motion(positions, poses))
         return total

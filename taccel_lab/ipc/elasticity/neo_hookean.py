@@ -7,10 +7,9 @@ psi(F) = mu/2 (tr F^T F - 3) - mu ln J + lambda/2 (ln J)^2,  J = det F
 so a line search on the energy keeps tets from inverting. Left out: viscosity, quasi-incompressible
 (mixed) forms; linear tets lock as nu -> 0.5.
 
-With F = U diag(s) V^T the Hessian falls apart in the principal frame: the three stretches couple in
-a 3x3 matrix, and each pair of axes a, b has a flip and a twist mode with eigenvalues
-mu +- c / (s_a s_b), c = mu - lambda ln J [Smith et al. 2019, Analytic Eigensystems for Isotropic
-Distortion Energies]. Negative eigenvalues are lifted there, at the cost of nine numbers.
+The symmetric and antisymmetric modes of a pair of axes a, b (see principal.py) have eigenvalues
+mu +- c / (s_a s_b), c = mu - lambda ln J. Stretches of an element that is not inverted are found
+from F^T F, which is faster than the signed singular values that other materials need.
 """
 
 from __future__ import annotations
@@ -18,8 +17,27 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.eigen import symmetric_eigen_3x3
+from taccel_lab.ipc.elasticity.principal import (
+    PSD_ABS,
+    PSD_CLAMP,
+    PSD_NONE,
+    PrincipalHessian,
+    lifted,
+    principal_block,
+)
 
 wp.set_module_options({"enable_backward": False})
+
+__all__ = [
+    "PSD_ABS",
+    "PSD_CLAMP",
+    "PSD_NONE",
+    "log_excess",
+    "neo_hookean_energy",
+    "neo_hookean_hessian",
+    "neo_hookean_piola",
+    "principal_block",
+]
 
 
 @wp.func
@@ -74,36 +92,6 @@ def neo_hookean_piola(f: wp.mat33d, mu: wp.float64, lam: wp.float64) -> wp.mat33
     return mu * f + (lam * log_j - mu) * f_inv_t
 
 
-PSD_NONE = 0
-"""The exact Hessian."""
-PSD_CLAMP = 1
-"""Negative element eigenvalues become zero [Teran et al. 2005]."""
-PSD_ABS = 2
-"""Negative element eigenvalues change sign [Chen et al. 2024]: fewer iterations as nu -> 0.5."""
-
-
-@wp.struct
-class PrincipalHessian:
-    """d^2 psi of a change X = U^T dF V: sum_ab direct_ab X_ab^2 + stretch_ab X_aa X_bb
-    + swap_ab X_ab X_ba, where ``stretch`` and ``swap`` have no diagonal [Pa]."""
-
-    u: wp.mat33d
-    v: wp.mat33d
-    direct: wp.mat33d
-    stretch: wp.mat33d
-    swap: wp.mat33d
-
-
-@wp.func
-def lifted(value: wp.float64, mode: int) -> wp.float64:
-    """An eigenvalue, clamped or mirrored when it is negative."""
-    if value >= wp.float64(0.0) or mode == 0:
-        return value
-    if mode == 2:
-        return -value
-    return wp.float64(0.0)
-
-
 @wp.func
 def stretch_hessian(
     s: wp.vec3d, mu: wp.float64, lam: wp.float64, c: wp.float64, mode: int
@@ -152,15 +140,3 @@ def neo_hookean_hessian(
     h.stretch = stretch
     h.swap = swap
     return h
-
-
-@wp.func
-def principal_block(h: PrincipalHessian, beta_i: wp.vec3d, beta_j: wp.vec3d) -> wp.mat33d:
-    """Hessian block d^2 psi / dx_i dx_j per rest volume, with beta = V^T b of the rest-shape
-    gradients b: dF = sum_i dx_i b_i^T."""
-    middle = (
-        wp.diag(h.direct * wp.cw_mul(beta_i, beta_j))
-        + wp.cw_mul(h.stretch, wp.outer(beta_i, beta_j))
-        + wp.cw_mul(h.swap, wp.outer(beta_j, beta_i))
-    )
-    return h.u * middle * wp.transpose(h.u)

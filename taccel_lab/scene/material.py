@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hyperelastic materials of soft bodies, uniform or by tet, checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+_YOUNG_PA = (1e2, 1e12)
+_DENSITY_KG_M3 = (1.0, 3e4)
+
+
+class MaterialModel(StrEnum):
+    """Energy of an isotropic solid; for small strains all follow E and nu alike."""
+
+    NEO_HOOKEAN = "neo_hookean"
+    """Bonet and Wood; infinite at inversion."""
+    STABLE_NEO_HOOKEAN = "stable_neo_hookean"
+    """Smith et al. 2018; finite through inversion."""
+    ST_VENANT_KIRCHHOFF = "st_venant_kirchhoff"
+    """Linear in the Green strain; for large rotations with small strains only."""
+    MOONEY_RIVLIN = "mooney_rivlin"
+    """Rubber with a second invariant; infinite at inversion."""
+
+
+def _check_young(value: float, where: str = "") -> None:
+    if not (math.isfinite(value) and _YOUNG_PA[0] <= value <= _YOUNG_PA[1]):
+        raise InputError(
+            f"Young's modulus{where} must lie in [100 Pa, 1 TPa], got {value:g} Pa "
+            "(a gel is 1e4 to 1e6 Pa; the unit is pascal)"
+        )
+
+
+def _check_poisson(value: float, where: str = "") -> None:
+    if not (math.isfinite(value) and -1.0 < value < 0.5):
+        raise InputError(
+            f"Poisson's ratio{where} must lie in (-1, 0.5), got {value:g}; 0.5 is an "
+            "incompressible solid, which this energy cannot represent (use 0.45 to 0.49)"
+        )
+
+
+def _check_density(value: float, where: str = "") -> None:
+    if not (math.isfinite(value) and _DENSITY_KG_M3[0] <= value <= _DENSITY_KG_M3[1]):
+        raise InputError(f"density{where} must lie in [1, 3e4] kg/m^3, got {value:g}")
+
+
+def _check_damping(value: float) -> None:
+    if not (math.isfinite(value) and 0 <= value <= 1e4):
+        raise InputError(f"damping_time_s must lie in [0, 1e4] s, got {value:g}")
+
+
+def _check_mooney(model: MaterialModel, ratio: float, poisson: float, where: str = "") -> None:
+    if not isinstance(model, MaterialModel):
+        raise InputError(f"model must be one of {', '.join(MaterialModel)}, got {model!r}")
+    if model is not MaterialModel.MOONEY_RIVLIN:
+        if ratio != 0:
+            raise InputError(f"mooney_ratio is a parameter of mooney_rivlin only, not of {model}")
+        return
+    if not (math.isfinite(ratio) and 0 <= ratio <= 1):
+        raise InputError(
+            f"mooney_ratio{where} = c01 / (c10 + c01) must lie in [0, 1], got {ratio:g}"
+        )
+    least = ratio / (1 + 2 * ratio)
+    if ratio > 0 and poisson < least:
+        raise InputError(
+            f"a Mooney-Rivlin solid of mooney_ratio {ratio:g} needs a Poisson's ratio of at least "
+            f"{least:.4g}, or its volumetric modulus is negative; got {poisson:g}{where}"
+        )
+
+
+def _check_each(check: Callable[[float, str], None], values: np.ndarray) -> None:
+    for value, tet in zip(*np.unique(values, return_index=True), strict=True):
+        check(float(value), f" of tet {tet}" if values.ndim else "")
+
+
+@dataclass(frozen=True)
+class Material:
+    """An isotropic hyperelastic solid, compressible Neo-Hookean unless told otherwise."""
+
+    young_modulus_pa: float
+    poisson_ratio: float
+    density_kg_m3: float = 1000.0
+    model: MaterialModel = MaterialModel.NEO_HOOKEAN
+    mooney_ratio: float = 0.0
+    """Mooney-Rivlin only: c01 / (c10 + c01), 0 for a Neo-Hookean solid."""
+    damping_time_s: float = 0.0
+    """Viscous stress over elastic stress for a strain rate of one strain a second; for small
+    strains Rayleigh's factor of the stiffness matrix. 0 switches damping off."""
+
+    def __post_init__(self) -> None:
+        _check_young(self.young_modulus_pa)
+        _check_poisson(self.poisson_ratio)
+        _check_density(self.density_kg_m3)
+        _check_damping(self.damping_time_s)
+        _check_mooney(self.model, self.mooney_ratio, self.poisson_ratio)
+
+    @classmethod
+    def mooney_rivlin(
+        cls, c10_pa: float, c01_pa: float, bulk_modulus_pa: float, density_kg_m3: float = 1000.0
+    ) -> Material:
+        """A Mooney-Rivlin solid from its constants [Pa]: mu = 2 (c10 + c01) and the bulk modulus
+        of small strains."""
+        for name, value in (("c10", c10_pa), ("c01", c01_pa)):
+            if not (math.isfinite(value) and value >= 0):
+                raise InputError(f"{name} must be zero or positive, got {value:g} Pa")
+        mu = 2 * (c10_pa + c01_pa)
+        if not (mu > 0 and math.isfinite(bulk_modulus_pa) and bulk_modulus_pa > 0):
+            raise InputError(
+                "c10 + c01 and the bulk modulus must be positive, "
+                f"got {c10_pa + c01_pa:g} Pa and {bulk_modulus_pa:g} Pa"
+            )
+        return cls(
+            young_modulus_pa=9 * bulk_modulus_pa * mu / (3 * bulk_modulus_pa + mu),
+            poisson_ratio=(3 * bulk_modulus_pa - 2 * mu) / (2 * (3 * bulk_modulus_pa + mu)),
+            density_kg_m3=density_kg_m3,
+            model=MaterialModel.MOONEY_RIVLIN,
+            mooney_ratio=2 * c01_pa / mu,
+        )
+
+    @property
+    def shear_modulus_pa(self) -> float:
+        """Lame's second parameter mu [Pa]."""
+        return self.young_modulus_pa / (2 * (1 + self.poisson_ratio))
+
+    @property
+    def lame_lambda_pa(self) -> float:
+        """Lame's first parameter lambda [Pa]."""
+        nu = self.poisson_ratio
+        return self.young_modulus_pa * nu / ((1 + nu) * (1 - 2 * nu))
+
+    @property
+    def largest_young_modulus_pa(self) -> float:
+        """Young's modulus [Pa]."""
+        return self.young_modulus_pa
+
+    @property
+    def tet_count(self) -> None:
+        """None: for any number of tets."""
+        return None
+
+
+@dataclass(frozen=True)
+class MaterialField:
+    """A solid whose moduli differ by tet; a number stands for all tets.
+
+    For layers of unlike stiffness, inclusions, or a graded gel; one model for the whole body.
+    """
+
+    young_modulus_pa: np.ndarray | float
+    """Shape [tet_count]."""
+    poisson_ratio: np.ndarray | float
+    """Shape [tet_count]."""
+    density_kg_m3: np.ndarray | float = 1000.0
+    """Shape [tet_count]."""
+    model: MaterialModel = MaterialModel.NEO_HOOKEAN
+    mooney_ratio: np.ndarray | float = 0.0
+    """Mooney-Rivlin only: c01 / (c10 + c01), shape [tet_count]."""
+    damping_time_s: float = 0.0
+    """As in Material; one number for the body."""
+
+    def __post_init__(self) -> None:
+        _check_damping(self.damping_time_s)
+        names = ("young_modulus_pa", "poisson_ratio", "density_kg_m3", "mooney_ratio")
+        arrays = {name: np.array(getattr(self, name), dtype=np.float64) for name in names}
+        shapes = {array.shape for array in arrays.values() if array.shape}
+        if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
+            found = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+            raise InputError(f"a material field is numbers or arrays [tet_count], got {found}")
+        for name, array in arrays.items():
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        _check_each(_check_young, arrays["young_modulus_pa"])
+        _check_each(_check_poisson, arrays["poisson_ratio"])
+        _check_each(_check_density, arrays["density_kg_m3"])
+        pairs = np.broadcast_arrays(arrays["mooney_ratio"], arrays["poisson_ratio"])
+        unique, first = np.unique(np.stack([p.ravel() for p in pairs]), axis=1, return_index=True)
+        for (ratio, poisson), tet in zip(unique.T, first, strict=True):
+            _check_mooney(self.model, float(ratio), float(poisson), f" of tet {tet}")
+
+    @property
+    def tet_count(self) -> int | None:
+        """Tets the arrays are for, None when all are numbers."""
+        for value in (
+            self.young_modulus_pa,
+            self.poisson_ratio,
+            self.density_kg_m3,
+            self.mooney_ratio,
+        ):
+            if np.ndim(value):
+                return np.size(value)
+        return None
+
+    @property
+    def shear_modulus_pa(self) -> np.ndarray:
+        """Lame's second parameter mu [Pa], shape [tet_count] or []."""
+        return np.asarray(self.young_modulus_pa / (2 * (1 + self.poisson_ratio)))
+
+    @property
+    def lame_lambda_pa(self) -> np.ndarray:
+        """Lame's first parameter lambda [Pa], shape [tet_count] or []."""
+        nu = self.poisson_ratio
+        return np.asarray(self.young_modulus_pa * nu / ((1 + nu) * (1 - 2 * nu)))
+
+    @property
+    def largest_young_modulus_pa(self) -> float:
+        """Young's modulus of the stiffest tet [Pa]."""
+        return float(np.max(self.young_modulus_pa))

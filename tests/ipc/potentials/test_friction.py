@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frozen friction against finite differences, Coulomb's law, rolling and spinning."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh
+from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.state import initial_state
+from tests.verification.assembly import Assembly, central_difference, coordinate_probe
+from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
+
+DHAT, EPS, MU = 3e-4, 2e-5, 0.7
+STEP = 1e-9
+MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3), jitter=0.2, seed=4)
+RADIUS = 1.5e-3
+BODIES: dict[str, tuple[TriangleMesh | Ball, np.ndarray]] = {
+    "bumpy": (bumpy_body(1, 0.8e-3), pose(1e-4, -2e-4, 0.88e-3, (1, 2, 3), 40)),
+    # The gel lies under one triangle of the plate, away from its diagonal.
+    "plate": (box_mesh((12e-3, 12e-3, 1e-3)), pose(4e-3, -1e-3, 0.6e-3)),
+    "ball": (Ball(RADIUS), pose(2e-4, -1e-4, RADIUS + 0.3 * DHAT)),
+}
+
+
+class Rubbing:
+    """A gel frozen against a body, then moved; one environment for each probe."""
+
+    def __init__(self, name: str, turn_deg: float = 0.0) -> None:
+        shape, placed = BODIES[name]
+        body_count = 1 if isinstance(shape, Ball) else len(shape.vertices_m)
+        self.nodes = np.arange(MESH.node_count + body_count)
+        count = 6 * len(self.nodes)
+        model = scene(MESH, KinematicBody(shape, MU), env_count=count).finalize()
+        before = everywhere(count, placed)
+        config = SolverConfig(dhat_m=DHAT, friction_eps_m=EPS)
+        self.assembly = Assembly(model, config, before)
+        self.start = initial_state(model, before).positions.numpy()
+        turned = pose(*placed[:3], (1, 2, 2), turn_deg) if turn_deg else placed
+        self.poses = self.assembly.poses
+        self.end_poses = wp.array(everywhere(count, turned), dtype=wp.transformd)
+        assert self.assembly.collide(self.start) > 0
+        self.friction = self.assembly.solver.friction
+        assert self.friction is not None
+        self.friction.clear()
+        self.friction.lag(self.assembly.active, self.assembly.nodal(self.start))
+
+    def motion(self, positions: np.ndarray):
+        assert self.friction is not None
+        return self.friction.motion(
+            self.assembly.nodal(positions),
+            self.assembly.nodal(self.start),
+            self.end_poses,
+            self.poses,
+        )
+
+    def energy(self, positions: np.ndarray) -> np.ndarray:
+        assert self.friction is not None
+        return self.friction.energy(self.assembly.active, self.motion(positions))
+
+    def gradient(self, positions: np.ndarray) -> np.ndarray:
+        assert self.friction is not None
+        out = self.assembly.nodal()
+        self.friction.add_gradient(self.assembly.active, self.motion(positions), out)
+        return out.numpy()
+
+    def same(self, x: np.ndarray) -> np.ndarray:
+        return np.repeat(x[None], len(self.start), axis=0)
+
+
+@lru_cache
+def rubbing(name: str, turn_deg: float = 0.0) -> Rubbing:
+    return Rubbing(name, turn_deg)
+
+
+def slid(case: Rubbing, size: float) -> np.ndarray:
+    """Positions after random sliding of about ``size`` [m]."""
+    x = case.start[0]
+    return x + np.random.default_rng(2).uniform(-size, size, x.shape)
+
+
+# Sliding below and above eps, where friction is static and where it is sliding, and both at once.
+@pytest.mark.parametrize("size", [0.2 * EPS, EPS, 5 * EPS])
+@pytest.mark.parametrize(("name", "turn"), [("bumpy", 0.0), ("ball", 0.0), ("ball", 0.5)])
+def test_gradient_and_hessian_are_the_derivatives(name: str, turn: float, size: float) -> None:
+    case = rubbing(name, turn)
+    x = slid(case, size)
+    probes = coordinate_probe(x, case.nodes, STEP)
+    gradient = case.gradient(case.same(x))[0]
+    slope = central_difference(case.energy(probes), STEP).reshape(-1, 3)
+    assert np.abs(gradient).max() > 1e-5
+    np.testing.assert_allclose(gradient, slope, atol=3e-6 * np.abs(gradient).max())
+
+    assembly, friction, free = case.assembly, case.friction, case.assembly.free
+    assert friction is not None
+    motion = np.zeros_like(x)
+    motion[MESH.node_count :] = np.random.default_rng(1).normal(size=(len(x) - MESH.node_count, 3))
+    system = assembly.system(case.same(motion))
+    friction.add_hessian(assembly.active, case.motion(case.same(x)), system)
+    change = central_difference(case.gradient(probes), STEP)
+    change = change.reshape(len(x), 3, len(x), 3)[..., free, :]
+    matrix = assembly.dense(system.values)[0]
+    expected = change[free].reshape(matrix.shape)
+    assert np.abs(expected).max() > 1e-1
+    np.testing.assert_allclose(matrix, expected, atol=1e-5 * np.abs(expected).max())
+    rhs = -np.einsum("ni,nifj->fj", motion, change)
+    np.testing.assert_allclose(system.rhs.numpy()[0], rhs, atol=1e-5 * np.abs(rhs).max())
+    assert np.linalg.eigvalsh(matrix)[0] > -1e-12 * np.abs(matrix).max()
+
+
+def test_a_flat_slide_has_coulomb_friction() -> None:
+    case = rubbing("plate")
+    normal = case.assembly.contact_gradient(case.start)[0, : MESH.node_count].sum(axis=0)
+    direction = np.array([0.6, -0.8, 0.0])
+    x = case.start[0].copy()
+    x[: MESH.node_count] += 3 * EPS * direction
+    drag = case.gradient(case.same(x))[0, : MESH.node_count].sum(axis=0)
+    assert np.linalg.norm(normal) > 1e-3
+    expected = MU * np.linalg.norm(normal) * direction
+    np.testing.assert_allclose(drag, expected, atol=1e-10 * np.linalg.norm(expected))
+
+
+def test_nothing_slides_when_all_move_together() -> None:
+    case = rubbing("bumpy")
+    x = case.start[0] + [1e-4, -2e-4, 5e-5]
+    scale = np.abs(case.gradient(case.same(slid(case, EPS)))[0]).max()
+    assert np.abs(case.gradient(case.same(x))[0]).max() < 1e-9 * scale
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_friction_on_gel_and_body_balance(name: str) -> None:
+    case = rubbing(name)
+    gradient = case.gradient(case.same(slid(case, EPS)))[0]
+    on_gel, on_body = gradient[: MESH.node_count], gradient[MESH.node_count :]
+    scale = np.abs(gradient).sum()
+    assert np.linalg.norm(on_gel.sum(axis=0)) > 1e-3 * scale
+    np.testing.assert_allclose(on_gel.sum(axis=0), -on_body.sum(axis=0), atol=1e-14 * scale)
+
+
+def _drag_of_ball(shift: np.ndarray, axis: tuple[float, float, float], deg: float) -> np.ndarray:
+    """Friction force on the gel [N] after a ball has moved and turned."""
+    case = Rubbing("ball")
+    placed = BODIES["ball"][1]
+    moved = pose(*(placed[:3] + shift), axis, deg)
+    case.end_poses = wp.array(everywhere(len(case.start), moved), dtype=wp.transformd)
+    x = case.start[0].copy()
+    x[MESH.node_count :] += shift
+    return -case.gradient(case.same(x))[0, : MESH.node_count].sum(axis=0)
+
+
+def test_a_rolling_ball_does_not_drag_and_a_spinning_one_does() -> None:
+    deg = 0.05
+    turn = np.deg2rad(deg)
+    gap = 0.3 * DHAT
+    # Turning about +y moves the lowest point of the ball towards -x.
+    rolling = _drag_of_ball(np.array([RADIUS * turn, 0, 0]), (0, 1, 0), deg)
+    spinning = _drag_of_ball(np.zeros(3), (0, 1, 0), deg)
+    sliding = _drag_of_ball(np.array([-RADIUS * turn, 0, 0]), (0, 1, 0), 0.0)
+    assert RADIUS * turn < EPS, "static friction is proportional to sliding"
+    assert spinning[0] < 0
+    # All faces in reach count, so that the drag is not that of the lowest point alone.
+    np.testing.assert_allclose(spinning, sliding, rtol=0.15, atol=0.05 * abs(sliding[0]))
+    assert np.linalg.norm(rolling) < 0.15 * np.linalg.norm(sliding), f"gap {gap}"
+
+
+def test_a_ball_spinning_about_its_contact_twists_the_gel() -> None:
+    case = Rubbing("ball")
+    placed = BODIES["ball"][1]
+    case.end_poses = wp.array(
+        everywhere(len(case.start), pose(*placed[:3], (0, 0, 1), 0.5)), dtype=wp.transformd
+    )
+    force = -case.gradient(case.start)[0, : MESH.node_count]
+    arm = case.start[0, : MESH.node_count] - placed[:3]
+    assert np.cross(arm, force).sum(axis=0)[2] > 0

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes that cannot be solved are refused with what was found and what is allowed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+from taccel_lab.scene import (
+    Ball,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    TriangleMesh,
+    box_mesh,
+    cylinder_mesh,
+    sphere_mesh,
+)
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import as_poses, initial_state
+from tests.verification.blocks import block_mesh, everywhere, pose
+
+NAN, INF = float("nan"), float("inf")
+MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
+GEL = Material(1e5, 0.45)
+
+
+@pytest.mark.parametrize(
+    ("young", "poisson", "density", "words"),
+    [
+        (-1e5, 0.4, 1000, "Young's modulus.*100 Pa.*-100000"),
+        (0.0, 0.4, 1000, "Young's modulus"),
+        (0.15, 0.4, 1000, "the unit is pascal"),
+        (NAN, 0.4, 1000, "Young's modulus.*nan"),
+        (INF, 0.4, 1000, "Young's modulus"),
+        (1e5, 0.5, 1000, r"Poisson's ratio must lie in \(-1, 0.5\), got 0.5"),
+        (1e5, 0.7, 1000, "Poisson's ratio"),
+        (1e5, -1.0, 1000, "Poisson's ratio"),
+        (1e5, NAN, 1000, "Poisson's ratio"),
+        (1e5, 0.4, -5, "density"),
+        (1e5, 0.4, NAN, "density"),
+    ],
+)
+def test_materials(young: float, poisson: float, density: float, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        Material(young, poisson, density)
+
+
+@pytest.mark.parametrize("friction", [-0.1, NAN, INF, 11.0])
+def test_friction(friction: float) -> None:
+    with pytest.raises(InputError, match="friction coefficient of 'pin'"):
+        KinematicBody(Ball(1e-3), friction, name="pin")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Ball(0.0), "ball radius"),
+        (lambda: Ball(NAN), "ball radius.*nan"),
+        (lambda: Ball(4.0), "ball radius.*4000 mm"),
+        (lambda: sphere_mesh(1e-3, -1.0), "edge"),
+        (lambda: box_mesh((1e-3, 0.0, 1e-3)), "box edge"),
+        (lambda: cylinder_mesh(1e-3, NAN), "cylinder height"),
+        (lambda: cylinder_mesh(1e-3, 1e-3, segments=3), "at least 8 segments, got 3"),
+    ],
+)
+def test_primitives(make: Any, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "words"),
+    [
+        (np.zeros((4, 2)), [[0, 1, 2]], r"vertices \[n, 3\]"),
+        (np.zeros((4, 3)), [[0, 1, 2, 3]], r"faces \[n, 3\]"),
+        (np.zeros((4, 3)), np.zeros((0, 3)), r"faces \[n, 3\]"),
+        (np.full((4, 3), NAN), [[0, 1, 2]], "NaN"),
+        (np.eye(4, 3), [[0, 1, 4]], "do not exist"),
+        (np.eye(4, 3), [[0, 1, -1]], "do not exist"),
+    ],
+)
+def test_triangle_meshes(vertices: np.ndarray, faces: Any, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        TriangleMesh(vertices, np.asarray(faces))
+
+
+def test_tet_meshes() -> None:
+    nodes = MESH.nodes_m.copy()
+    nodes[0] = NAN
+    with pytest.raises(InputError, match="NaN"):
+        TetMesh(nodes, MESH.tets, MESH.faces, MESH.face_regions)
+    with pytest.raises(InputError, match="inverted or flat"):
+        TetMesh(MESH.nodes_m, MESH.tets[:, [1, 0, 2, 3]], MESH.faces, MESH.face_regions)
+    with pytest.raises(InputError, match="face_regions has shape"):
+        TetMesh(MESH.nodes_m, MESH.tets, MESH.faces, MESH.face_regions[1:])
+    with pytest.raises(InputError, match="do not exist"):
+        TetMesh(MESH.nodes_m[:-1], MESH.tets, MESH.faces, MESH.face_regions)
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.01, NAN, 100.0])
+def test_time_steps(dt: float) -> None:
+    with pytest.raises(InputError, match="dt must lie in"):
+        TimeStepping(quasi_static=False, dt_s=dt)
+
+
+@pytest.mark.parametrize("gravity", [(0, 0, NAN), (INF, 0, 0), (0, 0)])
+def test_gravity_must_be_a_finite_vector(gravity: Any) -> None:
+    with pytest.raises(InputError, match="gravity"):
+        TimeStepping(quasi_static=False, gravity_m_s2=gravity)
+
+
+def test_gravity_without_inertia_is_not_silently_ignored() -> None:
+    with pytest.raises(InputError, match="gravity.*quasi_static"):
+        TimeStepping(quasi_static=True, gravity_m_s2=(0, 0, -9.81))
+
+
+def test_scenes() -> None:
+    with pytest.raises(InputError, match="env_count must be at least 1, got 0"):
+        Scene(SoftBody(MESH, GEL), env_count=0)
+    with pytest.raises(InputError, match=r"rest_positions_m has shape \(2, 18, 3\).*\(3, 18, 3\)"):
+        Scene(SoftBody(MESH, GEL, rest_positions_m=np.zeros((2, 18, 3))), env_count=3)
+    with pytest.raises(InputError, match="at least three bonded nodes"):
+        Scene(SoftBody(MESH, GEL, bonded_nodes=np.array([0, 1])))
+
+
+@pytest.mark.parametrize("node", [-1, 18])
+def test_bonded_nodes_must_exist(node: int) -> None:
+    bonded = np.array([0, 2, 4, node])
+    with pytest.raises(InputError, match="bonded_nodes"):
+        Scene(SoftBody(MESH, GEL, bonded_nodes=bonded)).finalize()
+
+
+def test_every_node_bonded_leaves_nothing_to_solve() -> None:
+    with pytest.raises(InputError, match="bonded"):
+        Scene(SoftBody(MESH, GEL, bonded_nodes=np.arange(18))).finalize()
+
+
+def test_rest_shapes_of_environments() -> None:
+    good = MESH.nodes_m
+    inverted = good.copy()
+    inverted[-1] -= [0, 0, 3e-3]
+    for bad, words in ((inverted, "environment 1 is inverted"), (good * NAN, "environment 1")):
+        rest = np.stack([good, bad])
+        with pytest.raises(InputError, match=words):
+            Scene(SoftBody(MESH, GEL, rest_positions_m=rest), env_count=2).finalize()
+
+
+def test_collision_surfaces_must_be_manifold() -> None:
+    fan = TriangleMesh(
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0]]) * 1e-3,
+        np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]]),
+    )
+    with pytest.raises(InputError, match="1 edges belong to more than two faces.*manifold"):
+        Scene(SoftBody(MESH, GEL), (KinematicBody(fan),)).finalize()
+
+
+@pytest.mark.parametrize(
+    ("poses", "words"),
+    [
+        (np.zeros((1, 7)), "poses have shape"),
+        (np.zeros((2, 1, 7)), "poses have shape"),
+        (everywhere(1, pose(NAN, 0, 0)), "NaN"),
+        (np.zeros((1, 1, 7)), "unit length"),
+        (everywhere(1, 2 * pose(0, 0, 1)), "unit length"),
+    ],
+)
+def test_poses(poses: np.ndarray, words: str) -> None:
+    model = Scene(SoftBody(MESH, GEL), (KinematicBody(Ball(1e-3)),)).finalize()
+    with pytest.raises(InputError, match=words):
+        as_poses(model, poses)
+    with pytest.raises(InputError, match=words):
+        initial_state(model, poses)
+    state = initial_state(model, everywhere(1, pose(0, 0, 5e-3)))
+    with pytest.raises(InputError, match=words):
+        SolverIPC(model).step(state, poses)

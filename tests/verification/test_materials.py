@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Materials in solved scenes: bars, shear, bodies of two materials, presses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.optimize import brentq
+
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
+from taccel_lab.scene import (
+    Ball,
+    KinematicBody,
+    Material,
+    MaterialField,
+    MaterialModel,
+    Scene,
+    SoftBody,
+)
+from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import initial_state
+from tests.verification.assembly import Assembly
+from tests.verification.blocks import block_mesh, everywhere, labelled, pose
+
+YOUNG, NU, RATIO = 1.3e5, 0.42, 0.3
+MU, LAM = YOUNG / (2 * (1 + NU)), YOUNG * NU / ((1 + NU) * (1 - 2 * NU))
+SIZE = (3e-3, 2e-3, 2e-3)
+NO_BODIES = np.zeros((1, 0, 7))
+MODELS = list(MaterialModel)
+
+
+def material(model: MaterialModel) -> Material:
+    ratio = RATIO if model is MaterialModel.MOONEY_RIVLIN else 0.0
+    return Material(YOUNG, NU, model=model, mooney_ratio=ratio)
+
+
+def stable_constants() -> tuple[float, float, float]:
+    m, rate = 4 / 3 * MU, LAM + 5 / 6 * MU
+    return m, rate, 1 + 0.75 * m / rate
+
+
+def mooney_constants() -> tuple[float, float, float]:
+    return 0.5 * MU * (1 - RATIO), 0.5 * MU * RATIO, LAM - 2 * MU * RATIO
+
+
+def principal_stress(model: MaterialModel) -> Callable[[float, float, float], float]:
+    """First Piola-Kirchhoff stress [Pa] along the first of three stretches, by hand."""
+    if model is MaterialModel.NEO_HOOKEAN:
+        return lambda s, t, w: MU * (s - 1 / s) + LAM * np.log(s * t * w) / s
+    if model is MaterialModel.STABLE_NEO_HOOKEAN:
+        m, rate, a = stable_constants()
+        return lambda s, t, w: (
+            m * s * (1 - 1 / (s * s + t * t + w * w + 1)) + rate * (s * t * w - a) * t * w
+        )
+    if model is MaterialModel.ST_VENANT_KIRCHHOFF:
+        return lambda s, t, w: s * (MU * (s * s - 1) + 0.5 * LAM * (s * s + t * t + w * w - 3))
+    c10, c01, rate = mooney_constants()
+    return lambda s, t, w: (
+        2 * c10 * s
+        + 2 * c01 * s * (t * t + w * w)
+        + (rate * np.log(s * t * w) - 2 * (c10 + 2 * c01)) / s
+    )
+
+
+def solved(body: SoftBody, target: np.ndarray) -> tuple[np.ndarray, Assembly]:
+    """Equilibrium with the bonded nodes at ``target``; the others start off it."""
+    model = Scene(body).finalize()
+    held = body.bonded()
+    solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-13))
+    state = initial_state(model, NO_BODIES)
+    start = target + np.random.default_rng(0).uniform(-2e-5, 2e-5, target.shape)
+    start[held] = target[held]
+    state.positions = wp.array(start[None], dtype=wp.vec3d)
+    report = solver.step(state)
+    assert report.converged.all(), report.summary()
+    assert report.newton_iterations[0] > 1
+    return state.positions.numpy()[0], Assembly(model, SolverConfig(), NO_BODIES)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("stretch", [0.8, 1.001, 1.3, 1.7])
+def test_uniaxial_stretch_with_free_sides(model: MaterialModel, stretch: float) -> None:
+    mesh = block_mesh((3, 3, 3), SIZE, jitter=0.2, seed=1)
+    law = principal_stress(model)
+    w = float(brentq(lambda w: law(w, w, stretch), 0.4, 1.5, xtol=1e-15))
+    stress = law(stretch, w, w)
+    x0 = mesh.nodes_m[:, 0]
+    end = x0 > x0.max() - 1e-9
+    held = np.flatnonzero(end | (x0 < x0.min() + 1e-9))
+    target = mesh.nodes_m * [stretch, w, w]
+    x, assembly = solved(SoftBody(mesh, material(model), held), target)
+    np.testing.assert_allclose(x, target, atol=1e-9 * SIZE[0])
+    pull = assembly.elastic_gradient(x[None])[0, end].sum(axis=0)
+    area = SIZE[1] * SIZE[2]
+    assert pull[0] == pytest.approx(stress * area, rel=1e-8)
+    assert np.abs(pull[1:]).max() < 1e-9 * MU * area
+    if stretch == 1.001:
+        # The slope at rest is Young's modulus, the contraction Poisson's ratio.
+        assert stress / 1e-3 == pytest.approx(YOUNG, rel=3e-3)
+        assert (1 - w) / 1e-3 == pytest.approx(NU, rel=3e-3)
+
+
+def shear_energy_and_stress(model: MaterialModel, g: float) -> tuple[float, float]:
+    """Energy density [J/m^3] and shear stress P13 [Pa] of F = I + g e1 e3^T, by hand."""
+    if model is MaterialModel.STABLE_NEO_HOOKEAN:
+        m = stable_constants()[0]
+        energy = 0.5 * m * (g * g - np.log1p(g * g / 4))
+        return energy, m * g * (1 - 1 / (4 + g * g))
+    if model is MaterialModel.ST_VENANT_KIRCHHOFF:
+        energy = MU * (g**2 / 2 + g**4 / 4) + LAM * g**4 / 8
+        return energy, MU * (g + g**3) + LAM * g**3 / 2
+    return 0.5 * MU * g * g, MU * g
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("shear", [1e-4, 0.1, 0.8])
+def test_simple_shear(model: MaterialModel, shear: float) -> None:
+    mesh = block_mesh((3, 3, 3), SIZE, jitter=0.2, seed=2)
+    target = mesh.nodes_m + shear * mesh.nodes_m[:, 2:] * [1, 0, 0]
+    x, assembly = solved(SoftBody(mesh, material(model), np.unique(mesh.faces)), target)
+    volume = float(np.prod(SIZE))
+    energy, stress = shear_energy_and_stress(model, shear)
+    assert assembly.elastic_energy(x[None])[0] == pytest.approx(energy * volume, rel=1e-8)
+    # Virtual work of a uniform displacement gradient: V P_ij = sum of force_i times position_j.
+    p = np.einsum("ni,nj->ij", assembly.elastic_gradient(x[None])[0], mesh.nodes_m) / volume
+    assert p[0, 2] == pytest.approx(stress, rel=1e-8)
+    # Rivlin's universal relation of isotropic solids.
+    cauchy = p @ (np.eye(3) + shear * np.outer([1, 0, 0], [0, 0, 1])).T
+    assert cauchy[0, 0] - cauchy[2, 2] == pytest.approx(
+        shear * cauchy[0, 2], rel=1e-8, abs=1e-10 * MU
+    )
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_body_of_two_materials_is_the_sum_of_two_bodies(model: MaterialModel) -> None:
+    mesh = block_mesh((3, 3, 4), SIZE, jitter=0.2, seed=3)
+    upper = mesh.nodes_m[mesh.tets].mean(axis=1)[:, 2] > -1e-3
+    mooney = model is MaterialModel.MOONEY_RIVLIN
+    halves = [
+        Material(1e5, 0.3, 900.0, model, 0.1 if mooney else 0.0),
+        Material(4e5, 0.45, 1500.0, model, 0.4 if mooney else 0.0),
+    ]
+
+    def by_tet(name: str) -> np.ndarray:
+        return np.where(upper, getattr(halves[1], name), getattr(halves[0], name))
+
+    field = MaterialField(
+        by_tet("young_modulus_pa"),
+        by_tet("poisson_ratio"),
+        by_tet("density_kg_m3"),
+        model,
+        by_tet("mooney_ratio"),
+    )
+    rng = np.random.default_rng(4)
+    x = mesh.nodes_m * [1.1, 0.95, 0.9] + rng.uniform(-5e-5, 5e-5, mesh.nodes_m.shape)
+    count = mesh.node_count
+
+    def assembled(body_mesh, tet_material, positions) -> tuple:
+        body = SoftBody(body_mesh, tet_material, np.array([0, 1, 2]))
+        assembly = Assembly(Scene(body).finalize(), SolverConfig(), NO_BODIES)
+        return (
+            assembly.elastic_energy(positions[None])[0],
+            assembly.elastic_gradient(positions[None])[0],
+            assembly.elastic_hessian(positions[None], PSD_CLAMP)[0],
+            assembly.model.masses.numpy()[0],
+            assembly.free,
+        )
+
+    energy, gradient, hessian, masses, free = assembled(mesh, field, x)
+    total = np.zeros((count, 3, count, 3))
+    for half, tets in zip(halves, (mesh.tets[~upper], mesh.tets[upper]), strict=True):
+        nodes, local = np.unique(tets, return_inverse=True)
+        part = labelled(mesh.nodes_m[nodes], local.reshape(-1, 4))
+        e, g, h, m, rows = assembled(part, half, x[nodes])
+        energy -= e
+        gradient[nodes] -= g
+        masses[nodes] -= m
+        keep = nodes[rows]
+        block = h.reshape(len(keep), 3, len(keep), 3)
+        total[np.ix_(keep, range(3), keep, range(3))] += block
+    whole = np.zeros_like(total)
+    whole[np.ix_(free, range(3), free, range(3))] = hessian.reshape(len(free), 3, len(free), 3)
+    # Rows held in one of the three bodies are missing there.
+    lower_held = np.unique(mesh.tets[~upper])[:3]
+    upper_held = np.unique(mesh.tets[upper])[:3]
+    compared = np.setdiff1d(np.arange(count), np.concatenate([[0, 1, 2], lower_held, upper_held]))
+    index = np.ix_(compared, range(3), compared, range(3))
+    scale = np.abs(whole).max()
+    assert np.abs(energy) < 1e-13 * e
+    np.testing.assert_allclose(gradient, 0, atol=1e-13 * np.abs(g).max())
+    np.testing.assert_allclose(masses, 0, atol=1e-13 * m.max())
+    np.testing.assert_allclose(whole[index], total[index], rtol=0, atol=1e-13 * scale)
+    # It is not one of the two materials alone.
+    other = assembled(mesh, halves[0], x)[1]
+    assert np.abs(other - assembled(mesh, field, x)[1]).max() > 0.1 * np.abs(g).max()
+
+
+def test_a_uniform_field_is_the_uniform_material() -> None:
+    mesh = block_mesh((2, 2, 2), SIZE, jitter=0.2)
+    x = (mesh.nodes_m * [1.1, 0.95, 0.9])[None]
+    fields = (material(MaterialModel.NEO_HOOKEAN), MaterialField(np.full(48, YOUNG), NU))
+    made = [
+        Assembly(Scene(SoftBody(mesh, m)).finalize(), SolverConfig(), NO_BODIES) for m in fields
+    ]
+    np.testing.assert_array_equal(*(a.elastic_gradient(x) for a in made))
+    np.testing.assert_array_equal(*(a.elastic_hessian(x, PSD_NONE) for a in made))
+
+
+DEPTHS = (0.02e-3, 0.15e-3, 0.3e-3)
+
+
+def press(tet_material: Material | MaterialField, friction: float = 0.4) -> np.ndarray:
+    """Normal force [N] of a ball at ``DEPTHS`` and after a drag at the last one."""
+    mesh = block_mesh((6, 6, 3), (6e-3, 6e-3, 2.4e-3), jitter=0.15)
+    body = KinematicBody(Ball(1.5e-3), friction)
+    model = Scene(SoftBody(mesh, tet_material), (body,)).finalize()
+    solver = SolverIPC(model, SolverConfig())
+    state = initial_state(model, everywhere(1, pose(0, 0, 1.6e-3)))
+    forces = []
+    for x, depth in (*((0, depth) for depth in DEPTHS), (0.1e-3, DEPTHS[-1])):
+        report = solver.step(state, everywhere(1, pose(x, 0, 1.5e-3 - depth)))
+        assert report.converged.all(), report.summary()
+        assert report.residual_n[0] <= 1e-4 * report.contact_force_n[0]
+        forces.append(solver.contact_gradient.numpy()[0, : mesh.node_count, 2].sum())
+    corners = state.positions.numpy()[0][mesh.tets]
+    assert (np.linalg.det(corners[:, 1:] - corners[:, :1]) > 0).all()
+    return np.array(forces)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_press_converges(model: MaterialModel) -> None:
+    forces = press(material(model))
+    reference = press(material(MaterialModel.NEO_HOOKEAN))
+    assert (np.diff(forces[:3]) > 0).all()
+    # The same solid for small strains only; at 0.02 mm they reach sqrt(depth / radius) = 0.1.
+    assert forces[0] == pytest.approx(reference[0], rel=0.08)
+    if model is not MaterialModel.NEO_HOOKEAN:
+        assert abs(forces[2] - reference[2]) > 1e-3 * reference[2]
+
+
+def test_a_press_converges_on_a_soft_skin() -> None:
+    mesh = block_mesh((6, 6, 3), (6e-3, 6e-3, 2.4e-3), jitter=0.15)
+    skin = mesh.nodes_m[mesh.tets].mean(axis=1)[:, 2] > -0.8e-3
+    forces = press(MaterialField(np.where(skin, 0.25 * YOUNG, YOUNG), NU))
+    soft = press(replace(material(MaterialModel.NEO_HOOKEAN), young_modulus_pa=0.25 * YOUNG))
+    stiff = press(material(MaterialModel.NEO_HOOKEAN))
+    assert (1.05 * soft < forces).all() and (forces < 0.9 * stiff).all()
+
+
+def test_only_the_material_of_the_scene_is_compiled() -> None:
+    """A fresh process, in which no other test has built kernels."""
+    code = """
+from taccel_lab.ipc.potentials import elastic_kernels
+from taccel_lab.scene import Material, MaterialModel, Scene, SoftBody
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from tests.verification.blocks import block_mesh
+import warp as wp
+material = Material(1e5, 0.4, model=MaterialModel.ST_VENANT_KIRCHHOFF)
+SolverIPC(Scene(SoftBody(block_mesh((1, 1, 1), (1e-3, 1e-3, 1e-3)), material)).finalize())
+for model in MaterialModel:
+    print(model, len(wp.get_module(f"{elastic_kernels.__name__}.{model}").kernels))
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    built = dict(line.rsplit(" ", 1) for line in ran.stdout.splitlines()[-len(MODELS) :])
+    assert built.pop("st_venant_kirchhoff") == "5"
+    assert set(built.values()) == {"0"} and len(built) == len(MODELS) - 1
