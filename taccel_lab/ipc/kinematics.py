@@ -43,6 +43,15 @@ def turn_angle(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return 4 * np.arcsin(np.clip(chord / 2, 0, 1))
 
 
+def chord_error(start: np.ndarray, end: np.ndarray, radii_m: np.ndarray) -> float:
+    """How far a vertex of a turning body may leave the chord of its arc [m].
+
+    ``start``, ``end``: [env, body, 7]; ``radii_m``: reach of each body from its origin, [body].
+    """
+    angle = turn_angle(start, end).max(axis=0, initial=0.0)
+    return float((radii_m * (1 - np.cos(angle / 2))).max(initial=0.0))
+
+
 def interpolate_poses(start: np.ndarray, end: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """Poses part of the way: linear in position, constant angular velocity in rotation.
 

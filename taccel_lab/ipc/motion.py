@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -57,6 +59,31 @@ def _advance_kernel(
 ):
     env, node = wp.tid()
     result[env, node] = positions[env, node] + fractions[env] * displacements[env, node]
+
+
+def adapted_stride(stride: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """Part of the remaining motion to ask for next, after ``fraction`` of the last was accepted.
+
+    The gel's answer is linear in the motion asked for. Cutting the direction again and again
+    instead uses up a tenth of the gap each time, until the barrier is too stiff to recover.
+    """
+    shorter = np.maximum(0.25 * stride, 1e-9)
+    longer = np.minimum(2.0 * stride, 1.0)
+    return np.where(fraction < 0.1, shorter, np.where(fraction >= 0.5, longer, stride))
+
+
+def newton_system(
+    model: Model, values: wp.array, rhs: wp.array, displacements: wp.array
+) -> NewtonSystem:
+    """What contacts add to: matrix blocks, right-hand sides, motion of prescribed nodes."""
+    system = NewtonSystem()
+    system.free_index = model.free_index
+    system.row_starts = model.row_starts
+    system.columns = model.columns
+    system.values = values
+    system.rhs = rhs
+    system.displacements = displacements
+    return system
 
 
 def collect_rhs(

@@ -17,15 +17,26 @@ import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.collisions import Collisions
-from taccel_lab.ipc.kinematics import interpolate_poses, place_kinematic_nodes, turn_angle
-from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.kinematics import (
+    chord_error,
+    interpolate_poses,
+    place_kinematic_nodes,
+    turn_angle,
+)
 from taccel_lab.ipc.linear.system import LinearSystem
-from taccel_lab.ipc.motion import advance_positions, collect_rhs, spread_solution
+from taccel_lab.ipc.motion import (
+    adapted_stride,
+    advance_positions,
+    collect_rhs,
+    newton_system,
+    spread_solution,
+)
 from taccel_lab.ipc.potentials.contact import ContactPotential
 from taccel_lab.ipc.potentials.elastic import ElasticPotential
 from taccel_lab.ipc.potentials.friction import FrictionPotential, StepMotion
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
 from taccel_lab.ipc.potentials.viscosity import ViscousPotential
+from taccel_lab.ipc.reduce import dot_rows
 from taccel_lab.ipc.step_limit import limit_step
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
@@ -71,13 +82,9 @@ class SolverIPC:
         )
         self._target_poses = wp.zeros_like(self._trial_poses)
         self._start_poses = wp.zeros_like(self._trial_poses)
-        self._system = NewtonSystem()
-        self._system.free_index = model.free_index
-        self._system.row_starts = model.row_starts
-        self._system.columns = model.columns
-        self._system.values = self.linear.values
-        self._system.rhs = self.linear.rhs
-        self._system.displacements = self._displacements
+        self._system = newton_system(
+            model, self.linear.values, self.linear.rhs, self._displacements
+        )
 
     def step(self, state: State, target_poses: np.ndarray | None = None) -> StepReport:
         """Advance ``state`` in place; kinematic bodies end at ``target_poses`` [env, body, 7].
@@ -106,6 +113,10 @@ class _StepRun:
         n = self.model.env_count
         moved = np.abs(self.end_poses - self.start_poses).reshape(n, -1).max(1, initial=0.0)
         self.progress = np.where(moved > 0, 0.0, 1.0)
+        self.goal = np.ones(n)
+        """Progress that the next search direction aims at."""
+        self.stride = np.ones(n)
+        """Part of the remaining motion that it asks for, in each environment."""
         self.turning = (
             bool((turn_angle(self.start_poses, self.end_poses) > 1e-9).any())
             if moved.any()
@@ -129,9 +140,6 @@ class _StepRun:
         s, state = self.s, self.state
         wp.copy(s._previous, state.positions)
         wp.copy(s._start_poses, state.poses)
-        s._target_poses.assign(self.end_poses.reshape(s._target_poses.shape + (7,)))
-        wp.copy(s._kinematic_target, state.positions)
-        place_kinematic_nodes(self.model, s._target_poses, s._kinematic_target)
         self._push_active()
         if s.inertia is not None:
             s.inertia.begin_step(state.positions, state.velocities)
@@ -240,7 +248,7 @@ class _StepRun:
         contact = s.contact_gradient.numpy()
         total = s._gradient.numpy() + contact + s.friction_gradient.numpy()
         free = self.model.free_nodes.numpy()
-        self.residual[a] = np.linalg.norm(total[a][:, free], axis=(1, 2))
+        self.residual[a] = np.sqrt(dot_rows(total[a][:, free], total[a][:, free]))
         on_gel = contact[a][:, : self.model.soft_count]
         self.contact_force[a] = np.linalg.norm(on_gel, axis=-1).sum(axis=1)
         self.min_distance[a] = s._min_distance.numpy()[a]
@@ -308,6 +316,7 @@ class _StepRun:
         if s.viscosity is not None:
             mode = s.config.element_projection.code
             s.viscosity.add_hessian(s._active, x, s.linear.values, mode)
+        self._aim()
         moving = wp.array(
             (self.active & (self.progress < 1)).astype(np.int32), device=self.model.device
         )
@@ -331,6 +340,17 @@ class _StepRun:
         self._stop(solved.breakdown & (solved.iterations == 0), EnvStatus.NOT_A_NUMBER)
         spread_solution(self.model, s._active, s.linear.solution, s._displacements)
 
+    def _aim(self) -> None:
+        """Where the kinematic bodies try to go next: a stride along the remaining motion."""
+        s = self.s
+        self.goal = np.where(
+            self.stride < 1, self.progress + self.stride * (1 - self.progress), 1.0
+        )
+        poses = interpolate_poses(self.start_poses, self.end_poses, self.goal)
+        s._target_poses.assign(poses.reshape(s._target_poses.shape + (7,)))
+        wp.copy(s._kinematic_target, self.state.positions)
+        place_kinematic_nodes(self.model, s._target_poses, s._kinematic_target)
+
     def _forcing_terms(self) -> np.ndarray:
         """Relative CG tolerances: what it takes to converge with this very step, at most 0.01.
 
@@ -344,7 +364,8 @@ class _StepRun:
         s, state = self.s, self.state
         margin = s.config.dhat_m
         if self.turning:
-            margin += self._chord_error()
+            radii = np.array([body.radius_m for body in self.model.kinematic])
+            margin += chord_error(self.start_poses, self.end_poses, radii)
         s.candidates.update(
             s._active, state.positions, s._displacements, state.poses, s._target_poses, margin
         )
@@ -352,11 +373,8 @@ class _StepRun:
             self.model, s._active, s.candidates, state.positions, s._displacements, s._alphas
         )
         alpha = np.minimum(s._alphas.numpy(), self.damping)
-        slope = np.einsum(
-            "eni,eni->e",
-            s._gradient.numpy() + s.contact_gradient.numpy() + s.friction_gradient.numpy(),
-            s._displacements.numpy(),
-        )
+        gradient = s._gradient.numpy() + s.contact_gradient.numpy() + s.friction_gradient.numpy()
+        slope = dot_rows(gradient, s._displacements.numpy())
         s.collisions.update(s._active, state.positions, s.candidates)
         before = self._energy(state.positions, state.poses)
         settled = self.progress >= 1
@@ -382,13 +400,14 @@ class _StepRun:
         alpha[~moved] = 0.0
         self._trial(alpha)
         self.progress = progress
+        self.stride[moved] = adapted_stride(self.stride, alpha)[moved]
         wp.copy(state.positions, s._trial)
         wp.copy(state.poses, s._trial_poses)
 
     def _trial(self, alpha: np.ndarray) -> np.ndarray:
         """Positions and poses after a fraction of the direction; returns the new progress."""
         s = self.s
-        progress = self.progress + alpha * (1 - self.progress)
+        progress = self.progress + alpha * (self.goal - self.progress)
         progress[progress > 1 - 1e-12] = 1.0
         poses = interpolate_poses(self.start_poses, self.end_poses, progress)
         s._trial_poses.assign(poses.reshape(s._trial_poses.shape + (7,)))
@@ -410,12 +429,6 @@ class _StepRun:
         limits = wp.zeros(len(who), dtype=wp.float64, device=self.model.device)
         limit_step(self.model, s._active, s.candidates, self.state.positions, path, limits)
         return limits.numpy() >= 1.0
-
-    def _chord_error(self) -> float:
-        """How far a vertex may leave the chord of its arc [m]."""
-        angle = turn_angle(self.start_poses, self.end_poses).max(axis=0, initial=0.0)
-        radii = np.array([body.radius_m for body in self.model.kinematic])
-        return float((radii * (1 - np.cos(angle / 2))).max(initial=0.0))
 
     def _energy(self, positions: wp.array, poses: wp.array) -> np.ndarray:
         """Total potential of the environments flagged in ``_active`` [J], shape [env_count]."""

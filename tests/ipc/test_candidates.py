@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import warp as wp
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
@@ -22,15 +22,15 @@ BALL = Ball(0.7e-3)
 
 
 def build() -> Model:
-    return scene(MESH, KinematicBody(BODY, name="mesh"), KinematicBody(BALL, name="ball")).finalize()
+    return scene(
+        MESH, KinematicBody(BODY, name="mesh"), KinematicBody(BALL, name="ball")
+    ).finalize()
 
 
 def box_gaps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Largest separation along an axis of the boxes of primitives [n, k, 3] and [m, k, 3]."""
     low_a, high_a, low_b, high_b = a.min(1), a.max(1), b.min(1), b.max(1)
-    return np.maximum(
-        low_a[:, None] - high_b[None], low_b[None] - high_a[:, None]
-    ).max(axis=-1)
+    return np.maximum(low_a[:, None] - high_b[None], low_b[None] - high_a[:, None]).max(axis=-1)
 
 
 def found(candidates: Candidates) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
@@ -78,12 +78,11 @@ def edge_distances(model: Model, x: np.ndarray, pairs: set[tuple[int, int]]) -> 
     import ipctk
 
     edges = model.surface.edges.numpy()
-    return {
-        (a, b): ipctk.edge_edge_distance(*x[edges[a]], *x[edges[b]]) ** 0.5 for a, b in pairs
-    }
+    return {(a, b): ipctk.edge_edge_distance(*x[edges[a]], *x[edges[b]]) ** 0.5 for a, b in pairs}
 
 
 @settings(max_examples=25)
+@example(seed=5753, margin=0.00012563245055716122, turn=28.0, reach=0.000788563487232224)
 @given(
     seed=st.integers(0, 10_000),
     margin=st.floats(1e-6, 5e-4),
@@ -101,7 +100,8 @@ def test_no_pair_is_missed_on_the_way(seed: int, margin: float, turn: float, rea
     end = start.copy()
     end[0, :, :3] += rng.uniform(-reach, reach, (2, 3))
     end[0, 0] = interpolate_poses(
-        end, everywhere(1, pose(*end[0, 0, :3], tuple(rng.normal(size=3)), 180), end[0, 1]),
+        end,
+        everywhere(1, pose(*end[0, 0, :3], tuple(rng.normal(size=3)), 180), end[0, 1]),
         np.array([turn / 180]),
     )[0, 0]
     x = initial_state(model, start).positions.numpy()
@@ -142,9 +142,10 @@ def test_pairs_far_away_are_left_out() -> None:
     candidates = Candidates(model)
     candidates.update(wp.array([1], dtype=wp.int32), x, still, poses, poses, 1e-4)
     node_face, edge_edge = found(candidates)
-    all_pairs = len(model.soft_surface_nodes.numpy()) * len(BODY.faces) + len(
-        BODY.vertices_m
-    ) * model.soft_faces[1]
+    all_pairs = (
+        len(model.soft_surface_nodes.numpy()) * len(BODY.faces)
+        + len(BODY.vertices_m) * model.soft_faces[1]
+    )
     assert 0 < len(node_face) < 0.1 * all_pairs
     assert 0 < len(edge_edge) < 0.1 * len(unique_edges(BODY.faces)) * model.soft_edges[1]
     far = everywhere(1, pose(0, 0, 9e-3), pose(0, 0, 12e-3))

@@ -33,20 +33,26 @@ def log_barrier(distance: float) -> float:
 
 
 def areas(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    return 0.5 * np.linalg.norm(np.cross(*(x[faces[:, k]] - x[faces[:, 0]] for k in (1, 2))), axis=1)
+    return 0.5 * np.linalg.norm(
+        np.cross(*(x[faces[:, k]] - x[faces[:, 0]] for k in (1, 2))), axis=1
+    )
 
 
 def node_face_sum(
     x: np.ndarray, rest: np.ndarray, faces: np.ndarray, others: np.ndarray, node_area: np.ndarray
 ) -> float:
     """Energy of nodes ``others`` against a surface, without any merging."""
-    uses = Counter(tuple(sorted(e)) for f in faces.tolist() for e in zip(f, f[1:] + f[:1], strict=True))
+    uses = Counter(
+        tuple(sorted(e)) for f in faces.tolist() for e in zip(f, f[1:] + f[:1], strict=True)
+    )
     inner = [e for e, count in uses.items() if count == 2]
     rim = {v for e, count in uses.items() if count == 1 for v in e}
     total = 0.0
     for p in others:
         terms = sum(log_barrier(ipctk.point_triangle_distance(x[p], *x[f]) ** 0.5) for f in faces)
-        terms -= sum(log_barrier(ipctk.point_edge_distance(x[p], *x[list(e)]) ** 0.5) for e in inner)
+        terms -= sum(
+            log_barrier(ipctk.point_edge_distance(x[p], *x[list(e)]) ** 0.5) for e in inner
+        )
         terms += sum(
             log_barrier(float(np.linalg.norm(x[p] - x[v])))
             for v in np.unique(faces)
@@ -56,9 +62,7 @@ def node_face_sum(
     return KAPPA * total
 
 
-def edge_pair_sum(
-    x: np.ndarray, rest: np.ndarray, first: np.ndarray, second: np.ndarray
-) -> float:
+def edge_pair_sum(x: np.ndarray, rest: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
     """Energy of the edge pairs of two surfaces, from all pairs."""
     total = 0.0
     edge_area: dict[tuple[int, ...], float] = {}
@@ -91,7 +95,9 @@ def reference_energy(assembly: Assembly, x: np.ndarray) -> float:
     return total + edge_pair_sum(x, rest, soft, body)
 
 
-def set_down(shape: TriangleMesh, placed: np.ndarray, gap: float, seed: int) -> tuple[Assembly, np.ndarray]:
+def set_down(
+    shape: TriangleMesh, placed: np.ndarray, gap: float, seed: int
+) -> tuple[Assembly, np.ndarray]:
     """A rough gel surface and a body whose lowest vertex is ``gap`` above its highest node."""
     mesh = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3), jitter=0.2, seed=seed)
     model = scene(mesh, KinematicBody(shape)).finalize()

@@ -46,7 +46,9 @@ def kinds(found: list[Intersection]) -> list[IntersectionKind]:
 def test_a_body_just_above_and_just_below_the_surface(
     shape: TriangleMesh | Ball, reach: float
 ) -> None:
-    above, below = intersections(shape, pose(1e-4, 2e-4, reach + 1e-9), pose(1e-4, 2e-4, reach - 1e-9))
+    above, below = intersections(
+        shape, pose(1e-4, 2e-4, reach + 1e-9), pose(1e-4, 2e-4, reach - 1e-9)
+    )
     assert above == []
     assert kinds(below) == [IntersectionKind.CROSSING]
     assert below[0].body == "indenter" and below[0].count > 0

@@ -117,7 +117,7 @@ def test_gravity_must_be_a_finite_vector(gravity: Any) -> None:
 
 
 def test_gravity_without_inertia_is_not_silently_ignored() -> None:
-    with pytest.raises(InputError, match="gravity.*quasi_static"):
+    with pytest.raises(InputError, match=r"gravity.*quasi_static"):
         TimeStepping(quasi_static=True, gravity_m_s2=(0, 0, -9.81))
 
 
@@ -157,7 +157,7 @@ def test_collision_surfaces_must_be_manifold() -> None:
         np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0]]) * 1e-3,
         np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]]),
     )
-    with pytest.raises(InputError, match="1 edges belong to more than two faces.*manifold"):
+    with pytest.raises(InputError, match=r"1 edges belong to more than two faces.*manifold"):
         Scene(SoftBody(MESH, GEL), (KinematicBody(fan),)).finalize()
 
 

@@ -28,19 +28,41 @@ class SweptBox:
 def include(
     low: wp.vec3d,
     high: wp.vec3d,
+    travel: wp.float64,
     env: int,
     node: int,
-    body: int,
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     frame_start: wp.transformd,
     frame_end: wp.transformd,
 ):
-    """Grow a box by both ends of a node's path, in the body frame."""
+    """Grow a box by both ends of a node's path, in the body frame, and the longest way between."""
     x = positions[env, node]
     a = wp.transform_point(frame_start, x)
     b = wp.transform_point(frame_end, x + displacements[env, node])
-    return wp.min(low, wp.min(a, b)), wp.max(high, wp.max(a, b))
+    low = wp.min(low, wp.min(a, b))
+    high = wp.max(high, wp.max(a, b))
+    return low, high, wp.max(travel, wp.length(b - a))
+
+
+@wp.func
+def turned_margin(
+    margin: wp.float64, travel: wp.float64, frame_start: wp.transformd, frame_end: wp.transformd
+) -> wp.float64:
+    """Margin in the frame of a body that turns by an angle w: straight paths are bent there.
+
+    A point of the body that a node has at w0 at the start and at w1 at the end, in the body frame,
+    is at A + B on the way, A = (1 - t) w0 and B = t Q w1; the box knows A + Q^-1 B. If A + B is
+    shorter than the margin m, the other is shorter than m + 2 sin(w / 2) |A|, and from the travel
+    D = |w1 - w0| follows |A| <= (D / 4 + m) / cos(w / 2). Own derivation.
+    """
+    turn = wp.transform_get_rotation(frame_end) * wp.quat_inverse(
+        wp.transform_get_rotation(frame_start)
+    )
+    sine = wp.length(wp.vec3d(turn[0], turn[1], turn[2]))
+    tangent = sine / wp.max(wp.abs(turn[3]), wp.float64(1.0e-6))
+    half = wp.float64(0.5)
+    return margin + tangent * (wp.float64(2.0) * margin + half * travel)
 
 
 @wp.func
@@ -94,10 +116,11 @@ def _node_face_kernel(
     start = wp.transform_inverse(poses_start[env, body])
     end = wp.transform_inverse(poses_end[env, body])
     big = wp.float64(1.0e30)
+    travel = wp.float64(0.0)
     low = wp.vec3d(big, big, big)
     high = -low
-    low, high = include(low, high, env, node, body, positions, displacements, start, end)
-    box = rounded_out(low, high, margin)
+    low, high, travel = include(low, high, travel, env, node, positions, displacements, start, end)
+    box = rounded_out(low, high, turned_margin(margin, travel, start, end))
     query = wp.bvh_query_aabb(bvh, box.lower, box.upper)
     hit = int(0)
     while wp.bvh_query_next(query, hit):
@@ -128,11 +151,14 @@ def _vertex_face_kernel(
     start = wp.transform_inverse(poses_start[env, body])
     end = wp.transform_inverse(poses_end[env, body])
     big = wp.float64(1.0e30)
+    travel = wp.float64(0.0)
     low = wp.vec3d(big, big, big)
     high = -low
     for k in range(3):
-        low, high = include(low, high, env, face[k], body, positions, displacements, start, end)
-    box = rounded_out(low, high, margin)
+        low, high, travel = include(
+            low, high, travel, env, face[k], positions, displacements, start, end
+        )
+    box = rounded_out(low, high, turned_margin(margin, travel, start, end))
     query = wp.bvh_query_aabb(bvh, box.lower, box.upper)
     hit = int(0)
     while wp.bvh_query_next(query, hit):
@@ -163,11 +189,14 @@ def _edge_edge_kernel(
     start = wp.transform_inverse(poses_start[env, body])
     end = wp.transform_inverse(poses_end[env, body])
     big = wp.float64(1.0e30)
+    travel = wp.float64(0.0)
     low = wp.vec3d(big, big, big)
     high = -low
     for k in range(2):
-        low, high = include(low, high, env, edge[k], body, positions, displacements, start, end)
-    box = rounded_out(low, high, margin)
+        low, high, travel = include(
+            low, high, travel, env, edge[k], positions, displacements, start, end
+        )
+    box = rounded_out(low, high, turned_margin(margin, travel, start, end))
     query = wp.bvh_query_aabb(bvh, box.lower, box.upper)
     hit = int(0)
     while wp.bvh_query_next(query, hit):

@@ -27,7 +27,12 @@ SPIKE = TriangleMesh(
 )
 # A shallow roof over the gel, concave from below: the gel sees four faces at once.
 ROOF = TriangleMesh(
-    np.array([[0, 0, 1.4e-4], *([7e-4 * x, 7e-4 * y, 0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1)))]),
+    np.array(
+        [
+            [0, 0, 1.4e-4],
+            *([7e-4 * x, 7e-4 * y, 0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))),
+        ]
+    ),
     np.array([[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4]]),
 )
 # The node in the middle of the contact face: its nearest feature of the spike is the tip.

@@ -61,9 +61,7 @@ def test_environments_use_their_own_rest_shape() -> None:
     at_rest = assembly.elastic_energy(rests)
     shuffled = assembly.elastic_energy(rests[[1, 2, 0]])
     assert np.abs(at_rest).max() < 1e-12 * shuffled.min()
-    alone = Assembly(
-        scene(mesh, rest_m=rests[2:]).finalize(), SolverConfig(), np.zeros((1, 0, 7))
-    )
+    alone = Assembly(scene(mesh, rest_m=rests[2:]).finalize(), SolverConfig(), np.zeros((1, 0, 7)))
     assert alone.elastic_energy(rests[:1])[0] == shuffled[2]
     np.testing.assert_array_equal(
         alone.elastic_gradient(rests[:1])[0], assembly.elastic_gradient(rests[[1, 2, 0]])[2]

@@ -26,7 +26,9 @@ def test_inertia_matches_its_formula_and_differences() -> None:
     rng = np.random.default_rng(0)
     start, velocity = mesh.nodes_m, rng.normal(size=(n, 3))
     many = (6 * n, 1, 1)
-    inertia.begin_step(assembly.nodal(np.tile(start, many)), assembly.nodal(np.tile(velocity, many)))
+    inertia.begin_step(
+        assembly.nodal(np.tile(start, many)), assembly.nodal(np.tile(velocity, many))
+    )
     x = start + rng.normal(size=(n, 3)) * 1e-3
 
     free = assembly.free

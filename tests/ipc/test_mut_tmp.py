@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The broad phase against all pairs: no pair that comes within the margin may be missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.kinematics import interpolate_poses, turn_angle
+from taccel_lab.model import Model
+from taccel_lab.scene import Ball, KinematicBody
+from taccel_lab.scene.primitives import unique_edges
+from taccel_lab.state import initial_state
+from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
+
+MESH = block_mesh((3, 3, 1), (3e-3, 3e-3, 1e-3), jitter=0.2)
+BODY = bumpy_body(2, 0.8e-3)
+BALL = Ball(0.7e-3)
+
+
+def build() -> Model:
+    return scene(
+        MESH, KinematicBody(BODY, name="mesh"), KinematicBody(BALL, name="ball")
+    ).finalize()
+
+
+def box_gaps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Largest separation along an axis of the boxes of primitives [n, k, 3] and [m, k, 3]."""
+    low_a, high_a, low_b, high_b = a.min(1), a.max(1), b.min(1), b.max(1)
+    return np.maximum(low_a[:, None] - high_b[None], low_b[None] - high_a[:, None]).max(axis=-1)
+
+
+def found(candidates: Candidates) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
+    """Node-face and edge-edge pairs of environment 0."""
+    faces = candidates.node_face.numpy()[0, : candidates.node_face_counts.numpy()[0]]
+    edges = candidates.edge_edge.numpy()[0, : candidates.edge_edge_counts.numpy()[0]]
+    pairs = set(map(tuple, faces.tolist())), set(map(tuple, edges.tolist()))
+    assert len(pairs[0]) == len(faces) and len(pairs[1]) == len(edges), "a pair came twice"
+    return pairs
+
+
+def nearby(model: Model, x: np.ndarray, margin: float) -> tuple[set, set]:
+    """Pairs whose boxes, in a frame where they are tight, are within the margin at positions x."""
+    faces, edges = model.surface.faces.numpy(), model.surface.edges.numpy()
+    soft = faces[: model.soft_faces[1]]
+    body = model.kinematic[0]
+    body_faces = faces[body.face_start :]
+    nodes = model.soft_surface_nodes.numpy()
+    pairs = set()
+    gaps = box_gaps(x[nodes][:, None], x[body_faces])
+    pairs |= {(int(nodes[i]), int(body.face_start + j)) for i, j in np.argwhere(gaps < margin)}
+    vertices = body.node_start + np.arange(body.node_count)
+    gaps = box_gaps(x[vertices][:, None], x[soft])
+    pairs |= {(int(vertices[i]), int(j)) for i, j in np.argwhere(gaps < margin)}
+    ball = model.kinematic[1]
+    gaps = box_gaps(x[ball.node_start][None, None], x[soft])[0] - ball.radius_m
+    pairs |= {(ball.node_start, int(j)) for j in np.flatnonzero(gaps < margin)}
+    soft_edges = edges[: model.soft_edges[1]]
+    gaps = box_gaps(x[soft_edges], x[edges[body.edge_start :]])
+    return pairs, {(int(i), int(body.edge_start + j)) for i, j in np.argwhere(gaps < margin)}
+
+
+def true_distances(model: Model, x: np.ndarray, pairs: set[tuple[int, int]]) -> dict:
+    """Distance of node-face pairs less a ball's radius, by ipctk."""
+    import ipctk
+
+    faces, radii = model.surface.faces.numpy(), model.surface.node_radii.numpy()
+    return {
+        (n, f): ipctk.point_triangle_distance(x[n], *x[faces[f]]) ** 0.5 - radii[n]
+        for n, f in pairs
+    }
+
+
+def edge_distances(model: Model, x: np.ndarray, pairs: set[tuple[int, int]]) -> dict:
+    import ipctk
+
+    edges = model.surface.edges.numpy()
+    return {(a, b): ipctk.edge_edge_distance(*x[edges[a]], *x[edges[b]]) ** 0.5 for a, b in pairs}
+
+
+@settings(max_examples=1500)
+@example(seed=5753, margin=0.00012563245055716122, turn=28.0, reach=0.000788563487232224)
+@given(
+    seed=st.integers(0, 10_000),
+    margin=st.floats(1e-6, 5e-4),
+    turn=st.floats(0, 60),
+    reach=st.floats(0, 1e-3),
+)
+def test_no_pair_is_missed_on_the_way(seed: int, margin: float, turn: float, reach: float) -> None:
+    rng = np.random.default_rng(seed)
+    model = build()
+    start = everywhere(
+        1,
+        pose(*rng.uniform(-1e-3, 1e-3, 2), 0.9e-3, tuple(rng.normal(size=3)), 50),
+        pose(*rng.uniform(-1e-3, 1e-3, 2), 0.8e-3),
+    )
+    end = start.copy()
+    end[0, :, :3] += rng.uniform(-reach, reach, (2, 3))
+    end[0, 0] = interpolate_poses(
+        end,
+        everywhere(1, pose(*end[0, 0, :3], tuple(rng.normal(size=3)), 180), end[0, 1]),
+        np.array([turn / 180]),
+    )[0, 0]
+    x = initial_state(model, start).positions.numpy()
+    target = initial_state(model, end).positions.numpy()
+    displacement = target - x
+    soft = slice(0, model.soft_count)
+    displacement[0, soft] = rng.uniform(-reach, reach, (model.soft_count, 3))
+    angle = turn_angle(start, end).max()
+    chord_error = max(b.radius_m for b in model.kinematic) * (1 - np.cos(angle / 2))
+
+    candidates = Candidates(model, capacity=64)
+    candidates.update(
+        wp.array([1], dtype=wp.int32),
+        wp.array(x, dtype=wp.vec3d),
+        wp.array(displacement, dtype=wp.vec3d),
+        wp.array(start, dtype=wp.transformd),
+        wp.array(end, dtype=wp.transformd),
+        margin + chord_error,
+    )
+    node_face, edge_edge = found(candidates)
+    missed = []
+    for t in (0.0, 0.3, 0.7, 1.0):
+        now = x[0] + t * displacement[0]
+        near_faces, near_edges = nearby(model, now, margin)
+        close = true_distances(model, now, near_faces - node_face)
+        missed += [pair for pair, d in close.items() if d < margin]
+        close = edge_distances(model, now, near_edges - edge_edge)
+        missed += [pair for pair, d in close.items() if d < margin]
+    assert not missed
+
+
+def test_pairs_far_away_are_left_out() -> None:
+    model = build()
+    start = everywhere(1, pose(0, 0, 0.9e-3), pose(1e-3, 1e-3, 0.8e-3))
+    x = initial_state(model, start).positions
+    still = wp.zeros_like(x)
+    poses = wp.array(start, dtype=wp.transformd)
+    candidates = Candidates(model)
+    candidates.update(wp.array([1], dtype=wp.int32), x, still, poses, poses, 1e-4)
+    node_face, edge_edge = found(candidates)
+    all_pairs = (
+        len(model.soft_surface_nodes.numpy()) * len(BODY.faces)
+        + len(BODY.vertices_m) * model.soft_faces[1]
+    )
+    assert 0 < len(node_face) < 0.1 * all_pairs
+    assert 0 < len(edge_edge) < 0.1 * len(unique_edges(BODY.faces)) * model.soft_edges[1]
+    far = everywhere(1, pose(0, 0, 9e-3), pose(0, 0, 12e-3))
+    y = initial_state(model, far).positions
+    away = wp.array(far, dtype=wp.transformd)
+    candidates.update(wp.array([1], dtype=wp.int32), y, still, away, away, 1e-4)
+    assert candidates.max_node_face == candidates.max_edge_edge == 0

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Environments do not see each other: results, order, failures and roll-back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.scene import Ball, KinematicBody, TimeStepping, TriangleMesh, sphere_mesh
+from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.report import EnvStatus, StepReport
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import State, initial_state
+from tests.verification.blocks import block_mesh, pose, scene
+
+CELLS, SIZE = (6, 6, 2), (5e-3, 5e-3, 2e-3)
+MESH = block_mesh(CELLS, SIZE)
+RESTS = np.stack([block_mesh(CELLS, SIZE, jitter=0.15, seed=s).nodes_m for s in range(4)])
+START_Z = 1.55e-3
+SHAPES = {"ball": Ball(1.5e-3), "mesh": sphere_mesh(1.5e-3, 5e-4)}
+
+
+def targets(env: int) -> list[np.ndarray]:
+    """Each environment presses elsewhere, to another depth, with another turn."""
+    x, depth, deg = 2e-4 * env, 1e-4 + 5e-5 * env, 1.5 * env
+    return [
+        pose(x, 0, 1.5e-3 - depth),
+        pose(x + 5e-5, 1e-5 * env, 1.5e-3 - 1.5 * depth, (0, 1, 2), deg),
+    ]
+
+
+def press(
+    envs: list[int], shape: TriangleMesh | Ball, friction: float, steps: int = 2
+) -> tuple[np.ndarray, np.ndarray, list[StepReport]]:
+    """Positions and contact forces of the soft nodes in the given environments, in this order."""
+    made = scene(MESH, KinematicBody(shape, friction), env_count=len(envs), rest_m=RESTS[envs])
+    model = made.finalize()
+    solver = SolverIPC(model, SolverConfig())
+    start = np.stack([pose(2e-4 * env, 0, START_Z)[None] for env in envs])
+    state = initial_state(model, start)
+    reports = []
+    for k in range(steps):
+        reports.append(solver.step(state, np.stack([targets(env)[k][None] for env in envs])))
+        assert reports[-1].converged.all(), reports[-1].summary()
+    return state.positions.numpy(), solver.contact_gradient.numpy(), reports
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.8])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_results_do_not_depend_on_number_and_order(shape: str, friction: float) -> None:
+    """Bitwise on the CPU, where lists are filled and summed in a fixed order."""
+    together, forces, reports = press([0, 1, 2, 3], SHAPES[shape], friction)
+    shuffled, shuffled_forces, _ = press([2, 0, 3, 1], SHAPES[shape], friction)
+    np.testing.assert_array_equal(shuffled, together[[2, 0, 3, 1]])
+    np.testing.assert_array_equal(shuffled_forces, forces[[2, 0, 3, 1]])
+    alone, alone_forces, alone_reports = press([3], SHAPES[shape], friction)
+    np.testing.assert_array_equal(alone[0], together[3])
+    np.testing.assert_array_equal(alone_forces[0], forces[3])
+    for name in ("newton_iterations", "cg_iterations", "residual_n", "min_distance_m"):
+        assert getattr(alone_reports[-1], name)[0] == getattr(reports[-1], name)[3]
+    assert len(np.unique(forces[:, : MESH.node_count, 2].sum(axis=1))) == 4, (
+        "the environments were meant to differ"
+    )
+
+
+def test_a_run_repeats_bitwise() -> None:
+    first, _, _ = press([1, 2], SHAPES["mesh"], 0.8)
+    second, _, _ = press([1, 2], SHAPES["mesh"], 0.8)
+    np.testing.assert_array_equal(first, second)
+
+
+def _snapshot(state: State) -> list[np.ndarray]:
+    return [a.numpy().copy() for a in (state.positions, state.velocities, state.poses)]
+
+
+@pytest.mark.parametrize("quasi_static", [True, False])
+def test_a_failing_environment_is_rolled_back_and_the_others_go_on(quasi_static: bool) -> None:
+    """Environment 1 has too far to go for the iterations it is given."""
+    stepping = TimeStepping(quasi_static=quasi_static, dt_s=0.01)
+    made = scene(MESH, KinematicBody(SHAPES["ball"]), env_count=3, time=stepping)
+    model = made.finalize()
+    solver = SolverIPC(model, SolverConfig())
+    state = initial_state(model, np.tile(pose(0, 0, START_Z), (3, 1, 1)))
+    first = np.tile(pose(0, 0, 1.45e-3), (3, 1, 1))
+    assert solver.step(state, first).converged.all()
+    before = _snapshot(state)
+    if not quasi_static:
+        assert np.abs(before[1]).max() > 0
+
+    hasty = SolverIPC(model, SolverConfig(max_newton_iterations=4, relative_tolerance=1e-3))
+    target = first.copy()
+    target[0, 0, 2] -= 1e-6
+    target[1, 0, 2] -= 4e-4
+    report = hasty.step(state, target)
+    assert report.status.tolist() == [
+        EnvStatus.CONVERGED,
+        EnvStatus.NO_CONVERGENCE,
+        EnvStatus.CONVERGED,
+    ]
+    after = _snapshot(state)
+    for value, old in zip(after, before, strict=True):
+        np.testing.assert_array_equal(value[1], old[1])
+    assert np.abs(after[0][0] - before[0][0]).max() > 1e-7
+    np.testing.assert_allclose(after[2].reshape(3, 7)[0], target[0, 0], atol=1e-15)
+    assert find_intersections(model, state) == [[], [], []]
+    # The forces that are read out belong to the state that is left, also where it was rolled back.
+    again = SolverIPC(model, SolverConfig())
+    copy = State(*(wp.clone(a) for a in (state.positions, state.velocities, state.poses)))
+    again.step(copy)
+    old, new = hasty.contact_gradient.numpy()[1], again.contact_gradient.numpy()[1]
+    assert np.abs(old).max() > 1e-4
+    if quasi_static:
+        np.testing.assert_allclose(old, new, atol=1e-3 * np.abs(new).max())
+
+    # It is not lost: with enough iterations it arrives.
+    assert solver.step(state, target).converged.all()
+
+
+def test_one_iteration_is_not_enough_and_nothing_moves() -> None:
+    model = scene(MESH, KinematicBody(SHAPES["mesh"], 0.5), env_count=2).finalize()
+    state = initial_state(model, np.tile(pose(0, 0, START_Z), (2, 1, 1)))
+    before = _snapshot(state)
+    report = SolverIPC(model, SolverConfig(max_newton_iterations=1)).step(
+        state, np.tile(pose(0, 0, 1.3e-3), (2, 1, 1))
+    )
+    assert (report.status == EnvStatus.NO_CONVERGENCE).all()
+    assert not report.converged.any()
+    for value, old in zip(_snapshot(state), before, strict=True):
+        np.testing.assert_array_equal(value, old)
+    assert "0/2 converged" in report.summary()
+
+
+def test_a_fresh_state_gives_the_same_press_again() -> None:
+    """A solver keeps nothing from one press to the next."""
+    model = scene(MESH, KinematicBody(SHAPES["ball"], 0.5)).finalize()
+    solver = SolverIPC(model, SolverConfig())
+    results = []
+    for _ in range(2):
+        state = initial_state(model, pose(0, 0, START_Z)[None, None])
+        for target in targets(2):
+            assert solver.step(state, target[None, None]).converged.all()
+        results.append(state.positions.numpy())
+    np.testing.assert_array_equal(results[0], results[1])
+
+
+def test_an_inverted_start_is_reported_not_hidden() -> None:
+    model = scene(MESH, env_count=2).finalize()
+    state = initial_state(model, np.zeros((2, 0, 7)))
+    x = state.positions.numpy()
+    x[1, -1] -= [0, 0, 1.9e-3]
+    state.positions.assign(x)
+    report = SolverIPC(model, SolverConfig()).step(state)
+    assert report.status[0] == EnvStatus.CONVERGED
+    assert report.status[1] == EnvStatus.NOT_A_NUMBER
+    np.testing.assert_array_equal(state.positions.numpy()[1], x[1])

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Energies, gradients and matrices as the solver assembles them, as dense numpy arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.motion import newton_system
+from taccel_lab.model import Model
+from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.solver_ipc import SolverIPC
+
+
+class Assembly:
+    """The potentials of a model, evaluated anywhere; positions are [env_count, node_count, 3]."""
+
+    def __init__(self, model: Model, config: SolverConfig, poses: np.ndarray) -> None:
+        self.model = model
+        self.solver = SolverIPC(model, config)
+        self.dhat = config.dhat_m
+        self.active = wp.full(model.env_count, 1, dtype=wp.int32, device=model.device)
+        self.poses = wp.array(poses, dtype=wp.transformd, device=model.device)
+        self.free = model.free_nodes.numpy()
+
+    def nodal(self, value: np.ndarray | None = None) -> wp.array:
+        if value is None:
+            value = np.zeros((self.model.env_count, self.model.node_count, 3))
+        return wp.array(value, dtype=wp.vec3d, device=self.model.device)
+
+    def collide(self, positions: np.ndarray) -> int:
+        """Collect the collisions at ``positions``; returns their number in environment 0."""
+        x = self.nodal(positions)
+        s = self.solver
+        # Nodes may lie off their body's pose by the step of a finite difference.
+        margin = self.dhat + 1e-6
+        s.candidates.update(self.active, x, self.nodal(), self.poses, self.poses, margin)
+        s.collisions.update(self.active, x, s.candidates)
+        return int(s.collisions.counts.numpy()[0])
+
+    # Energies [J], shape [env_count] ---------------------------------------------------------
+
+    def elastic_energy(self, positions: np.ndarray) -> np.ndarray:
+        return self.solver.elastic.energy(self.active, self.nodal(positions))
+
+    def contact_energy(self, positions: np.ndarray) -> np.ndarray:
+        self.collide(positions)
+        return self.solver.contact.energy(self.active, self.nodal(positions))
+
+    # Gradients [N], shape [env_count, node_count, 3] -------------------------------------------
+
+    def elastic_gradient(self, positions: np.ndarray) -> np.ndarray:
+        out = self.nodal()
+        self.solver.elastic.add_gradient(self.active, self.nodal(positions), out)
+        return out.numpy()
+
+    def contact_gradient(self, positions: np.ndarray) -> np.ndarray:
+        self.collide(positions)
+        out = self.nodal()
+        gaps = wp.full(self.model.env_count, np.inf, dtype=wp.float64, device=self.model.device)
+        self.solver.contact.add_gradient(self.active, self.nodal(positions), out, gaps)
+        return out.numpy()
+
+    # Matrices ----------------------------------------------------------------------------------
+
+    def elastic_hessian(self, positions: np.ndarray, mode: int) -> np.ndarray:
+        """Matrix over free nodes [N/m], shape [env_count, 3 free_count, 3 free_count]."""
+        values = self.solver.linear.values
+        values.zero_()
+        self.solver.elastic.set_hessian(self.active, self.nodal(positions), values, mode)
+        return self.dense(values)
+
+    def contact_system(
+        self, positions: np.ndarray, mode: int, prescribed: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and right-hand side [N] for a motion ``prescribed`` of the nodes without row."""
+        self.collide(positions)
+        system = self.system(prescribed)
+        self.solver.contact.add_hessian(self.active, self.nodal(positions), system, mode)
+        return self.dense(system.values), system.rhs.numpy()
+
+    def system(self, prescribed: np.ndarray | None = None) -> NewtonSystem:
+        """An empty Newton system."""
+        linear = self.solver.linear
+        linear.values.zero_()
+        linear.rhs.zero_()
+        return newton_system(self.model, linear.values, linear.rhs, self.nodal(prescribed))
+
+    def dense(self, values: wp.array) -> np.ndarray:
+        """Full matrices [N/m], shape [env_count, 3 free_count, 3 free_count]."""
+        return self.model.pattern.dense(values.numpy())
+
+
+def coordinate_probe(x: np.ndarray, nodes: np.ndarray, step: float) -> np.ndarray:
+    """Copies of positions [node_count, 3] with each coordinate of ``nodes`` moved both ways.
+
+    Shape [6 len(nodes), node_count, 3], in the order of (node, axis, sign +, -).
+    """
+    probes = np.repeat(x[None], 6 * len(nodes), axis=0)
+    row = np.arange(3 * len(nodes))
+    node, axis = nodes[row // 3], row % 3
+    probes[2 * row, node, axis] += step
+    probes[2 * row + 1, node, axis] -= step
+    return probes
+
+
+def central_difference(values: np.ndarray, step: float) -> np.ndarray:
+    """Derivative along each probe of ``coordinate_probe``, shape [3 len(nodes), ...]."""
+    return (values[0::2] - values[1::2]) / (2 * step)

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A frictionless ball on a half-space against Hertz; the whole study is
+``benchmarks/hertz_convergence.py``."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from benchmarks.hertz_convergence import HertzCase, HertzResult, press
+
+RADIUS = HertzCase().contact_radius_m
+
+
+@lru_cache
+def pressed(cells: int, poisson: float = 0.3, dhat: float = 0.002) -> HertzResult:
+    return press(HertzCase(cells=cells, poisson_ratio=poisson, dhat_over_depth=dhat))
+
+
+def test_force_converges_to_hertz_with_the_square_of_the_element_size() -> None:
+    coarse, middle, fine = (pressed(n).force_error for n in (3, 4, 6))
+    assert coarse > middle > fine > 0, "linear tets are too stiff"
+    limit = fine - (middle - fine) / ((6 / 4) ** 2 - 1)
+    assert abs(limit) < 0.02, "the rest is the size of the block, dhat and a / R"
+    order = np.log((coarse - limit) / (fine - limit)) / np.log(6 / 3)
+    assert order == pytest.approx(2.0, abs=0.3)
+    assert fine < 0.042
+
+
+@pytest.mark.parametrize("cells", [4, 6])
+def test_contact_radius_is_within_one_element(cells: int) -> None:
+    result = pressed(cells)
+    assert result.element_m < 1.5 * RADIUS / cells
+    assert abs(result.outermost_m - RADIUS) < result.element_m
+    # The second moment of the pressure is finer than the mesh.
+    assert result.radius_m == pytest.approx(RADIUS, rel=0.01)
+
+
+def test_pressure_is_an_ellipse() -> None:
+    result, case = pressed(6), HertzCase(cells=6)
+    peak = 1.5 * case.force_n / (np.pi * RADIUS**2)
+    inside = result.radii_m < 0.8 * RADIUS
+    expected = peak * np.sqrt(1 - (result.radii_m[inside] / RADIUS) ** 2)
+    error = result.pressures_pa[inside] / expected - 1
+    assert inside.sum() > 40
+    assert np.sqrt((error**2).mean()) < 0.07
+
+
+def test_dhat_acts_like_depth() -> None:
+    """Contact begins at a gap of dhat: the force grows like that of a depth larger by dhat."""
+    near, far = pressed(4), pressed(4, dhat=0.05)
+    ratio = far.force_n / near.force_n
+    assert ratio == pytest.approx(((1 + 0.05) / (1 + 0.002)) ** 1.5, rel=0.015)
+
+
+def test_force_is_within_three_percent() -> None:
+    result = pressed(8)
+    assert abs(result.force_error) < 0.03
+    assert abs(result.outermost_m - RADIUS) < result.element_m
+    assert result.residual_n < 1e-4 * result.force_n
+
+
+@pytest.mark.slow
+def test_a_finer_mesh_is_closer() -> None:
+    assert abs(pressed(10).force_error) < 0.024
+
+
+@pytest.mark.slow
+def test_linear_tets_lock_more_as_poisson_ratio_grows() -> None:
+    soft, stiff = pressed(6), pressed(6, poisson=0.45)
+    assert 1.3 * soft.force_error < stiff.force_error < 0.08

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold in every frame of a press with shear and twist, whatever the numbers are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.scene import (
+    Ball,
+    KinematicBody,
+    TriangleMesh,
+    box_mesh,
+    cylinder_mesh,
+    sphere_mesh,
+)
+from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import initial_state
+from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
+
+DHAT = 2e-5
+MESH = block_mesh((8, 8, 3), (6e-3, 6e-3, 2.4e-3), jitter=0.15)
+
+# Shape, and the distance of its lowest point from its origin [m].
+INDENTERS: dict[str, tuple[TriangleMesh | Ball, float]] = {
+    "ball": (Ball(1.5e-3), 1.5e-3),
+    "sphere mesh": (sphere_mesh(1.5e-3, 3e-4), 1.505e-3),
+    "box": (box_mesh((1.5e-3, 1.5e-3, 1e-3)), 0.5e-3),
+    "cylinder": (cylinder_mesh(0.9e-3, 1e-3, 16), 0.5e-3),
+    "concave": (bumpy_body(3, 1.2e-3, 0.5), 1.8e-3),
+}
+
+
+def path(reach: float) -> list[np.ndarray]:
+    """Down, then sideways, then about the axis, then up again."""
+    down = [pose(0, 0, reach - d) for d in (0.1e-3, 0.25e-3, 0.4e-3)]
+    side = [pose(s, -0.5 * s, reach - 0.4e-3) for s in (0.1e-3, 0.2e-3)]
+    last = side[-1]
+    turn = [pose(*last[:3], (0.2, 0, 1), deg) for deg in (2, 4, 6, 8)]
+    return [*down, *side, *turn, pose(*last[:2], reach + 0.3e-3, (0.2, 0, 1), 8)]
+
+
+@pytest.mark.parametrize(
+    ("name", "friction"),
+    [
+        ("ball", 0.0),
+        ("ball", 0.7),
+        ("box", 0.5),
+        ("sphere mesh", 0.0),
+        ("sphere mesh", 1.0),
+        ("box", 0.0),
+        ("box", 1.0),
+        ("cylinder", 0.5),
+        ("cylinder", 1.0),
+        ("concave", 0.5),
+        ("concave", 1.0),
+    ],
+)
+def test_every_frame_is_converged_separate_and_balanced(name: str, friction: float) -> None:
+    shape, reach = INDENTERS[name]
+    made = scene(MESH, KinematicBody(shape, friction), poisson=0.45)
+    model = made.finalize()
+    solver = SolverIPC(model, SolverConfig(dhat_m=DHAT))
+    state = initial_state(model, everywhere(1, pose(0, 0, reach + 3 * DHAT)))
+    soft = slice(0, model.soft_count)
+    body = slice(model.soft_count, None)
+    largest, rubbed = 0.0, 0.0
+    for target in path(reach):
+        report = solver.step(state, everywhere(1, target))
+        assert report.converged.all(), report.summary()
+        assert find_intersections(model, state) == [[]]
+        np.testing.assert_allclose(
+            state.poses.numpy().reshape(7), target, atol=1e-15, err_msg="the body is not there"
+        )
+
+        x = state.positions.numpy()[0]
+        contact = solver.contact_gradient.numpy()[0]
+        rubbing = solver.friction_gradient.numpy()[0]
+        force = np.abs(contact[soft]).sum()
+        assert report.contact_force_n[0] == pytest.approx(
+            np.linalg.norm(contact[soft], axis=1).sum(), rel=1e-12
+        )
+        assert report.residual_n[0] <= max(1e-7, 1e-4 * report.contact_force_n[0])
+        total = contact + rubbing
+        np.testing.assert_allclose(
+            total[soft].sum(axis=0), -total[body].sum(axis=0), atol=1e-12 * force
+        )
+        moment = np.cross(x, contact)
+        np.testing.assert_allclose(moment.sum(axis=0), 0, atol=1e-12 * force * np.abs(x).max())
+        # The elastic reaction at the glued back balances the load.
+        elastic = solver._gradient
+        elastic.zero_()
+        solver._active.fill_(1)
+        solver.elastic.add_gradient(solver._active, state.positions, elastic)
+        bonded = elastic.numpy()[0][MESH.bonded_nodes()].sum(axis=0)
+        np.testing.assert_allclose(
+            bonded, total[soft].sum(axis=0), atol=np.sqrt(MESH.node_count) * report.residual_n[0]
+        )
+        # Coulomb: friction of all pairs together cannot exceed mu times their normal forces.
+        assert np.linalg.norm(rubbing[soft].sum(axis=0)) <= friction * force * (1 + 1e-3)
+        largest = max(largest, report.contact_force_n[0])
+        rubbed = max(rubbed, np.abs(rubbing).max())
+        assert report.min_distance_m[0] > 0
+    assert largest > 5e-3
+    assert (rubbed > 0) == (friction > 0)
+    assert report.contact_force_n[0] == 0, "the body has left the gel"
+    np.testing.assert_allclose(
+        state.positions.numpy()[0, soft], MESH.nodes_m, atol=2e-6, err_msg="the gel springs back"
+    )
+
+
+def test_a_deep_press_beyond_a_layer_of_elements() -> None:
+    """0.8 mm into 2.4 mm in two leaps, each many times dhat and an element high."""
+    model = scene(MESH, KinematicBody(Ball(1.5e-3), 0.5), poisson=0.45).finalize()
+    solver = SolverIPC(model, SolverConfig(dhat_m=DHAT))
+    state = initial_state(model, everywhere(1, pose(0, 0, 1.5e-3 + 1e-3)))
+    for depth in (0.4e-3, 0.8e-3):
+        report = solver.step(state, everywhere(1, pose(2e-4, 0, 1.5e-3 - depth)))
+        assert report.converged.all(), report.summary()
+        assert find_intersections(model, state) == [[]]
+    assert report.contact_force_n[0] > 0.1
+
+
+def test_the_force_does_not_depend_on_how_the_depth_is_reached() -> None:
+    """Without friction a quasi-static press has no memory."""
+    forces = []
+    for depths in ([0.4e-3], [0.1e-3, 0.2e-3, 0.3e-3, 0.4e-3], [0.6e-3, 0.4e-3]):
+        model = scene(MESH, KinematicBody(Ball(1.5e-3))).finalize()
+        solver = SolverIPC(model, SolverConfig(dhat_m=DHAT, relative_tolerance=1e-6))
+        state = initial_state(model, everywhere(1, pose(0, 0, 1.6e-3)))
+        for depth in depths:
+            assert solver.step(state, everywhere(1, pose(0, 0, 1.5e-3 - depth))).converged.all()
+        forces.append(solver.contact_gradient.numpy()[0, : model.soft_count].sum(axis=0))
+    np.testing.assert_allclose(forces[1], forces[0], atol=1e-5 * abs(forces[0][2]))
+    np.testing.assert_allclose(forces[2], forces[0], atol=1e-5 * abs(forces[0][2]))
