@@ -20,7 +20,7 @@ from cad.parts.gel_pad import GelPad
 
 _ANGLE_WEIGHT = 0.6
 _BULGE = 0.45
-_HELD_RINGS = 5
+_HELD_RINGS = 2
 _BOUNDARY_DECAY = 3
 _SEEN_WEIGHT = 0.8
 

@@ -3,8 +3,8 @@
 
 A kinematic body's search trees are built once, in its own frame, and never refitted: the soft
 primitives are carried into that frame instead, at the start and at the end of the motion. A box
-around both ends holds the whole straight path; for a body that turns, ``margin`` must include how
-far its arc leaves the chord.
+around both ends holds the whole straight path; for a body that turns it is widened, because the
+path is bent in its frame. ``margin`` must include how far the body's arc leaves the chord.
 """
 
 from __future__ import annotations
