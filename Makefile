@@ -47,6 +47,7 @@ doctor: $(VENV)/.installed-demo
 $(VENV)/.installed-demo: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 1; }
+	@PATH="$$PATH:/usr/sbin:/sbin" tools/system_libraries.sh
 	@echo "Installing into $(VENV), once; this takes some minutes."
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) -e ".[demo]"
