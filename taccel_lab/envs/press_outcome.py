@@ -139,14 +139,15 @@ def simulate_press(
         config=config,
         device=device,
     )
-    env.checked_depth_m(path.depth_mm)
     waypoints = path.waypoints()
-    steps = []
-    for i, (depth, shear, twist) in enumerate(waypoints):
-        report = env.move_to(depth, shear, twist)
-        steps.append(PressStep(depth, shear, twist, env.wrench[0].copy(), report))
+    steps: list[PressStep] = []
+
+    def keep(done: int, total: int, report: StepReport) -> None:
+        steps.append(PressStep(*waypoints[done - 1], env.wrench[0].copy(), report))
         if progress is not None:
-            progress(i + 1, len(waypoints), steps[-1])
+            progress(done, total, steps[-1])
+
+    env.follow(path, keep)
     dhat = env.solver.config.dhat_m
     pose = env.poses[0, 0]
     if isinstance(indenter.shape, Ball):

@@ -15,9 +15,3 @@ mat35d = wp.types.matrix(shape=(3, 5), dtype=wp.float64)
 mat43d = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
 mat55d = wp.types.matrix(shape=(5, 5), dtype=wp.float64)
 mat1212d = wp.types.matrix(shape=(12, 12), dtype=wp.float64)
-
-
-@wp.func
-def stencil_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d) -> mat43d:
-    """Stack the vectors of four nodes as rows."""
-    return wp.matrix_from_rows(a, b, c, d)

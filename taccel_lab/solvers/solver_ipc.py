@@ -96,7 +96,7 @@ class SolverIPC:
         run.begin()
         while run.active.any():
             run.iterate()
-        return run.finish(time.perf_counter() - started)
+        return run.finish(started)
 
 
 class _StepRun:
@@ -117,11 +117,7 @@ class _StepRun:
         """Progress that the next search direction aims at."""
         self.stride = np.ones(n)
         """Part of the remaining motion that it asks for, in each environment."""
-        self.turning = (
-            bool((turn_angle(self.start_poses, self.end_poses) > 1e-9).any())
-            if moved.any()
-            else False
-        )
+        self.turning = bool((turn_angle(self.start_poses, self.end_poses) > 1e-9).any())
         self.active = np.ones(n, dtype=bool)
         self.status = np.zeros(n, dtype=np.int32)
         self.newton = np.zeros(n, dtype=np.int64)
@@ -164,7 +160,8 @@ class _StepRun:
         self._search_direction()
         self._line_search()
 
-    def finish(self, seconds: float) -> StepReport:
+    def finish(self, started: float) -> StepReport:
+        """Roll back what failed, read the forces and report; ``started`` on the step's clock."""
         s = self.s
         failed = self.status != EnvStatus.CONVERGED
         if failed.any():
@@ -189,7 +186,7 @@ class _StepRun:
             contact_force_n=self.contact_force,
             min_distance_m=self.min_distance,
             smallest_step=self.smallest_step,
-            seconds=seconds,
+            seconds=time.perf_counter() - started,
         )
 
     def _evaluate_outputs(self) -> None:

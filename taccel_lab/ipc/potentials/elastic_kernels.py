@@ -49,6 +49,27 @@ def deformation_gradient(
     )
 
 
+@wp.func
+def gathered_block(
+    env: int,
+    block: int,
+    source_starts: wp.array(dtype=wp.int32),
+    sources: wp.array(dtype=wp.int32),
+    element_blocks: wp.array3d(dtype=wp.mat33d),
+    start: wp.mat33d,
+) -> wp.mat33d:
+    """``start`` plus the element blocks of one entry of the pattern, in a fixed order."""
+    total = wp.mat33d(start)
+    for k in range(source_starts[block], source_starts[block + 1]):
+        code = sources[k]
+        element = element_blocks[env, code // 20, (code % 20) // 2]
+        if code % 2 == 1:
+            total += wp.transpose(element)
+        else:
+            total += element
+    return total
+
+
 @cache
 def create_elastic_kernels(model: MaterialModel) -> ElasticKernels:
     """The kernels of a material, in a module of their own."""
@@ -167,15 +188,9 @@ def create_elastic_kernels(model: MaterialModel) -> ElasticKernels:
         env, block = wp.tid()
         if active[env] == 0:
             return
-        total = wp.mat33d()
-        for k in range(source_starts[block], source_starts[block + 1]):
-            code = sources[k]
-            element = element_blocks[env, code // 20, (code % 20) // 2]
-            if code % 2 == 1:
-                total += wp.transpose(element)
-            else:
-                total += element
-        values[env, block] = total
+        values[env, block] = gathered_block(
+            env, block, source_starts, sources, element_blocks, wp.mat33d()
+        )
 
     return ElasticKernels(
         _tet_energy_kernel,

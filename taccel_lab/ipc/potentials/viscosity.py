@@ -20,6 +20,7 @@ from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
 from taccel_lab.ipc.potentials.elastic_kernels import (
     create_elastic_kernels,
     deformation_gradient,
+    gathered_block,
 )
 from taccel_lab.ipc.reduce import sum_rows
 from taccel_lab.model import Model
@@ -140,15 +141,9 @@ def _add_blocks_kernel(
     env, block = wp.tid()
     if active[env] == 0:
         return
-    total = values[env, block]
-    for k in range(source_starts[block], source_starts[block + 1]):
-        code = sources[k]
-        element = element_blocks[env, code // 20, (code % 20) // 2]
-        if code % 2 == 1:
-            total += wp.transpose(element)
-        else:
-            total += element
-    values[env, block] = total
+    values[env, block] = gathered_block(
+        env, block, source_starts, sources, element_blocks, values[env, block]
+    )
 
 
 class ViscousPotential:
