@@ -9,8 +9,13 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
+from taccel_lab.ipc.affine.embedding import control_positions, embed_vertices, rotate
 from taccel_lab.ipc.kinematics import place_kinematic_nodes
+from taccel_lab.ipc.potentials.inertia import StepHistory
 from taccel_lab.model import Model
+from taccel_lab.scene.description import TimeScheme
+
+IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass
@@ -22,11 +27,71 @@ class State:
     velocities: wp.array
     """Node velocities [m/s], vec3d, shape [env_count, node_count]; zero in quasi-static scenes."""
     poses: wp.array
-    """world_from_body of the kinematic bodies, transformd, shape [env_count, body_count]."""
+    """world_from_body of the kinematic bodies, transformd, shape [env_count, kinematic_count]."""
+    history: StepHistory | None = None
+    """The step before the last one; in scenes that are stepped by BDF2 only."""
+    external_forces: wp.array | None = None
+    """Forces on nodes [N], vec3d, shape [env_count, node_count]: on soft nodes and on vertices of
+    affine bodies; they stay until changed. See ``load``."""
+    wrenches: wp.array | None = None
+    """Force [N] and torque about the centre of mass [N m] on each affine body in world axes, vec3d,
+    shape [env_count, affine_count, 2]. See ``load``."""
+
+    def copy(self) -> State:
+        """An independent copy."""
+        history = self.history
+        if history is not None:
+            history = StepHistory(
+                wp.clone(history.positions), wp.clone(history.velocities), wp.clone(history.dts)
+            )
+        loads = [None if a is None else wp.clone(a) for a in (self.external_forces, self.wrenches)]
+        return State(
+            wp.clone(self.positions), wp.clone(self.velocities), wp.clone(self.poses), history, *loads
+        )
+
+    def restore(self, other: State, mask: np.ndarray) -> None:
+        """Take motion and poses of the environments of ``mask`` (bool, [env_count]) from another
+        state; loads stay."""
+        mine = [self.positions, self.velocities, self.poses]
+        theirs = [other.positions, other.velocities, other.poses]
+        if self.history is not None and other.history is not None:
+            mine += [self.history.positions, self.history.velocities, self.history.dts]
+            theirs += [other.history.positions, other.history.velocities, other.history.dts]
+        for target, source in zip(mine, theirs, strict=True):
+            value = target.numpy()
+            value[mask] = source.numpy()[mask]
+            target.assign(value)
+
+    def loads(self, model: Model) -> tuple[wp.array, wp.array]:
+        """``external_forces`` and ``wrenches``; made, all zero, when there were none."""
+        if self.external_forces is None:
+            self.external_forces = wp.zeros_like(self.positions)
+        if self.wrenches is None:
+            shape = (model.env_count, model.affine.count, 2)
+            self.wrenches = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
+        return self.external_forces, self.wrenches
+
+    def load(
+        self, model: Model, forces: np.ndarray | None = None, wrenches: np.ndarray | None = None
+    ) -> None:
+        """Set forces on nodes [N], [env_count, node_count, 3], and wrenches on affine bodies,
+        [env_count, affine_count, 2, 3]; None leaves them as they are."""
+        for array, value, name in zip(
+            self.loads(model), (forces, wrenches), ("forces", "wrenches"), strict=True
+        ):
+            if value is None:
+                continue
+            value = np.asarray(value, dtype=np.float64)
+            expected = array.shape + (3,)
+            if value.shape != expected:
+                raise InputError(f"{name} have shape {value.shape}, expected {expected}")
+            if not np.isfinite(value).all():
+                raise InputError(f"{name} hold NaN or infinite values")
+            array.assign(value)
 
 
 def as_poses(model: Model, poses: np.ndarray) -> np.ndarray:
-    """Check poses (x, y, z [m], quaternion x, y, z, w), shape [env_count, body_count, 7]."""
+    """Check poses (x, y, z [m], quaternion x, y, z, w), shape [env_count, kinematic_count, 7]."""
     value = np.asarray(poses, dtype=np.float64)
     expected = (model.env_count, len(model.kinematic), 7)
     if value.shape != expected:
@@ -39,14 +104,57 @@ def as_poses(model: Model, poses: np.ndarray) -> np.ndarray:
     return value
 
 
-def initial_state(model: Model, poses: np.ndarray) -> State:
-    """The rest shape at rest, with the kinematic bodies at ``poses`` [env_count, body_count, 7]."""
-    rest = model.rest_positions.numpy()
-    positions = np.repeat(rest, model.env_count // model.rest_count, axis=0)
+def initial_state(model: Model, poses: np.ndarray | None = None) -> State:
+    """All bodies at their initial poses and velocities, gels in their rest shape.
+
+    ``poses``: of the kinematic bodies, [env_count, kinematic_count, 7]; at the origin when None.
+    There are no forces or wrenches.
+    """
+    env_count, kinematic_count = model.env_count, len(model.kinematic)
+    if poses is None:
+        poses = np.tile(IDENTITY_POSE, (env_count, kinematic_count, 1))
+    poses = as_poses(model, poses)
+    positions, velocities = _initial_motion(model, poses)
+
+    def nodal(value: np.ndarray) -> wp.array:
+        return wp.array(value, dtype=wp.vec3d, device=model.device)
+
+    bdf2 = not model.scene.time.quasi_static and model.scene.time.scheme is TimeScheme.BDF2
     state = State(
-        positions=wp.array(positions, dtype=wp.vec3d, device=model.device),
-        velocities=wp.zeros(positions.shape[:2], dtype=wp.vec3d, device=model.device),
-        poses=wp.array(as_poses(model, poses), dtype=wp.transformd, device=model.device),
+        positions=nodal(positions),
+        velocities=nodal(velocities),
+        poses=wp.array(poses, dtype=wp.transformd, device=model.device),
+        history=StepHistory.empty(model) if bdf2 else None,
     )
     place_kinematic_nodes(model, state.poses, state.positions)
+    embed_vertices(model, state.positions)
+    embed_vertices(model, state.velocities)
     return state
+
+
+def _initial_motion(model: Model, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities of soft and control nodes; the others follow from them."""
+    scene = model.scene
+    rest = model.rest_positions.numpy()
+    positions = np.repeat(rest, model.env_count // model.rest_count, axis=0)
+    velocities = np.zeros_like(positions)
+    names = [body.name for body in scene.kinematic_bodies]
+    for index, body in enumerate(scene.soft_bodies):
+        nodes = model.bodies[index].node_slice
+        pose = body.initial_pose
+        if body.mount is not None:
+            pose = poses[:, names.index(body.mount)]
+        if pose is not None:
+            pose = np.atleast_2d(pose)[:, None]
+            positions[:, nodes] = rotate(pose[..., 3:], positions[:, nodes]) + pose[..., :3]
+        velocities[:, nodes] = body.initial_velocity_m_s
+    velocities[:, model.free_index.numpy() < 0] = 0.0
+    for index, body in enumerate(scene.affine_bodies):
+        first = model.affine.first_control + 4 * index
+        pose = IDENTITY_POSE if body.initial_pose is None else body.initial_pose
+        control = control_positions(model.affine.properties[index], np.atleast_2d(pose))
+        positions[:, first : first + 4] = control
+        spin = np.cross(np.array(body.initial_spin_rad_s), control[:, 1:])
+        velocities[:, first] = body.initial_velocity_m_s
+        velocities[:, first + 1 : first + 4] = spin
+    return positions, velocities

@@ -18,14 +18,11 @@ from taccel_lab.envs.touch import first_touch_m
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.ipc.intersection import require_separated
-from taccel_lab.ipc.kinematics import interpolate_poses
-from taccel_lab.scene import KinematicBody, Material, Scene, SoftBody
+from taccel_lab.scene import Element, KinematicBody, Material, Scene, SoftBody
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
 
-MAX_HALVINGS = 5
-"""A step that fails is cut into at most 2^5 parts."""
 MAX_DEPTH_FRACTION = 0.9
 """Deepest press as a part of the gel's thickness."""
 START_CLEARANCE_M = 5e-6
@@ -105,6 +102,7 @@ class PressEnv:
         *,
         friction_coefficient: float = 0.0,
         rest_positions_m: np.ndarray | None = None,
+        element: Element = Element.LINEAR,
         config: SolverConfig | None = None,
         device: str = "cpu",
     ) -> None:
@@ -116,6 +114,8 @@ class PressEnv:
             at_mm: Gel xy of the indenter's axis [mm], shape [env_count, 2].
             friction_coefficient: Between indenter and gel.
             rest_positions_m: Rest shape of each environment [m], [env_count, node_count, 3].
+            element: Of the gel. With quadratic ones ``positions`` and forces are those of the nodes
+                of ``mesh`` here, which has more than the one passed in.
             config: Tolerances of the solver.
             device: Warp device.
 
@@ -127,11 +127,13 @@ class PressEnv:
             raise InputError("the place of a press must be finite numbers in mm")
         env_count = len(self.at_m)
         body = KinematicBody(indenter.shape, friction_coefficient, name=indenter.name)
-        soft = SoftBody(mesh, material, rest_positions_m=rest_positions_m)
+        soft = SoftBody(mesh, material, rest_positions_m=rest_positions_m, element=element)
+        self.mesh = soft.nodal_mesh
+        """The gel with all its nodes: what ``positions`` belong to."""
         self.model = Scene(soft, (body,), env_count).finalize(device)
         self.solver = SolverIPC(self.model, config)
         rest = self.model.rest_positions.numpy()[:, : self.model.soft_count]
-        contact = mesh.region_faces(Region.CONTACT)
+        contact = self.mesh.region_faces(Region.CONTACT)
         self.touch_m = np.array(
             [
                 first_touch_m(indenter.shape, rest[env % len(rest)], contact, self.at_m[env])
@@ -206,7 +208,7 @@ class PressEnv:
         depth_m = self.checked_depth_m(depth_mm)
         shear_m = np.broadcast_to(np.asarray(shear_mm, dtype=np.float64), (count, 2)) * 1e-3
         target = self._poses(depth_m, shear_m, math.radians(twist_deg))
-        report = self._advance(target, 0)
+        report = self.solver.step(self.state, target)
         if not report.converged.all():
             env = int(np.flatnonzero(~report.converged)[0])
             raise SimulationError(
@@ -214,23 +216,9 @@ class PressEnv:
                 f"depth {depth_m[env] * 1e3:.4g} mm did not converge: "
                 f"{EnvStatus(report.status[env]).name}, residual {report.residual_n[env]:.2e} N of "
                 f"{report.contact_force_n[env]:.3g} N after {report.newton_iterations[env]} Newton "
-                f"iterations and {MAX_HALVINGS} halvings of the step"
+                f"iterations and {self.solver.config.max_substep_halvings} halvings of the step"
             )
         return report
-
-    def _advance(self, target: np.ndarray, level: int) -> StepReport:
-        start = self.poses
-        report = self.solver.step(self.state, target)
-        failed = ~report.converged
-        if not failed.any() or level == MAX_HALVINGS:
-            return report
-        # Those that arrived stay where they are: a step without motion costs one evaluation.
-        half = interpolate_poses(start, target, np.full(len(start), 0.5))
-        middle = np.where(failed[:, None, None], half, target)
-        first = self._advance(middle, level + 1)
-        if not first.converged.all():
-            return report.followed_by(first)
-        return report.followed_by(first).followed_by(self._advance(target, level + 1))
 
     def follow(
         self, path: PressPath, progress: Callable[[int, int, StepReport], None] | None = None

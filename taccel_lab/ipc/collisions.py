@@ -1,307 +1,141 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Narrow phase: which features are within dhat, and with which area they count.
+"""The collision set of each environment: an area-weighted contact and a guard around everything.
 
-Potential of a collision set, area weighted so that it converges with the mesh
-[Li, Kaufman, Jiang 2023, Convergent Incremental Potential Contact]:
+    contact    kappa sum_nodes A_i max_faces dhat g(d(x_i, f) / dhat)
+    guard      the same with `guard` < dhat in place of dhat, for what the contact leaves out
 
-    1/2 sum_nodes A_x max_faces b(d(x, f)) + 1/4 sum_edge pairs (A_a + A_b) m b(d(a, b))
+The contact is the integral of a pressure kappa |g'(gap / dhat)| over *one* of two surfaces, with the
+nodes as quadrature points: over the soft one of a soft and a stiff body, over the finer one of two
+soft bodies. Two stiff bodies, and a body with itself, take the mean of both integrals, as in the
+convergent potential of Li, Kaufman and Jiang (2023), from which the area weights and the maximum
+over faces are. On one side, a flat face acts straight along its normal and with a uniform pressure
+whatever the two triangulations are; the sum of both sides, and above all its edge-edge terms, does
+neither. That alone would let the vertices and edges of the other surface through between the nodes.
+Hence the guard: the other side's nodes against faces, and all pairs of edges (mollified where nearly
+parallel [Li et al. 2020, sec. 4]). Every pair of primitives that approaches zero distance thus has
+an infinite energy, but flat contacts, whose gap is above the guard's range up to pressures of about
+four kappa, do not feel it.
 
 The maximum over faces is their inclusion-exclusion sum (the paper's "improved max"): each face
 counts +1, each edge between two faces -1, each inner vertex +1. Most of these terms are the same
-function - the distance to one shared edge or vertex - and cancel, so they are merged here: a
-feature enters once with coefficient
+function - the distance to one shared edge or vertex - and cancel, so they are merged: a feature
+enters once with coefficient
 
     edge:   (faces whose closest feature it is) - 1
     vertex: (faces whose closest feature it is) - (edges whose closest feature it is) + 1
 
 and only where that is not zero. On a convex body exactly one feature of it remains per node.
-Edge pairs are those of IPC, mollified where nearly parallel [Li et al. 2020, sec. 4].
 
-A ball is a node with a radius: the gap of a soft face is its distance from the centre less the
-radius [Li et al. 2021, C-IPC, thickness], and every face counts with its own area.
+A ball is a node with a radius, and every face counts with its own area and closest point. A plane
+meets the nodes of the other body.
+
+Within one body the faces around a node do not exist for it, and no pair repels beyond half of its
+distance at rest: neighbours at rest exert no force, however fine the mesh is.
 """
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
-from taccel_lab.ipc.distance.closest_pair import ClosestPair
-from taccel_lab.ipc.distance.edge_edge import closest_edge_edge
-from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_mollifier_threshold
-from taccel_lab.ipc.distance.point_edge import closest_point_edge
-from taccel_lab.ipc.distance.point_point import closest_point_point
-from taccel_lab.ipc.distance.point_triangle import PointTriangleRegion, closest_point_triangle
+from taccel_lab.ipc.collision_lists import (
+    EDGE_EDGE,
+    POINT_EDGE,
+    POINT_PLANE,
+    POINT_POINT,
+    POINT_TRIANGLE,
+    CollisionLists,
+    closest_pair,
+    collision_gap,
+    contact_geometry,
+)
+from taccel_lab.ipc.contact_roles import body_ranks, self_ranges
+from taccel_lab.ipc.narrow_phase import (
+    ContactSurface,
+    edge_edge_kernel,
+    node_face_kernel,
+    node_plane_kernel,
+)
 from taccel_lab.model import Model
 
-wp.set_module_options({"enable_backward": False})
+__all__ = [
+    "EDGE_EDGE",
+    "POINT_EDGE",
+    "POINT_PLANE",
+    "POINT_POINT",
+    "POINT_TRIANGLE",
+    "Collisions",
+    "closest_pair",
+    "collision_gap",
+]
 
-POINT_TRIANGLE = 0
-POINT_EDGE = 1
-POINT_POINT = 2
-EDGE_EDGE = 3
-
-
-@wp.func
-def closest_pair(
-    env: int, kind: int, nodes: wp.vec4i, positions: wp.array2d(dtype=wp.vec3d)
-) -> ClosestPair:
-    """Closest pair of a collision at the given positions."""
-    x0 = positions[env, nodes[0]]
-    x1 = positions[env, nodes[1]]
-    x2 = positions[env, nodes[2]]
-    if kind == 1:
-        return closest_point_edge(x0, x1, x2)
-    if kind == 2:
-        return closest_point_point(x0, x1)
-    x3 = positions[env, nodes[3]]
-    if kind == 3:
-        return closest_edge_edge(x0, x1, x2, x3)
-    return closest_point_triangle(x0, x1, x2, x3)
-
-
-@wp.func
-def collision_gap(
-    pair: ClosestPair, nodes: wp.vec4i, node_radii: wp.array(dtype=wp.float64)
-) -> wp.float64:
-    """Gap of a collision [m]: distance less the radius of a ball (stencil node 0)."""
-    return wp.sqrt(pair.distance_sq) - node_radii[nodes[0]]
-
-
-@wp.func
-def face_region(env: int, node: int, face: wp.vec3i, positions: wp.array2d(dtype=wp.vec3d)) -> int:
-    """Feature of a face that is closest to a node (PointTriangleRegion)."""
-    return closest_point_triangle(
-        positions[env, node],
-        positions[env, face[0]],
-        positions[env, face[1]],
-        positions[env, face[2]],
-    ).region
-
-
-@wp.func
-def closest_feature_is_edge(region: int, face_edges: wp.vec3i, edge: int) -> bool:
-    """Whether a face region is the inside of the given edge."""
-    return region >= 3 and region <= 5 and face_edges[region - 3] == edge
-
-
-@wp.func
-def add_collision(
-    env: int,
-    kind: int,
-    nodes: wp.vec4i,
-    stiffness: wp.float64,
-    threshold: wp.float64,
-    counts: wp.array(dtype=wp.int32),
-    kinds: wp.array2d(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    stiffnesses: wp.array2d(dtype=wp.float64),
-    thresholds: wp.array2d(dtype=wp.float64),
-):
-    """Append a collision; counts beyond the capacity tell the host to grow and repeat."""
-    slot = wp.atomic_add(counts, env, 1)
-    if slot < kinds.shape[1]:
-        kinds[env, slot] = kind
-        stencils[env, slot] = nodes
-        stiffnesses[env, slot] = stiffness
-        thresholds[env, slot] = threshold
-
-
-@wp.kernel
-def _node_face_kernel(
-    active: wp.array(dtype=wp.int32),
-    candidate_counts: wp.array(dtype=wp.int32),
-    candidates: wp.array2d(dtype=wp.vec2i),
-    positions: wp.array2d(dtype=wp.vec3d),
-    faces: wp.array(dtype=wp.vec3i),
-    edges: wp.array(dtype=wp.vec2i),
-    face_edges: wp.array(dtype=wp.vec3i),
-    edge_faces: wp.array(dtype=wp.vec2i),
-    node_face_starts: wp.array(dtype=wp.int32),
-    node_faces: wp.array(dtype=wp.int32),
-    node_edge_starts: wp.array(dtype=wp.int32),
-    node_edges: wp.array(dtype=wp.int32),
-    node_areas: wp.array2d(dtype=wp.float64),
-    face_areas: wp.array2d(dtype=wp.float64),
-    node_radii: wp.array(dtype=wp.float64),
-    kappa: wp.float64,
-    dhat: wp.float64,
-    counts: wp.array(dtype=wp.int32),
-    kinds: wp.array2d(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    stiffnesses: wp.array2d(dtype=wp.float64),
-    thresholds: wp.array2d(dtype=wp.float64),
-):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= candidate_counts[env]:
-        return
-    node = candidates[env, slot][0]
-    face_id = candidates[env, slot][1]
-    face = faces[face_id]
-    p = positions[env, node]
-    pair = closest_point_triangle(
-        p, positions[env, face[0]], positions[env, face[1]], positions[env, face[2]]
-    )
-    none = wp.float64(-1.0)
-    radius = node_radii[node]
-    if radius > wp.float64(0.0):
-        # A ball is in contact with many faces at once: each counts with its own area.
-        reach = radius + dhat
-        if pair.distance_sq < reach * reach:
-            add_collision(
-                env,
-                0,
-                wp.vec4i(node, face[0], face[1], face[2]),
-                kappa * face_areas[env % face_areas.shape[0], face_id],
-                none,
-                counts,
-                kinds,
-                stencils,
-                stiffnesses,
-                thresholds,
-            )
-        return
-    dhat_sq = dhat * dhat
-    if pair.distance_sq >= dhat_sq:
-        return
-    stiffness = wp.float64(0.5) * kappa * node_areas[env % node_areas.shape[0], node]
-    if pair.region == wp.static(int(PointTriangleRegion.T)):
-        nodes = wp.vec4i(node, face[0], face[1], face[2])
-        add_collision(
-            env, 0, nodes, stiffness, none, counts, kinds, stencils, stiffnesses, thresholds
-        )
-    # A face speaks for those of its edges and vertices of which it is the first face. The whole
-    # feature is within dhat of the node if any part is, so its first face is a candidate too.
-    for k in range(3):
-        edge_id = face_edges[face_id][k]
-        both = edge_faces[edge_id]
-        if both[0] == face_id:
-            edge = edges[edge_id]
-            on_edge = closest_point_edge(p, positions[env, edge[0]], positions[env, edge[1]])
-            if on_edge.free_count == 1 and on_edge.distance_sq < dhat_sq:
-                coefficient = int(0)
-                if closest_feature_is_edge(pair.region, face_edges[face_id], edge_id):
-                    coefficient += 1
-                if both[1] >= 0:
-                    other = face_region(env, node, faces[both[1]], positions)
-                    if closest_feature_is_edge(other, face_edges[both[1]], edge_id):
-                        coefficient += 1
-                    coefficient -= 1
-                if coefficient != 0:
-                    add_collision(
-                        env,
-                        1,
-                        wp.vec4i(node, edge[0], edge[1], edge[1]),
-                        stiffness * wp.float64(coefficient),
-                        none,
-                        counts,
-                        kinds,
-                        stencils,
-                        stiffnesses,
-                        thresholds,
-                    )
-        vertex = face[k]
-        first = node_face_starts[vertex]
-        offset = p - positions[env, vertex]
-        if node_faces[first] == face_id and wp.dot(offset, offset) < dhat_sq:
-            coefficient = int(0)
-            boundary = int(0)
-            for i in range(first, node_face_starts[vertex + 1]):
-                around = faces[node_faces[i]]
-                region = face_region(env, node, around, positions)
-                if region < 3 and around[region] == vertex:
-                    coefficient += 1
-            for i in range(node_edge_starts[vertex], node_edge_starts[vertex + 1]):
-                edge = edges[node_edges[i]]
-                if edge_faces[node_edges[i]][1] < 0:
-                    boundary = 1
-                else:
-                    far = edge[0] + edge[1] - vertex
-                    along = positions[env, far] - positions[env, vertex]
-                    if wp.dot(offset, along) <= wp.float64(0.0):
-                        coefficient -= 1
-            if boundary == 0:
-                coefficient += 1
-            if coefficient != 0:
-                add_collision(
-                    env,
-                    2,
-                    wp.vec4i(node, vertex, vertex, vertex),
-                    stiffness * wp.float64(coefficient),
-                    none,
-                    counts,
-                    kinds,
-                    stencils,
-                    stiffnesses,
-                    thresholds,
-                )
-
-
-@wp.kernel
-def _edge_edge_kernel(
-    active: wp.array(dtype=wp.int32),
-    candidate_counts: wp.array(dtype=wp.int32),
-    candidates: wp.array2d(dtype=wp.vec2i),
-    positions: wp.array2d(dtype=wp.vec3d),
-    rest_positions: wp.array2d(dtype=wp.vec3d),
-    edges: wp.array(dtype=wp.vec2i),
-    edge_areas: wp.array2d(dtype=wp.float64),
-    kappa: wp.float64,
-    dhat: wp.float64,
-    counts: wp.array(dtype=wp.int32),
-    kinds: wp.array2d(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    stiffnesses: wp.array2d(dtype=wp.float64),
-    thresholds: wp.array2d(dtype=wp.float64),
-):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= candidate_counts[env]:
-        return
-    ids = candidates[env, slot]
-    a = edges[ids[0]]
-    b = edges[ids[1]]
-    pair = closest_edge_edge(
-        positions[env, a[0]], positions[env, a[1]], positions[env, b[0]], positions[env, b[1]]
-    )
-    if pair.distance_sq >= dhat * dhat:
-        return
-    rest = env % edge_areas.shape[0]
-    area = wp.float64(0.25) * (edge_areas[rest, ids[0]] + edge_areas[rest, ids[1]])
-    threshold = edge_edge_mollifier_threshold(
-        rest_positions[rest, a[0]],
-        rest_positions[rest, a[1]],
-        rest_positions[rest, b[0]],
-        rest_positions[rest, b[1]],
-    )
-    nodes = wp.vec4i(a[0], a[1], b[0], b[1])
-    add_collision(
-        env, 3, nodes, kappa * area, threshold, counts, kinds, stencils, stiffnesses, thresholds
-    )
+GUARD_FRACTION = 0.25
+"""Range of the guard as part of dhat. Smaller leaves more pressure to the contact alone, larger
+keeps Newton's matrix better conditioned where edges meet; from 0.1 to 0.5 forces change by 1 % and
+the number of iterations by a tenth."""
 
 
 class Collisions:
-    """The active collisions of each environment at one set of positions."""
+    """The active collisions of each environment at one set of positions.
 
-    def __init__(self, model: Model, kappa: float, dhat: float, capacity: int = 2048) -> None:
+    Collisions are appended by an atomic counter. On the CPU, which runs threads in turn, their
+    order and hence every bit of the sums over them is reproducible; on a GPU the order varies from
+    run to run, and the sums with it in the last digits.
+    """
+
+    def __init__(
+        self, model: Model, kappa: float, dhat: float, capacity: int = 2048, limit: int = 1 << 20
+    ) -> None:
         self.model = model
+        self.limit = limit
+        """Collisions beyond which an environment is given up."""
+        self.overflowed = np.zeros(model.env_count, dtype=bool)
+        """Environments given up by the last update: their lists are empty, not right."""
         self.kappa = kappa
         """Barrier stiffness [Pa]: contact pressure at a gap of about half of dhat."""
         self.dhat = dhat
-        """Distance at which contact begins [m]."""
+        """Gap at which contact begins [m]."""
+        self.guard = GUARD_FRACTION * dhat
+        """Gap at which the guard begins [m]."""
         self.counts = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
         self.max_count = 0
+        self.geometry = contact_geometry(model)
+        self._surface = self._contact_surface()
         self._allocate(capacity)
+
+    def _contact_surface(self) -> ContactSurface:
+        model, source = self.model, self.model.surface
+        surface = ContactSurface()
+        surface.faces, surface.edges = source.faces, source.edges
+        surface.face_edges, surface.edge_faces = source.face_edges, source.edge_faces
+        surface.node_face_starts, surface.node_faces = source.node_face_starts, source.node_faces
+        surface.node_edge_starts, surface.node_edges = source.node_edge_starts, source.node_edges
+        surface.node_areas, surface.edge_areas = source.node_areas, source.edge_areas
+        surface.face_areas = source.face_areas
+        surface.rest_positions = model.rest_positions
+        surface.self_ranges = self_ranges(model, self.dhat)
+        surface.body_ranks = wp.array(body_ranks(model), dtype=wp.int32, device=model.device)
+        surface.kappa, surface.dhat, surface.guard = self.kappa, self.dhat, self.guard
+        return surface
 
     def _allocate(self, capacity: int) -> None:
         shape, device = (self.model.env_count, capacity), self.model.device
         self.kinds = wp.zeros(shape, dtype=wp.int32, device=device)
-        """POINT_TRIANGLE, POINT_EDGE, POINT_POINT or EDGE_EDGE, shape [env_count, capacity]."""
+        """POINT_TRIANGLE to POINT_PLANE, shape [env_count, capacity]."""
         self.stencils = wp.zeros(shape, dtype=wp.vec4i, device=device)
         """Nodes; unused entries repeat the last one, shape [env_count, capacity]."""
         self.stiffnesses = wp.zeros(shape, dtype=wp.float64, device=device)
         """kappa * area * coefficient [N], shape [env_count, capacity]."""
         self.thresholds = wp.zeros(shape, dtype=wp.float64, device=device)
         """Mollifier threshold of an edge pair [m^4], -1 for others, [env_count, capacity]."""
+        self.ranges = wp.zeros(shape, dtype=wp.float64, device=device)
+        """Gap below which the collision repels [m], shape [env_count, capacity]."""
+        self.lists = CollisionLists()
+        """The above for kernels."""
+        self.lists.counts, self.lists.kinds = self.counts, self.kinds
+        self.lists.stencils, self.lists.stiffnesses = self.stencils, self.stiffnesses
+        self.lists.thresholds, self.lists.ranges = self.thresholds, self.ranges
 
     @property
     def capacity(self) -> int:
@@ -312,31 +146,49 @@ class Collisions:
         while True:
             self.counts.zero_()
             self._launch(active, positions, candidates)
-            self.max_count = int(self.counts.numpy().max())
+            counts = self.counts.numpy()
+            self.overflowed = counts > self.limit
+            if self.overflowed.any():
+                counts = np.where(self.overflowed, 0, counts)
+                self.counts.assign(counts)
+            self.max_count = int(counts.max())
             if self.max_count <= self.capacity:
                 return
-            self._allocate(3 * self.max_count // 2)
+            self._allocate(min(3 * self.max_count // 2, self.limit))
 
     def _launch(self, active: wp.array, positions: wp.array, candidates: Candidates) -> None:
-        model, s = self.model, self.model.surface
-        outputs = [self.counts, self.kinds, self.stencils, self.stiffnesses, self.thresholds]
+        model, plan = self.model, self.model.plan
+        common = [positions, self.geometry, self._surface]
         if candidates.max_node_face:
             wp.launch(
-                _node_face_kernel,
+                node_face_kernel,
                 dim=(model.env_count, candidates.max_node_face),
-                inputs=[active, candidates.node_face_counts, candidates.node_face, positions]
-                + [s.faces, s.edges, s.face_edges, s.edge_faces, s.node_face_starts, s.node_faces]
-                + [s.node_edge_starts, s.node_edges, s.node_areas, s.face_areas]
-                + [s.node_radii, self.kappa, self.dhat],
-                outputs=outputs,
+                inputs=[active, candidates.node_face_counts, candidates.node_face, *common],
+                outputs=[self.lists],
                 device=model.device,
             )
         if candidates.max_edge_edge:
             wp.launch(
-                _edge_edge_kernel,
+                edge_edge_kernel,
                 dim=(model.env_count, candidates.max_edge_edge),
-                inputs=[active, candidates.edge_edge_counts, candidates.edge_edge, positions]
-                + [model.rest_positions, s.edges, s.edge_areas, self.kappa, self.dhat],
-                outputs=outputs,
+                inputs=[active, candidates.edge_edge_counts, candidates.edge_edge, *common],
+                outputs=[self.lists],
                 device=model.device,
             )
+        if len(plan.node_plane):
+            wp.launch(
+                node_plane_kernel,
+                dim=(model.env_count, len(plan.node_plane)),
+                inputs=[active, plan.node_plane, model.present, *common],
+                outputs=[self.lists],
+                device=model.device,
+            )
+
+    def snapshot(self, env: int) -> dict[str, np.ndarray]:
+        """Collisions of one environment, sorted by kind and stencil: the same on every device."""
+        count = int(self.counts.numpy()[env])
+        names = ("kinds", "stencils", "stiffnesses", "thresholds", "ranges")
+        found = {name: getattr(self, name).numpy()[env, :count] for name in names}
+        keys = np.column_stack([found["kinds"], found["stencils"]])
+        order = np.lexsort(keys.T[::-1])
+        return {name: value[order] for name, value in found.items()}

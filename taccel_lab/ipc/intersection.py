@@ -69,7 +69,7 @@ def require_separated(model: Model, state: State) -> None:
 
 def _intersections(model: Model, positions: np.ndarray, poses: np.ndarray) -> list[Intersection]:
     """Overlaps of one environment; positions [node_count, 3], poses [body_count, 7]."""
-    mesh = model.scene.soft_body.mesh
+    mesh = model.scene.soft_bodies[0].mesh
     gel = positions[: model.soft_count]
     found = _inverted_tets(gel, mesh.tets)
     for arrays, body, pose in zip(

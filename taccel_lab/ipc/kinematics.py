@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prescribed rigid motion: poses between two ends, and the vertices of a body at a pose."""
+"""Prescribed rigid motion: poses between two ends, and the nodes that a frame carries."""
 
 from __future__ import annotations
 
@@ -13,23 +13,28 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def _place_kernel(
-    body: int,
-    first: int,
-    local_positions: wp.array(dtype=wp.vec3d),
+    nodes: wp.array(dtype=wp.int32),
+    frames: wp.array(dtype=wp.int32),
+    rest_positions: wp.array2d(dtype=wp.vec3d),
     poses: wp.array2d(dtype=wp.transformd),
     positions: wp.array2d(dtype=wp.vec3d),
 ):
     env, i = wp.tid()
-    positions[env, first + i] = wp.transform_point(poses[env, body], local_positions[i])
+    node = nodes[i]
+    rest = rest_positions[env % rest_positions.shape[0], node]
+    positions[env, node] = wp.transform_point(poses[env, frames[i]], rest)
 
 
 def place_kinematic_nodes(model: Model, poses: wp.array, positions: wp.array) -> None:
-    """Overwrite the kinematic nodes of ``positions`` by their bodies' vertices at ``poses``."""
-    for index, body in enumerate(model.kinematic):
+    """Put the nodes that follow a frame where it carries them at ``poses``.
+
+    Those are the vertices of kinematic bodies, and the bonded nodes of mounted gels.
+    """
+    if len(model.frame_nodes):
         wp.launch(
             _place_kernel,
-            dim=(model.env_count, body.node_count),
-            inputs=[index, body.node_start, body.local_positions, poses],
+            dim=(model.env_count, len(model.frame_nodes)),
+            inputs=[model.frame_nodes, model.frame_ids, model.rest_positions, poses],
             outputs=[positions],
             device=model.device,
         )

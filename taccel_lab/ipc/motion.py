@@ -6,36 +6,66 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.affine.embedding import embed_vertices, pulled_back
 from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def _collect_kernel(
+def _reduce_kernel(
     active: wp.array(dtype=wp.int32),
-    moving: wp.array(dtype=wp.int32),
-    free_index: wp.array(dtype=wp.int32),
+    free_nodes: wp.array(dtype=wp.int32),
+    first_control: int,
+    vertex_starts: wp.array(dtype=wp.int32),
+    weights: wp.array(dtype=wp.vec4d),
     gradient_a: wp.array2d(dtype=wp.vec3d),
     gradient_b: wp.array2d(dtype=wp.vec3d),
     gradient_c: wp.array2d(dtype=wp.vec3d),
-    positions: wp.array2d(dtype=wp.vec3d),
-    targets: wp.array2d(dtype=wp.vec3d),
-    rhs: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
+    reduced: wp.array2d(dtype=wp.vec3d),
 ):
-    env, node = wp.tid()
-    displacements[env, node] = wp.vec3d()
-    row = free_index[node]
-    if row >= 0:
-        rhs[env, row] = wp.vec3d()
+    env, row = wp.tid()
     if active[env] == 0:
         return
-    if row >= 0:
-        rhs[env, row] = -(gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node])
-    elif moving[env] != 0:
+    node = free_nodes[row]
+    total = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
+    if node >= first_control:
+        body = (node - first_control) / 4
+        control = (node - first_control) % 4
+        first = vertex_starts[body]
+        last = vertex_starts[body + 1]
+        total += pulled_back(env, control, first, last, weights, gradient_a)
+        total += pulled_back(env, control, first, last, weights, gradient_b)
+        total += pulled_back(env, control, first, last, weights, gradient_c)
+    reduced[env, row] = total
+
+
+@wp.kernel
+def _aim_kernel(
+    moving: wp.array(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    targets: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+):
+    env, i = wp.tid()
+    if moving[env] != 0:
+        node = nodes[i]
         displacements[env, node] = targets[env, node] - positions[env, node]
+
+
+@wp.kernel
+def _negate_kernel(
+    active: wp.array(dtype=wp.int32),
+    reduced: wp.array2d(dtype=wp.vec3d),
+    rhs: wp.array2d(dtype=wp.vec3d),
+):
+    env, row = wp.tid()
+    rhs[env, row] = wp.vec3d()
+    if active[env] != 0:
+        rhs[env, row] = -reduced[env, row]
 
 
 @wp.kernel
@@ -61,6 +91,28 @@ def _advance_kernel(
     result[env, node] = positions[env, node] + fractions[env] * displacements[env, node]
 
 
+@wp.kernel
+def _copy_rows_kernel(
+    mask: wp.array(dtype=wp.int32),
+    source: wp.array2d(dtype=wp.vec3d),
+    result: wp.array2d(dtype=wp.vec3d),
+):
+    env, node = wp.tid()
+    if mask[env] != 0:
+        result[env, node] = source[env, node]
+
+
+def copy_rows(mask: wp.array, source: wp.array, result: wp.array) -> None:
+    """Copy nodal values of the environments in ``mask`` (int32, [env_count])."""
+    wp.launch(
+        _copy_rows_kernel,
+        dim=result.shape,
+        inputs=[mask, source],
+        outputs=[result],
+        device=result.device,
+    )
+
+
 def adapted_stride(stride: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """Part of the remaining motion to ask for next, after ``fraction`` of the last was accepted.
 
@@ -72,39 +124,65 @@ def adapted_stride(stride: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     return np.where(fraction < 0.1, shorter, np.where(fraction >= 0.5, longer, stride))
 
 
-def newton_system(
-    model: Model, values: wp.array, rhs: wp.array, displacements: wp.array
-) -> NewtonSystem:
-    """What contacts add to: matrix blocks, right-hand sides, motion of prescribed nodes."""
+def newton_system(model: Model, linear: LinearSystem, displacements: wp.array) -> NewtonSystem:
+    """What potentials add to: matrix blocks, right-hand sides, motion of prescribed nodes."""
     system = NewtonSystem()
     system.free_index = model.free_index
+    system.parents = model.parents
+    system.weights = model.weights
     system.row_starts = model.row_starts
     system.columns = model.columns
-    system.values = values
-    system.rhs = rhs
+    system.values = linear.values
+    system.extra_counts = linear.extra.counts
+    system.extra_places = linear.extra.places
+    system.extra_values = linear.extra.values
+    system.rhs = linear.rhs
     system.displacements = displacements
     return system
 
 
-def collect_rhs(
-    model: Model,
-    active: wp.array,
-    moving: wp.array,
-    gradients: list[wp.array],
-    positions: wp.array,
-    targets: wp.array,
-    rhs: wp.array,
-    displacements: wp.array,
+def reduce_gradient(
+    model: Model, active: wp.array, gradients: list[wp.array], reduced: wp.array
 ) -> None:
-    """rhs = -(sum of three gradients) [N]; prescribed nodes get their remaining motion [m].
+    """Sum of three nodal gradients by the unknowns [N], shape [env_count, free_count].
 
-    ``moving`` flags the environments whose prescribed nodes are still on their way to ``targets``.
+    What acts on a vertex of an affine body counts with its weights on the control nodes.
     """
     wp.launch(
-        _collect_kernel,
-        dim=positions.shape,
-        inputs=[active, moving, model.free_index, *gradients, positions, targets],
-        outputs=[rhs, displacements],
+        _reduce_kernel,
+        dim=reduced.shape,
+        inputs=[active, model.free_nodes, model.affine.first_control, model.affine.vertex_starts]
+        + [model.weights, *gradients],
+        outputs=[reduced],
+        device=model.device,
+    )
+
+
+def aim_prescribed(
+    model: Model, moving: wp.array, positions: wp.array, targets: wp.array, displacements: wp.array
+) -> None:
+    """Set ``displacements`` [m] to what is left of the prescribed motion, zero elsewhere.
+
+    ``moving`` flags the environments whose frames are still on their way to ``targets``.
+    """
+    displacements.zero_()
+    if len(model.frame_nodes):
+        wp.launch(
+            _aim_kernel,
+            dim=(model.env_count, len(model.frame_nodes)),
+            inputs=[moving, model.frame_nodes, positions, targets],
+            outputs=[displacements],
+            device=model.device,
+        )
+
+
+def begin_rhs(model: Model, active: wp.array, reduced: wp.array, rhs: wp.array) -> None:
+    """rhs = -reduced [N], zero in environments that are not active."""
+    wp.launch(
+        _negate_kernel,
+        dim=rhs.shape,
+        inputs=[active, reduced],
+        outputs=[rhs],
         device=model.device,
     )
 
@@ -112,7 +190,7 @@ def collect_rhs(
 def spread_solution(
     model: Model, active: wp.array, solution: wp.array, displacements: wp.array
 ) -> None:
-    """Write the rows of ``solution`` [m] to their nodes in ``displacements``."""
+    """Write the rows of ``solution`` [m] to their nodes, and to what is embedded in them."""
     wp.launch(
         _spread_kernel,
         dim=solution.shape,
@@ -120,6 +198,7 @@ def spread_solution(
         outputs=[displacements],
         device=model.device,
     )
+    embed_vertices(model, displacements)
 
 
 def advance_positions(

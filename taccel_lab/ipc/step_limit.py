@@ -6,7 +6,8 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
-from taccel_lab.ipc.ccd import edge_edge_ccd, point_triangle_ccd
+from taccel_lab.ipc.ccd import edge_edge_ccd, point_plane_ccd, point_triangle_ccd
+from taccel_lab.ipc.collision_lists import ContactGeometry, contact_geometry, kept_distance
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -20,7 +21,7 @@ def _node_face_kernel(
     faces: wp.array(dtype=wp.vec3i),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
-    node_radii: wp.array(dtype=wp.float64),
+    geometry: ContactGeometry,
     slackness: wp.float64,
     max_iterations: int,
     limits: wp.array(dtype=wp.float64),
@@ -30,6 +31,8 @@ def _node_face_kernel(
         return
     p = candidates[env, slot][0]
     f = faces[candidates[env, slot][1]]
+    if f[0] == p or f[1] == p or f[2] == p:
+        return
     result = point_triangle_ccd(
         positions[env, p],
         positions[env, f[0]],
@@ -39,7 +42,7 @@ def _node_face_kernel(
         displacements[env, f[0]],
         displacements[env, f[1]],
         displacements[env, f[2]],
-        node_radii[p],
+        kept_distance(p, f[0], geometry),
         slackness,
         wp.float64(1.0),
         max_iterations,
@@ -55,7 +58,7 @@ def _edge_edge_kernel(
     edges: wp.array(dtype=wp.vec2i),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
-    node_radii: wp.array(dtype=wp.float64),
+    geometry: ContactGeometry,
     slackness: wp.float64,
     max_iterations: int,
     limits: wp.array(dtype=wp.float64),
@@ -65,6 +68,8 @@ def _edge_edge_kernel(
         return
     a = edges[candidates[env, slot][0]]
     b = edges[candidates[env, slot][1]]
+    if a[0] == b[0] or a[0] == b[1] or a[1] == b[0] or a[1] == b[1]:
+        return
     result = edge_edge_ccd(
         positions[env, a[0]],
         positions[env, a[1]],
@@ -74,10 +79,41 @@ def _edge_edge_kernel(
         displacements[env, a[1]],
         displacements[env, b[0]],
         displacements[env, b[1]],
-        wp.float64(0.0),
+        kept_distance(a[0], b[0], geometry),
         slackness,
         wp.float64(1.0),
         max_iterations,
+    )
+    wp.atomic_min(limits, env, result.toi)
+
+
+@wp.kernel
+def _node_plane_kernel(
+    active: wp.array(dtype=wp.int32),
+    pairs: wp.array(dtype=wp.vec2i),
+    present: wp.array2d(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    geometry: ContactGeometry,
+    slackness: wp.float64,
+    limits: wp.array(dtype=wp.float64),
+):
+    env, i = wp.tid()
+    if active[env] == 0:
+        return
+    p = pairs[i][0]
+    plane = pairs[i][1]
+    if present[env, geometry.node_bodies[p]] == 0 or present[env, geometry.node_bodies[plane]] == 0:
+        return
+    result = point_plane_ccd(
+        positions[env, p],
+        positions[env, plane],
+        geometry.plane_normals[plane],
+        displacements[env, p],
+        displacements[env, plane],
+        kept_distance(p, plane, geometry),
+        slackness,
+        wp.float64(1.0),
     )
     wp.atomic_min(limits, env, result.toi)
 
@@ -98,6 +134,7 @@ def limit_step(
     iterations than allowed stops early at a fraction that is still safe.
     """
     limits.fill_(1.0)
+    geometry = contact_geometry(model)
     for kernel, counts, pairs, most, primitives in (
         (
             _node_face_kernel,
@@ -119,7 +156,16 @@ def limit_step(
                 kernel,
                 dim=(model.env_count, most),
                 inputs=[active, counts, pairs, primitives, positions, displacements]
-                + [model.surface.node_radii, slackness, max_iterations],
+                + [geometry, slackness, max_iterations],
                 outputs=[limits],
                 device=model.device,
             )
+    if len(model.plan.node_plane):
+        wp.launch(
+            _node_plane_kernel,
+            dim=(model.env_count, len(model.plan.node_plane)),
+            inputs=[active, model.plan.node_plane, model.present, positions, displacements]
+            + [geometry, slackness],
+            outputs=[limits],
+            device=model.device,
+        )

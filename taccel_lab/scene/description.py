@@ -4,61 +4,36 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import TetMesh
-from taccel_lab.scene.material import Material, MaterialField
-from taccel_lab.scene.primitives import Ball, TriangleMesh
+from taccel_lab.scene.bodies import (
+    AffineBody,
+    Body,
+    KinematicBody,
+    Plane,
+    SoftBody,
+    check_friction,
+    combined_friction,
+)
+from taccel_lab.scene.joints import Joint, check_joints
 
 if TYPE_CHECKING:
     from taccel_lab.model import Model
 
 
-@dataclass(frozen=True)
-class SoftBody:
-    """A FEM body of linear tets; its bonded nodes never move and carry no degrees of freedom."""
+class TimeScheme(StrEnum):
+    """How velocities become positions."""
 
-    mesh: TetMesh
-    material: Material | MaterialField
-    bonded_nodes: np.ndarray | None = None
-    """Sorted node indices held fixed; the mesh's bond and window nodes when None."""
-    rest_positions_m: np.ndarray | None = None
-    """Rest shape per environment [m], shape [env_count, node_count, 3]: one connectivity, graded
-    differently in each environment. The mesh's nodes for all environments when None."""
-
-    def __post_init__(self) -> None:
-        count = self.material.tet_count
-        if count is not None and count != self.mesh.tet_count:
-            raise InputError(
-                f"material has moduli of {count} tets, the mesh has {self.mesh.tet_count} tets"
-            )
-
-    def bonded(self) -> np.ndarray:
-        """Bonded node indices, int64, shape [n]."""
-        if self.bonded_nodes is None:
-            return self.mesh.bonded_nodes()
-        return np.unique(np.asarray(self.bonded_nodes, dtype=np.int64))
-
-
-@dataclass(frozen=True)
-class KinematicBody:
-    """A rigid body whose pose is prescribed; it has no degrees of freedom."""
-
-    shape: TriangleMesh | Ball
-    friction_coefficient: float = 0.0
-    """Coulomb friction of the pair soft body - this body; 0 switches the friction pass off."""
-    name: str = "indenter"
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.friction_coefficient) and 0 <= self.friction_coefficient <= 10):
-            raise InputError(
-                f"friction coefficient of {self.name!r} must lie in [0, 10], "
-                f"got {self.friction_coefficient}"
-            )
+    EULER = "euler"
+    """Implicit Euler: first order, never gains energy."""
+    BDF2 = "bdf2"
+    """Second order backward differences: less damping at the same step."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +41,16 @@ class TimeStepping:
     """How a step advances time."""
 
     quasi_static: bool = True
-    """Without inertia: each step is an equilibrium. Otherwise implicit Euler."""
+    """Without inertia: each step is an equilibrium. Otherwise ``scheme``."""
     dt_s: float = 0.02
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    scheme: TimeScheme = TimeScheme.EULER
 
     def __post_init__(self) -> None:
+        if self.scheme not in list(TimeScheme):
+            names = ", ".join(TimeScheme)
+            raise InputError(f"scheme must be one of {names}, got {self.scheme!r}")
+        object.__setattr__(self, "scheme", TimeScheme(self.scheme))
         if not (math.isfinite(self.dt_s) and 1e-6 <= self.dt_s <= 10):
             raise InputError(f"dt must lie in [1e-6, 10] s, got {self.dt_s}")
         gravity = self.gravity_m_s2
@@ -84,38 +64,137 @@ class TimeStepping:
 
 @dataclass(frozen=True)
 class Scene:
-    """One soft body and any number of kinematic bodies, in ``env_count`` copies.
+    """Bodies and how they meet, in ``env_count`` copies.
 
-    Copies share connectivity and differ in rest shape, state and kinematic poses.
+    Copies share connectivity and differ in rest shape, state, kinematic poses, and in which of the
+    affine and kinematic bodies are present.
     """
 
-    soft_body: SoftBody
-    kinematic_bodies: tuple[KinematicBody, ...] = ()
+    soft_bodies: SoftBody | Sequence[SoftBody] = ()
+    kinematic_bodies: KinematicBody | Sequence[KinematicBody] = ()
     env_count: int = 1
     time: TimeStepping = field(default_factory=TimeStepping)
+    affine_bodies: AffineBody | Sequence[AffineBody] = ()
+    planes: Plane | Sequence[Plane] = ()
+    joints: Joint | Sequence[Joint] = ()
+    pair_friction: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    """Coefficient of a pair of bodies by name. Other pairs take the harmonic mean of the bodies'
+    own coefficients; a body whose own is None takes the other's."""
 
     def __post_init__(self) -> None:
+        for name, kinds in (
+            ("soft_bodies", SoftBody),
+            ("kinematic_bodies", KinematicBody),
+            ("affine_bodies", AffineBody),
+            ("planes", Plane),
+            ("joints", Joint),
+        ):
+            value = getattr(self, name)
+            items = (value,) if isinstance(value, kinds) else tuple(value)
+            object.__setattr__(self, name, items)
         if self.env_count < 1:
             raise InputError(f"env_count must be at least 1, got {self.env_count}")
-        if self.time.quasi_static and self.soft_body.material.damping_time_s > 0:
+        if not self.soft_bodies and not self.affine_bodies:
+            raise InputError("a scene needs at least one soft or affine body")
+        if self.time.quasi_static and self.affine_bodies:
+            raise InputError(
+                "affine bodies need quasi_static=False: without inertia nothing holds them"
+            )
+        for body in self.soft_bodies:
+            self._check_soft(body)
+        self._check_environments()
+        self._check_names()
+        check_joints(
+            self.joints,
+            [body.name for body in self.affine_bodies],
+            [body.name for body in self.kinematic_bodies],
+            self.env_count,
+        )
+
+    def _check_soft(self, body: SoftBody) -> None:
+        if self.time.quasi_static and body.material.damping_time_s > 0:
             raise InputError(
                 "damping_time_s needs quasi_static=False: a quasi-static step has no strain rate"
             )
-        rest = self.soft_body.rest_positions_m
-        expected = (self.env_count, self.soft_body.mesh.node_count, 3)
+        rest = body.rest_positions_m
+        expected = (self.env_count, body.mesh.node_count, 3)
         if rest is not None and np.shape(rest) != expected:
             raise InputError(f"rest_positions_m has shape {np.shape(rest)}, expected {expected}")
         if rest is not None and not np.isfinite(rest).all():
             env = int(np.argwhere(~np.isfinite(rest))[0, 0])
             raise InputError(f"rest_positions_m holds NaN or infinite values in environment {env}")
-        bonded_count = len(self.soft_body.bonded())
-        if bonded_count >= self.soft_body.mesh.node_count:
+        bonded = body.bonded()
+        if len(bonded) and (bonded[0] < 0 or bonded[-1] >= body.mesh.node_count):
+            raise InputError("bonded_nodes refers to nodes that do not exist")
+        if len(bonded) >= body.mesh.node_count:
             raise InputError("all nodes of the soft body are bonded; at least one must be free")
-        if self.time.quasi_static and bonded_count < 3:
+        if self.time.quasi_static and len(bonded) < 3:
             raise InputError(
                 "a quasi-static soft body needs at least three bonded nodes: "
                 "without inertia nothing else holds it"
             )
+
+    def _check_environments(self) -> None:
+        for body in self.bodies:
+            present = body.surface.environments
+            if present is not None and not all(0 <= env < self.env_count for env in present):
+                raise InputError(
+                    f"environments of {body.name!r} must lie in [0, {self.env_count - 1}], "
+                    f"got {present}"
+                )
+            pose = getattr(body, "initial_pose", None)
+            if pose is not None and pose.ndim == 2 and len(pose) != self.env_count:
+                raise InputError(
+                    f"initial_pose of {body.name!r} has {len(pose)} rows, "
+                    f"expected {self.env_count} or a single pose"
+                )
+
+    def _check_names(self) -> None:
+        names = [body.name for body in self.bodies]
+        for pair, value in self.pair_friction.items():
+            for name in pair:
+                if names.count(name) != 1:
+                    raise InputError(
+                        f"pair_friction names {name!r}, which {names.count(name)} bodies are "
+                        f"called; bodies: {', '.join(map(repr, names))}"
+                    )
+            check_friction(value, f"the pair {pair}")
+        frames = [body.name for body in self.kinematic_bodies]
+        for body in self.soft_bodies:
+            if body.mount is not None and frames.count(body.mount) != 1:
+                raise InputError(
+                    f"mount {body.mount!r} of {body.name!r} must be the name of one kinematic "
+                    f"body; there are {', '.join(map(repr, frames)) or 'none'}"
+                )
+
+    @property
+    def bodies(self) -> list[Body]:
+        """All bodies in the order of their ids: soft, affine, kinematic, planes."""
+        return [*self.soft_bodies, *self.affine_bodies, *self.kinematic_bodies, *self.planes]
+
+    def friction_between(self, first: Body, second: Body) -> float:
+        """Coulomb coefficient of a pair of bodies."""
+        for pair in ((first.name, second.name), (second.name, first.name)):
+            if pair in self.pair_friction:
+                return self.pair_friction[pair]
+        return combined_friction(first, second)
+
+    def may_touch(self, first: Body, second: Body) -> bool:
+        """Whether a pair of bodies is searched for contacts at all."""
+        if first is second:
+            return isinstance(first, SoftBody) and first.self_contact
+        moves = (SoftBody, AffineBody)
+        if not isinstance(first, moves) and not isinstance(second, moves):
+            return False
+        for body, other in ((first, second), (second, first)):
+            if isinstance(body, SoftBody) and body.mount == other.name:
+                return False
+        names = {first.name, second.name}
+        if any({j.first, j.second} == names and not j.bodies_touch for j in self.joints):
+            return False
+        if any(isinstance(body, KinematicBody) and body.shape is None for body in (first, second)):
+            return False
+        return first.surface.meets(second.surface)
 
     def finalize(self, device: str = "cpu") -> Model:
         """Build the device arrays; raises InputError for inverted or degenerate rest tets."""

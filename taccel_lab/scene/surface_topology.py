@@ -77,24 +77,64 @@ def surface_topology(faces: np.ndarray, node_count: int, what: str) -> SurfaceTo
 
 
 def surface_areas(
-    positions: np.ndarray, topology: SurfaceTopology
+    positions: np.ndarray,
+    topology: SurfaceTopology,
+    shares: np.ndarray | None = None,
+    preferred: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rest areas [m^2] of nodes, edges (a third of each incident face) and faces.
 
-    ``positions``: [env, node, 3]. Returns [env, node], [env, edge] and [env, face].
+    The area of a node is what it shows in one direction: the sum over its faces of (share of the
+    area) max(0, n_face . n), at its largest over the normals n of its faces. Within a flat face this
+    is its share of each face; at a right-angled rim, the side that is touched counts and not the
+    one around the corner.
+
+    ``positions``: [env, node, 3]. ``shares``: part of a face's area that each of its corners stands
+    for, [face, 3]; a third when None. ``preferred``: faces whose normals alone count where a node
+    has such a face, bool, [face]; the contact face of a gel pad. Returns [env, node], [env, edge]
+    and [env, face].
     """
     p = positions[:, topology.faces]
     cross = np.cross(p[:, :, 1] - p[:, :, 0], p[:, :, 2] - p[:, :, 0])
-    third = np.linalg.norm(cross, axis=-1) / 6.0
-    env_count, node_count = positions.shape[:2]
-    node_area = np.zeros((env_count, node_count))
-    edge_area = np.zeros((env_count, len(topology.edges)))
+    size = np.linalg.norm(cross, axis=-1)
+    edge_area = np.zeros((len(positions), len(topology.edges)))
     for corner in range(3):
-        for env in range(env_count):
-            node_area[env] += np.bincount(
-                topology.faces[:, corner], third[env], minlength=node_count
-            )
+        for env in range(len(positions)):
             edge_area[env] += np.bincount(
-                topology.face_edges[:, corner], third[env], minlength=len(topology.edges)
+                topology.face_edges[:, corner], size[env] / 6.0, minlength=len(topology.edges)
             )
-    return node_area, edge_area, 3.0 * third
+    shares = np.full(topology.faces.shape, 1 / 3) if shares is None else shares
+    node_area = _shown_areas(cross, size, topology, shares, preferred)
+    return node_area, edge_area, 0.5 * size
+
+
+def _shown_areas(
+    cross: np.ndarray,
+    size: np.ndarray,
+    topology: SurfaceTopology,
+    shares: np.ndarray,
+    preferred: np.ndarray | None,
+) -> np.ndarray:
+    """Node areas from the cross products of the faces' edges [env, face, 3] and their sizes."""
+    starts, around = topology.node_face_starts, topology.node_faces
+    counts = np.diff(starts)
+    owner = np.repeat(np.arange(len(counts)), counts)
+    share = shares[around][topology.faces[around] == owner[:, None]]
+    # A direction is one face at one node; each is paired with all faces at that node.
+    direction = np.repeat(np.arange(len(around)), counts[owner])
+    within = np.arange(len(direction)) - np.repeat(
+        np.cumsum(counts[owner]) - counts[owner], counts[owner]
+    )
+    other = starts[owner[direction]] + within
+    counted = np.ones(len(around), dtype=bool)
+    if preferred is not None:
+        has_preferred = np.bincount(owner, preferred[around], minlength=len(counts)) > 0
+        counted = preferred[around] | ~has_preferred[owner]
+    areas = np.zeros((len(cross), len(counts)))
+    for env in range(len(cross)):
+        normals = cross[env] / np.maximum(size[env], np.finfo(float).tiny)[:, None]
+        facing = (normals[around[direction]] * normals[around[other]]).sum(axis=1)
+        weight = np.maximum(facing, 0.0) * 0.5 * size[env, around[other]] * share[other]
+        shown = np.bincount(direction, weight, minlength=len(around))
+        np.maximum.at(areas[env], owner[counted], shown[counted])
+    return areas

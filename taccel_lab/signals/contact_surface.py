@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class ContactSurface:
         return len(self.node_idx)
 
     @classmethod
-    def from_mesh(cls, mesh: TetMesh) -> ContactSurface:
+    def from_mesh(cls, mesh: TetMesh | QuadraticMesh) -> ContactSurface:
         """Cut the faces of region CONTACT out of ``mesh``; InputError when there is none."""
         faces = mesh.region_faces(Region.CONTACT)
         if len(faces) == 0:

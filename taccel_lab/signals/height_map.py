@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.signals.clough_tocher import evaluate_on_pixels
 from taccel_lab.signals.contact_surface import ContactSurface
 from taccel_lab.signals.gradient_recovery import recover_gradients
@@ -107,7 +107,7 @@ class SignalHeightMap:
 
     def __init__(
         self,
-        mesh: TetMesh,
+        mesh: TetMesh | QuadraticMesh,
         grid: PixelGrid,
         *,
         mode: SurfaceMode = SurfaceMode.SMOOTH,

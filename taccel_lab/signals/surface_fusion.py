@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.signals.contact_edge import EdgeField, edge_field
 from taccel_lab.signals.contact_surface import ContactSurface
 from taccel_lab.signals.height_map import SurfaceInterpolant, SurfaceMode
@@ -51,7 +51,7 @@ class SignalFusedSurface:
 
     def __init__(
         self,
-        mesh: TetMesh,
+        mesh: TetMesh | QuadraticMesh,
         grid: PixelGrid,
         *,
         contact_gap_m: float,

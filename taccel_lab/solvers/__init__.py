@@ -2,7 +2,16 @@
 """Stepping a model: orchestration only."""
 
 from taccel_lab.solvers.config import ElementProjection, SolverConfig
+from taccel_lab.solvers.plan import Plan, PlanEntry
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
 
-__all__ = ["ElementProjection", "EnvStatus", "SolverConfig", "SolverIPC", "StepReport"]
+__all__ = [
+    "ElementProjection",
+    "EnvStatus",
+    "Plan",
+    "PlanEntry",
+    "SolverConfig",
+    "SolverIPC",
+    "StepReport",
+]

@@ -29,8 +29,8 @@ class SolverConfig:
     dhat_m: float = 2e-5
     """Gap at which contact begins."""
     kappa_pa: float | None = None
-    """Contact pressure at about half of dhat; the largest Young's modulus of the soft body when
-    None."""
+    """Contact pressure at about half of dhat; when None the largest Young's modulus of the soft
+    bodies, and 1 MPa in a scene without any."""
     relative_tolerance: float = 1e-4
     """Force residual over the sum of nodal contact forces at which a step has converged."""
     absolute_tolerance_n: float = 1e-7
@@ -42,6 +42,12 @@ class SolverConfig:
     """Sliding per step below which friction is static (eps_v * dt)."""
     max_friction_lags: int = 100
     """How often friction may be frozen anew within a step."""
+    max_substep_halvings: int = 5
+    """How often a step that fails is halved, in the environments where it fails."""
+    max_joint_rounds: int = 20
+    """How often Newton may be repeated until the joints are closed."""
+    max_collisions: int = 1 << 20
+    """Contacts, and candidates for them, beyond which an environment is given up."""
     element_projection: ElementProjection = ElementProjection.CLAMP
     contact_hessian_mode: int = 1
     """1: projected to positive semidefinite; 2: only the Gauss-Newton term."""
@@ -65,9 +71,15 @@ class SolverConfig:
             "max_cg_iterations",
             "max_line_search_cuts",
             "max_friction_lags",
+            "max_joint_rounds",
+            "max_collisions",
         ):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not 0 <= self.max_substep_halvings <= 20:
+            raise InputError(
+                f"max_substep_halvings must lie in [0, 20], got {self.max_substep_halvings}"
+            )
         if self.contact_hessian_mode not in (1, 2):
             raise InputError(
                 "contact_hessian_mode must be 1 (projected) or 2 (Gauss-Newton), "

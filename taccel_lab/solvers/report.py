@@ -19,9 +19,19 @@ class EnvStatus(IntEnum):
     LINE_SEARCH = 3
     """No step along the search direction lowered the energy."""
     NOT_A_NUMBER = 4
-    """A residual or a search direction was not finite."""
+    """A position, residual or search direction was not finite."""
     FRICTION = 5
     """Re-freezing friction did not settle."""
+    INVERSION = 6
+    """An element was inverted before the step."""
+    CONTACT_OVERFLOW = 7
+    """More contacts than ``SolverConfig.max_collisions``."""
+    JOINT = 8
+    """A joint stayed open by more than its tolerance."""
+    TOUCHING = 9
+    """Two surfaces touched or crossed before the step: no motion is free of collisions."""
+    SKIPPED = 10
+    """The environment was not asked for."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +45,18 @@ class StepReport:
     """Sum over the step of the (batched) CG iterations while the environment was active."""
     friction_lags: np.ndarray
     residual_n: np.ndarray
-    """Euclidean norm of the nodal force residual at the end, friction re-frozen [N]."""
+    """Euclidean norm of the force residual at the end, friction re-frozen [N]."""
     contact_force_n: np.ndarray
-    """Sum of the magnitudes of the nodal contact forces, the scale of the tolerance [N]."""
+    """Sum of the magnitudes of the nodal contact forces on one side, the scale of the tolerance
+    [N]."""
     min_distance_m: np.ndarray
     """Smallest gap of any pair within dhat [m]; infinite without contact."""
     smallest_step: np.ndarray
     """Smallest accepted step length of the line search."""
+    joint_violation_m: np.ndarray
+    """Largest violation of a joint's constraint [m]; 0 without joints."""
+    substeps: np.ndarray
+    """Parts the step was taken in: 1 unless it failed as a whole."""
     seconds: float
     """Wall time of the whole call, all environments."""
 
@@ -51,22 +66,51 @@ class StepReport:
         return self.status == EnvStatus.CONVERGED
 
     def followed_by(self, later: StepReport) -> StepReport:
-        """The end of ``later`` with the work of both."""
+        """The end of ``later`` with the work of both; environments it skipped stay as they are."""
+
+        def newer(name: str) -> np.ndarray:
+            skipped = later.status == EnvStatus.SKIPPED
+            return np.where(skipped, getattr(self, name), getattr(later, name))
+
         return replace(
-            later,
+            self,
+            **{
+                name: newer(name)
+                for name in (
+                    "status",
+                    "residual_n",
+                    "contact_force_n",
+                    "min_distance_m",
+                    "joint_violation_m",
+                )
+            },
             newton_iterations=self.newton_iterations + later.newton_iterations,
             cg_iterations=self.cg_iterations + later.cg_iterations,
             friction_lags=self.friction_lags + later.friction_lags,
             smallest_step=np.minimum(self.smallest_step, later.smallest_step),
+            substeps=self.substeps + later.substeps,
             seconds=self.seconds + later.seconds,
         )
+
+    def failures(self) -> dict[str, list[int]]:
+        """Environments that failed, by cause."""
+        causes: dict[str, list[int]] = {}
+        for env in np.flatnonzero(~self.converged & (self.status != EnvStatus.SKIPPED)):
+            causes.setdefault(EnvStatus(self.status[env]).name, []).append(int(env))
+        return causes
 
     def summary(self) -> str:
         """One line for a log."""
         good = int(self.converged.sum())
-        return (
+        line = (
             f"{good}/{len(self.status)} converged, "
             f"Newton {self.newton_iterations.max()}, CG {self.cg_iterations.max()}, "
             f"residual {self.residual_n.max():.2e} N of {self.contact_force_n.max():.3g} N, "
-            f"min distance {self.min_distance_m.min() * 1e6:.2f} um, {self.seconds:.2f} s"
+            f"min distance {self.min_distance_m.min() * 1e6:.2f} um, "
+            f"smallest step {self.smallest_step.min():.2g}, {self.seconds:.2f} s"
         )
+        if self.substeps.max() > 1:
+            line += f", up to {self.substeps.max()} substeps"
+        if causes := self.failures():
+            line += "; " + ", ".join(f"{name}: {envs}" for name, envs in causes.items())
+        return line

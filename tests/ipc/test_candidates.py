@@ -45,22 +45,20 @@ def found(candidates: Candidates) -> tuple[set[tuple[int, int]], set[tuple[int, 
 def nearby(model: Model, x: np.ndarray, margin: float) -> tuple[set, set]:
     """Pairs whose boxes, in a frame where they are tight, are within the margin at positions x."""
     faces, edges = model.surface.faces.numpy(), model.surface.edges.numpy()
-    soft = faces[: model.soft_faces[1]]
-    body = model.kinematic[0]
-    body_faces = faces[body.face_start :]
-    nodes = model.soft_surface_nodes.numpy()
+    gel, body, ball = model.bodies
+    soft, body_faces = faces[slice(*gel.faces)], faces[slice(*body.faces)]
+    nodes = np.unique(soft)
     pairs = set()
     gaps = box_gaps(x[nodes][:, None], x[body_faces])
-    pairs |= {(int(nodes[i]), int(body.face_start + j)) for i, j in np.argwhere(gaps < margin)}
-    vertices = body.node_start + np.arange(body.node_count)
+    pairs |= {(int(nodes[i]), int(body.faces[0] + j)) for i, j in np.argwhere(gaps < margin)}
+    vertices = np.arange(*body.nodes)
     gaps = box_gaps(x[vertices][:, None], x[soft])
     pairs |= {(int(vertices[i]), int(j)) for i, j in np.argwhere(gaps < margin)}
-    ball = model.kinematic[1]
-    gaps = box_gaps(x[ball.node_start][None, None], x[soft])[0] - ball.radius_m
-    pairs |= {(ball.node_start, int(j)) for j in np.flatnonzero(gaps < margin)}
-    soft_edges = edges[: model.soft_edges[1]]
-    gaps = box_gaps(x[soft_edges], x[edges[body.edge_start :]])
-    return pairs, {(int(i), int(body.edge_start + j)) for i, j in np.argwhere(gaps < margin)}
+    centre = ball.nodes[0]
+    gaps = box_gaps(x[centre][None, None], x[soft])[0] - BALL.radius_m
+    pairs |= {(centre, int(j)) for j in np.flatnonzero(gaps < margin)}
+    gaps = box_gaps(x[edges[slice(*gel.edges)]], x[edges[slice(*body.edges)]])
+    return pairs, {(int(i), int(body.edges[0] + j)) for i, j in np.argwhere(gaps < margin)}
 
 
 def true_distances(model: Model, x: np.ndarray, pairs: set[tuple[int, int]]) -> dict:
@@ -110,7 +108,7 @@ def test_no_pair_is_missed_on_the_way(seed: int, margin: float, turn: float, rea
     soft = slice(0, model.soft_count)
     displacement[0, soft] = rng.uniform(-reach, reach, (model.soft_count, 3))
     angle = turn_angle(start, end).max()
-    chord_error = max(b.radius_m for b in model.kinematic) * (1 - np.cos(angle / 2))
+    chord_error = model.kinematic_radii_m.max() * (1 - np.cos(angle / 2))
 
     candidates = Candidates(model, capacity=64)
     candidates.update(
@@ -142,12 +140,11 @@ def test_pairs_far_away_are_left_out() -> None:
     candidates = Candidates(model)
     candidates.update(wp.array([1], dtype=wp.int32), x, still, poses, poses, 1e-4)
     node_face, edge_edge = found(candidates)
-    all_pairs = (
-        len(model.soft_surface_nodes.numpy()) * len(BODY.faces)
-        + len(BODY.vertices_m) * model.soft_faces[1]
-    )
+    gel = model.bodies[0]
+    soft_nodes = np.unique(model.surface.faces.numpy()[slice(*gel.faces)])
+    all_pairs = len(soft_nodes) * len(BODY.faces) + len(BODY.vertices_m) * gel.faces[1]
     assert 0 < len(node_face) < 0.1 * all_pairs
-    assert 0 < len(edge_edge) < 0.1 * len(unique_edges(BODY.faces)) * model.soft_edges[1]
+    assert 0 < len(edge_edge) < 0.1 * len(unique_edges(BODY.faces)) * gel.edges[1]
     far = everywhere(1, pose(0, 0, 9e-3), pose(0, 0, 12e-3))
     y = initial_state(model, far).positions
     away = wp.array(far, dtype=wp.transformd)

@@ -89,7 +89,8 @@ def test_a_failing_environment_is_rolled_back_and_the_others_go_on(quasi_static:
     if not quasi_static:
         assert np.abs(before[1]).max() > 0
 
-    hasty = SolverIPC(model, SolverConfig(max_newton_iterations=4, relative_tolerance=1e-3))
+    few = SolverConfig(max_newton_iterations=4, relative_tolerance=1e-3, max_substep_halvings=0)
+    hasty = SolverIPC(model, few)
     target = first.copy()
     target[0, 0, 2] -= 1e-6
     target[1, 0, 2] -= 4e-4
@@ -153,5 +154,5 @@ def test_an_inverted_start_is_reported_not_hidden() -> None:
     state.positions.assign(x)
     report = SolverIPC(model, SolverConfig()).step(state)
     assert report.status[0] == EnvStatus.CONVERGED
-    assert report.status[1] == EnvStatus.NOT_A_NUMBER
+    assert report.status[1] == EnvStatus.INVERSION
     np.testing.assert_array_equal(state.positions.numpy()[1], x[1])

@@ -42,7 +42,9 @@ class Assembly:
     # Energies [J], shape [env_count] ---------------------------------------------------------
 
     def elastic_energy(self, positions: np.ndarray) -> np.ndarray:
-        return self.solver.elastic.energy(self.active, self.nodal(positions))
+        return sum(
+            part.energy(self.active, self.nodal(positions)) for part in self.solver.elastic
+        )
 
     def contact_energy(self, positions: np.ndarray) -> np.ndarray:
         self.collide(positions)
@@ -52,7 +54,8 @@ class Assembly:
 
     def elastic_gradient(self, positions: np.ndarray) -> np.ndarray:
         out = self.nodal()
-        self.solver.elastic.add_gradient(self.active, self.nodal(positions), out)
+        for part in self.solver.elastic:
+            part.add_gradient(self.active, self.nodal(positions), out)
         return out.numpy()
 
     def contact_gradient(self, positions: np.ndarray) -> np.ndarray:
@@ -66,10 +69,10 @@ class Assembly:
 
     def elastic_hessian(self, positions: np.ndarray, mode: int) -> np.ndarray:
         """Matrix over free nodes [N/m], shape [env_count, 3 free_count, 3 free_count]."""
-        values = self.solver.linear.values
-        values.zero_()
-        self.solver.elastic.set_hessian(self.active, self.nodal(positions), values, mode)
-        return self.dense(values)
+        system = self.system()
+        for part in self.solver.elastic:
+            part.add_hessian(self.active, self.nodal(positions), system, mode)
+        return self.dense(system.values)
 
     def contact_system(
         self, positions: np.ndarray, mode: int, prescribed: np.ndarray | None = None
@@ -85,7 +88,8 @@ class Assembly:
         linear = self.solver.linear
         linear.values.zero_()
         linear.rhs.zero_()
-        return newton_system(self.model, linear.values, linear.rhs, self.nodal(prescribed))
+        linear.extra.clear()
+        return newton_system(self.model, linear, self.nodal(prescribed))
 
     def dense(self, values: wp.array) -> np.ndarray:
         """Full matrices [N/m], shape [env_count, 3 free_count, 3 free_count]."""

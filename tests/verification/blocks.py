@@ -48,6 +48,13 @@ def block_mesh(
     return labelled(nodes, grid_tets(*cells))
 
 
+def free_block(cells: tuple[int, int, int], size_m: float, jitter: float = 0.0) -> TetMesh:
+    """A cube all of whose faces can touch something."""
+    mesh = block_mesh(cells, (size_m, size_m, size_m), jitter)
+    side = np.full(len(mesh.faces), int(Region.SIDE))
+    return TetMesh(mesh.nodes_m, mesh.tets, mesh.faces, side)
+
+
 def labelled(nodes_m: np.ndarray, tets: np.ndarray) -> TetMesh:
     """A mesh whose boundary at the largest z is contact, at the smallest z bond, else side."""
     faces = boundary_faces(tets)

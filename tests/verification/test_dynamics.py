@@ -118,14 +118,14 @@ def test_momentum_is_kept_without_outer_forces() -> None:
 
     def energy() -> float:
         speed_sq = (run.state.velocities.numpy()[0] ** 2).sum(axis=1)
-        elastic = run.solver.elastic.energy(run.solver._active, run.state.positions)[0]
+        elastic = run.solver.elastic[0].energy(run.solver.active, run.state.positions)[0]
         return 0.5 * masses @ speed_sq + elastic
 
     last = energy()
     for _ in range(10):
-        run.solver._active.fill_(1)
+        run.solver.active.fill_(1)
         run.step()
-        run.solver._active.fill_(1)
+        run.solver.active.fill_(1)
         np.testing.assert_allclose(run.velocity, start, rtol=0, atol=1e-6)
         now = energy()
         assert now <= last * (1 + 1e-9)

@@ -80,7 +80,7 @@ def test_every_frame_is_converged_separate_and_balanced(name: str, friction: flo
         rubbing = solver.friction_gradient.numpy()[0]
         force = np.abs(contact[soft]).sum()
         assert report.contact_force_n[0] == pytest.approx(
-            np.linalg.norm(contact[soft], axis=1).sum(), rel=1e-12
+            0.5 * np.linalg.norm(contact, axis=1).sum(), rel=1e-12
         )
         assert report.residual_n[0] <= max(1e-7, 1e-4 * report.contact_force_n[0])
         total = contact + rubbing
@@ -90,20 +90,20 @@ def test_every_frame_is_converged_separate_and_balanced(name: str, friction: flo
         moment = np.cross(x, contact)
         np.testing.assert_allclose(moment.sum(axis=0), 0, atol=1e-12 * force * np.abs(x).max())
         # The elastic reaction at the glued back balances the load.
-        elastic = solver._gradient
+        elastic = solver.gradient
         elastic.zero_()
-        solver._active.fill_(1)
-        solver.elastic.add_gradient(solver._active, state.positions, elastic)
+        solver.active.fill_(1)
+        solver.elastic[0].add_gradient(solver.active, state.positions, elastic)
         bonded = elastic.numpy()[0][MESH.bonded_nodes()].sum(axis=0)
         np.testing.assert_allclose(
             bonded, total[soft].sum(axis=0), atol=np.sqrt(MESH.node_count) * report.residual_n[0]
         )
         # Coulomb: friction of all pairs together cannot exceed mu times their normal forces.
         assert np.linalg.norm(rubbing[soft].sum(axis=0)) <= friction * force * (1 + 1e-3)
-        largest = max(largest, report.contact_force_n[0])
+        largest = max(largest, np.linalg.norm(contact[soft], axis=1).sum())
         rubbed = max(rubbed, np.abs(rubbing).max())
         assert report.min_distance_m[0] > 0
-    assert largest > 5e-3
+    assert largest > 4e-3
     assert (rubbed > 0) == (friction > 0)
     assert report.contact_force_n[0] == 0, "the body has left the gel"
     np.testing.assert_allclose(

@@ -2,7 +2,7 @@
 """The materials by name, behind one signature that kernels are compiled against.
 
 A kernel factory takes a ``Law`` and captures its functions, so a scene compiles the code of its
-own material and of no other.
+own materials and of no other.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 import warp as wp
 
 from taccel_lab.ipc.elasticity import (
+    dilatation,
     mooney_rivlin,
     neo_hookean,
     st_venant_kirchhoff,
@@ -26,61 +27,168 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Moduli:
-    """Material parameters of the tets."""
+    """Material parameters of the elements."""
 
     mu: wp.array(dtype=wp.float64)
-    """Shear modulus [Pa], shape [tet_count]."""
+    """Shear modulus [Pa], shape [element_count]."""
     lam: wp.array(dtype=wp.float64)
-    """Lame's first parameter [Pa], shape [tet_count]."""
+    """Lame's first parameter [Pa], shape [element_count]."""
     ratio: wp.array(dtype=wp.float64)
-    """c01 / (c10 + c01), shape [tet_count]; empty unless the material is Mooney-Rivlin."""
+    """c01 / (c10 + c01), shape [element_count]; empty unless the material is Mooney-Rivlin."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """Functions of a material: ``energy(f, moduli, tet)`` [J/m^3], ``piola(f, moduli, tet)`` [Pa],
-    ``hessian(f, moduli, tet, psd_mode)``, a PrincipalHessian [Pa]."""
+    """Functions of a material. ``m`` are the Moduli, ``i`` the element."""
 
     model: MaterialModel
     energy: Any
+    """``energy(f, m, i)``: psi [J/m^3]."""
     piola: Any
+    """``piola(f, m, i)``: d psi / dF [Pa]."""
     hessian: Any
+    """``hessian(f, m, i, psd_mode)``: d^2 psi / dF^2, a PrincipalHessian [Pa]."""
+    shape_energy: Any
+    """Like ``energy`` with lambda = 0: what is left without the volumetric part."""
+    shape_piola: Any
+    pressed_hessian: Any
+    """``(f, m, i, pressure, psd_mode)``: of the shape energy plus pressure times dilatation."""
+    dilatation: Any
+    """``(f)``: e, the argument of the volumetric part (see dilatation.py)."""
+    dilatation_slope: Any
+    """``(f)``: de/dF."""
+    volumetric: Any
+    """``(e)``: u and its first two derivatives; the energy is lambda u [J/m^3]."""
 
 
-def _of_lame(model: MaterialModel, energy: Any, piola: Any, hessian: Any) -> Law:
-    """Law of functions (f, mu, lam)."""
+@dataclass(frozen=True)
+class _Volumetric:
+    """How the part of an energy that is linear in lambda is taken."""
+
+    dilatation: Any
+    slope: Any
+    function: Any
+
+
+_LOGARITHM = _Volumetric(
+    dilatation.volume_growth, dilatation.volume_growth_slope, dilatation.half_log_square
+)
+_SQUARE = _Volumetric(
+    dilatation.volume_growth, dilatation.volume_growth_slope, dilatation.half_square
+)
+_STRAIN = _Volumetric(
+    dilatation.strain_trace, dilatation.strain_trace_slope, dilatation.half_square
+)
+
+
+@wp.func
+def _neo_hookean_pressed(
+    f: wp.mat33d,
+    mu: wp.float64,
+    lam: wp.float64,
+    pressure: wp.float64,
+    mode: int,
+) -> PrincipalHessian:
+    return neo_hookean.neo_hookean_pressed_hessian(f, mu, pressure, mode)
+
+
+def _of_lame(
+    model: MaterialModel,
+    energy: Any,
+    piola: Any,
+    pressed: Any,
+    volumetric: _Volumetric,
+    hessian: Any = None,
+) -> Law:
+    """Law of functions (f, mu, lam); ``hessian``, if there is a quicker one without pressure."""
 
     @wp.func
-    def tet_energy(f: wp.mat33d, m: Moduli, tet: int) -> wp.float64:
-        return energy(f, m.mu[tet], m.lam[tet])
+    def law_energy(f: wp.mat33d, m: Moduli, i: int) -> wp.float64:
+        return energy(f, m.mu[i], m.lam[i])
 
     @wp.func
-    def tet_piola(f: wp.mat33d, m: Moduli, tet: int) -> wp.mat33d:
-        return piola(f, m.mu[tet], m.lam[tet])
+    def law_piola(f: wp.mat33d, m: Moduli, i: int) -> wp.mat33d:
+        return piola(f, m.mu[i], m.lam[i])
 
     @wp.func
-    def tet_hessian(f: wp.mat33d, m: Moduli, tet: int, mode: int) -> PrincipalHessian:
-        return hessian(f, m.mu[tet], m.lam[tet], mode)
+    def pressed_law_hessian(f: wp.mat33d, m: Moduli, i: int, mode: int) -> PrincipalHessian:
+        return pressed(f, m.mu[i], m.lam[i], wp.float64(0.0), mode)
 
-    return Law(model, tet_energy, tet_piola, tet_hessian)
+    @wp.func
+    def quick_law_hessian(f: wp.mat33d, m: Moduli, i: int, mode: int) -> PrincipalHessian:
+        return hessian(f, m.mu[i], m.lam[i], mode)
+
+    @wp.func
+    def shape_energy(f: wp.mat33d, m: Moduli, i: int) -> wp.float64:
+        return energy(f, m.mu[i], wp.float64(0.0))
+
+    @wp.func
+    def shape_piola(f: wp.mat33d, m: Moduli, i: int) -> wp.mat33d:
+        return piola(f, m.mu[i], wp.float64(0.0))
+
+    @wp.func
+    def shape_hessian(
+        f: wp.mat33d, m: Moduli, i: int, pressure: wp.float64, mode: int
+    ) -> PrincipalHessian:
+        return pressed(f, m.mu[i], wp.float64(0.0), pressure, mode)
+
+    return Law(
+        model,
+        law_energy,
+        law_piola,
+        pressed_law_hessian if hessian is None else quick_law_hessian,
+        shape_energy,
+        shape_piola,
+        shape_hessian,
+        volumetric.dilatation,
+        volumetric.slope,
+        volumetric.function,
+    )
 
 
-def _of_lame_and_ratio(model: MaterialModel, energy: Any, piola: Any, hessian: Any) -> Law:
+def _of_lame_and_ratio(
+    model: MaterialModel, energy: Any, piola: Any, pressed: Any, volumetric: _Volumetric
+) -> Law:
     """Law of functions (f, mu, lam, ratio)."""
 
     @wp.func
-    def tet_energy(f: wp.mat33d, m: Moduli, tet: int) -> wp.float64:
-        return energy(f, m.mu[tet], m.lam[tet], m.ratio[tet])
+    def law_energy(f: wp.mat33d, m: Moduli, i: int) -> wp.float64:
+        return energy(f, m.mu[i], m.lam[i], m.ratio[i])
 
     @wp.func
-    def tet_piola(f: wp.mat33d, m: Moduli, tet: int) -> wp.mat33d:
-        return piola(f, m.mu[tet], m.lam[tet], m.ratio[tet])
+    def law_piola(f: wp.mat33d, m: Moduli, i: int) -> wp.mat33d:
+        return piola(f, m.mu[i], m.lam[i], m.ratio[i])
 
     @wp.func
-    def tet_hessian(f: wp.mat33d, m: Moduli, tet: int, mode: int) -> PrincipalHessian:
-        return hessian(f, m.mu[tet], m.lam[tet], m.ratio[tet], mode)
+    def law_hessian(f: wp.mat33d, m: Moduli, i: int, mode: int) -> PrincipalHessian:
+        return pressed(f, m.mu[i], m.lam[i], m.ratio[i], wp.float64(0.0), mode)
 
-    return Law(model, tet_energy, tet_piola, tet_hessian)
+    @wp.func
+    def shape_energy(f: wp.mat33d, m: Moduli, i: int) -> wp.float64:
+        return energy(f, m.mu[i], wp.float64(0.0), m.ratio[i])
+
+    @wp.func
+    def shape_piola(f: wp.mat33d, m: Moduli, i: int) -> wp.mat33d:
+        return piola(f, m.mu[i], wp.float64(0.0), m.ratio[i])
+
+    @wp.func
+    def shape_hessian(
+        f: wp.mat33d, m: Moduli, i: int, pressure: wp.float64, mode: int
+    ) -> PrincipalHessian:
+        return pressed(f, m.mu[i], wp.float64(0.0), m.ratio[i], pressure, mode)
+
+    return Law(
+        model,
+        law_energy,
+        law_piola,
+        law_hessian,
+        shape_energy,
+        shape_piola,
+        shape_hessian,
+        volumetric.dilatation,
+        volumetric.slope,
+        volumetric.function,
+    )
 
 
 LAWS = {
@@ -90,25 +198,30 @@ LAWS = {
             MaterialModel.NEO_HOOKEAN,
             neo_hookean.neo_hookean_energy,
             neo_hookean.neo_hookean_piola,
-            neo_hookean.neo_hookean_hessian,
+            _neo_hookean_pressed,
+            _LOGARITHM,
+            hessian=neo_hookean.neo_hookean_hessian,
         ),
         _of_lame(
             MaterialModel.STABLE_NEO_HOOKEAN,
             stable_neo_hookean.stable_neo_hookean_energy,
             stable_neo_hookean.stable_neo_hookean_piola,
             stable_neo_hookean.stable_neo_hookean_hessian,
+            _SQUARE,
         ),
         _of_lame(
             MaterialModel.ST_VENANT_KIRCHHOFF,
             st_venant_kirchhoff.st_venant_kirchhoff_energy,
             st_venant_kirchhoff.st_venant_kirchhoff_piola,
             st_venant_kirchhoff.st_venant_kirchhoff_hessian,
+            _STRAIN,
         ),
         _of_lame_and_ratio(
             MaterialModel.MOONEY_RIVLIN,
             mooney_rivlin.mooney_rivlin_energy,
             mooney_rivlin.mooney_rivlin_piola,
             mooney_rivlin.mooney_rivlin_hessian,
+            _LOGARITHM,
         ),
     )
 }

@@ -84,13 +84,20 @@ def mooney_rivlin_piola(
 
 @wp.func
 def mooney_rivlin_hessian(
-    f: wp.mat33d, mu: wp.float64, lam: wp.float64, ratio: wp.float64, mode: int
+    f: wp.mat33d,
+    mu: wp.float64,
+    lam: wp.float64,
+    ratio: wp.float64,
+    pressure: wp.float64,
+    mode: int,
 ) -> PrincipalHessian:
-    """Hessian of psi, with its negative eigenvalues treated as ``mode`` says (PSD_*)."""
+    """Hessian of psi + pressure J, with its negative eigenvalues treated as ``mode`` says
+    (PSD_*)."""
     u, s, v = signed_svd_3x3(f)
     c = mooney_constants(mu, lam, ratio)
     j = stretch_invariants(s)[2]
     slopes = mooney_slopes(j, c)
     # psi_JJ = (l - J psi_J) / J^2
     curvatures = wp.vec3d(wp.float64(0.0), wp.float64(0.0), (c[2] / j - slopes[2]) / j)
+    slopes[2] = slopes[2] + pressure
     return hessian_of_slopes(u, s, v, slopes, curvatures, mode)

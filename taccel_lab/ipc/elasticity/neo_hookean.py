@@ -4,8 +4,7 @@
 psi(F) = mu/2 (tr F^T F - 3) - mu ln J + lambda/2 (ln J)^2,  J = det F
 
 [Bonet and Wood 2008, Nonlinear Continuum Mechanics, eq. 6.27]. It grows without bound as J -> 0,
-so a line search on the energy keeps tets from inverting. Left out: viscosity, quasi-incompressible
-(mixed) forms; linear tets lock as nu -> 0.5.
+so a line search on the energy keeps tets from inverting.
 
 The symmetric and antisymmetric modes of a pair of axes a, b (see principal.py) have eigenvalues
 mu +- c / (s_a s_b), c = mu - lambda ln J. Stretches of an element that is not inverted are found
@@ -17,6 +16,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.eigen import symmetric_eigen_3x3
+from taccel_lab.ipc.elasticity.invariants import hessian_of_slopes
 from taccel_lab.ipc.elasticity.principal import (
     PSD_ABS,
     PSD_CLAMP,
@@ -36,6 +36,7 @@ __all__ = [
     "neo_hookean_energy",
     "neo_hookean_hessian",
     "neo_hookean_piola",
+    "neo_hookean_pressed_hessian",
     "principal_block",
 ]
 
@@ -140,3 +141,18 @@ def neo_hookean_hessian(
     h.stretch = stretch
     h.swap = swap
     return h
+
+
+@wp.func
+def neo_hookean_pressed_hessian(
+    f: wp.mat33d, mu: wp.float64, pressure: wp.float64, mode: int
+) -> PrincipalHessian:
+    """Hessian of psi with lambda = 0, plus pressure J; negative eigenvalues treated as ``mode``
+    says (PSD_*)."""
+    squares, v = symmetric_eigen_3x3(wp.transpose(f) * f)
+    s = wp.vec3d(wp.sqrt(squares[0]), wp.sqrt(squares[1]), wp.sqrt(squares[2]))
+    u = f * v * wp.diag(wp.cw_div(wp.vec3d(wp.float64(1.0)), s))
+    zero = wp.float64(0.0)
+    j = s[0] * s[1] * s[2]
+    slopes = wp.vec3d(wp.float64(0.5) * mu, zero, pressure - mu / j)
+    return hessian_of_slopes(u, s, v, slopes, wp.vec3d(zero, zero, mu / (j * j)), mode)

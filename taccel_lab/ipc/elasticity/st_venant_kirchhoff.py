@@ -44,9 +44,10 @@ def st_venant_kirchhoff_piola(f: wp.mat33d, mu: wp.float64, lam: wp.float64) -> 
 
 @wp.func
 def st_venant_kirchhoff_hessian(
-    f: wp.mat33d, mu: wp.float64, lam: wp.float64, mode: int
+    f: wp.mat33d, mu: wp.float64, lam: wp.float64, pressure: wp.float64, mode: int
 ) -> PrincipalHessian:
-    """Hessian of psi, with its negative eigenvalues treated as ``mode`` says (PSD_*).
+    """Hessian of psi + pressure tr E, with its negative eigenvalues treated as ``mode`` says
+    (PSD_*).
 
     In invariants psi = mu/4 (I1^2 - 2 I2 - 2 I1 + 3) + lambda/8 (I1 - 3)^2.
     """
@@ -55,7 +56,8 @@ def st_venant_kirchhoff_hessian(
     quarter = wp.float64(0.25)
     trace = wp.dot(s, s)
     slopes = wp.vec3d(
-        half * mu * (trace - wp.float64(1.0)) + quarter * lam * (trace - wp.float64(3.0)),
+        half * (mu * (trace - wp.float64(1.0)) + pressure)
+        + quarter * lam * (trace - wp.float64(3.0)),
         -half * mu,
         wp.float64(0.0),
     )

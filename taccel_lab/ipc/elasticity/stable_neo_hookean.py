@@ -79,12 +79,15 @@ def stable_neo_hookean_piola(f: wp.mat33d, mu: wp.float64, lam: wp.float64) -> w
 
 @wp.func
 def stable_neo_hookean_hessian(
-    f: wp.mat33d, mu: wp.float64, lam: wp.float64, mode: int
+    f: wp.mat33d, mu: wp.float64, lam: wp.float64, pressure: wp.float64, mode: int
 ) -> PrincipalHessian:
-    """Hessian of psi, with its negative eigenvalues treated as ``mode`` says (PSD_*)."""
+    """Hessian of psi + pressure J, with its negative eigenvalues treated as ``mode`` says
+    (PSD_*)."""
     u, s, v = signed_svd_3x3(f)
     k = stable_moduli(mu, lam)
     invariants = stretch_invariants(s)
     more = invariants[0] + wp.float64(1.0)
     curvatures = wp.vec3d(wp.float64(0.5) * k[0] / (more * more), wp.float64(0.0), k[1])
-    return hessian_of_slopes(u, s, v, stable_slopes(invariants, k), curvatures, mode)
+    slopes = stable_slopes(invariants, k)
+    slopes[2] = slopes[2] + pressure
+    return hessian_of_slopes(u, s, v, slopes, curvatures, mode)

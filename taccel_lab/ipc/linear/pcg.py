@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 from warp.optim.linear import LinearOperator, cg
 
+from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
 from taccel_lab.ipc.linear.pattern import BlockPattern
 from taccel_lab.ipc.linear.report import LinearReport
 
@@ -67,25 +68,42 @@ def _block_product_kernel(
 
 
 @wp.kernel
+def _extra_product_kernel(
+    active: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    places: wp.array2d(dtype=wp.vec2i),
+    blocks: wp.array2d(dtype=wp.mat33d),
+    x: wp.array2d(dtype=wp.vec3d),
+    alpha: wp.float64,
+    z: wp.array2d(dtype=wp.vec3d),
+):
+    """z += alpha E x; the order of the sums, and so their last bits, may vary on a GPU."""
+    env, k = wp.tid()
+    if active[env] == 0 or k >= counts[env]:
+        return
+    i = places[env, k][0]
+    j = places[env, k][1]
+    block = blocks[env, k]
+    wp.atomic_add(z, env, i, alpha * (block * x[env, j]))
+    wp.atomic_add(z, env, j, alpha * (x[env, i] * block))
+
+
+@wp.kernel
 def _residual_kernel(
-    row_starts: wp.array(dtype=wp.int32),
-    columns: wp.array(dtype=wp.int32),
-    codes: wp.array(dtype=wp.int32),
-    values: wp.array2d(dtype=wp.mat33d),
     active: wp.array(dtype=wp.int32),
     b: wp.array2d(dtype=wp.vec3d),
     x: wp.array2d(dtype=wp.vec3d),
+    products: wp.array2d(dtype=wp.vec3d),
     squares: wp.array2d(dtype=wp.vec3d),
 ):
-    """squares = |row of b - A x|^2, |row of b|^2 and x . A x."""
+    """squares = |row of b - A x|^2, |row of b|^2 and x . A x, with products = A x."""
     env, row = wp.tid()
     if active[env] == 0:
         squares[env, row] = wp.vec3d()
         return
-    product = _row_product(env, row, row_starts, columns, codes, values, x)
-    r = b[env, row] - product
+    r = b[env, row] - products[env, row]
     squares[env, row] = wp.vec3d(
-        wp.dot(r, r), wp.dot(b[env, row], b[env, row]), wp.dot(x[env, row], product)
+        wp.dot(r, r), wp.dot(b[env, row], b[env, row]), wp.dot(x[env, row], products[env, row])
     )
 
 
@@ -146,6 +164,7 @@ class BlockJacobiCG:
         self._inverses = wp.zeros(self._shape, dtype=wp.mat33d, device=device)
         self._b = wp.zeros(self._shape, dtype=wp.vec3d, device=device)
         self._squares = wp.zeros(self._shape, dtype=wp.vec3d, device=device)
+        self._products = wp.zeros(self._shape, dtype=wp.vec3d, device=device)
         # Warp counts scalar degrees of freedom, three to a node.
         dof_count = 3 * pattern.free_count
         size = env_count * dof_count
@@ -158,6 +177,7 @@ class BlockJacobiCG:
         self._preconditioner = operator(self._precondition)
         self._values: wp.array | None = None
         self._active: wp.array | None = None
+        self._extra: ExtraBlocks | None = None
 
     def _grid(self, x: wp.array) -> wp.array:
         return x.reshape(self._shape)
@@ -171,6 +191,16 @@ class BlockJacobiCG:
             outputs=[self._grid(z)],
             device=self._device,
         )
+        extra = self._extra
+        if extra is not None and extra.max_count:
+            wp.launch(
+                _extra_product_kernel,
+                dim=(self._shape[0], extra.max_count),
+                inputs=[self._active, extra.counts, extra.places, extra.values]
+                + [self._grid(x), wp.float64(alpha)],
+                outputs=[self._grid(z)],
+                device=self._device,
+            )
 
     def _precondition(
         self, x: wp.array, y: wp.array, z: wp.array, alpha: float, beta: float
@@ -187,6 +217,7 @@ class BlockJacobiCG:
     def solve(
         self,
         values: wp.array,
+        extra: ExtraBlocks,
         rhs: wp.array,
         solution: wp.array,
         active: wp.array,
@@ -194,7 +225,7 @@ class BlockJacobiCG:
         max_iterations: int,
     ) -> LinearReport:
         """See ``LinearSystem.solve``; all active environments report the common iterations."""
-        self._values, self._active = values, active
+        self._values, self._active, self._extra = values, active, extra
         wp.launch(
             _prepare_kernel,
             dim=self._shape,
@@ -217,10 +248,11 @@ class BlockJacobiCG:
                 check_every=8,
             )
             iterations[running] = int(count)
+        self._multiply(solution, solution, self._products, 1.0, 0.0)
         wp.launch(
             _residual_kernel,
             dim=self._shape,
-            inputs=[*self._full, values, active, self._b, solution],
+            inputs=[active, self._b, solution, self._products],
             outputs=[self._squares],
             device=self._device,
         )

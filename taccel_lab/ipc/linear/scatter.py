@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adding 3x3 blocks of a contact stencil to the Newton system."""
+"""Adding 3x3 blocks between nodes of any kind to the Newton system."""
 
 from __future__ import annotations
 
@@ -12,17 +12,27 @@ wp.set_module_options({"enable_backward": False})
 class NewtonSystem:
     """H p = rhs of all environments, over free nodes.
 
-    free_index: row of a node or -1 when its motion is prescribed, [node_count].
+    free_index: row of a node or -1 when it has none, [node_count].
+    parents: first control node of the affine body that a node is embedded in, or -1, [node_count].
+    weights: weights of the four control nodes of an embedded node, [node_count].
     row_starts, columns: shared block pattern of the lower triangle.
     values: blocks of the lower triangle [N/m], [env_count, block_count].
+    extra_counts, extra_places, extra_values: blocks (row > column) outside of the pattern, added up
+    as a list, [env_count], [env_count, capacity] twice; counts beyond the capacity tell the host
+    to grow the list and to assemble again.
     rhs: right-hand side [N], [env_count, free_count].
     displacements: motion of prescribed nodes over this iteration [m], [env_count, node_count].
     """
 
     free_index: wp.array(dtype=wp.int32)
+    parents: wp.array(dtype=wp.int32)
+    weights: wp.array(dtype=wp.vec4d)
     row_starts: wp.array(dtype=wp.int32)
     columns: wp.array(dtype=wp.int32)
     values: wp.array2d(dtype=wp.mat33d)
+    extra_counts: wp.array(dtype=wp.int32)
+    extra_places: wp.array2d(dtype=wp.vec2i)
+    extra_values: wp.array2d(dtype=wp.mat33d)
     rhs: wp.array2d(dtype=wp.vec3d)
     displacements: wp.array2d(dtype=wp.vec3d)
 
@@ -47,17 +57,55 @@ def find_block(
 
 
 @wp.func
+def add_entry(env: int, row: int, column: int, block: wp.mat33d, system: NewtonSystem):
+    """Add a block of the lower triangle; one of the upper triangle is left to its mirror image."""
+    if column > row:
+        return
+    index = find_block(row, column, system.row_starts, system.columns)
+    if index >= 0:
+        wp.atomic_add(system.values, env, index, block)
+        return
+    slot = wp.atomic_add(system.extra_counts, env, 1)
+    if slot < system.extra_places.shape[1]:
+        system.extra_places[env, slot] = wp.vec2i(row, column)
+        system.extra_values[env, slot] = block
+
+
+@wp.func
+def has_rows(node: int, system: NewtonSystem) -> bool:
+    """Whether a node moves with any unknown of the system."""
+    return system.free_index[node] >= 0 or system.parents[node] >= 0
+
+
+@wp.func
 def add_block(env: int, node_i: int, node_j: int, block: wp.mat33d, system: NewtonSystem):
     """Add d^2E/dx_i dx_j: to the matrix, or to the right-hand side when node j is prescribed.
 
-    Called for both orders of a pair; only the one in the lower triangle is stored.
+    A node embedded in an affine body stands for its four control nodes. Called for both orders of
+    a pair; only the one in the lower triangle is stored.
     """
     row = system.free_index[node_i]
-    if row < 0:
-        return
     column = system.free_index[node_j]
-    if column < 0:
-        wp.atomic_sub(system.rhs, env, row, block * system.displacements[env, node_j])
-    elif column <= row:
-        index = find_block(row, column, system.row_starts, system.columns)
-        wp.atomic_add(system.values, env, index, block)
+    parent_i = system.parents[node_i]
+    parent_j = system.parents[node_j]
+    if row >= 0:
+        if column >= 0:
+            add_entry(env, row, column, block, system)
+        elif parent_j >= 0:
+            for k in range(4):
+                w = system.weights[node_j][k]
+                add_entry(env, row, system.free_index[parent_j + k], w * block, system)
+        else:
+            wp.atomic_sub(system.rhs, env, row, block * system.displacements[env, node_j])
+    elif parent_i >= 0:
+        for k in range(4):
+            scaled = system.weights[node_i][k] * block
+            row_k = system.free_index[parent_i + k]
+            if column >= 0:
+                add_entry(env, row_k, column, scaled, system)
+            elif parent_j >= 0:
+                for m in range(4):
+                    w = system.weights[node_j][m]
+                    add_entry(env, row_k, system.free_index[parent_j + m], w * scaled, system)
+            else:
+                wp.atomic_sub(system.rhs, env, row_k, scaled * system.displacements[env, node_j])

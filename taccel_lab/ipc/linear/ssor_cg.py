@@ -9,7 +9,8 @@ With A = L + D + L^T (D the 3x3 diagonal blocks) and B = D / w + L the precondit
 B D^-1 B^T. CG runs on B^-1 A B^-T: as A = B + B^T - (2 / w - 1) D, its product with p is t + u,
 where B^T t = p and B u = p - (2 / w - 1) D t [Eisenstat 1981, Efficient implementation of a class
 of preconditioned conjugate gradient methods]. Two triangular sweeps over the stored lower triangle
-are both the matrix product and the preconditioner.
+are both the matrix product and the preconditioner. Extra blocks E outside of the pattern enter the
+product only: u gains B^-1 E t.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks, add_extra_product
 from taccel_lab.ipc.linear.pattern import BlockPattern
 from taccel_lab.ipc.linear.report import LinearReport
 
@@ -111,14 +113,26 @@ def _true_residual_sq(
     columns: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.mat33d),
     b: wp.array(dtype=wp.vec3d),
+    extra_count: int,
+    extra_places: wp.array(dtype=wp.vec2i),
+    extra_values: wp.array(dtype=wp.mat33d),
     x: wp.array(dtype=wp.vec3d),
+    work: wp.array(dtype=wp.vec3d),
     r: wp.array(dtype=wp.vec3d),
 ) -> wp.float64:
     """|b - A x|^2; the residual is left in r."""
     for i in range(b.shape[0]):
+        work[i] = b[i]
+    if extra_count > 0:
+        for i in range(b.shape[0]):
+            work[i] = wp.vec3d()
+        add_extra_product(extra_count, extra_places, extra_values, x, work)
+        for i in range(b.shape[0]):
+            work[i] = b[i] - work[i]
+    for i in range(b.shape[0]):
         last = row_starts[i + 1] - 1
         x_i = x[i]
-        row = b[i] - values[last] * x_i
+        row = work[i] - values[last] * x_i
         for k in range(row_starts[i], last):
             row -= values[k] * x[columns[k]]
             r[columns[k]] -= x_i * values[k]
@@ -131,6 +145,9 @@ def _solve_kernel(
     row_starts: wp.array(dtype=wp.int32),
     columns: wp.array(dtype=wp.int32),
     all_values: wp.array2d(dtype=wp.mat33d),
+    extra_counts: wp.array(dtype=wp.int32),
+    all_extra_places: wp.array2d(dtype=wp.vec2i),
+    all_extra_values: wp.array2d(dtype=wp.mat33d),
     all_rhs: wp.array2d(dtype=wp.vec3d),
     active: wp.array(dtype=wp.int32),
     tolerances: wp.array(dtype=wp.float64),
@@ -142,6 +159,7 @@ def _solve_kernel(
     all_p: wp.array2d(dtype=wp.vec3d),
     all_t: wp.array2d(dtype=wp.vec3d),
     all_u: wp.array2d(dtype=wp.vec3d),
+    all_e: wp.array2d(dtype=wp.vec3d),
     solutions: wp.array2d(dtype=wp.vec3d),
     iterations: wp.array(dtype=wp.int32),
     residuals: wp.array(dtype=wp.float64),
@@ -155,6 +173,10 @@ def _solve_kernel(
     p = all_p[env]
     t = all_t[env]
     u = all_u[env]
+    e = all_e[env]
+    extra_count = extra_counts[env]
+    extra_places = all_extra_places[env]
+    extra_values = all_extra_values[env]
     x = solutions[env]
     n = b.shape[0]
     for i in range(n):
@@ -192,9 +214,15 @@ def _solve_kernel(
         searching = int(0)
     while searching == 1 and count < max_iterations:
         _backward_sweep(row_starts, columns, values, inverses, p, t, u)
+        if extra_count > 0:
+            for i in range(n):
+                e[i] = wp.vec3d()
+            add_extra_product(extra_count, extra_places, extra_values, t, e)
         curvature = zero
         for i in range(n):
             total = keep * p[i] + turn * u[i]
+            if extra_count > 0:
+                total += e[i]
             for k in range(row_starts[i], row_starts[i + 1] - 1):
                 total -= values[k] * u[columns[k]]
             u_i = inverses[i] * total
@@ -226,7 +254,10 @@ def _solve_kernel(
                     searching = int(0)
                 ratio = r_sq / rho
     iterations[env] = count
-    residuals[env] = wp.sqrt(_true_residual_sq(row_starts, columns, values, b, x, r) / b_sq)
+    residual_sq = _true_residual_sq(
+        row_starts, columns, values, b, extra_count, extra_places, extra_values, x, e, r
+    )
+    residuals[env] = wp.sqrt(residual_sq / b_sq)
 
 
 class SsorCG:
@@ -238,7 +269,7 @@ class SsorCG:
         self._columns = wp.array(pattern.columns, dtype=wp.int32, device=device)
         shape = (env_count, pattern.free_count)
         self._inverses = wp.zeros(shape, dtype=wp.mat33d, device=device)
-        self._work = [wp.zeros(shape, dtype=wp.vec3d, device=device) for _ in range(4)]
+        self._work = [wp.zeros(shape, dtype=wp.vec3d, device=device) for _ in range(5)]
         self._iterations = wp.zeros(env_count, dtype=wp.int32, device=device)
         self._residuals = wp.zeros(env_count, dtype=wp.float64, device=device)
         self._breakdowns = wp.zeros(env_count, dtype=wp.int32, device=device)
@@ -246,6 +277,7 @@ class SsorCG:
     def solve(
         self,
         values: wp.array,
+        extra: ExtraBlocks,
         rhs: wp.array,
         solution: wp.array,
         active: wp.array,
@@ -256,7 +288,8 @@ class SsorCG:
         wp.launch(
             _solve_kernel,
             dim=len(self._iterations),
-            inputs=[self._row_starts, self._columns, values, rhs, active, tolerances]
+            inputs=[self._row_starts, self._columns, values]
+            + [extra.counts, extra.places, extra.values, rhs, active, tolerances]
             + [max_iterations, wp.float64(RELAXATION), _CHECK_EVERY],
             outputs=[self._inverses, *self._work, solution]
             + [self._iterations, self._residuals, self._breakdowns],

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Barrier potential of a collision set: energy, nodal gradient, Hessian, minimum distance.
 
-The potential of one collision is k dhat bhat(d / dhat) with k = kappa * area [N], see
-``barrier.contact_potential``; edge pairs carry the mollifier of [Li et al. 2020].
+The potential of one collision is k r g(gap / r) with k = kappa * area [N] and its range r, dhat or
+that of the guard (see ``collisions``); edge pairs carry the mollifier of [Li et al. 2020].
 """
 
 from __future__ import annotations
@@ -15,18 +15,31 @@ from taccel_lab.ipc.barrier import (
     contact_potential_d1,
     contact_potential_d2,
 )
-from taccel_lab.ipc.collisions import Collisions, closest_pair, collision_gap
+from taccel_lab.ipc.collision_lists import (
+    CollisionLists,
+    ContactGeometry,
+    closest_pair,
+    collision_gap,
+)
+from taccel_lab.ipc.collisions import Collisions
+from taccel_lab.ipc.distance.closest_pair import ClosestPair
 from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_cross_sq,
     edge_edge_mollifier,
 )
-from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
+from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block, has_rows
+from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.mollified_edge_edge import (
     mollified_gradient,
     mollified_hessian,
     mollified_hessian_block,
 )
-from taccel_lab.ipc.pair_hessian import pair_gradient, pair_hessian, pair_hessian_block
+from taccel_lab.ipc.pair_hessian import (
+    HESSIAN_GAUSS_NEWTON,
+    pair_gradient,
+    pair_hessian,
+    pair_hessian_block,
+)
 from taccel_lab.ipc.reduce import sum_lists
 from taccel_lab.model import Model
 
@@ -54,31 +67,56 @@ def stencil_size(kind: int) -> int:
     """Distinct nodes of a collision kind."""
     if kind == 1:
         return 3
-    if kind == 2:
+    if kind == 2 or kind == 4:
         return 2
     return 4
+
+
+@wp.func
+def contact_rows(
+    env: int,
+    slot: int,
+    pair: ClosestPair,
+    lists: CollisionLists,
+    geometry: ContactGeometry,
+    positions: wp.array2d(dtype=wp.vec3d),
+) -> mat43d:
+    """Gradient [N] of one collision, whose closest pair is given; row i for stencil node i."""
+    nodes = lists.stencils[env, slot]
+    k = lists.stiffnesses[env, slot]
+    d = collision_gap(pair, nodes, geometry)
+    reach = lists.ranges[env, slot]
+    rows = pair_gradient(pair, contact_potential_d1(d, reach, k))
+    if is_mollified(env, nodes, lists.thresholds[env, slot], positions):
+        rows = mollified_gradient(
+            pair,
+            positions[env, nodes[0]],
+            positions[env, nodes[1]],
+            positions[env, nodes[2]],
+            positions[env, nodes[3]],
+            lists.thresholds[env, slot],
+            contact_potential(d, reach, k),
+            contact_potential_d1(d, reach, k),
+        )
+    return rows
 
 
 @wp.kernel
 def _energy_kernel(
     active: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    kinds: wp.array2d(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    stiffnesses: wp.array2d(dtype=wp.float64),
-    thresholds: wp.array2d(dtype=wp.float64),
+    lists: CollisionLists,
+    geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
-    node_radii: wp.array(dtype=wp.float64),
-    dhat: wp.float64,
     energies: wp.array2d(dtype=wp.float64),
 ):
     env, slot = wp.tid()
-    if active[env] == 0 or slot >= counts[env]:
+    if active[env] == 0 or slot >= lists.counts[env]:
         return
-    nodes = stencils[env, slot]
-    pair = closest_pair(env, kinds[env, slot], nodes, positions)
-    energy = contact_potential(collision_gap(pair, nodes, node_radii), dhat, stiffnesses[env, slot])
-    threshold = thresholds[env, slot]
+    nodes = lists.stencils[env, slot]
+    pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
+    gap = collision_gap(pair, nodes, geometry)
+    energy = contact_potential(gap, lists.ranges[env, slot], lists.stiffnesses[env, slot])
+    threshold = lists.thresholds[env, slot]
     if is_mollified(env, nodes, threshold, positions):
         cross_sq = edge_edge_cross_sq(
             positions[env, nodes[0]],
@@ -93,38 +131,20 @@ def _energy_kernel(
 @wp.kernel
 def _gradient_kernel(
     active: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    kinds: wp.array2d(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    stiffnesses: wp.array2d(dtype=wp.float64),
-    thresholds: wp.array2d(dtype=wp.float64),
+    lists: CollisionLists,
+    geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
-    node_radii: wp.array(dtype=wp.float64),
-    dhat: wp.float64,
     gradient: wp.array2d(dtype=wp.vec3d),
     min_distance: wp.array(dtype=wp.float64),
 ):
     env, slot = wp.tid()
-    if active[env] == 0 or slot >= counts[env]:
+    if active[env] == 0 or slot >= lists.counts[env]:
         return
-    kind = kinds[env, slot]
-    nodes = stencils[env, slot]
-    k = stiffnesses[env, slot]
-    pair = closest_pair(env, kind, nodes, positions)
-    d = collision_gap(pair, nodes, node_radii)
-    wp.atomic_min(min_distance, env, d)
-    rows = pair_gradient(pair, contact_potential_d1(d, dhat, k))
-    if is_mollified(env, nodes, thresholds[env, slot], positions):
-        rows = mollified_gradient(
-            pair,
-            positions[env, nodes[0]],
-            positions[env, nodes[1]],
-            positions[env, nodes[2]],
-            positions[env, nodes[3]],
-            thresholds[env, slot],
-            contact_potential(d, dhat, k),
-            contact_potential_d1(d, dhat, k),
-        )
+    kind = lists.kinds[env, slot]
+    nodes = lists.stencils[env, slot]
+    pair = closest_pair(env, kind, nodes, positions, geometry)
+    wp.atomic_min(min_distance, env, collision_gap(pair, nodes, geometry))
+    rows = contact_rows(env, slot, pair, lists, geometry, positions)
     for i in range(stencil_size(kind)):
         wp.atomic_add(gradient, env, nodes[i], wp.vec3d(rows[i, 0], rows[i, 1], rows[i, 2]))
 
@@ -132,42 +152,45 @@ def _gradient_kernel(
 @wp.kernel
 def _hessian_kernel(
     active: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    kinds: wp.array2d(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    stiffnesses: wp.array2d(dtype=wp.float64),
-    thresholds: wp.array2d(dtype=wp.float64),
+    lists: CollisionLists,
+    geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
-    node_radii: wp.array(dtype=wp.float64),
-    dhat: wp.float64,
     mode: int,
     system: NewtonSystem,
 ):
     env, slot = wp.tid()
-    if active[env] == 0 or slot >= counts[env]:
+    if active[env] == 0 or slot >= lists.counts[env]:
         return
-    kind = kinds[env, slot]
-    nodes = stencils[env, slot]
-    k = stiffnesses[env, slot]
+    kind = lists.kinds[env, slot]
+    nodes = lists.stencils[env, slot]
+    k = lists.stiffnesses[env, slot]
     x0 = positions[env, nodes[0]]
     x1 = positions[env, nodes[1]]
     x2 = positions[env, nodes[2]]
     x3 = positions[env, nodes[3]]
-    pair = closest_pair(env, kind, nodes, positions)
-    d = collision_gap(pair, nodes, node_radii)
-    e1 = contact_potential_d1(d, dhat, k)
-    e2 = contact_potential_d2(d, dhat, k)
+    pair = closest_pair(env, kind, nodes, positions, geometry)
+    d = collision_gap(pair, nodes, geometry)
+    reach = lists.ranges[env, slot]
+    e1 = contact_potential_d1(d, reach, k)
+    e2 = contact_potential_d2(d, reach, k)
     size = stencil_size(kind)
-    if is_mollified(env, nodes, thresholds[env, slot], positions):
-        e0 = contact_potential(d, dhat, k)
-        mollified = mollified_hessian(pair, x0, x1, x2, x3, thresholds[env, slot], e0, e1, e2, mode)
+    if is_mollified(env, nodes, lists.thresholds[env, slot], positions):
+        e0 = contact_potential(d, reach, k)
+        threshold = lists.thresholds[env, slot]
+        mollified = mollified_hessian(pair, x0, x1, x2, x3, threshold, e0, e1, e2, mode)
         for i in range(size):
-            for j in range(size):
-                add_block(env, nodes[i], nodes[j], mollified_hessian_block(mollified, i, j), system)
+            if has_rows(nodes[i], system):
+                for j in range(size):
+                    block = mollified_hessian_block(mollified, i, j)
+                    add_block(env, nodes[i], nodes[j], block, system)
         return
-    h = pair_hessian(pair, x0, x1, x2, x3, e1, e2, mode)
+    curvature = mode
+    if kind == 4:
+        # The height over a plane is linear: its first term is the whole, and it is positive.
+        curvature = wp.static(int(HESSIAN_GAUSS_NEWTON))
+    h = pair_hessian(pair, x0, x1, x2, x3, e1, e2, curvature)
     for i in range(size):
-        if system.free_index[nodes[i]] >= 0:
+        if has_rows(nodes[i], system):
             for j in range(size):
                 add_block(env, nodes[i], nodes[j], pair_hessian_block(h, i, j), system)
 
@@ -182,9 +205,7 @@ class ContactPotential:
         """Energy of each collision [J], shape [env_count, capacity]; valid up to ``counts``."""
 
     def _inputs(self, active: wp.array, positions: wp.array) -> list:
-        c = self.collisions
-        lists = [c.counts, c.kinds, c.stencils, c.stiffnesses, c.thresholds]
-        return [active, *lists, positions, self.model.surface.node_radii, c.dhat]
+        return [active, self.collisions.lists, self.collisions.geometry, positions]
 
     def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
         """Barrier energy of the current collision set [J], shape [env_count]."""

@@ -12,7 +12,13 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.barrier import contact_potential_d1
-from taccel_lab.ipc.collisions import Collisions, closest_pair, collision_gap
+from taccel_lab.ipc.collision_lists import (
+    CollisionLists,
+    ContactGeometry,
+    closest_pair,
+    collision_gap,
+)
+from taccel_lab.ipc.collisions import Collisions
 from taccel_lab.ipc.distance.derivatives import pair_normal
 from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_cross_sq, edge_edge_mollifier
 from taccel_lab.ipc.friction import (
@@ -34,8 +40,9 @@ class StepMotion:
     """Where everything is and where it was at the start of the step.
 
     positions, previous: nodes [m], [env_count, node_count].
-    poses, previous_poses: world_from_body, [env_count, body_count].
-    node_radii [m], node_bodies: radius and kinematic body of a node, [node_count].
+    poses, previous_poses: world_from_body of the kinematic bodies, [env_count, kinematic_count].
+    node_radii [m], node_is_ball, node_bodies: see ``SurfaceArrays``, [node_count].
+    first_kinematic: body id of the first kinematic body.
     """
 
     positions: wp.array2d(dtype=wp.vec3d)
@@ -43,21 +50,18 @@ class StepMotion:
     poses: wp.array2d(dtype=wp.transformd)
     previous_poses: wp.array2d(dtype=wp.transformd)
     node_radii: wp.array(dtype=wp.float64)
+    node_is_ball: wp.array(dtype=wp.int32)
     node_bodies: wp.array(dtype=wp.int32)
+    first_kinematic: wp.int32
 
 
 @wp.kernel
 def _lag_kernel(
     active: wp.array(dtype=wp.int32),
-    collision_counts: wp.array(dtype=wp.int32),
-    kinds: wp.array2d(dtype=wp.int32),
-    collision_stencils: wp.array2d(dtype=wp.vec4i),
-    stiffnesses: wp.array2d(dtype=wp.float64),
-    thresholds: wp.array2d(dtype=wp.float64),
-    node_friction: wp.array(dtype=wp.float64),
-    node_radii: wp.array(dtype=wp.float64),
+    lists: CollisionLists,
+    geometry: ContactGeometry,
+    pair_friction: wp.array2d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
-    dhat: wp.float64,
     counts: wp.array(dtype=wp.int32),
     stencils: wp.array2d(dtype=wp.vec4i),
     weights: wp.array2d(dtype=wp.vec4d),
@@ -68,15 +72,14 @@ def _lag_kernel(
     if active[env] == 0:
         return
     if slot == 0:
-        counts[env] = collision_counts[env]
-    if slot >= collision_counts[env]:
+        counts[env] = lists.counts[env]
+    if slot >= lists.counts[env]:
         return
-    nodes = collision_stencils[env, slot]
-    kind = kinds[env, slot]
-    pair = closest_pair(env, kind, nodes, positions)
-    gap = collision_gap(pair, nodes, node_radii)
-    force = -contact_potential_d1(gap, dhat, stiffnesses[env, slot])
-    threshold = thresholds[env, slot]
+    nodes = lists.stencils[env, slot]
+    pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
+    gap = collision_gap(pair, nodes, geometry)
+    force = -contact_potential_d1(gap, lists.ranges[env, slot], lists.stiffnesses[env, slot])
+    threshold = lists.thresholds[env, slot]
     if threshold > wp.float64(0.0):
         cross_sq = edge_edge_cross_sq(
             positions[env, nodes[0]],
@@ -85,14 +88,13 @@ def _lag_kernel(
             positions[env, nodes[3]],
         )
         force *= edge_edge_mollifier(cross_sq, threshold)
-    mu = wp.float64(0.0)
-    for i in range(4):
-        mu = wp.max(mu, node_friction[nodes[i]])
+    mu = pair_friction[geometry.node_bodies[nodes[0]], geometry.node_bodies[nodes[3]]]
     stencils[env, slot] = nodes
     weights[env, slot] = pair.weights
     normals[env, slot] = pair_normal(pair)
-    # A subtracted duplicate (negative stiffness) must not push along the sliding direction.
-    mu_lambdas[env, slot] = mu * wp.max(force, wp.float64(0.0))
+    # Signed: a subtracted duplicate takes back what was counted twice. Left out, friction would
+    # jump where a second face begins to count, and freezing would never settle.
+    mu_lambdas[env, slot] = mu * force
 
 
 @wp.func
@@ -113,10 +115,10 @@ def sliding(
         now[env, nodes[2]] - then[env, nodes[2]],
         now[env, nodes[3]] - then[env, nodes[3]],
     )
-    radius = motion.node_radii[nodes[0]]
-    if radius > wp.float64(0.0):
+    if motion.node_is_ball[nodes[0]] != 0:
         # A ball is one node: what its surface moves by turning comes on top.
-        body = motion.node_bodies[nodes[0]]
+        radius = motion.node_radii[nodes[0]]
+        body = motion.node_bodies[nodes[0]] - motion.first_kinematic
         turn = wp.transform_get_rotation(motion.poses[env, body]) * wp.quat_inverse(
             wp.transform_get_rotation(motion.previous_poses[env, body])
         )
@@ -184,6 +186,9 @@ def _hessian_kernel(
     env, slot = wp.tid()
     if active[env] == 0 or slot >= counts[env]:
         return
+    # Without the subtracted duplicates the matrix is too large, but surely positive.
+    if mu_lambdas[env, slot] <= wp.float64(0.0):
+        return
     nodes = stencils[env, slot]
     w = weights[env, slot]
     n = normals[env, slot]
@@ -215,7 +220,7 @@ class FrictionPotential:
         self.weights = wp.zeros(shape, dtype=wp.vec4d, device=device)
         self.normals = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self.mu_lambdas = wp.zeros(shape, dtype=wp.float64, device=device)
-        """Friction coefficient times frozen normal force [N], shape [env_count, capacity]."""
+        """Friction coefficient times frozen normal force [N], signed, [env_count, capacity]."""
         self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
         """Energy of each frozen collision [J], shape [env_count, capacity]."""
         if old is not None:
@@ -233,7 +238,9 @@ class FrictionPotential:
         motion.positions, motion.previous = positions, previous
         motion.poses, motion.previous_poses = poses, previous_poses
         motion.node_radii = self.model.surface.node_radii
+        motion.node_is_ball = self.model.surface.node_is_ball
         motion.node_bodies = self.model.surface.node_bodies
+        motion.first_kinematic = len(self.model.scene.soft_bodies) + self.model.affine.count
         return motion
 
     def lag(self, active: wp.array, positions: wp.array) -> None:
@@ -244,17 +251,17 @@ class FrictionPotential:
         wp.launch(
             _lag_kernel,
             dim=(self.model.env_count, max(c.max_count, 1)),
-            inputs=[active, c.counts, c.kinds, c.stencils, c.stiffnesses, c.thresholds]
-            + [self.model.node_friction, self.model.surface.node_radii, positions, c.dhat],
+            inputs=[active, c.lists, c.geometry, self.model.pair_friction, positions],
             outputs=[self.counts, *self._lists()],
             device=self.model.device,
         )
         self.max_count = int(self.counts.numpy().max())
 
-    def clear(self) -> None:
-        """Forget all frozen collisions."""
-        self.counts.zero_()
-        self.max_count = 0
+    def clear(self, who: np.ndarray) -> None:
+        """Forget the frozen collisions of the environments ``who`` (bool, [env_count])."""
+        counts = np.where(who, 0, self.counts.numpy()).astype(np.int32)
+        self.counts.assign(counts)
+        self.max_count = int(counts.max())
 
     def _launch(self, kernel: wp.Kernel, active: wp.array, motion: StepMotion, out: Any) -> None:
         if self.max_count:
@@ -275,5 +282,5 @@ class FrictionPotential:
         self._launch(_gradient_kernel, active, motion, gradient)
 
     def add_hessian(self, active: wp.array, motion: StepMotion, system: NewtonSystem) -> None:
-        """Add the Hessian, positive semi-definite as it is, to the Newton system."""
+        """Add the positive part of the Hessian to the Newton system."""
         self._launch(_hessian_kernel, active, motion, system)

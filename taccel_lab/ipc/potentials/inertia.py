@@ -1,28 +1,117 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inertia of implicit Euler as an incremental potential: 1/(2 dt^2) |x - x_tilde|_M^2 with the
-prediction x_tilde = x + dt v + dt^2 g [Li et al. 2020, eq. 2]. Its gradient is in newtons."""
+"""Inertia as an incremental potential: |x - x_tilde|_M^2 / (2 s^2), whose gradient is in newtons.
+
+Implicit Euler: s = dt and x_tilde = x_n + s v_n + s^2 g [Li et al. 2020, eq. 2].
+
+BDF2 with steps of unequal length [Hairer, Norsett and Wanner 1993, Solving Ordinary Differential
+Equations I, sec. III.5]: r = dt / dt_previous, s = dt (1 + r) / (1 + 2 r), c = r^2 / (1 + 2 r),
+
+    x = x_n + c (x_n - x_{n-1}) + s v,    v = v_n + c (v_n - v_{n-1}) + s M^-1 f(x)
+
+so that x_tilde = X + s V + s^2 g with X and V the parts known beforehand. r = 0 is implicit Euler:
+that is how a step without a past is taken, and one more than 1 + sqrt(2) times as long as the last,
+where BDF2 is no longer zero-stable (ibid., theorem 5.5).
+"""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.reduce import sum_rows
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
+
+MAX_GROWTH = wp.constant(wp.float64(1.0 + math.sqrt(2.0)))
+"""Largest ratio of a step to the one before for which BDF2 is zero-stable."""
+
+
+@dataclass
+class StepHistory:
+    """The step before the last one; BDF2 needs it, implicit Euler does not."""
+
+    positions: wp.array
+    """Node positions one step earlier [m], vec3d, shape [env_count, node_count]."""
+    velocities: wp.array
+    """Node velocities one step earlier [m/s], vec3d, shape [env_count, node_count]."""
+    dts: wp.array
+    """Length of the last step [s], float64, shape [env_count]; 0 where there was none."""
+
+    @classmethod
+    def empty(cls, model: Model) -> StepHistory:
+        """No past in any environment."""
+        shape = (model.env_count, model.node_count)
+        return cls(
+            positions=wp.zeros(shape, dtype=wp.vec3d, device=model.device),
+            velocities=wp.zeros(shape, dtype=wp.vec3d, device=model.device),
+            dts=wp.zeros(model.env_count, dtype=wp.float64, device=model.device),
+        )
+
+
+@wp.func
+def bdf2_ratio(dt: wp.float64, previous_dt: wp.float64) -> wp.float64:
+    """dt / previous_dt, or 0 (implicit Euler) without a past and after a jump in step length."""
+    if previous_dt <= wp.float64(0.0) or dt > MAX_GROWTH * previous_dt:
+        return wp.float64(0.0)
+    return dt / previous_dt
+
+
+@wp.func
+def bdf2_carry(ratio: wp.float64) -> wp.float64:
+    """Part c of the last step's change that is carried on."""
+    return ratio * ratio / (wp.float64(1.0) + wp.float64(2.0) * ratio)
+
+
+@wp.func
+def bdf2_span(dt: wp.float64, ratio: wp.float64) -> wp.float64:
+    """s [s]: what a rate at the end of the step is multiplied by."""
+    return dt * (wp.float64(1.0) + ratio) / (wp.float64(1.0) + wp.float64(2.0) * ratio)
+
+
+@wp.kernel
+def _span_kernel(
+    dts: wp.array(dtype=wp.float64),
+    previous_dts: wp.array(dtype=wp.float64),
+    carries: wp.array(dtype=wp.float64),
+    spans: wp.array(dtype=wp.float64),
+):
+    env = wp.tid()
+    ratio = wp.float64(0.0)
+    if previous_dts:
+        ratio = bdf2_ratio(dts[env], previous_dts[env])
+    carries[env] = bdf2_carry(ratio)
+    spans[env] = bdf2_span(dts[env], ratio)
 
 
 @wp.kernel
 def _predict_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     velocities: wp.array2d(dtype=wp.vec3d),
+    previous_positions: wp.array2d(dtype=wp.vec3d),
+    previous_velocities: wp.array2d(dtype=wp.vec3d),
+    carries: wp.array(dtype=wp.float64),
+    spans: wp.array(dtype=wp.float64),
     gravity: wp.vec3d,
-    dt: wp.float64,
+    gravity_scale: wp.array(dtype=wp.float64),
+    anchors: wp.array2d(dtype=wp.vec3d),
     predictions: wp.array2d(dtype=wp.vec3d),
 ):
     env, node = wp.tid()
-    predictions[env, node] = positions[env, node] + dt * (velocities[env, node] + dt * gravity)
+    x = positions[env, node]
+    v = velocities[env, node]
+    anchor = x
+    carried = v
+    if carries[env] > wp.float64(0.0):
+        anchor = x + carries[env] * (x - previous_positions[env, node])
+        carried = v + carries[env] * (v - previous_velocities[env, node])
+    s = spans[env]
+    anchors[env, node] = anchor
+    predictions[env, node] = anchor + s * (carried + s * gravity_scale[node] * gravity)
 
 
 @wp.kernel
@@ -32,7 +121,7 @@ def _energy_kernel(
     predictions: wp.array2d(dtype=wp.vec3d),
     masses: wp.array2d(dtype=wp.float64),
     free_nodes: wp.array(dtype=wp.int32),
-    inv_dt_sq: wp.float64,
+    spans: wp.array(dtype=wp.float64),
     energies: wp.array2d(dtype=wp.float64),
 ):
     env, row = wp.tid()
@@ -40,8 +129,8 @@ def _energy_kernel(
         return
     node = free_nodes[row]
     r = positions[env, node] - predictions[env, node]
-    mass = masses[env % masses.shape[0], node]
-    energies[env, row] = wp.float64(0.5) * mass * inv_dt_sq * wp.dot(r, r)
+    weight = masses[env % masses.shape[0], node] / (spans[env] * spans[env])
+    energies[env, row] = wp.float64(0.5) * weight * wp.dot(r, r)
 
 
 @wp.kernel
@@ -51,14 +140,14 @@ def _derivative_kernel(
     predictions: wp.array2d(dtype=wp.vec3d),
     masses: wp.array2d(dtype=wp.float64),
     free_nodes: wp.array(dtype=wp.int32),
-    inv_dt_sq: wp.float64,
+    spans: wp.array(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
     env, row = wp.tid()
     if active[env] == 0:
         return
     node = free_nodes[row]
-    weight = masses[env % masses.shape[0], node] * inv_dt_sq
+    weight = masses[env % masses.shape[0], node] / (spans[env] * spans[env])
     gradient[env, node] += weight * (positions[env, node] - predictions[env, node])
 
 
@@ -68,38 +157,123 @@ def _hessian_kernel(
     masses: wp.array2d(dtype=wp.float64),
     free_nodes: wp.array(dtype=wp.int32),
     diagonal: wp.array(dtype=wp.int32),
-    inv_dt_sq: wp.float64,
+    spans: wp.array(dtype=wp.float64),
     values: wp.array2d(dtype=wp.mat33d),
 ):
     env, row = wp.tid()
     if active[env] == 0:
         return
-    weight = masses[env % masses.shape[0], free_nodes[row]] * inv_dt_sq
+    weight = masses[env % masses.shape[0], free_nodes[row]] / (spans[env] * spans[env])
     values[env, diagonal[row]] += weight * wp.identity(n=3, dtype=wp.float64)
 
 
+@wp.kernel
+def _finish_kernel(
+    done: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    anchors: wp.array2d(dtype=wp.vec3d),
+    spans: wp.array(dtype=wp.float64),
+    velocities: wp.array2d(dtype=wp.vec3d),
+):
+    env, node = wp.tid()
+    if done[env] != 0:
+        velocities[env, node] = (positions[env, node] - anchors[env, node]) / spans[env]
+
+
+@wp.kernel
+def _remember_kernel(
+    done: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    velocities: wp.array2d(dtype=wp.vec3d),
+    dts: wp.array(dtype=wp.float64),
+    previous_positions: wp.array2d(dtype=wp.vec3d),
+    previous_velocities: wp.array2d(dtype=wp.vec3d),
+    previous_dts: wp.array(dtype=wp.float64),
+):
+    env, node = wp.tid()
+    if done[env] == 0:
+        return
+    previous_positions[env, node] = positions[env, node]
+    previous_velocities[env, node] = velocities[env, node]
+    if node == 0:
+        previous_dts[env] = dts[env]
+
+
 class InertiaPotential:
-    """Inertia of the free nodes; not built for a quasi-static scene."""
+    """Inertia and weight of the free nodes; not built for a quasi-static scene."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
+        device = model.device
         shape = (model.env_count, model.free_count)
-        self.energies = wp.zeros(shape, dtype=wp.float64, device=model.device)
+        self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
         """Energy of each free node [J], shape [env_count, free_count]."""
-        self._predictions = wp.zeros(
-            (model.env_count, model.node_count), dtype=wp.vec3d, device=model.device
-        )
-        self._inv_dt_sq = 1.0 / model.scene.time.dt_s**2
+        nodal = (model.env_count, model.node_count)
+        self._anchors = wp.zeros(nodal, dtype=wp.vec3d, device=device)
+        self.predictions = wp.zeros(nodal, dtype=wp.vec3d, device=device)
+        """x_tilde of the step that was begun [m], vec3d, shape [env_count, node_count]."""
+        self._carries = wp.zeros(model.env_count, dtype=wp.float64, device=device)
+        self.spans = wp.zeros(model.env_count, dtype=wp.float64, device=device)
+        """s of the step that was begun [s], float64, shape [env_count]."""
+        self._dts = wp.full(model.env_count, model.scene.time.dt_s, dtype=wp.float64, device=device)
 
-    def begin_step(self, positions: wp.array, velocities: wp.array) -> None:
-        """Predict where the nodes would go without forces other than gravity."""
-        time = self.model.scene.time
+    def begin_step(
+        self,
+        positions: wp.array,
+        velocities: wp.array,
+        dts: wp.array | None = None,
+        history: StepHistory | None = None,
+    ) -> None:
+        """Predict where the nodes would go without forces other than gravity.
+
+        ``dts``: length of the step [s], float64, shape [env_count]; the scene's when None.
+        ``history``: the step before, for BDF2; implicit Euler without it.
+        """
+        m = self.model
+        wp.copy(self._dts, dts) if dts is not None else self._dts.fill_(m.scene.time.dt_s)
+        wp.launch(
+            _span_kernel,
+            dim=m.env_count,
+            inputs=[self._dts, history.dts if history else None],
+            outputs=[self._carries, self.spans],
+            device=m.device,
+        )
         wp.launch(
             _predict_kernel,
             dim=positions.shape,
-            inputs=[positions, velocities, wp.vec3d(*time.gravity_m_s2), time.dt_s],
-            outputs=[self._predictions],
-            device=self.model.device,
+            inputs=[positions, velocities]
+            + [history.positions if history else positions]
+            + [history.velocities if history else velocities]
+            + [self._carries, self.spans, wp.vec3d(*m.scene.time.gravity_m_s2), m.gravity_scale],
+            outputs=[self._anchors, self.predictions],
+            device=m.device,
+        )
+
+    def end_step(
+        self,
+        done: wp.array,
+        start_positions: wp.array,
+        positions: wp.array,
+        velocities: wp.array,
+        history: StepHistory | None = None,
+    ) -> None:
+        """Replace the velocities [m/s] by those at the end of the step that was begun, where
+        ``done`` (int32, [env_count]) is set; the start of the step becomes the history."""
+        m = self.model
+        if history is not None:
+            wp.launch(
+                _remember_kernel,
+                dim=positions.shape,
+                inputs=[done, start_positions, velocities, self._dts],
+                outputs=[history.positions, history.velocities, history.dts],
+                device=m.device,
+            )
+        wp.launch(
+            _finish_kernel,
+            dim=positions.shape,
+            inputs=[done, positions, self._anchors, self.spans],
+            outputs=[velocities],
+            device=m.device,
         )
 
     def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, out) -> None:
@@ -107,7 +281,7 @@ class InertiaPotential:
         wp.launch(
             kernel,
             dim=self.energies.shape,
-            inputs=[active, positions, self._predictions, m.masses, m.free_nodes, self._inv_dt_sq],
+            inputs=[active, positions, self.predictions, m.masses, m.free_nodes, self.spans],
             outputs=[out],
             device=m.device,
         )
@@ -118,16 +292,18 @@ class InertiaPotential:
         return sum_rows(self.energies)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
-        """Add d energy / dx [N]."""
+        """Add d energy / dx [N]: mass times acceleration, less the weight."""
         self._launch(_derivative_kernel, active, positions, gradient)
 
-    def add_hessian(self, active: wp.array, values: wp.array) -> None:
-        """Add M / dt^2 [N/m] to the diagonal blocks."""
+    def add_hessian(
+        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int = 0
+    ) -> None:
+        """Add M / s^2 [N/m] to the diagonal blocks; the same at all positions and definite."""
         m = self.model
         wp.launch(
             _hessian_kernel,
             dim=self.energies.shape,
-            inputs=[active, m.masses, m.free_nodes, m.diagonal, self._inv_dt_sq],
-            outputs=[values],
+            inputs=[active, m.masses, m.free_nodes, m.diagonal, self.spans],
+            outputs=[system.values],
             device=m.device,
         )

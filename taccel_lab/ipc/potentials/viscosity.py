@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Viscous damping of a soft body as an incremental potential of the strain rate (Kelvin-Voigt).
+"""Viscous damping of soft bodies as an incremental potential of the strain rate (Kelvin-Voigt).
 
 dt psi_v((E - E_n) / dt),  psi_v(R) = tau (mu R : R + lambda/2 (tr R)^2),  E = (F^T F - I) / 2
 
@@ -8,98 +8,97 @@ Inelasticity, chapter 10; as a dissipation potential in Brown et al. 2018, Accur
 Forces in Optimization Integrators]. It resists the rate of strain only: rigid motion is free, and
 momentum and angular momentum are kept. For small strains it is Rayleigh damping tau K. Its Hessian
 is made definite by lifting the viscous stress: an upper bound, exact where that stress is tension.
+Quadratic elements take tr R of its mean, as their elastic energy does, and so damp without locking.
 """
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.elasticity.dilatation import half_square, strain_trace_slope
 from taccel_lab.ipc.elasticity.principal import lifted_matrix
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
-from taccel_lab.ipc.potentials.elastic_kernels import (
-    create_elastic_kernels,
-    deformation_gradient,
-    gathered_block,
+from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, ElementSum
+from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
+from taccel_lab.ipc.potentials.quadratic_kernels import (
+    POINT_COUNT,
+    PointHessian,
+    PointLaw,
+    create_quadratic_kernels,
+    quadratic_deformation,
 )
-from taccel_lab.ipc.reduce import sum_rows
+from taccel_lab.ipc.svd import matrix_column
 from taccel_lab.model import Model
+from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.scene.element import Element
 
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.struct
-class Damper:
-    """What all kernels read."""
-
-    tets: wp.array(dtype=wp.vec4i)
-    shape_gradients: wp.array3d(dtype=wp.vec3d)
-    volumes: wp.array2d(dtype=wp.float64)
-    mu: wp.array(dtype=wp.float64)
-    lam: wp.array(dtype=wp.float64)
-    start_strains: wp.array2d(dtype=wp.mat33d)
-    """Green strain at the start of the step, shape [env_count, tet_count]."""
-    rate: wp.float64
-    """tau / dt: viscous over elastic stress for the same strain."""
+@wp.func
+def viscous_stress(gained: wp.mat33d, d: ElementData, i: int) -> wp.mat33d:
+    """Second Piola-Kirchhoff stress times dt [Pa s] of a strain gained in this step, less its
+    volumetric part."""
+    return wp.float64(2.0) * d.moduli.mu[i] * gained
 
 
 @wp.func
-def viscous_stress(strain: wp.mat33d, d: Damper, tet: int) -> wp.mat33d:
-    """Second Piola-Kirchhoff stress [Pa] of a strain gained in this step."""
-    volumetric = d.rate * d.lam[tet] * wp.trace(strain)
-    return wp.float64(2.0) * d.rate * d.mu[tet] * strain + volumetric * wp.identity(
-        n=3, dtype=wp.float64
-    )
+def _linear_stress(gained: wp.mat33d, d: ElementData, env: int, tet: int) -> wp.mat33d:
+    """Second Piola-Kirchhoff stress [Pa]."""
+    volumetric = d.moduli.lam[tet] * wp.trace(gained)
+    eye = wp.identity(n=3, dtype=wp.float64)
+    return d.rates[env] * (viscous_stress(gained, d, tet) + volumetric * eye)
 
 
 @wp.kernel
-def _start_strain_kernel(positions: wp.array2d(dtype=wp.vec3d), d: Damper):
-    env, tet = wp.tid()
-    rest = env % d.volumes.shape[0]
-    f = deformation_gradient(env, rest, tet, d.tets[tet], positions, d.shape_gradients)
-    d.start_strains[env, tet] = green_strain(f)
+def _linear_start_kernel(positions: wp.array2d(dtype=wp.vec3d), d: ElementData):
+    env, tet, q = wp.tid()
+    d.start_strains[env, tet, q] = green_strain(linear_deformation(env, tet, positions, d))
 
 
 @wp.kernel
-def _tet_energy_kernel(
+def _linear_energy_kernel(
     active: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
-    d: Damper,
+    d: ElementData,
     energies: wp.array2d(dtype=wp.float64),
 ):
     env, tet = wp.tid()
     if active[env] == 0:
         return
-    rest = env % d.volumes.shape[0]
-    f = deformation_gradient(env, rest, tet, d.tets[tet], positions, d.shape_gradients)
-    gained = green_strain(f) - d.start_strains[env, tet]
-    stress = viscous_stress(gained, d, tet)
-    energies[env, tet] = wp.float64(0.5) * d.volumes[rest, tet] * wp.ddot(stress, gained)
+    f = linear_deformation(env, tet, positions, d)
+    gained = green_strain(f) - d.start_strains[env, tet, 0]
+    volume = d.volumes[env % d.volumes.shape[0], tet]
+    stress = _linear_stress(gained, d, env, tet)
+    energies[env, tet] = wp.float64(0.5) * volume * wp.ddot(stress, gained)
 
 
 @wp.kernel
-def _tet_gradient_kernel(
+def _linear_gradient_kernel(
     active: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
-    d: Damper,
-    corner_gradients: wp.array3d(dtype=wp.vec3d),
+    d: ElementData,
+    local_gradients: wp.array3d(dtype=wp.vec3d),
 ):
     env, tet = wp.tid()
     if active[env] == 0:
         return
     rest = env % d.volumes.shape[0]
-    f = deformation_gradient(env, rest, tet, d.tets[tet], positions, d.shape_gradients)
-    gained = green_strain(f) - d.start_strains[env, tet]
-    p = d.volumes[rest, tet] * (f * viscous_stress(gained, d, tet))
+    f = linear_deformation(env, tet, positions, d)
+    gained = green_strain(f) - d.start_strains[env, tet, 0]
+    p = d.volumes[rest, tet] * (f * _linear_stress(gained, d, env, tet))
     for i in range(4):
-        corner_gradients[env, tet, i] = p * d.shape_gradients[rest, tet, i]
+        local_gradients[env, tet, i] = p * d.gradients[rest, tet, i]
 
 
 @wp.kernel
-def _tet_hessian_kernel(
+def _linear_hessian_kernel(
     active: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
-    d: Damper,
+    d: ElementData,
     psd_mode: int,
     blocks: wp.array3d(dtype=wp.mat33d),
 ):
@@ -107,19 +106,19 @@ def _tet_hessian_kernel(
     if active[env] == 0:
         return
     rest = env % d.volumes.shape[0]
-    f = deformation_gradient(env, rest, tet, d.tets[tet], positions, d.shape_gradients)
-    gained = green_strain(f) - d.start_strains[env, tet]
-    stress = lifted_matrix(viscous_stress(gained, d, tet), psd_mode)
-    mu = d.rate * d.mu[tet]
-    lam = d.rate * d.lam[tet]
+    f = linear_deformation(env, tet, positions, d)
+    gained = green_strain(f) - d.start_strains[env, tet, 0]
+    stress = lifted_matrix(_linear_stress(gained, d, env, tet), psd_mode)
+    mu = d.rates[env] * d.moduli.mu[tet]
+    lam = d.rates[env] * d.moduli.lam[tet]
     left = f * wp.transpose(f)
     eye = wp.identity(n=3, dtype=wp.float64)
     k = int(0)
     for i in range(4):
-        b_i = d.shape_gradients[rest, tet, i]
+        b_i = d.gradients[rest, tet, i]
         a_i = f * b_i
         for j in range(i, 4):
-            b_j = d.shape_gradients[rest, tet, j]
+            b_j = d.gradients[rest, tet, j]
             a_j = f * b_j
             block = (
                 wp.dot(b_i, stress * b_j) * eye
@@ -131,86 +130,110 @@ def _tet_hessian_kernel(
 
 
 @wp.kernel
-def _add_blocks_kernel(
-    active: wp.array(dtype=wp.int32),
-    source_starts: wp.array(dtype=wp.int32),
-    sources: wp.array(dtype=wp.int32),
-    element_blocks: wp.array3d(dtype=wp.mat33d),
-    values: wp.array2d(dtype=wp.mat33d),
-):
-    env, block = wp.tid()
-    if active[env] == 0:
-        return
-    values[env, block] = gathered_block(
-        env, block, source_starts, sources, element_blocks, values[env, block]
+def _quadratic_start_kernel(positions: wp.array2d(dtype=wp.vec3d), d: ElementData):
+    env, tet, q = wp.tid()
+    d.start_strains[env, tet, q] = green_strain(quadratic_deformation(env, tet, q, positions, d))
+
+
+@wp.func
+def _point_start(env: int, i: int, q: int, d: ElementData) -> wp.mat33d:
+    return d.start_strains[env, i, q]
+
+
+@wp.func
+def _point_rate(env: int, i: int, d: ElementData) -> wp.float64:
+    return d.rates[env]
+
+
+@wp.func
+def _point_energy(f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int) -> wp.float64:
+    gained = green_strain(f) - start
+    return d.moduli.mu[i] * wp.ddot(gained, gained)
+
+
+@wp.func
+def _point_piola(f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int) -> wp.mat33d:
+    return f * viscous_stress(green_strain(f) - start, d, i)
+
+
+@wp.func
+def _point_dilatation(f: wp.mat33d, start: wp.mat33d) -> wp.float64:
+    return wp.trace(green_strain(f) - start)
+
+
+@wp.func
+def _point_hessian(
+    f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int, pressure: wp.float64, mode: int
+) -> PointHessian:
+    eye = wp.identity(n=3, dtype=wp.float64)
+    stress = lifted_matrix(viscous_stress(green_strain(f) - start, d, i) + pressure * eye, mode)
+    mu = d.moduli.mu[i]
+    left = mu * (f * wp.transpose(f))
+    f_0 = matrix_column(f, 0)
+    f_1 = matrix_column(f, 1)
+    f_2 = matrix_column(f, 2)
+    h = PointHessian()
+    h.frame = eye
+    h.k_00 = stress[0, 0] * eye + left + mu * wp.outer(f_0, f_0)
+    h.k_11 = stress[1, 1] * eye + left + mu * wp.outer(f_1, f_1)
+    h.k_22 = stress[2, 2] * eye + left + mu * wp.outer(f_2, f_2)
+    h.k_01 = stress[0, 1] * eye + mu * wp.outer(f_1, f_0)
+    h.k_02 = stress[0, 2] * eye + mu * wp.outer(f_2, f_0)
+    h.k_12 = stress[1, 2] * eye + mu * wp.outer(f_2, f_1)
+    return h
+
+
+@cache
+def _quadratic_kernels() -> ElementKernels:
+    return create_quadratic_kernels(
+        PointLaw(
+            name="viscous",
+            start=_point_start,
+            energy=_point_energy,
+            piola=_point_piola,
+            dilatation=_point_dilatation,
+            dilatation_slope=strain_trace_slope,
+            volumetric=half_square,
+            scale=_point_rate,
+            hessian=_point_hessian,
+        )
     )
 
 
-class ViscousPotential:
-    """Damping of the soft body; not built unless its material has a damping time."""
+_LINEAR = ElementKernels(_linear_energy_kernel, _linear_gradient_kernel, _linear_hessian_kernel)
 
-    def __init__(self, model: Model) -> None:
-        self.model = model
-        e, device = model.elastic, model.device
-        material = model.scene.soft_body.material
-        self._gather_gradient = create_elastic_kernels(material.model).gather_gradient
-        shape = (model.env_count, e.tets.shape[0])
-        d = Damper()
-        d.tets, d.shape_gradients, d.volumes = e.tets, e.shape_gradients, e.volumes
-        d.mu, d.lam = e.mu, e.lam
-        d.start_strains = wp.zeros(shape, dtype=wp.mat33d, device=device)
-        d.rate = material.damping_time_s / model.scene.time.dt_s
-        self._damper = d
-        self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
-        """Potential of each tet [J], half of what it dissipates in the step,
-        shape [env_count, tet_count]."""
-        self._corner_gradients = wp.zeros((*shape, 4), dtype=wp.vec3d, device=device)
-        self._blocks = wp.zeros((*shape, 10), dtype=wp.mat33d, device=device)
 
-    def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        wp.launch(
-            kernel,
-            dim=self.energies.shape,
-            inputs=inputs,
-            outputs=outputs,
-            device=self.model.device,
+class ViscousPotential(ElementSum):
+    """Damping of one group of elements; not built unless its material has a damping time.
+
+    ``energies`` is half of what each element dissipates in the step [J].
+    """
+
+    def __init__(self, model: Model, group: ElementArrays) -> None:
+        quadratic = group.element is Element.QUADRATIC
+        super().__init__(model, group, _quadratic_kernels() if quadratic else _LINEAR)
+        self._start = _quadratic_start_kernel if quadratic else _linear_start_kernel
+        device, point_count = model.device, POINT_COUNT if quadratic else 1
+        times = group.damping_times.numpy()
+        moduli = self.data.moduli
+        moduli.mu = wp.array(times * group.mu.numpy(), dtype=wp.float64, device=device)
+        moduli.lam = wp.array(times * group.lam.numpy(), dtype=wp.float64, device=device)
+        self.data.start_strains = wp.zeros(
+            (*self.energies.shape, point_count), dtype=wp.mat33d, device=device
         )
+        self.data.rates = wp.zeros(model.env_count, dtype=wp.float64, device=device)
 
-    def begin_step(self, positions: wp.array) -> None:
-        """Strains gained from here on are resisted."""
-        self._launch(_start_strain_kernel, [positions, self._damper], [])
+    def begin_step(self, positions: wp.array, dts: wp.array | None = None) -> None:
+        """Strains gained from here on are resisted.
 
-    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
-        """Potential [J], shape [env_count]; stale where not active."""
-        self._launch(_tet_energy_kernel, [active, positions, self._damper], [self.energies])
-        return sum_rows(self.energies)
-
-    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
-        """Add the negative viscous force [N] to ``gradient``, shape [env_count, node_count]."""
-        e, m = self.model.elastic, self.model
-        self._launch(
-            _tet_gradient_kernel, [active, positions, self._damper], [self._corner_gradients]
-        )
-        wp.launch(
-            self._gather_gradient,
-            dim=(m.env_count, m.soft_count),
-            inputs=[active, e.node_tet_starts, e.node_tets, self._corner_gradients],
-            outputs=[gradient],
-            device=m.device,
-        )
-
-    def add_hessian(
-        self, active: wp.array, positions: wp.array, values: wp.array, psd_mode: int
-    ) -> None:
-        """Add to the matrix blocks ``values`` [N/m], shape [env_count, block_count]."""
+        ``dts``: length of the step [s], float64, shape [env_count]; the scene's when None.
+        """
         m = self.model
-        self._launch(
-            _tet_hessian_kernel, [active, positions, self._damper, psd_mode], [self._blocks]
-        )
+        lengths = np.full(m.env_count, m.scene.time.dt_s) if dts is None else dts.numpy()
+        self.data.rates.assign(1.0 / lengths)
         wp.launch(
-            _add_blocks_kernel,
-            dim=values.shape,
-            inputs=[active, m.source_starts, m.sources, self._blocks],
-            outputs=[values],
+            self._start,
+            dim=self.data.start_strains.shape,
+            inputs=[positions, self.data],
             device=m.device,
         )

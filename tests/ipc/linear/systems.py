@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.pattern import BlockPattern, tet_block_pattern
+from taccel_lab.ipc.linear.pattern import BlockPattern, block_pattern
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.system import LinearSystem
 
@@ -19,7 +19,7 @@ def delaunay_pattern(rng: np.random.Generator, node_count: int, bonded: int) -> 
 
     tets = Delaunay(rng.random((node_count, 3))).simplices
     free_index = np.arange(node_count, dtype=np.int32) - bonded
-    return tet_block_pattern(tets, np.maximum(free_index, -1))
+    return block_pattern([tets], np.maximum(free_index, -1))[0]
 
 
 def random_spd(rng: np.random.Generator, pattern: BlockPattern, stiffness: float) -> np.ndarray:

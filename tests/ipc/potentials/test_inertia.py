@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inertia of an implicit Euler step: value, derivatives and mass."""
+"""Inertia of implicit Euler and BDF2 steps: value, derivatives, mass, velocities, order."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+import warp as wp
 
+from taccel_lab.ipc.potentials.inertia import InertiaPotential, StepHistory
+from taccel_lab.model import Model
 from taccel_lab.scene import TimeStepping
 from taccel_lab.solvers.config import SolverConfig
 from tests.verification.assembly import Assembly, central_difference, coordinate_probe
@@ -13,30 +18,69 @@ from tests.verification.blocks import block_mesh, scene
 
 DT, GRAVITY = 0.01, (0.0, 1.0, -9.81)
 SIZE = (2e-3, 3e-3, 1e-3)
+MESH = block_mesh((2, 1, 1), SIZE, jitter=0.2)
 
 
-def test_inertia_matches_its_formula_and_differences() -> None:
-    mesh = block_mesh((2, 1, 1), SIZE, jitter=0.2)
-    n = mesh.node_count
+def dynamic_model(env_count: int, density: float = 1200) -> Model:
     stepping = TimeStepping(quasi_static=False, dt_s=DT, gravity_m_s2=GRAVITY)
-    model = scene(mesh, env_count=6 * n, density=1200, time=stepping).finalize()
+    return scene(MESH, env_count=env_count, density=density, time=stepping).finalize()
+
+
+def nodal(value: np.ndarray) -> wp.array:
+    return wp.array(np.ascontiguousarray(value), dtype=wp.vec3d)
+
+
+def per_env(value: np.ndarray, dtype: type = wp.float64) -> wp.array:
+    return wp.array(np.asarray(value), dtype=dtype)
+
+
+class Past:
+    """Random states now and one step ago, the same in all environments."""
+
+    def __init__(self, env_count: int, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        shape = (MESH.node_count, 3)
+        self.x, self.v = MESH.nodes_m, rng.normal(size=shape)
+        self.x_old, self.v_old = self.x - DT * rng.normal(size=shape), rng.normal(size=shape)
+        self.many = (env_count, 1, 1)
+
+    def arrays(self) -> tuple[wp.array, wp.array]:
+        return nodal(np.tile(self.x, self.many)), nodal(np.tile(self.v, self.many))
+
+    def history(self, model: Model, dts: np.ndarray) -> StepHistory:
+        history = StepHistory.empty(model)
+        history.positions.assign(np.tile(self.x_old, self.many))
+        history.velocities.assign(np.tile(self.v_old, self.many))
+        history.dts.assign(dts)
+        return history
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_inertia_matches_its_formula_and_differences(order: int) -> None:
+    n = MESH.node_count
+    model = dynamic_model(6 * n)
     assembly = Assembly(model, SolverConfig(), np.zeros((6 * n, 0, 7)))
-    inertia = assembly.solver.inertia
-    assert inertia is not None
-    rng = np.random.default_rng(0)
-    start, velocity = mesh.nodes_m, rng.normal(size=(n, 3))
-    many = (6 * n, 1, 1)
-    inertia.begin_step(
-        assembly.nodal(np.tile(start, many)), assembly.nodal(np.tile(velocity, many))
-    )
-    x = start + rng.normal(size=(n, 3)) * 1e-3
+    inertia = InertiaPotential(model)
+    past = Past(6 * n)
+    g = np.array(GRAVITY)
+    if order == 1:
+        inertia.begin_step(*past.arrays())
+        span, expected_at = DT, past.x + DT * past.v + DT**2 * g
+    else:
+        history = past.history(model, np.full(6 * n, DT))
+        inertia.begin_step(*past.arrays(), history=history)
+        # The textbook coefficients of constant steps: 4/3, -1/3, 2/3.
+        span = 2 / 3 * DT
+        speed = (4 * past.v - past.v_old) / 3
+        expected_at = (4 * past.x - past.x_old) / 3 + span * speed + span**2 * g
+    x = past.x + np.random.default_rng(1).normal(size=(n, 3)) * 1e-3
 
     free = assembly.free
     masses = model.masses.numpy()[0]
     assert masses.sum() == pytest.approx(1200 * np.prod(SIZE), rel=1e-12)
-    offset = (x - (start + DT * velocity + DT**2 * np.array(GRAVITY)))[free]
-    expected = 0.5 * (masses[free] * (offset**2).sum(axis=1)).sum() / DT**2
-    at_x = assembly.nodal(np.tile(x, many))
+    offset = (x - expected_at)[free]
+    expected = 0.5 * (masses[free] * (offset**2).sum(axis=1)).sum() / span**2
+    at_x = assembly.nodal(np.tile(x, past.many))
     assert inertia.energy(assembly.active, at_x)[0] == pytest.approx(expected, rel=1e-12)
 
     step = 1e-7
@@ -49,9 +93,81 @@ def test_inertia_matches_its_formula_and_differences() -> None:
     np.testing.assert_allclose(gradient, slope.reshape(-1, 3), atol=1e-7 * np.abs(gradient).max())
 
     system = assembly.system()
-    inertia.add_hessian(assembly.active, system.values)
+    inertia.add_hessian(assembly.active, at_x, system, 1)
     matrix = assembly.dense(system.values)[0]
-    np.testing.assert_allclose(matrix, np.diag(np.repeat(masses[free] / DT**2, 3)), rtol=1e-14)
+    np.testing.assert_allclose(matrix, np.diag(np.repeat(masses[free] / span**2, 3)), rtol=1e-13)
+
+
+def test_steps_differ_by_environment() -> None:
+    """Environments: no past, a halved, an equal, a doubled step, and one that grew too much."""
+    previous = np.array([0.0, 2 * DT, DT, DT / 2, DT / 2.5])
+    ratio = np.array([0.0, 0.5, 1.0, 2.0, 0.0])
+    model = dynamic_model(5)
+    inertia = InertiaPotential(model)
+    past = Past(5)
+    history = past.history(model, previous)
+    dts = per_env(np.full(5, DT))
+    x, v = past.arrays()
+    inertia.begin_step(x, v, dts, history)
+    span = DT * (1 + ratio) / (1 + 2 * ratio)
+    np.testing.assert_allclose(inertia.spans.numpy(), span, rtol=1e-14)
+
+    moved = np.random.default_rng(2).normal(size=(5, MESH.node_count, 3))
+    done = np.array([1, 1, 1, 1, 0], dtype=np.int32)
+    inertia.end_step(per_env(done, wp.int32), x, nodal(moved), v, history)
+    carry = ratio**2 / (1 + 2 * ratio)
+    for env in range(4):
+        anchor = past.x + carry[env] * (past.x - past.x_old)
+        expected = (moved[env] - anchor) / span[env]
+        np.testing.assert_allclose(v.numpy()[env], expected, rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(history.positions.numpy()[env], past.x)
+        np.testing.assert_array_equal(history.velocities.numpy()[env], past.v)
+    assert history.dts.numpy().tolist() == [DT] * 4 + [DT / 2.5]
+    np.testing.assert_array_equal(v.numpy()[4], past.v)
+    np.testing.assert_array_equal(history.positions.numpy()[4], past.x_old)
+
+
+def falling(steps: np.ndarray, bdf2: bool) -> float:
+    """Final height error of a unit mass on a unit spring after the given steps, from (1, 0)."""
+    model = dynamic_model(1)
+    inertia = InertiaPotential(model)
+    history = StepHistory.empty(model) if bdf2 else None
+    node = int(model.free_nodes.numpy()[0])
+    gravity = np.array(GRAVITY)
+    x = np.zeros((1, MESH.node_count, 3))
+    x[0, node] = 1.0
+    position, velocity = nodal(x), nodal(np.zeros_like(x))
+    done = per_env(np.array([1]), wp.int32)
+    mass = model.masses.numpy()[0, node]
+    for dt in steps:
+        start = wp.clone(position)
+        inertia.begin_step(position, velocity, per_env(np.array([dt])), history)
+        zero = nodal(np.zeros_like(x))
+        inertia.add_gradient(done, zero, out := nodal(np.zeros_like(x)))
+        span = inertia.spans.numpy()[0]
+        # m (x - x_tilde) / s^2 + m (x + g) = 0: the spring pulls to -g, where weight is in balance.
+        prediction = -out.numpy()[0, node] * span**2 / mass
+        moved = start.numpy().copy()
+        moved[0, node] = (prediction - span**2 * gravity) / (1 + span**2)
+        position.assign(moved)
+        inertia.end_step(done, start, position, velocity, history)
+    time = steps.sum()
+    return float(np.abs(position.numpy()[0, node] - math.cos(time)).max())
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize(("bdf2", "order"), [(False, 1), (True, 2)])
+def test_measured_order_on_a_spring(bdf2: bool, order: int, uneven: bool) -> None:
+    """Halving all steps divides the error by 2^order, also where steps vary in length."""
+    errors = []
+    for count in (64, 128, 256):
+        steps = np.ones(count)
+        if uneven:
+            steps[1::2] = 0.5
+            steps[:2] = 1.0
+        errors.append(falling(2.0 * steps / steps.sum(), bdf2))
+    slopes = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    np.testing.assert_allclose(slopes, order, atol=0.1)
 
 
 def test_mass_follows_the_rest_shape_of_each_environment() -> None:

@@ -8,10 +8,13 @@ import pytest
 import warp as wp
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
 from taccel_lab.ipc.elasticity.principal import PSD_ABS, PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.potentials.viscosity import ViscousPotential
+from taccel_lab.model import Model
 from taccel_lab.scene import (
     Ball,
+    Element,
     KinematicBody,
     Material,
     MaterialField,
@@ -22,123 +25,146 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.assembly import Assembly, central_difference, coordinate_probe
+from tests.verification.assembly import central_difference, coordinate_probe
 from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.verification.elements import ElementForces
 
 SIZE = (2e-3, 2e-3, 1e-3)
 YOUNG, NU, TAU, DT = 1e5, 0.4, 0.03, 0.01
-MESH = block_mesh((2, 2, 1), SIZE, jitter=0.2)
+MESH = block_mesh((1, 1, 1), SIZE, jitter=0.2)
+FINER = block_mesh((2, 2, 1), SIZE, jitter=0.2)
+KINDS = list(Element)
 
 
 def damped(
-    env_count: int = 1, tau: float = TAU, density: float = 1000.0, free: bool = False
-) -> Assembly:
+    element: Element = Element.LINEAR,
+    env_count: int = 1,
+    tau: float = TAU,
+    density: float = 1000.0,
+    mesh: TetMesh = MESH,
+) -> Model:
     material = Material(YOUNG, NU, density, damping_time_s=tau)
-    body = SoftBody(MESH, material, np.zeros(0, dtype=np.int64) if free else None)
-    made = Scene(body, (), env_count, TimeStepping(quasi_static=False, dt_s=DT))
-    return Assembly(made.finalize(), SolverConfig(), np.zeros((env_count, 0, 7)))
+    time = TimeStepping(quasi_static=False, dt_s=DT)
+    return Scene(SoftBody(mesh, material, element=element), (), env_count, time).finalize()
 
 
-def viscosity(assembly: Assembly, start: np.ndarray) -> ViscousPotential:
-    made = assembly.solver.viscosity
-    assert made is not None
-    made.begin_step(assembly.nodal(np.repeat(start[None], assembly.model.env_count, axis=0)))
+def viscous(model: Model, start: np.ndarray) -> ElementForces:
+    """The damping alone of a step that began at ``start`` [node, 3]."""
+    part = ViscousPotential(model, model.elastic[0])
+    made = ElementForces(model, [part])
+    part.begin_step(made.nodal(np.repeat(start[None], model.env_count, axis=0)))
     return made
 
 
-def gradient(assembly: Assembly, made: ViscousPotential, positions: np.ndarray) -> np.ndarray:
-    out = assembly.nodal()
-    made.add_gradient(assembly.active, assembly.nodal(positions), out)
-    return out.numpy()
-
-
-def hessian(
-    assembly: Assembly, made: ViscousPotential, positions: np.ndarray, mode: int
-) -> np.ndarray:
-    values = assembly.solver.linear.values
-    values.zero_()
-    made.add_hessian(assembly.active, assembly.nodal(positions), values, mode)
-    return assembly.dense(values)[0]
-
-
-def moved(seed: int, amount: float = 1e-4) -> np.ndarray:
+def moved(model: Model, seed: int, amount: float = 5e-5) -> np.ndarray:
+    rest = model.rest_positions.numpy()[0]
     rng = np.random.default_rng(seed)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
-    return (MESH.nodes_m * [1.1, 0.95, 0.9]) @ turn.T + rng.uniform(
-        -amount, amount, MESH.nodes_m.shape
-    )
+    return (rest * [1.1, 0.95, 0.9]) @ turn.T + rng.uniform(-amount, amount, rest.shape)
 
 
-def test_gradient_and_hessian_are_the_derivatives() -> None:
-    x, step = moved(1), 1e-8
+@pytest.mark.parametrize("element", KINDS)
+def test_gradient_and_hessian_are_the_derivatives(element: Element) -> None:
+    step = 1e-8
+    count = 6 * damped(element).node_count
+    model = damped(element, count)
+    x = moved(model, 1)
     probes = coordinate_probe(x, np.arange(len(x)), step)
-    assembly = damped(len(probes))
-    made = viscosity(assembly, moved(2))
-    same = np.repeat(x[None], len(probes), axis=0)
-    found = gradient(assembly, made, same)[0]
-    energies = made.energy(assembly.active, assembly.nodal(probes))
+    made = viscous(model, moved(model, 2))
+    same = np.repeat(x[None], count, axis=0)
+    found = made.gradient(same)[0]
     scale = np.abs(found).max()
     assert scale > 1e-3
-    slope = central_difference(energies, step).reshape(-1, 3)
+    slope = central_difference(made.energy(probes), step).reshape(-1, 3)
     np.testing.assert_allclose(found, slope, atol=1e-6 * scale)
 
-    free = assembly.free
-    matrix = hessian(assembly, made, same, PSD_NONE)
-    change = central_difference(gradient(assembly, made, probes), step)
+    free = made.free
+    matrix = made.hessian(same, PSD_NONE)[0]
+    change = central_difference(made.gradient(probes), step)
     change = change.reshape(len(x), 3, len(x), 3)[free][:, :, free].reshape(matrix.shape)
     np.testing.assert_allclose(matrix, change, atol=1e-6 * np.abs(matrix).max())
 
 
+@pytest.mark.parametrize("element", KINDS)
 @pytest.mark.parametrize("mode", [PSD_CLAMP, PSD_ABS])
-def test_projected_matrix_is_positive(mode: int) -> None:
-    assembly = damped()
-    made = viscosity(assembly, moved(2))
-    crushed = 0.4 * moved(1)[None]
-    matrix = hessian(assembly, made, crushed, PSD_NONE)
+def test_projected_matrix_is_positive(mode: int, element: Element) -> None:
+    model = damped(element, mesh=FINER)
+    made = viscous(model, moved(model, 2))
+    crushed = 0.4 * moved(model, 1)[None]
+    matrix = made.hessian(crushed, PSD_NONE)[0]
     scale = np.abs(matrix).max()
     assert np.linalg.eigvalsh(matrix)[0] < -1e-2 * scale
-    lifted = hessian(assembly, made, crushed, mode)
+    lifted = made.hessian(crushed, mode)[0]
     assert np.linalg.eigvalsh(lifted)[0] > 0
     assert np.linalg.eigvalsh(lifted - matrix)[0] > -1e-12 * scale
 
 
-def test_rigid_motion_is_free_and_momenta_are_kept() -> None:
-    assembly = damped()
-    start, other = moved(3), moved(4)
-    made = viscosity(assembly, start)
+@pytest.mark.parametrize("element", KINDS)
+def test_rigid_motion_is_free_and_momenta_are_kept(element: Element) -> None:
+    model = damped(element)
+    start, other = moved(model, 3), moved(model, 4)
+    made = viscous(model, start)
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     rigid = (start @ turn.T + [1e-2, 0, 2e-2])[None]
-    forces = gradient(assembly, made, other[None])[0]
+    forces = made.gradient(other[None])[0]
     scale = np.abs(forces).sum()
-    assert made.energy(assembly.active, assembly.nodal(rigid))[0] < 1e-20
-    assert np.abs(gradient(assembly, made, rigid)).max() < 1e-11 * scale
+    assert made.energy(rigid)[0] < 1e-20
+    assert np.abs(made.gradient(rigid)).max() < 1e-11 * scale
     np.testing.assert_allclose(forces.sum(axis=0), 0, atol=1e-13 * scale)
     moment = np.cross(other, forces).sum(axis=0)
     np.testing.assert_allclose(moment, 0, atol=1e-13 * scale * np.abs(other).max())
 
 
-def test_small_strains_see_rayleigh_damping() -> None:
+@pytest.mark.parametrize("element", KINDS)
+def test_small_strains_see_rayleigh_damping(element: Element) -> None:
     """Force tau / dt K (x - x_n)."""
-    assembly = damped()
-    rest = MESH.nodes_m
-    made = viscosity(assembly, rest)
+    model = damped(element)
+    rest = model.rest_positions.numpy()[0]
+    made, elastic = viscous(model, rest), ElementForces(model)
     change = np.zeros_like(rest)
-    change[assembly.free] = np.random.default_rng(6).normal(size=(len(assembly.free), 3)) * 1e-11
-    stiffness = assembly.elastic_hessian(rest[None], PSD_NONE)[0]
-    expected = TAU / DT * stiffness @ change[assembly.free].ravel()
-    found = gradient(assembly, made, (rest + change)[None])[0][assembly.free].ravel()
+    change[made.free] = np.random.default_rng(6).normal(size=(len(made.free), 3)) * 1e-11
+    stiffness = elastic.hessian(rest[None], PSD_NONE)[0]
+    expected = TAU / DT * stiffness @ change[made.free].ravel()
+    found = made.gradient((rest + change)[None])[0][made.free].ravel()
     np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_environments_may_take_steps_of_their_own_length() -> None:
+    """Half the time, twice the stress; the other environment is as before."""
+    model = damped(env_count=2)
+    x = np.repeat(moved(model, 1)[None], 2, axis=0)
+    made = viscous(model, moved(model, 2))
+    before = made.gradient(x)
+    part = made.parts[0]
+    assert isinstance(part, ViscousPotential)
+    start = made.nodal(np.repeat(moved(model, 2)[None], 2, axis=0))
+    part.begin_step(start, wp.array([DT, DT / 2], dtype=wp.float64))
+    np.testing.assert_allclose(made.gradient(x)[0], before[0], rtol=1e-14)
+    np.testing.assert_allclose(made.gradient(x)[1], 2 * before[1], rtol=1e-14)
+
+
+def test_only_damped_bodies_are_in_a_damped_group() -> None:
+    bodies = [
+        SoftBody(MESH, Material(YOUNG, NU, damping_time_s=tau), name=str(i))
+        for i, tau in enumerate((0.1, 0.0, 0.3))
+    ]
+    model = Scene(bodies, time=TimeStepping(quasi_static=False, dt_s=DT)).finalize()
+    assert [(g.damped, [b for b, _, _ in g.bodies]) for g in model.elastic] == [
+        (True, [0, 2]),
+        (False, [1]),
+    ]
+    times = model.elastic[0].damping_times.numpy()
+    np.testing.assert_array_equal(times, np.repeat([0.1, 0.3], MESH.tet_count))
 
 
 def test_strain_creeps_back_at_the_damping_time() -> None:
     """Without mass K (x + tau v) = 0: implicit Euler shrinks a strain by 1 + dt / tau a step."""
-    assembly = damped(density=1.0)
-    model = assembly.model
+    model = damped(density=1.0, mesh=FINER)
     solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-12))
     state = initial_state(model, np.zeros((1, 0, 7)))
-    rest = MESH.nodes_m
+    rest = FINER.nodes_m
     height = rest[:, 2:] - rest[:, 2].min()
     state.positions = wp.array((rest + 1e-6 * height)[None], dtype=wp.vec3d)
     # The first steps choose the free shape, in which all strains then shrink together.
@@ -151,17 +177,19 @@ def test_strain_creeps_back_at_the_damping_time() -> None:
     np.testing.assert_allclose(ratios, 1 / (1 + DT / TAU), rtol=1e-3)
 
 
-def test_damping_takes_energy_out_of_a_vibration() -> None:
+@pytest.mark.parametrize("element", KINDS)
+def test_damping_takes_energy_out_of_a_vibration(element: Element) -> None:
     def amplitude(tau: float) -> float:
-        model = damped(tau=tau).model
+        model = damped(element, tau=tau, mesh=FINER)
         solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-9))
         state = initial_state(model, np.zeros((1, 0, 7)))
+        rest = model.rest_positions.numpy()[0]
         state.velocities = wp.array(
-            np.where(MESH.nodes_m[:, 2:] > -1e-9, [1e-2, 0, 0], 0)[None], dtype=wp.vec3d
+            np.where(rest[:, 2:] > -1e-9, [1e-2, 0, 0], 0)[None], dtype=wp.vec3d
         )
         report = solver.step(state)
         assert report.converged.all()
-        return float(np.abs(state.positions.numpy()[0] - MESH.nodes_m).max())
+        return float(np.abs(state.positions.numpy()[0] - rest).max())
 
     assert amplitude(0.05) < 0.5 * amplitude(0.0)
 
@@ -192,7 +220,7 @@ def test_a_damped_press_converges(friction: float, tolerance: float) -> None:
 
 
 def test_without_damping_nothing_is_built() -> None:
-    assert damped(tau=0.0).solver.viscosity is None
+    assert not SolverIPC(damped(tau=0.0)).viscosity
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf"), 1e5])

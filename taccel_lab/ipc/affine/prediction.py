@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where an affine body would be at the end of a step in free flight, without any strain.
+
+Implicit Euler minimises sum_k m_k |y_k - y~_k|^2 / (2 s^2) over the inertial positions y~, which
+lie off the rotations by the square of the angle turned. The nearest rigid placement is an
+orthogonal Procrustes problem, solved by the singular vectors of sum_k m_k y~_k e_k^T [Golub and Van
+Loan, Matrix Computations, section 6.4.1]. Newton's steps are straight and stay within the square
+root of the body's compliance of the rotations: without this start a body that spins fast takes
+many of them. Joints keep their points: bodies are placed from the root of each mechanism on.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.svd import signed_svd_3x3
+from taccel_lab.model import Model
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def _column(m: wp.mat33d, k: int) -> wp.vec3d:
+    return wp.vec3d(m[0, k], m[1, k], m[2, k])
+
+
+@wp.kernel
+def _predict_kernel(
+    active: wp.array(dtype=wp.int32),
+    control_starts: wp.array(dtype=wp.int32),
+    lengths: wp.array(dtype=wp.float64),
+    masses: wp.array2d(dtype=wp.float64),
+    inertial: wp.array2d(dtype=wp.vec3d),
+    predicted: wp.array2d(dtype=wp.vec3d),
+    bends: wp.array2d(dtype=wp.float64),
+):
+    env, body = wp.tid()
+    if active[env] == 0:
+        return
+    start = control_starts[body]
+    rest = env % masses.shape[0]
+    y_1 = masses[rest, start + 1] * inertial[env, start + 1]
+    y_2 = masses[rest, start + 2] * inertial[env, start + 2]
+    y_3 = masses[rest, start + 3] * inertial[env, start + 3]
+    u, _s, v = signed_svd_3x3(wp.matrix_from_cols(y_1, y_2, y_3))
+    r = u * wp.transpose(v)
+    predicted[env, start] = inertial[env, start]
+    bend = wp.float64(0.0)
+    for k in range(3):
+        y = lengths[body] * _column(r, k)
+        bend = wp.max(bend, wp.length(inertial[env, start + 1 + k] - y) / lengths[body])
+        predicted[env, start + 1 + k] = y
+    bends[env, body] = bend
+
+
+def predict_affine(
+    model: Model, active: wp.array, inertial: wp.array, predicted: wp.array
+) -> np.ndarray:
+    """Control nodes in free flight [m], written to ``predicted``, [env_count, node_count].
+
+    ``inertial``: x~ of the step [m], shape [env_count, node_count]. Returns how far off a rotation
+    the inertial positions are, about the square of the largest angle turned, shape [env_count].
+    """
+    affine = model.affine
+    shape = (model.env_count, affine.count)
+    bends = wp.zeros(shape, dtype=wp.float64, device=model.device)
+    wp.launch(
+        _predict_kernel,
+        dim=shape,
+        inputs=[active, affine.control_starts, affine.lengths, model.masses, inertial],
+        outputs=[predicted, bends],
+        device=model.device,
+    )
+    return bends.numpy().max(axis=1, initial=0.0)

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Search among soft bodies, a body against itself included.
+
+One tree over the swept boxes of all their faces and one over their edges, with a group for each
+environment; the trees keep their shape and are refitted, as connectivity does not change.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.broad_phase.swept_box import append, rounded_out
+from taccel_lab.model import Model
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def _swept(
+    low: wp.vec3d,
+    high: wp.vec3d,
+    env: int,
+    node: int,
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+):
+    a = positions[env, node]
+    b = a + displacements[env, node]
+    return wp.min(low, wp.min(a, b)), wp.max(high, wp.max(a, b))
+
+
+@wp.kernel
+def _face_boxes_kernel(
+    items: wp.array(dtype=wp.int32),
+    faces: wp.array(dtype=wp.vec3i),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    lower: wp.array2d(dtype=wp.vec3),
+    upper: wp.array2d(dtype=wp.vec3),
+):
+    env, i = wp.tid()
+    nodes = faces[items[i]]
+    low = positions[env, nodes[0]]
+    high = low
+    for k in range(3):
+        low, high = _swept(low, high, env, nodes[k], positions, displacements)
+    box = rounded_out(low, high, wp.float64(0.0))
+    lower[env, i] = box.lower
+    upper[env, i] = box.upper
+
+
+@wp.kernel
+def _edge_boxes_kernel(
+    items: wp.array(dtype=wp.int32),
+    edges: wp.array(dtype=wp.vec2i),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    lower: wp.array2d(dtype=wp.vec3),
+    upper: wp.array2d(dtype=wp.vec3),
+):
+    env, i = wp.tid()
+    nodes = edges[items[i]]
+    low = positions[env, nodes[0]]
+    high = low
+    for k in range(2):
+        low, high = _swept(low, high, env, nodes[k], positions, displacements)
+    box = rounded_out(low, high, wp.float64(0.0))
+    lower[env, i] = box.lower
+    upper[env, i] = box.upper
+
+
+@wp.kernel
+def _node_kernel(
+    active: wp.array(dtype=wp.int32),
+    tree: wp.uint64,
+    nodes: wp.array(dtype=wp.int32),
+    items: wp.array(dtype=wp.int32),
+    faces: wp.array(dtype=wp.vec3i),
+    node_bodies: wp.array(dtype=wp.int32),
+    may_touch: wp.array2d(dtype=wp.int32),
+    margin: wp.float64,
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    counts: wp.array(dtype=wp.int32),
+    pairs: wp.array2d(dtype=wp.vec2i),
+):
+    env, i = wp.tid()
+    if active[env] == 0:
+        return
+    node = nodes[i]
+    low = positions[env, node]
+    high = low
+    low, high = _swept(low, high, env, node, positions, displacements)
+    box = rounded_out(low, high, margin)
+    root = wp.bvh_get_group_root(tree, env)
+    query = wp.bvh_query_aabb(tree, box.lower, box.upper, root)
+    hit = int(0)
+    while wp.bvh_query_next(query, hit):
+        item = items[hit % items.shape[0]]
+        face = faces[item]
+        if may_touch[node_bodies[node], node_bodies[face[0]]] != 0:
+            if face[0] != node and face[1] != node and face[2] != node:
+                append(env, node, item, counts, pairs)
+
+
+@wp.kernel
+def _edge_kernel(
+    active: wp.array(dtype=wp.int32),
+    tree: wp.uint64,
+    items: wp.array(dtype=wp.int32),
+    edges: wp.array(dtype=wp.vec2i),
+    node_bodies: wp.array(dtype=wp.int32),
+    may_touch: wp.array2d(dtype=wp.int32),
+    margin: wp.float64,
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    counts: wp.array(dtype=wp.int32),
+    pairs: wp.array2d(dtype=wp.vec2i),
+):
+    env, i = wp.tid()
+    if active[env] == 0:
+        return
+    mine = items[i]
+    a = edges[mine]
+    low = positions[env, a[0]]
+    high = low
+    for k in range(2):
+        low, high = _swept(low, high, env, a[k], positions, displacements)
+    box = rounded_out(low, high, margin)
+    root = wp.bvh_get_group_root(tree, env)
+    query = wp.bvh_query_aabb(tree, box.lower, box.upper, root)
+    hit = int(0)
+    while wp.bvh_query_next(query, hit):
+        other = items[hit % items.shape[0]]
+        b = edges[other]
+        # Each pair once, and not with an edge that shares a node.
+        if mine < other and may_touch[node_bodies[a[0]], node_bodies[b[0]]] != 0:
+            if a[0] != b[0] and a[0] != b[1] and a[1] != b[0] and a[1] != b[1]:
+                append(env, mine, other, counts, pairs)
+
+
+class SoftTrees:
+    """Refitted trees of the soft bodies that may touch one another; not built otherwise."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        device, envs = model.device, model.env_count
+        plan = model.plan
+        self._face_boxes = self._boxes(len(plan.soft_faces))
+        self._edge_boxes = self._boxes(len(plan.soft_edges))
+
+        def groups(count: int) -> wp.array:
+            return wp.array(np.repeat(np.arange(envs), count), dtype=wp.int32, device=device)
+
+        self._groups = (groups(len(plan.soft_faces)), groups(len(plan.soft_edges)))
+        self._trees: list[wp.Bvh] = []
+
+    def _boxes(self, count: int) -> tuple[wp.array, wp.array]:
+        shape, device = (self.model.env_count, count), self.model.device
+        return (
+            wp.zeros(shape, dtype=wp.vec3, device=device),
+            wp.zeros(shape, dtype=wp.vec3, device=device),
+        )
+
+    def _refit(self, positions: wp.array, displacements: wp.array) -> None:
+        plan, surface = self.model.plan, self.model.surface
+        for kernel, items, primitives, boxes in (
+            (_face_boxes_kernel, plan.soft_faces, surface.faces, self._face_boxes),
+            (_edge_boxes_kernel, plan.soft_edges, surface.edges, self._edge_boxes),
+        ):
+            wp.launch(
+                kernel,
+                dim=boxes[0].shape,
+                inputs=[items, primitives, positions, displacements],
+                outputs=list(boxes),
+                device=self.model.device,
+            )
+        if self._trees:
+            for tree in self._trees:
+                tree.refit()
+            return
+        # The first boxes decide the shape of the trees.
+        for boxes, groups in zip((self._face_boxes, self._edge_boxes), self._groups, strict=True):
+            self._trees.append(wp.Bvh(boxes[0].flatten(), boxes[1].flatten(), groups=groups))
+
+    def search(
+        self,
+        active: wp.array,
+        positions: wp.array,
+        displacements: wp.array,
+        margin: float,
+        node_face: list[wp.array],
+        edge_edge: list[wp.array],
+    ) -> None:
+        """Append to the lists (counts, pairs) what may come within ``margin`` [m]."""
+        model, plan, surface = self.model, self.model.plan, self.model.surface
+        self._refit(positions, displacements)
+        rules = [surface.node_bodies, plan.may_touch, margin, positions, displacements]
+        wp.launch(
+            _node_kernel,
+            dim=(model.env_count, len(plan.soft_nodes)),
+            inputs=[active, self._trees[0].id, plan.soft_nodes, plan.soft_faces, surface.faces]
+            + rules,
+            outputs=node_face,
+            device=model.device,
+        )
+        wp.launch(
+            _edge_kernel,
+            dim=(model.env_count, len(plan.soft_edges)),
+            inputs=[active, self._trees[1].id, plan.soft_edges, surface.edges, *rules],
+            outputs=edge_edge,
+            device=model.device,
+        )

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a collision is: its kind, its stencil of four nodes, its gap.
+
+The gap of two bodies is their distance less what both keep from others, the radius of a ball or the
+thickness of a surface [Li et al. 2021, Codimensional IPC]. A body keeps no distance from itself: the
+thickness is a layer on its surface, and the neighbours of a node are nearer than that.
+
+In a stencil node 0 belongs to the first primitive and node 3 to the second; entries that a kind
+does not need repeat the last one.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.distance.closest_pair import ClosestPair
+from taccel_lab.ipc.distance.edge_edge import closest_edge_edge
+from taccel_lab.ipc.distance.point_edge import closest_point_edge
+from taccel_lab.ipc.distance.point_plane import closest_point_plane
+from taccel_lab.ipc.distance.point_point import closest_point_point
+from taccel_lab.ipc.distance.point_triangle import closest_point_triangle
+from taccel_lab.model import Model
+
+wp.set_module_options({"enable_backward": False})
+
+POINT_TRIANGLE = 0
+POINT_EDGE = 1
+POINT_POINT = 2
+EDGE_EDGE = 3
+POINT_PLANE = 4
+
+
+@wp.struct
+class ContactGeometry:
+    """What the gap of a pair needs beside positions; all [node_count], see ``SurfaceArrays``."""
+
+    node_radii: wp.array(dtype=wp.float64)
+    node_is_ball: wp.array(dtype=wp.int32)
+    node_bodies: wp.array(dtype=wp.int32)
+    plane_normals: wp.array(dtype=wp.vec3d)
+
+
+@wp.struct
+class CollisionLists:
+    """Collisions of each environment.
+
+    counts: [env_count]; may exceed the capacity, then the lists must grow.
+    kinds: POINT_TRIANGLE to POINT_PLANE, [env_count, capacity] as all below.
+    stencils: nodes.
+    stiffnesses: kappa * area * coefficient [N].
+    thresholds: mollifier threshold of an edge pair [m^4], -1 for others.
+    ranges: gap below which the pair repels [m].
+    """
+
+    counts: wp.array(dtype=wp.int32)
+    kinds: wp.array2d(dtype=wp.int32)
+    stencils: wp.array2d(dtype=wp.vec4i)
+    stiffnesses: wp.array2d(dtype=wp.float64)
+    thresholds: wp.array2d(dtype=wp.float64)
+    ranges: wp.array2d(dtype=wp.float64)
+
+
+def contact_geometry(model: Model) -> ContactGeometry:
+    """Gather the arrays of a model's surface."""
+    geometry = ContactGeometry()
+    geometry.node_radii = model.surface.node_radii
+    geometry.node_is_ball = model.surface.node_is_ball
+    geometry.node_bodies = model.surface.node_bodies
+    geometry.plane_normals = model.surface.plane_normals
+    return geometry
+
+
+@wp.func
+def closest_pair(
+    env: int,
+    kind: int,
+    nodes: wp.vec4i,
+    positions: wp.array2d(dtype=wp.vec3d),
+    geometry: ContactGeometry,
+) -> ClosestPair:
+    """Closest pair of a collision at the given positions [m]."""
+    x0 = positions[env, nodes[0]]
+    x1 = positions[env, nodes[1]]
+    if kind == 2:
+        return closest_point_point(x0, x1)
+    if kind == 4:
+        return closest_point_plane(x0, x1, geometry.plane_normals[nodes[1]])
+    x2 = positions[env, nodes[2]]
+    if kind == 1:
+        return closest_point_edge(x0, x1, x2)
+    x3 = positions[env, nodes[3]]
+    if kind == 3:
+        return closest_edge_edge(x0, x1, x2, x3)
+    return closest_point_triangle(x0, x1, x2, x3)
+
+
+@wp.func
+def kept_distance(first: int, second: int, geometry: ContactGeometry) -> wp.float64:
+    """Distance [m] that two nodes' bodies keep: sum of radii; none within one body."""
+    if geometry.node_bodies[first] == geometry.node_bodies[second]:
+        return wp.float64(0.0)
+    return geometry.node_radii[first] + geometry.node_radii[second]
+
+
+@wp.func
+def collision_gap(pair: ClosestPair, nodes: wp.vec4i, geometry: ContactGeometry) -> wp.float64:
+    """Gap of a collision [m]: distance less what the two bodies keep."""
+    return wp.sqrt(pair.distance_sq) - kept_distance(nodes[0], nodes[3], geometry)
+
+
+@wp.func
+def add_collision(
+    env: int,
+    kind: int,
+    nodes: wp.vec4i,
+    stiffness: wp.float64,
+    threshold: wp.float64,
+    reach: wp.float64,
+    lists: CollisionLists,
+):
+    """Append a collision; counts beyond the capacity tell the host to grow and repeat."""
+    slot = wp.atomic_add(lists.counts, env, 1)
+    if slot < lists.kinds.shape[1]:
+        lists.kinds[env, slot] = kind
+        lists.stencils[env, slot] = nodes
+        lists.stiffnesses[env, slot] = stiffness
+        lists.thresholds[env, slot] = threshold
+        lists.ranges[env, slot] = reach

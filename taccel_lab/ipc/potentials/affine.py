@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Orthogonality energy of all affine bodies: one thread per environment and body.
+
+A body's blocks belong to it alone, so nothing here depends on the order of execution.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.affine.orthogonality import (
+    affine_map,
+    orthogonality_block,
+    orthogonality_energy,
+    orthogonality_gradient,
+    orthogonality_hessian,
+)
+from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
+from taccel_lab.ipc.reduce import sum_rows
+from taccel_lab.model import Model
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def _body_map(
+    env: int, start: int, length: wp.float64, positions: wp.array2d(dtype=wp.vec3d)
+) -> wp.mat33d:
+    return affine_map(
+        positions[env, start + 1], positions[env, start + 2], positions[env, start + 3], length
+    )
+
+
+@wp.kernel
+def _affine_energy_kernel(
+    active: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    control_starts: wp.array(dtype=wp.int32),
+    lengths: wp.array(dtype=wp.float64),
+    stiffness: wp.array(dtype=wp.float64),
+    energies: wp.array2d(dtype=wp.float64),
+):
+    env, body = wp.tid()
+    if active[env] == 0:
+        return
+    a = _body_map(env, control_starts[body], lengths[body], positions)
+    energies[env, body] = orthogonality_energy(a, stiffness[body])
+
+
+@wp.kernel
+def _affine_gradient_kernel(
+    active: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    control_starts: wp.array(dtype=wp.int32),
+    lengths: wp.array(dtype=wp.float64),
+    stiffness: wp.array(dtype=wp.float64),
+    gradient: wp.array2d(dtype=wp.vec3d),
+):
+    env, body = wp.tid()
+    if active[env] == 0:
+        return
+    start = control_starts[body]
+    length = lengths[body]
+    a = _body_map(env, start, length, positions)
+    g = orthogonality_gradient(a, length, stiffness[body])
+    for k in range(3):
+        gradient[env, start + 1 + k] += wp.vec3d(g[0, k], g[1, k], g[2, k])
+
+
+@wp.kernel
+def _affine_hessian_kernel(
+    active: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    control_starts: wp.array(dtype=wp.int32),
+    lengths: wp.array(dtype=wp.float64),
+    stiffness: wp.array(dtype=wp.float64),
+    psd_mode: int,
+    system: NewtonSystem,
+):
+    env, body = wp.tid()
+    if active[env] == 0:
+        return
+    start = control_starts[body]
+    length = lengths[body]
+    a = _body_map(env, start, length, positions)
+    h = orthogonality_hessian(a, stiffness[body], psd_mode)
+    # Held in a variable: nine inlined copies of a block would only take longer to compile.
+    count = int(3)
+    for i in range(count):
+        for j in range(count):
+            block = orthogonality_block(h, length, i, j)
+            add_block(env, start + 1 + i, start + 1 + j, block, system)
+
+
+class AffinePotential:
+    """Keeps affine bodies rigid; built only for a scene that has some."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        a = model.affine
+        self._bodies = [a.control_starts, a.lengths, a.stiffness]
+        self.energies = wp.zeros(
+            (model.env_count, a.control_starts.shape[0]), dtype=wp.float64, device=model.device
+        )
+        """Energy of each affine body [J], shape [env_count, affine_count]."""
+
+    def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+        wp.launch(
+            kernel,
+            dim=self.energies.shape,
+            inputs=inputs,
+            outputs=outputs,
+            device=self.model.device,
+        )
+
+    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
+        """Energy [J], shape [env_count]; stale where not active."""
+        self._launch(_affine_energy_kernel, [active, positions, *self._bodies], [self.energies])
+        return sum_rows(self.energies)
+
+    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
+        """Add d energy / dx [N], shape [env_count, node_count]."""
+        self._launch(_affine_gradient_kernel, [active, positions, *self._bodies], [gradient])
+
+    def add_hessian(
+        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int
+    ) -> None:
+        """Add d^2 energy / dx^2 [N/m] to the Newton system; ``psd_mode`` is one of PSD_*."""
+        self._launch(
+            _affine_hessian_kernel, [active, positions, *self._bodies, psd_mode, system], []
+        )

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What element kernels read, and how nodes and matrix blocks gather what elements wrote.
+
+One thread per (environment, element) evaluates an element; nodes and blocks then add up their
+elements in a fixed order, so that no result depends on the order of execution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.elasticity.laws import Moduli
+from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.reduce import sum_rows
+from taccel_lab.model import Model
+from taccel_lab.model.elastic import ElementArrays
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class ElementData:
+    """Rest shape and parameters of the elements of a group."""
+
+    nodes: wp.array2d(dtype=wp.int32)
+    """Shape [element_count, nodes_per_element]."""
+    gradients: wp.array3d(dtype=wp.vec3d)
+    """Rest gradients of the barycentric coordinates [1/m], shape [rest_count, element_count, 4]."""
+    volumes: wp.array2d(dtype=wp.float64)
+    """Rest volumes [m^3], shape [rest_count, element_count]."""
+    moduli: Moduli
+    """Of a viscous potential: viscosities [Pa s]."""
+    start_strains: wp.array3d(dtype=wp.mat33d)
+    """Green strain at the start of the step, shape [env_count, element_count, point_count]; of a
+    viscous potential only."""
+    rates: wp.array(dtype=wp.float64)
+    """1 / dt [1/s], shape [env_count]; of a viscous potential only."""
+
+
+@dataclass(frozen=True)
+class ElementKernels:
+    """Kernels of a kind of element with its material, launched over (environment, element):
+
+    ``energy(active, x, data, out energies)``, ``gradient(active, x, data, out local_gradients)``,
+    ``hessian(active, x, data, psd_mode, out blocks)``.
+    """
+
+    energy: wp.Kernel
+    gradient: wp.Kernel
+    hessian: wp.Kernel
+
+
+@wp.kernel
+def _gather_gradient_kernel(
+    active: wp.array(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    entries: wp.array(dtype=wp.int32),
+    local_gradients: wp.array3d(dtype=wp.vec3d),
+    gradient: wp.array2d(dtype=wp.vec3d),
+):
+    env, i = wp.tid()
+    if active[env] == 0:
+        return
+    node = nodes[i]
+    width = local_gradients.shape[2]
+    total = gradient[env, node]
+    for k in range(starts[i], starts[i + 1]):
+        code = entries[k]
+        total += local_gradients[env, code // width, code % width]
+    gradient[env, node] = total
+
+
+@wp.func
+def _element_block(env: int, code: int, element_blocks: wp.array3d(dtype=wp.mat33d)) -> wp.mat33d:
+    """One block of an element, the right way round."""
+    width = 2 * element_blocks.shape[2]
+    block = element_blocks[env, code // width, (code % width) // 2]
+    if code % 2 == 1:
+        block = wp.transpose(block)
+    return block
+
+
+@wp.kernel
+def _gather_blocks_kernel(
+    active: wp.array(dtype=wp.int32),
+    blocks: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    sources: wp.array(dtype=wp.int32),
+    element_blocks: wp.array3d(dtype=wp.mat33d),
+    values: wp.array2d(dtype=wp.mat33d),
+):
+    env, i = wp.tid()
+    if active[env] == 0:
+        return
+    block = blocks[i]
+    total = values[env, block]
+    for k in range(starts[i], starts[i + 1]):
+        total += _element_block(env, sources[k], element_blocks)
+    values[env, block] = total
+
+
+@wp.kernel
+def _gather_rim_kernel(
+    active: wp.array(dtype=wp.int32),
+    rows: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    sources: wp.array(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.int32),
+    element_blocks: wp.array3d(dtype=wp.mat33d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    rhs: wp.array2d(dtype=wp.vec3d),
+):
+    env, i = wp.tid()
+    if active[env] == 0:
+        return
+    total = rhs[env, rows[i]]
+    for k in range(starts[i], starts[i + 1]):
+        total -= _element_block(env, sources[k], element_blocks) * displacements[env, nodes[k]]
+    rhs[env, rows[i]] = total
+
+
+class ElementSum:
+    """Energy, gradient and matrix of one group of elements, from the kernels of its elements."""
+
+    def __init__(self, model: Model, group: ElementArrays, kernels: ElementKernels) -> None:
+        self.model = model
+        self.group = group
+        self.kernels = kernels
+        device, count, width = model.device, group.element_count, group.nodes_per_element
+        shape = (model.env_count, count)
+        data = ElementData()
+        data.nodes, data.gradients = group.elements, group.shape_gradients
+        data.volumes, data.moduli = group.volumes, Moduli()
+        data.moduli.mu, data.moduli.lam = group.mu, group.lam
+        data.moduli.ratio = group.mooney_ratio
+        self.data = data
+        self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
+        """Energy of each element [J], shape [env_count, element_count]."""
+        self._gradients = wp.zeros((*shape, width), dtype=wp.vec3d, device=device)
+        pair_count = width * (width + 1) // 2
+        self._blocks = wp.zeros((*shape, pair_count), dtype=wp.mat33d, device=device)
+
+    def launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+        """Launch over (environment, element)."""
+        wp.launch(
+            kernel,
+            dim=self.energies.shape,
+            inputs=inputs,
+            outputs=outputs,
+            device=self.model.device,
+        )
+
+    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
+        """Energy [J], shape [env_count]; stale where not active."""
+        self.launch(self.kernels.energy, [active, positions, self.data], [self.energies])
+        return sum_rows(self.energies)
+
+    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
+        """Add d energy / dx [N] to ``gradient``, shape [env_count, node_count]."""
+        g = self.group
+        self.launch(self.kernels.gradient, [active, positions, self.data], [self._gradients])
+        wp.launch(
+            _gather_gradient_kernel,
+            dim=(self.model.env_count, len(g.gather_nodes)),
+            inputs=[active, g.gather_nodes, g.node_starts, g.node_entries, self._gradients],
+            outputs=[gradient],
+            device=self.model.device,
+        )
+
+    def add_hessian(
+        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int
+    ) -> None:
+        """Add d^2 energy / dx^2 [N/m] to the blocks of ``system``; what prescribed nodes that move
+        contribute goes to its right-hand side [N]."""
+        g, m = self.group, self.model
+        self.launch(self.kernels.hessian, [active, positions, self.data, psd_mode], [self._blocks])
+        wp.launch(
+            _gather_blocks_kernel,
+            dim=(m.env_count, len(g.blocks)),
+            inputs=[active, g.blocks, g.source_starts, g.sources, self._blocks],
+            outputs=[system.values],
+            device=m.device,
+        )
+        if len(g.rim_rows):
+            wp.launch(
+                _gather_rim_kernel,
+                dim=(m.env_count, len(g.rim_rows)),
+                inputs=[active, g.rim_rows, g.rim_starts, g.rim_sources, g.rim_nodes]
+                + [self._blocks, system.displacements],
+                outputs=[system.rhs],
+                device=m.device,
+            )

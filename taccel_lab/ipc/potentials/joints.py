@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joints of affine bodies as a potential: constraints to a tolerance, limits and drives.
+
+How the solver uses it in a step: ``begin_step``; then ``set_frames`` before energies and gradients
+whenever the kinematic bodies have moved; once Newton has converged, ``update_multipliers`` and, for
+environments in which a joint is still off by more than ``tolerance_m``, Newton again; ``end_step``.
+Multipliers last from step to step, so a mechanism under steady load needs no second round.
+
+The matrix leaves out the curvature of the rows (Gauss-Newton): it is that of a multiplier over a
+length, next to a penalty some 1e4 times the inertia, and the only part that could be indefinite.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.joints.kernels import (
+    JointStep,
+    absorb_forces_kernel,
+    evaluate_rows_kernel,
+    joint_energy_kernel,
+    joint_gradient_kernel,
+    joint_hessian_kernel,
+    joint_outputs_kernel,
+    joint_violation_kernel,
+)
+from taccel_lab.ipc.joints.layout import joint_layout
+from taccel_lab.ipc.joints.prediction import close_joints_kernel
+from taccel_lab.ipc.joints.rows import ROW_COUNT
+from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.reduce import sum_rows
+from taccel_lab.model import Model
+
+
+class JointPotential:
+    """Joints of a scene; built only when it has some."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        layout = joint_layout(model)
+        self.joints = layout.joints
+        """Joints of the scene, in the order of all arrays here."""
+        self.tolerance_m = 1e-9 * layout.smallest_size_m
+        """Violation of a constraint that counts as none [m]."""
+        self._table, self._colors, self._tree = layout.table, layout.colors, layout.tree
+        self._shape = shape = (model.env_count, len(layout.joints))
+        device = model.device
+
+        def scalars(value: np.ndarray | None = None) -> wp.array:
+            value = np.zeros(shape) if value is None else value
+            return wp.array(value, dtype=wp.float64, device=device)
+
+        self.energies = scalars()
+        """Energy of each joint [J], shape [env_count, joint_count]."""
+        self.targets = scalars(layout.targets)
+        """Targets of the drives [rad, m, rad/s or m/s], shape [env_count, joint_count]; set them
+        at any time."""
+        self.coordinates = scalars()
+        """Angle [rad], whole turns included, or slide [m], shape [env_count, joint_count]."""
+        self.rates = scalars()
+        """Mean rate over the last step [rad/s or m/s], shape [env_count, joint_count]."""
+        self.efforts = scalars()
+        """Torque [N m] or force [N] of the drives, shape [env_count, joint_count]."""
+        self.forces = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        """Force of the joint on its first body [N], world axes, shape [env_count, joint_count]."""
+        self.torques = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        """Torque on the first body about the anchor [N m], drives and limits included, world
+        axes, shape [env_count, joint_count]."""
+        self._values = wp.zeros((*shape, ROW_COUNT), dtype=wp.float64, device=device)
+        self._derivatives = wp.zeros((*shape, ROW_COUNT, 8), dtype=wp.vec3d, device=device)
+        self._violations = scalars()
+        self._mask = wp.zeros(model.env_count, dtype=wp.int32, device=device)
+        self._step = JointStep()
+        self._step.dts = wp.full(
+            model.env_count, model.scene.time.dt_s, dtype=wp.float64, device=device
+        )
+        self._step.starts = scalars()
+        self._step.targets = self.targets
+        self._step.multipliers = wp.zeros((*shape, ROW_COUNT), dtype=wp.float64, device=device)
+        self._start_multipliers = wp.zeros_like(self._step.multipliers)
+        kinematic = (model.env_count, len(model.scene.kinematic_bodies))
+        self._poses = wp.zeros(kinematic, dtype=wp.transformd, device=device)
+        self._goals = self._poses
+
+    # A step ------------------------------------------------------------------------------------
+
+    def set_frames(self, poses: wp.array, goals: wp.array | None = None) -> None:
+        """Where kinematic bodies are, and where the next direction moves them (there, when None).
+
+        Both transformd, [env_count, kinematic_count]; kept, not copied.
+        """
+        self._poses = poses
+        self._goals = poses if goals is None else goals
+
+    def begin_step(self, positions: wp.array, poses: wp.array, dts: wp.array | None = None) -> None:
+        """Start a step of length ``dts`` [s], float64 [env_count]; the scene's when None."""
+        if dts is None:
+            self._step.dts.fill_(self.model.scene.time.dt_s)
+        else:
+            wp.copy(self._step.dts, dts)
+        self.set_frames(poses)
+        self._mask.fill_(1)
+        # The state may have been set anew since: coordinates follow it, by whole turns nearest.
+        self._evaluate(self._mask, positions, self.coordinates, derivatives=False)
+        wp.copy(self._step.starts, self._values[:, :, ROW_COUNT - 1])
+        wp.copy(self._start_multipliers, self._step.multipliers)
+
+    def close_predicted(self, active: wp.array, positions: wp.array) -> None:
+        """Move control nodes of affine bodies, placed each by itself, so that joints are closed."""
+        wp.launch(
+            close_joints_kernel,
+            dim=self.model.env_count,
+            inputs=[active, self._tree, self._poses, self._table],
+            outputs=[positions],
+            device=self.model.device,
+        )
+
+    def update_multipliers(self, active: wp.array, positions: wp.array) -> np.ndarray:
+        """Largest violation of a constraint or limit [m], shape [env_count], 0 where not active.
+
+        Where it exceeds ``tolerance_m``, the constraint forces become multipliers, and Newton has
+        to converge once more; elsewhere nothing changes.
+        """
+        self._evaluate(active, positions, derivatives=False)
+        self._launch(joint_violation_kernel, [active, self._values], [self._violations])
+        violation = self._violations.numpy().max(axis=1, initial=0.0)
+        self._mask.assign((violation > self.tolerance_m).astype(np.int32))
+        self._absorb(self._mask)
+        return violation
+
+    def end_step(self, done: wp.array, positions: wp.array) -> None:
+        """Read coordinates and reactions where ``done`` (int32, [env_count]) is set, and keep the
+        forces as multipliers of the next step; the others go back to the start of this one."""
+        self._evaluate(done, positions)
+        wp.launch(
+            joint_outputs_kernel,
+            dim=self._shape,
+            inputs=[done, positions, self._values, self._derivatives, self._table, self._step],
+            outputs=[self.coordinates, self.rates, self.efforts, self.forces, self.torques],
+            device=self.model.device,
+        )
+        self._absorb(done)
+        failed = done.numpy() == 0
+        if failed.any():
+            multipliers = self._step.multipliers.numpy()
+            multipliers[failed] = self._start_multipliers.numpy()[failed]
+            self._step.multipliers.assign(multipliers)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Forget forces and whole turns in the environments of ``mask`` (bool, [env_count])."""
+        arrays = [self._step.multipliers, self.coordinates, self.rates, self.efforts]
+        for array in [*arrays, self.forces, self.torques]:
+            value = array.numpy()
+            value[mask] = 0.0
+            array.assign(value)
+
+    # A potential -------------------------------------------------------------------------------
+
+    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
+        """Energy [J], shape [env_count]; stale where not active. Its zero has no meaning."""
+        self._evaluate(active, positions, derivatives=False)
+        self._launch(joint_energy_kernel, [active, self._values], [self.energies])
+        return sum_rows(self.energies)
+
+    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
+        """Add d energy / dx [N], shape [env_count, node_count]."""
+        self._evaluate(active, positions)
+        self._launch_groups(
+            joint_gradient_kernel, [active, self._values, self._derivatives], [gradient]
+        )
+
+    def add_hessian(
+        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int = 0
+    ) -> None:
+        """Add the Gauss-Newton matrix [N/m], positive semidefinite in every ``psd_mode``, and to
+        the right-hand side what the motion of kinematic frames to their goals asks for [N]."""
+        self._evaluate(active, positions)
+        inputs = [active, self._values, self._derivatives, self._poses, self._goals]
+        self._launch_groups(joint_hessian_kernel, inputs, [system])
+
+    # Parts -------------------------------------------------------------------------------------
+
+    def _evaluate(
+        self,
+        active: wp.array,
+        positions: wp.array,
+        references: wp.array | None = None,
+        derivatives: bool = True,
+    ) -> None:
+        wp.launch(
+            evaluate_rows_kernel,
+            dim=(*self._shape, ROW_COUNT),
+            inputs=[active, positions, self._poses, self._table]
+            + [self._step.starts if references is None else references],
+            outputs=[self._values, self._derivatives if derivatives else None],
+            device=self.model.device,
+        )
+
+    def _absorb(self, which: wp.array) -> None:
+        wp.launch(
+            absorb_forces_kernel,
+            dim=(*self._shape, ROW_COUNT),
+            inputs=[which, self._values, self._table, self._step],
+            device=self.model.device,
+        )
+
+    def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+        wp.launch(
+            kernel,
+            dim=self._shape,
+            inputs=[*inputs, self._table, self._step],
+            outputs=outputs,
+            device=self.model.device,
+        )
+
+    def _launch_groups(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+        for group in self._colors:
+            wp.launch(
+                kernel,
+                dim=(self._shape[0], len(group), 8),
+                inputs=[inputs[0], group, *inputs[1:], self._table, self._step],
+                outputs=outputs,
+                device=self.model.device,
+            )

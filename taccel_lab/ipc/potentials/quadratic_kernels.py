@@ -1,0 +1,349 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels of ten-node tets with straight edges at rest and one pressure each.
+
+    E = sum_q V/4 psi_s(F_q) + V lambda u(mean_q e(F_q))
+
+at four quadrature points: psi_s is the energy with lambda = 0, e the dilatation (dilatation.py).
+Four points take the 24 strains of the element without spurious modes (30 - 6); with lambda at each
+of them it would still lock mildly (Cook's membrane at nu = 0.499: 6 % instead of 0.7 %).
+
+F is linear in the element: with F_c the gradient at corner c and barycentric coordinates l of a
+point, F = sum_c l_c F_c, and grad N of corner i is (4 l_i - 1) b_i, of the middle of edge ij
+4 (l_j b_i + l_i b_j), where b_i are the gradients of the barycentric coordinates.
+
+Negative eigenvalues of the matrix are lifted at each point, for the shape energy plus pressure
+times dilatation; what the mean adds is lambda V u'' g g^T, of a single eigenvalue. The sum bounds
+the exact matrix from above.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from taccel_lab.ipc.elasticity.principal import lifted
+from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
+
+wp.set_module_options({"enable_backward": False})
+
+POINT_COUNT = 4
+"""Quadrature points; point q has barycentric coordinate OWN at corner q and OTHER elsewhere:
+(5 -+ sqrt(5)) / 20, exact for quadratic integrands [Zienkiewicz and Taylor 2000, table 9.2]."""
+OTHER = wp.constant(wp.float64((5.0 - 5.0**0.5) / 20.0))
+OWN_LESS_OTHER = wp.constant(wp.float64(5.0**0.5 / 5.0))
+
+mat44i = wp.types.matrix(shape=(4, 4), dtype=wp.int32)
+mat103d = wp.types.matrix(shape=(10, 3), dtype=wp.float64)
+
+MIDDLES = wp.constant(mat44i(0, 4, 6, 7, 4, 1, 5, 8, 6, 5, 2, 9, 7, 8, 9, 3))
+"""Local node in the middle of the edge of two corners; a corner itself on the diagonal."""
+
+
+@wp.struct
+class PointHessian:
+    """Second derivatives of an energy density [Pa]: of F = sum_a x_a g_a^T the block of nodes a, b
+    is sum_kl (frame^T g_a)_k k_kl (frame^T g_b)_l, with k_lk = k_kl^T."""
+
+    frame: wp.mat33d
+    k_00: wp.mat33d
+    k_01: wp.mat33d
+    k_02: wp.mat33d
+    k_11: wp.mat33d
+    k_12: wp.mat33d
+    k_22: wp.mat33d
+
+
+@dataclass(frozen=True)
+class PointLaw:
+    """What happens at a quadrature point. ``start`` is the Green strain at the start of the step
+    there, zero unless viscous; ``d`` the ElementData, ``i`` the element."""
+
+    name: str
+    start: Any
+    """``(env, i, q, d)``."""
+    energy: Any
+    """``(f, start, d, i)``: without the volumetric part [J/m^3]."""
+    piola: Any
+    dilatation: Any
+    """``(f, start)``."""
+    dilatation_slope: Any
+    """``(f)``."""
+    volumetric: Any
+    """``(e)``: u, u', u''."""
+    scale: Any
+    """``(env, i, d)``: what the two other functions leave out [1, or 1/s]."""
+    hessian: Any
+    """``(f, start, d, i, pressure, psd_mode)``: a PointHessian, with ``pressure`` times the
+    dilatation."""
+
+
+@wp.func
+def corner_deformation(
+    env: int, tet: int, corner: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
+) -> wp.mat33d:
+    """F at a corner."""
+    rest = env % d.volumes.shape[0]
+    four = wp.float64(4.0)
+    x = positions[env, d.nodes[tet, corner]]
+    f = wp.mat33d()
+    for step in range(1, 4):
+        j = (corner + step) % 4
+        # Differences first: positions are large against an element.
+        middle = positions[env, d.nodes[tet, MIDDLES[corner, j]]] - x
+        end = positions[env, d.nodes[tet, j]] - x
+        f += wp.outer(four * middle - end, d.gradients[rest, tet, j])
+    return f
+
+
+@wp.func
+def common_deformation(
+    env: int, tet: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
+) -> wp.mat33d:
+    """What F has in common at all quadrature points: OTHER sum_c F_c."""
+    total = wp.mat33d()
+    corner = int(0)
+    while corner < 4:
+        total += corner_deformation(env, tet, corner, positions, d)
+        corner += 1
+    return OTHER * total
+
+
+@wp.func
+def point_deformation(
+    env: int,
+    tet: int,
+    q: int,
+    common: wp.mat33d,
+    positions: wp.array2d(dtype=wp.vec3d),
+    d: ElementData,
+) -> wp.mat33d:
+    """F at a quadrature point."""
+    return common + OWN_LESS_OTHER * corner_deformation(env, tet, q, positions, d)
+
+
+@wp.func
+def quadratic_deformation(
+    env: int, tet: int, q: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
+) -> wp.mat33d:
+    """F at one quadrature point alone."""
+    common = common_deformation(env, tet, positions, d)
+    return point_deformation(env, tet, q, common, positions, d)
+
+
+@wp.func
+def shape_gradients(env: int, tet: int, q: int, turn: wp.mat33d, d: ElementData) -> mat103d:
+    """Rest gradients of the ten shape functions at a point [1/m], rows turned by ``turn``."""
+    rest = env % d.volumes.shape[0]
+    four = wp.float64(4.0)
+    result = mat103d()
+    for i in range(4):
+        b_i = turn * d.gradients[rest, tet, i]
+        l_i = OTHER
+        if i == q:
+            l_i += OWN_LESS_OTHER
+        for k in range(3):
+            result[i, k] = (four * l_i - wp.float64(1.0)) * b_i[k]
+        for j in range(i + 1, 4):
+            l_j = OTHER
+            if j == q:
+                l_j += OWN_LESS_OTHER
+            b_j = turn * d.gradients[rest, tet, j]
+            for k in range(3):
+                result[MIDDLES[i, j], k] = four * (l_j * b_i[k] + l_i * b_j[k])
+    return result
+
+
+@wp.func
+def row_of(m: mat103d, i: int) -> wp.vec3d:
+    """Row i."""
+    return wp.vec3d(m[i, 0], m[i, 1], m[i, 2])
+
+
+@wp.func
+def add_point_blocks(
+    env: int,
+    tet: int,
+    weight: wp.float64,
+    h: PointHessian,
+    shapes: mat103d,
+    node_count: int,
+    blocks: wp.array3d(dtype=wp.mat33d),
+):
+    """Add the blocks of one quadrature point, pairs (a, b) with a <= b in rows."""
+    pair = int(0)
+    for a in range(node_count):
+        g = weight * row_of(shapes, a)
+        left_0 = g[0] * h.k_00 + g[1] * wp.transpose(h.k_01) + g[2] * wp.transpose(h.k_02)
+        left_1 = g[0] * h.k_01 + g[1] * h.k_11 + g[2] * wp.transpose(h.k_12)
+        left_2 = g[0] * h.k_02 + g[1] * h.k_12 + g[2] * h.k_22
+        for b in range(a, node_count):
+            blocks[env, tet, pair] = (
+                blocks[env, tet, pair]
+                + shapes[b, 0] * left_0
+                + shapes[b, 1] * left_1
+                + shapes[b, 2] * left_2
+            )
+            pair += 1
+
+
+def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
+    """The kernels of a law at quadrature points, in a module of their own."""
+    start_of = law.start
+    energy = law.energy
+    piola = law.piola
+    dilatation = law.dilatation
+    dilatation_slope = law.dilatation_slope
+    volumetric = law.volumetric
+    scale = law.scale
+    hessian = law.hessian
+    module = wp.get_module(f"{__name__}.{law.name}")
+    wp.set_module_options({"enable_backward": False}, module=module)
+
+    @wp.kernel(module=module)
+    def _quadratic_energy_kernel(
+        active: wp.array(dtype=wp.int32),
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+        energies: wp.array2d(dtype=wp.float64),
+    ):
+        env, tet = wp.tid()
+        if active[env] == 0:
+            return
+        quarter = wp.float64(0.25)
+        shape = wp.float64(0.0)
+        mean = wp.float64(0.0)
+        common = common_deformation(env, tet, positions, d)
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            start = start_of(env, tet, q, d)
+            shape += quarter * energy(f, start, d, tet)
+            mean += quarter * dilatation(f, start)
+            q += 1
+        volume_part = volumetric(mean)
+        energies[env, tet] = (
+            d.volumes[env % d.volumes.shape[0], tet]
+            * scale(env, tet, d)
+            * (shape + d.moduli.lam[tet] * volume_part[0])
+        )
+
+    @wp.func
+    def _mean_dilatation(
+        env: int,
+        tet: int,
+        common: wp.mat33d,
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+    ) -> wp.float64:
+        mean = wp.float64(0.0)
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            mean += wp.float64(0.25) * dilatation(f, start_of(env, tet, q, d))
+            q += 1
+        return mean
+
+    @wp.kernel(module=module)
+    def _quadratic_gradient_kernel(
+        active: wp.array(dtype=wp.int32),
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+        local_gradients: wp.array3d(dtype=wp.vec3d),
+    ):
+        env, tet = wp.tid()
+        if active[env] == 0:
+            return
+        rest = env % d.volumes.shape[0]
+        common = common_deformation(env, tet, positions, d)
+        mean = _mean_dilatation(env, tet, common, positions, d)
+        pressure = d.moduli.lam[tet] * volumetric(mean)[1]
+        factor = d.volumes[rest, tet] * scale(env, tet, d)
+        # Stress integrals: l_c P over the element for each corner c, from l_c = OTHER + ...
+        total = wp.mat33d()
+        own_0 = wp.mat33d()
+        own_1 = wp.mat33d()
+        own_2 = wp.mat33d()
+        own_3 = wp.mat33d()
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            start = start_of(env, tet, q, d)
+            p = piola(f, start, d, tet) + pressure * dilatation_slope(f)
+            total += p
+            if q == 0:
+                own_0 = p
+            elif q == 1:
+                own_1 = p
+            elif q == 2:
+                own_2 = p
+            else:
+                own_3 = p
+            q += 1
+        m_0 = factor * (OTHER * total + OWN_LESS_OTHER * own_0)
+        m_1 = factor * (OTHER * total + OWN_LESS_OTHER * own_1)
+        m_2 = factor * (OTHER * total + OWN_LESS_OTHER * own_2)
+        m_3 = factor * (OTHER * total + OWN_LESS_OTHER * own_3)
+        constant = wp.float64(0.25) * factor * total
+        b_0 = d.gradients[rest, tet, 0]
+        b_1 = d.gradients[rest, tet, 1]
+        b_2 = d.gradients[rest, tet, 2]
+        b_3 = d.gradients[rest, tet, 3]
+        local_gradients[env, tet, 0] = (m_0 - constant) * b_0
+        local_gradients[env, tet, 1] = (m_1 - constant) * b_1
+        local_gradients[env, tet, 2] = (m_2 - constant) * b_2
+        local_gradients[env, tet, 3] = (m_3 - constant) * b_3
+        local_gradients[env, tet, 4] = m_1 * b_0 + m_0 * b_1
+        local_gradients[env, tet, 5] = m_2 * b_1 + m_1 * b_2
+        local_gradients[env, tet, 6] = m_2 * b_0 + m_0 * b_2
+        local_gradients[env, tet, 7] = m_3 * b_0 + m_0 * b_3
+        local_gradients[env, tet, 8] = m_3 * b_1 + m_1 * b_3
+        local_gradients[env, tet, 9] = m_3 * b_2 + m_2 * b_3
+
+    @wp.kernel(module=module)
+    def _quadratic_hessian_kernel(
+        active: wp.array(dtype=wp.int32),
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+        psd_mode: int,
+        blocks: wp.array3d(dtype=wp.mat33d),
+    ):
+        env, tet = wp.tid()
+        if active[env] == 0:
+            return
+        rest = env % d.volumes.shape[0]
+        # Held in a variable so that Warp keeps the loops rolled.
+        node_count = d.nodes.shape[1]
+        common = common_deformation(env, tet, positions, d)
+        eye = wp.identity(n=3, dtype=wp.float64)
+        # The mean dilatation and its derivative in the nodes.
+        mean = wp.float64(0.0)
+        slope = mat103d()
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            mean += wp.float64(0.25) * dilatation(f, start_of(env, tet, q, d))
+            slope += wp.float64(0.25) * shape_gradients(env, tet, q, dilatation_slope(f), d)
+            q += 1
+        volume_part = volumetric(mean)
+        factor = d.volumes[rest, tet] * scale(env, tet, d)
+        bulk = factor * d.moduli.lam[tet] * lifted(volume_part[2], psd_mode)
+        pair = int(0)
+        for a in range(node_count):
+            left = bulk * row_of(slope, a)
+            for b in range(a, node_count):
+                blocks[env, tet, pair] = wp.outer(left, row_of(slope, b))
+                pair += 1
+        pressure = d.moduli.lam[tet] * volume_part[1]
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            h = hessian(f, start_of(env, tet, q, d), d, tet, pressure, psd_mode)
+            shapes = shape_gradients(env, tet, q, wp.transpose(h.frame), d)
+            add_point_blocks(env, tet, wp.float64(0.25) * factor, h, shapes, node_count, blocks)
+            q += 1
+
+    return ElementKernels(
+        _quadratic_energy_kernel, _quadratic_gradient_kernel, _quadratic_hessian_kernel
+    )

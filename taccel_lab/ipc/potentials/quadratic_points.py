@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Elastic laws at the quadrature points of ten-node tets."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import warp as wp
+
+from taccel_lab.ipc.elasticity.laws import LAWS
+from taccel_lab.ipc.elasticity.principal import PrincipalHessian
+from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
+from taccel_lab.ipc.potentials.quadratic_kernels import (
+    PointHessian,
+    PointLaw,
+    create_quadratic_kernels,
+)
+from taccel_lab.ipc.svd import matrix_column
+from taccel_lab.scene.material import MaterialModel
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def _no_start(env: int, i: int, q: int, d: ElementData) -> wp.mat33d:
+    return wp.mat33d()
+
+
+@wp.func
+def _one(env: int, i: int, d: ElementData) -> wp.float64:
+    return wp.float64(1.0)
+
+
+@wp.func
+def _diagonal_block(h: PrincipalHessian, k: int) -> wp.mat33d:
+    direct = wp.vec3d(h.direct[0, k], h.direct[1, k], h.direct[2, k])
+    return h.u * wp.diag(direct) * wp.transpose(h.u)
+
+
+@wp.func
+def _coupling_block(h: PrincipalHessian, k: int, m: int) -> wp.mat33d:
+    u_k = matrix_column(h.u, k)
+    u_m = matrix_column(h.u, m)
+    return h.stretch[k, m] * wp.outer(u_k, u_m) + h.swap[k, m] * wp.outer(u_m, u_k)
+
+
+@wp.func
+def point_hessian(p: PrincipalHessian) -> PointHessian:
+    """The blocks of a principal Hessian, in its frame V."""
+    h = PointHessian()
+    h.frame = p.v
+    h.k_00 = _diagonal_block(p, 0)
+    h.k_11 = _diagonal_block(p, 1)
+    h.k_22 = _diagonal_block(p, 2)
+    h.k_01 = _coupling_block(p, 0, 1)
+    h.k_02 = _coupling_block(p, 0, 2)
+    h.k_12 = _coupling_block(p, 1, 2)
+    return h
+
+
+@cache
+def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
+    """The kernels of an elastic law."""
+    law = LAWS[model]
+    shape_energy = law.shape_energy
+    shape_piola = law.shape_piola
+    pressed = law.pressed_hessian
+    law_dilatation = law.dilatation
+
+    @wp.func
+    def energy(f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int) -> wp.float64:
+        return shape_energy(f, d.moduli, i)
+
+    @wp.func
+    def piola(f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int) -> wp.mat33d:
+        return shape_piola(f, d.moduli, i)
+
+    @wp.func
+    def dilatation(f: wp.mat33d, start: wp.mat33d) -> wp.float64:
+        return law_dilatation(f)
+
+    @wp.func
+    def hessian(
+        f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int, pressure: wp.float64, mode: int
+    ) -> PointHessian:
+        return point_hessian(pressed(f, d.moduli, i, pressure, mode))
+
+    return create_quadratic_kernels(
+        PointLaw(
+            name=model.value,
+            start=_no_start,
+            energy=energy,
+            piola=piola,
+            dilatation=dilatation,
+            dilatation_slope=law.dilatation_slope,
+            volumetric=law.volumetric,
+            scale=_one,
+            hessian=hessian,
+        )
+    )

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Elements of soft bodies, in groups that share a material law and a kind of element."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import QuadraticMesh, Region
+from taccel_lab.ipc.linear.pattern import BlockGather, node_gather
+from taccel_lab.model.surface import Put
+from taccel_lab.scene.bodies import SoftBody
+from taccel_lab.scene.element import Element
+from taccel_lab.scene.material import MaterialModel
+
+
+@dataclass
+class ElementArrays:
+    """Elements of one law and kind, of one or several soft bodies."""
+
+    law: MaterialModel
+    element: Element
+    damped: bool
+    """Whether any element has a damping time."""
+    bodies: list[tuple[int, int, int]]
+    """(soft body, first element, the one after the last) of each body in the group."""
+    elements: wp.array
+    """Nodes of the whole scene, int32, shape [element_count, nodes_per_element]."""
+    shape_gradients: wp.array
+    """Rest gradients of the barycentric coordinates [1/m], vec3d, [rest_count, element_count, 4];
+    elements have straight edges at rest."""
+    volumes: wp.array
+    """Rest volumes [m^3], float64, shape [rest_count, element_count]."""
+    mu: wp.array
+    """Shear modulus [Pa], float64, shape [element_count]."""
+    lam: wp.array
+    """Lame's first parameter [Pa], float64, shape [element_count]."""
+    mooney_ratio: wp.array
+    """c01 / (c10 + c01), float64, shape [element_count]; empty unless Mooney-Rivlin."""
+    damping_times: wp.array
+    """Viscous over elastic stress per strain rate [s], float64, shape [element_count]."""
+    gather_nodes: wp.array
+    """Nodes of the group, ascending, int32."""
+    node_starts: wp.array
+    """Range of each of them in ``node_entries``, int32."""
+    node_entries: wp.array
+    """nodes_per_element * element + local node, int32."""
+    blocks: wp.array
+    """This and the following: see BlockGather; filled in by ``set_gather``."""
+    source_starts: wp.array
+    sources: wp.array
+    rim_rows: wp.array
+    rim_starts: wp.array
+    rim_sources: wp.array
+    rim_nodes: wp.array
+
+    @property
+    def element_count(self) -> int:
+        return self.elements.shape[0]
+
+    @property
+    def nodes_per_element(self) -> int:
+        return self.elements.shape[1]
+
+    def set_gather(self, gather: BlockGather, put: Put) -> None:
+        """Say where the element blocks go in the matrix of the scene."""
+        self.blocks = put(gather.blocks, wp.int32)
+        self.source_starts = put(gather.source_starts, wp.int32)
+        self.sources = put(gather.sources, wp.int32)
+        self.rim_rows = put(gather.rim_rows, wp.int32)
+        self.rim_starts = put(gather.rim_starts, wp.int32)
+        self.rim_sources = put(gather.rim_sources, wp.int32)
+        self.rim_nodes = put(gather.rim_nodes, wp.int32)
+
+
+def shape_gradients(rest: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rest gradients [rest, tet, 4, 3] and volumes [rest, tet] of the corners of tets; refuses flat
+    or inverted ones."""
+    p = rest[:, tets[:, :4]]
+    edges = np.swapaxes(p[:, :, 1:] - p[:, :, :1], -1, -2)
+    det = np.linalg.det(edges)
+    if not (det > 0).all():
+        env, tet = np.argwhere(~(det > 0))[0]
+        raise InputError(f"rest tet {tet} of environment {env} is inverted or flat")
+    inverse = np.linalg.inv(edges)
+    first = -inverse.sum(axis=2, keepdims=True)
+    return np.concatenate([first, inverse], axis=2), det / 6.0
+
+
+@dataclass(frozen=True)
+class SoftDiscretization:
+    """The nodes and elements of one soft body, its own node numbers."""
+
+    rest_m: np.ndarray
+    """Rest positions [m], shape [rest_count, node_count, 3]."""
+    elements: np.ndarray
+    """Nodes of each element, int, shape [element_count, n]."""
+    bonded: np.ndarray
+    """Nodes without degrees of freedom, int64, shape [bonded_count]."""
+    faces: np.ndarray
+    """Collision faces: bond and window faces sit on the rigid backing, nothing can touch them."""
+    face_shares: np.ndarray
+    """Part of its area that each corner of a collision face stands for, shape [face_count, 3]."""
+    contact_faces: np.ndarray
+    """Whether a collision face belongs to the contact region, bool, shape [face_count]."""
+    masses_kg: np.ndarray
+    """Lumped masses [kg], shape [rest_count, node_count]."""
+
+
+_CORNER_SHARE = 0.1
+"""Part of the area of a quadratic face's corners that they keep. The load of a uniform pressure on a
+straight-sided quadratic face is zero at its corners; the rest keeps them from getting through."""
+
+
+def _face_shares(faces: np.ndarray, corner_count: int) -> np.ndarray:
+    """Shares of the corners of faces in the area; nodes from ``corner_count`` on are middles."""
+    is_corner = faces < corner_count
+    quadratic = is_corner.sum(axis=1) == 1
+    kept = np.where(is_corner, _CORNER_SHARE, 1 + 0.5 * (1 - _CORNER_SHARE)) / 3
+    return np.where(quadratic[:, None], kept, 1 / 3)
+
+
+def discretize(body: SoftBody) -> SoftDiscretization:
+    """Nodes and elements of a soft body; refuses flat and inverted tets."""
+    rest = (
+        body.mesh.nodes_m[None]
+        if body.rest_positions_m is None
+        else np.ascontiguousarray(body.rest_positions_m, dtype=np.float64)
+    )
+    _, volumes = shape_gradients(rest, body.mesh.tets)
+    tet_masses = volumes * body.material.density_kg_m3
+    mesh = body.nodal_mesh
+    if isinstance(mesh, QuadraticMesh):
+        rest = mesh.with_middles(rest)
+        # The edges of bond faces, or what the user's corners enclose.
+        given = body.bonded_nodes is not None
+        bonded = mesh.held_with(body.bonded()) if given else mesh.bonded_nodes()
+        masses = np.stack([mesh.lumped_masses(row) for row in tet_masses])
+    else:
+        bonded = body.bonded()
+        corners = body.mesh.tets.ravel()
+        count = mesh.node_count
+        masses = np.stack(
+            [np.bincount(corners, np.repeat(row / 4.0, 4), minlength=count) for row in tet_masses]
+        )
+    touchable = np.isin(mesh.face_regions, [int(Region.CONTACT), int(Region.SIDE)])
+    faces = mesh.faces[touchable]
+    corner_count = body.mesh.node_count if isinstance(mesh, QuadraticMesh) else mesh.node_count
+    return SoftDiscretization(
+        rest_m=rest,
+        elements=mesh.tets,
+        bonded=bonded,
+        faces=faces,
+        face_shares=_face_shares(faces, corner_count),
+        contact_faces=mesh.face_regions[touchable] == int(Region.CONTACT),
+        masses_kg=masses,
+    )
+
+
+def build_element_groups(
+    bodies: Sequence[SoftBody],
+    parts: Sequence[SoftDiscretization],
+    starts: Sequence[int],
+    put: Put,
+) -> tuple[list[ElementArrays], list[np.ndarray]]:
+    """Element groups and their connectivities in node numbers of the scene.
+
+    ``starts``: first node of each body. ``ElementArrays.set_gather`` comes later, with the matrix.
+    """
+    members: dict[tuple[MaterialModel, Element, bool], list[int]] = {}
+    for index, body in enumerate(bodies):
+        damped = body.material.damping_time_s > 0
+        members.setdefault((body.material.model, body.element, damped), []).append(index)
+    groups, connectivities = [], []
+    for (law, element, damped), indices in members.items():
+        connectivity = np.concatenate([parts[i].elements + starts[i] for i in indices])
+        ends = np.cumsum([0] + [len(parts[i].elements) for i in indices])
+        rests = [shape_gradients(parts[i].rest_m, parts[i].elements) for i in indices]
+        rest_count = max(len(volumes) for _, volumes in rests)
+
+        def spread(values: np.ndarray, rows: int = rest_count) -> np.ndarray:
+            return np.broadcast_to(values, (rows, *values.shape[1:]))
+
+        def by_element(name: str, indices: Sequence[int] = indices) -> np.ndarray:
+            return np.concatenate(
+                [
+                    np.broadcast_to(getattr(bodies[i].material, name), len(parts[i].elements))
+                    for i in indices
+                ]
+            )
+
+        mooney = law is MaterialModel.MOONEY_RIVLIN
+        nodes, node_starts, entries = node_gather(connectivity)
+        none = put(np.zeros(0), wp.int32)
+        groups.append(
+            ElementArrays(
+                law=law,
+                element=element,
+                damped=damped,
+                bodies=[(i, int(ends[k]), int(ends[k + 1])) for k, i in enumerate(indices)],
+                elements=put(connectivity, wp.int32),
+                shape_gradients=put(
+                    np.concatenate([spread(g) for g, _ in rests], axis=1), wp.vec3d
+                ),
+                volumes=put(np.concatenate([spread(v) for _, v in rests], axis=1), wp.float64),
+                mu=put(by_element("shear_modulus_pa"), wp.float64),
+                lam=put(by_element("lame_lambda_pa"), wp.float64),
+                mooney_ratio=put(by_element("mooney_ratio") if mooney else np.zeros(0), wp.float64),
+                damping_times=put(by_element("damping_time_s"), wp.float64),
+                gather_nodes=put(nodes, wp.int32),
+                node_starts=put(node_starts, wp.int32),
+                node_entries=put(entries, wp.int32),
+                blocks=none,
+                source_starts=none,
+                sources=none,
+                rim_rows=none,
+                rim_starts=none,
+                rim_sources=none,
+                rim_nodes=none,
+            )
+        )
+        connectivities.append(connectivity)
+    return groups, connectivities

@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be read from a solved step: forces, wrenches, tractions, stresses, energies, momenta.
+
+Every array is on the device, with the environment as its first axis. ``array.numpy()`` copies it to
+the host, ``to_torch(array)`` shares its memory with torch, and ``from_dlpack`` of any library does.
+"""
+
+from taccel_lab.outputs.arrays import to_torch
+from taccel_lab.outputs.contact_wrenches import PairWrenches
+from taccel_lab.outputs.momentum import Momentum
+from taccel_lab.outputs.outputs import Outputs
+from taccel_lab.outputs.surface_load import SurfaceLoad
+
+__all__ = ["Momentum", "Outputs", "PairWrenches", "SurfaceLoad", "to_torch"]

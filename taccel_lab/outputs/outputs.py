@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``Outputs``: read what a step did. Only what is read is computed, once for each update."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.model import BodyKind
+from taccel_lab.outputs.arrays import added, negated
+from taccel_lab.outputs.contact_wrenches import (
+    PairWrenches,
+    contact_wrenches,
+    friction_wrenches,
+)
+from taccel_lab.outputs.momentum import Momentum, MomentumReader
+from taccel_lab.outputs.stress import StressReader, peak_at, von_mises
+from taccel_lab.outputs.surface_load import SurfaceLoad, surface_load
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import State
+
+_STORED = ("elastic", "affine", "joints")
+"""Potentials whose value is energy that is stored, not a means to a step."""
+
+
+class Outputs:
+    """Construct once, ``update(state)`` after a step, then read.
+
+    Forces, wrenches and gaps are those of the last step of the solver. Arrays that were handed out
+    keep their values at the next update.
+    """
+
+    def __init__(self, solver: SolverIPC) -> None:
+        self._solver = solver
+        self._model = solver.model
+        self._state: State | None = None
+        self._momentum = MomentumReader(self._model)
+
+    def update(self, state: State) -> Outputs:
+        """Read from now on the step that led to ``state``."""
+        self._state = state
+        for name, value in vars(type(self)).items():
+            if isinstance(value, cached_property):
+                self.__dict__.pop(name, None)
+        return self
+
+    @property
+    def state(self) -> State:
+        """The state of the last update."""
+        if self._state is None:
+            raise RuntimeError("update() must be called before an output is read")
+        return self._state
+
+    # Contact ---------------------------------------------------------------------------------
+
+    @cached_property
+    def normal_forces(self) -> wp.array:
+        """Contact force on each node [N], vec3d, shape [env_count, node_count]."""
+        _ = self.state
+        return negated(self._solver.contact_gradient)
+
+    @cached_property
+    def friction_forces(self) -> wp.array:
+        """Friction force on each node [N], vec3d, shape [env_count, node_count]."""
+        _ = self.state
+        return negated(self._solver.friction_gradient)
+
+    @cached_property
+    def surface_load(self) -> SurfaceLoad:
+        """Tractions of contact and friction, and contact pressure, on the surface as it is now."""
+        total = added(self.normal_forces, self.friction_forces)
+        return surface_load(self._model, self.state.positions, total)
+
+    def contact_wrenches(self, center_m: tuple[float, float, float] = (0, 0, 0)) -> PairWrenches:
+        """Normal forces between bodies, torques about ``center_m``, and gaps."""
+        return contact_wrenches(
+            self._model, self._solver.collisions, self.state.positions, center_m
+        )
+
+    def friction_wrenches(self, center_m: tuple[float, float, float] = (0, 0, 0)) -> PairWrenches:
+        """Friction forces between bodies, torques about ``center_m``."""
+        s, state = self._solver, self.state
+        if s.friction is None:
+            return PairWrenches.none(self._model)
+        motion = s.friction.motion(state.positions, s.previous, state.poses, s.start_poses)
+        geometry = s.collisions.geometry
+        return friction_wrenches(self._model, s.friction, geometry, motion, center_m)
+
+    # Stress ----------------------------------------------------------------------------------
+
+    @cached_property
+    def element_stresses(self) -> list[wp.array]:
+        """Cauchy stress of the elements of each group of ``Model.elastic`` [Pa], mat33d, shape
+        [env_count, element_count]."""
+        return [reader.stresses for reader in self._read_stress()]
+
+    @cached_property
+    def nodal_stresses(self) -> wp.array:
+        """Cauchy stress at the nodes of soft bodies [Pa], mat33d, shape [env_count, node_count];
+        zero elsewhere."""
+        positions = self.state.positions
+        nodal = wp.zeros(positions.shape, dtype=wp.mat33d, device=positions.device)
+        for reader in self._read_stress():
+            reader.add_to_nodes(nodal)
+        return nodal
+
+    @cached_property
+    def von_mises(self) -> wp.array:
+        """Equivalent stress at the nodes of soft bodies [Pa], float64, [env_count, node_count]."""
+        return von_mises(self.nodal_stresses)
+
+    def bond_peak(self) -> tuple[wp.array, wp.array]:
+        """Largest equivalent stress at a bonded node [Pa] and that node, [env_count] each."""
+        held = self._model.free_index.numpy() < 0
+        soft = [body.nodes for body in self._model.bodies if body.kind is BodyKind.SOFT]
+        nodes = [np.arange(*nodes)[held[slice(*nodes)]] for nodes in soft]
+        return peak_at(np.concatenate([np.zeros(0), *nodes]), self.von_mises)
+
+    def _read_stress(self) -> list[StressReader]:
+        readers = [StressReader(self._model, group) for group in self._model.elastic]
+        for reader in readers:
+            reader.read(self.state.positions)
+        return readers
+
+    # Energy and momentum ---------------------------------------------------------------------
+
+    def momentum(self, center_m: tuple[float, float, float] = (0, 0, 0)) -> Momentum:
+        """Momenta and kinetic energies of the bodies, angular momenta about ``center_m``."""
+        return self._momentum.read(self.state.positions, self.state.velocities, center_m)
+
+    @cached_property
+    def energies(self) -> dict[str, np.ndarray]:
+        """Stored energies by name [J], shape [env_count]: elastic, affine, joints, contact, weight,
+        kinetic; those that the scene has."""
+        s, x = self._solver, self.state.positions
+        everyone = wp.full(self._model.env_count, 1, dtype=wp.int32, device=self._model.device)
+        terms = {
+            name: part.energy(everyone, x).copy()
+            for name, part in s.potentials.items()
+            if name.split()[0] in _STORED
+        }
+        terms["contact"] = s.contact.energy(everyone, x)
+        if s.inertia is not None:
+            terms["weight"] = self._momentum.read_weight_energy(x).numpy().sum(axis=1)
+            terms["kinetic"] = self.momentum().kinetic_energy.numpy().sum(axis=1)
+        return terms

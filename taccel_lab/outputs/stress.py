@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cauchy stress of soft bodies: sigma = P F^T / J, by element and averaged at nodes.
+
+Only the elastic part: damping adds a stress that lasts as long as the strain changes. A ten-node
+tet has one pressure and four quadrature points; its stress is the mean of these, by the volume that
+each now has. A node takes the mean of its elements by their volume [Zienkiewicz and Taylor 2000,
+sec. 14.2, averaging]. Linear tets with nu near 0.5 give pressures that alternate between
+elements: read those of nodes.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
+from taccel_lab.ipc.potentials.element_data import ElementData
+from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
+from taccel_lab.ipc.potentials.quadratic_kernels import common_deformation, point_deformation
+from taccel_lab.model import Model
+from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.scene.element import Element
+from taccel_lab.scene.material import MaterialModel
+
+wp.set_module_options({"enable_backward": False})
+
+
+@cache
+def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
+    """Kernel over (environment, element), in a module of its own for each law and element."""
+    law = LAWS[model]
+    piola = law.piola
+    shape_piola = law.shape_piola
+    dilatation = law.dilatation
+    dilatation_slope = law.dilatation_slope
+    volumetric = law.volumetric
+    module = wp.get_module(f"{__name__}.{model.value}.{element.value}")
+    wp.set_module_options({"enable_backward": False}, module=module)
+
+    if element is Element.LINEAR:
+
+        @wp.kernel(module=module)
+        def _linear_stress_kernel(
+            positions: wp.array2d(dtype=wp.vec3d),
+            d: ElementData,
+            stresses: wp.array2d(dtype=wp.mat33d),
+            volumes: wp.array2d(dtype=wp.float64),
+        ):
+            env, tet = wp.tid()
+            f = linear_deformation(env, tet, positions, d)
+            j = wp.determinant(f)
+            stresses[env, tet] = piola(f, d.moduli, tet) * wp.transpose(f) / j
+            volumes[env, tet] = j * d.volumes[env % d.volumes.shape[0], tet]
+
+        return _linear_stress_kernel
+
+    @wp.kernel(module=module)
+    def _quadratic_stress_kernel(
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+        stresses: wp.array2d(dtype=wp.mat33d),
+        volumes: wp.array2d(dtype=wp.float64),
+    ):
+        env, tet = wp.tid()
+        quarter = wp.float64(0.25)
+        common = common_deformation(env, tet, positions, d)
+        mean = wp.float64(0.0)
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            mean += quarter * dilatation(f)
+            q += 1
+        pressure = d.moduli.lam[tet] * volumetric(mean)[1]
+        kirchhoff = wp.mat33d()
+        growth = wp.float64(0.0)
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            p = shape_piola(f, d.moduli, tet) + pressure * dilatation_slope(f)
+            kirchhoff += quarter * (p * wp.transpose(f))
+            growth += quarter * wp.determinant(f)
+            q += 1
+        stresses[env, tet] = kirchhoff / growth
+        volumes[env, tet] = growth * d.volumes[env % d.volumes.shape[0], tet]
+
+    return _quadratic_stress_kernel
+
+
+@wp.kernel
+def _nodal_stress_kernel(
+    nodes: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    entries: wp.array(dtype=wp.int32),
+    width: int,
+    stresses: wp.array2d(dtype=wp.mat33d),
+    volumes: wp.array2d(dtype=wp.float64),
+    nodal: wp.array2d(dtype=wp.mat33d),
+):
+    env, i = wp.tid()
+    total = wp.mat33d()
+    volume = wp.float64(0.0)
+    for k in range(starts[i], starts[i + 1]):
+        element = entries[k] / width
+        total += volumes[env, element] * stresses[env, element]
+        volume += volumes[env, element]
+    nodal[env, nodes[i]] = total / volume
+
+
+@wp.kernel
+def _von_mises_kernel(
+    stresses: wp.array2d(dtype=wp.mat33d), equivalent: wp.array2d(dtype=wp.float64)
+):
+    env, i = wp.tid()
+    s = stresses[env, i]
+    third = wp.float64(1.0) / wp.float64(3.0)
+    s = s - third * wp.trace(s) * wp.identity(n=3, dtype=wp.float64)
+    equivalent[env, i] = wp.sqrt(wp.float64(1.5) * wp.ddot(s, s))
+
+
+@wp.kernel
+def _peak_kernel(
+    nodes: wp.array(dtype=wp.int32),
+    values: wp.array2d(dtype=wp.float64),
+    peaks: wp.array(dtype=wp.float64),
+    places: wp.array(dtype=wp.int32),
+):
+    env = wp.tid()
+    best = wp.float64(-1.0)
+    place = int(-1)
+    for i in range(nodes.shape[0]):
+        if values[env, nodes[i]] > best:
+            best = values[env, nodes[i]]
+            place = nodes[i]
+    peaks[env] = best
+    places[env] = place
+
+
+class StressReader:
+    """Stresses of one group of elements of a model; see ``Model.elastic``."""
+
+    def __init__(self, model: Model, group: ElementArrays) -> None:
+        self.model = model
+        self.group = group
+        data = ElementData()
+        data.nodes, data.gradients, data.volumes = (
+            group.elements,
+            group.shape_gradients,
+            group.volumes,
+        )
+        data.moduli = Moduli()
+        data.moduli.mu, data.moduli.lam = group.mu, group.lam
+        data.moduli.ratio = group.mooney_ratio
+        self._data = data
+        shape, device = (model.env_count, group.element_count), model.device
+        self.stresses = wp.zeros(shape, dtype=wp.mat33d, device=device)
+        """Cauchy stress of each element [Pa], mat33d, shape [env_count, element_count]."""
+        self.volumes = wp.zeros(shape, dtype=wp.float64, device=device)
+        """Volume that each element has now [m^3], float64, shape [env_count, element_count]."""
+
+    def read(self, positions: wp.array) -> wp.array:
+        """``stresses`` at node positions [m], vec3d, [env_count, node_count]."""
+        wp.launch(
+            _stress_kernel(self.group.law, self.group.element),
+            dim=self.stresses.shape,
+            inputs=[positions, self._data],
+            outputs=[self.stresses, self.volumes],
+            device=self.model.device,
+        )
+        return self.stresses
+
+    def add_to_nodes(self, nodal: wp.array) -> None:
+        """Write the mean of the last ``stresses`` around each node of the group into ``nodal``,
+        mat33d, shape [env_count, node_count]."""
+        g = self.group
+        wp.launch(
+            _nodal_stress_kernel,
+            dim=(self.model.env_count, len(g.gather_nodes)),
+            inputs=[g.gather_nodes, g.node_starts, g.node_entries, g.nodes_per_element]
+            + [self.stresses, self.volumes],
+            outputs=[nodal],
+            device=self.model.device,
+        )
+
+
+def von_mises(stresses: wp.array) -> wp.array:
+    """Equivalent stress sqrt(3/2 s : s) of the deviators [Pa], float64, same shape."""
+    equivalent = wp.zeros(stresses.shape, dtype=wp.float64, device=stresses.device)
+    wp.launch(
+        _von_mises_kernel,
+        dim=stresses.shape,
+        inputs=[stresses],
+        outputs=[equivalent],
+        device=stresses.device,
+    )
+    return equivalent
+
+
+def peak_at(nodes: np.ndarray, values: wp.array) -> tuple[wp.array, wp.array]:
+    """Largest of nodal values at some nodes, such as the bonded ones, and the node it is at.
+
+    ``nodes``: [n]; ``values``: float64, [env_count, node_count], not negative. Returns the values
+    (float64) and nodes (int32), shape [env_count] each; -1 for an empty list.
+    """
+    device = values.device
+    peaks = wp.zeros(values.shape[0], dtype=wp.float64, device=device)
+    places = wp.zeros(values.shape[0], dtype=wp.int32, device=device)
+    chosen = wp.array(np.asarray(nodes, dtype=np.int32), dtype=wp.int32, device=device)
+    wp.launch(
+        _peak_kernel,
+        dim=values.shape[0],
+        inputs=[chosen, values],
+        outputs=[peaks, places],
+        device=device,
+    )
+    return peaks, places

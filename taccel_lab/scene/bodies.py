@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bodies of a scene, checked: soft, affine, kinematic ones and planes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import QuadraticMesh, TetMesh, quadratic_mesh
+from taccel_lab.scene.element import Element
+from taccel_lab.scene.material import Material, MaterialField
+from taccel_lab.scene.primitives import Ball, TriangleMesh
+
+ALL_LAYERS = 0xFFFFFFFF
+"""Mask of a body that may touch every layer."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """How the surface of a body meets others."""
+
+    layer: int = 1
+    """Bits of the collision layers that the body belongs to."""
+    collides_with: int = ALL_LAYERS
+    """Bits of the layers it may touch; a pair collides when each allows the other's layer."""
+    thickness_m: float = 0.0
+    """Distance that others keep from the surface [m]: the smallest gap is the sum of a pair's."""
+    environments: tuple[int, ...] | None = None
+    """Environments in which the body is present; all when None. Not for soft bodies."""
+
+    def __post_init__(self) -> None:
+        for name in ("layer", "collides_with"):
+            if not 0 <= getattr(self, name) <= ALL_LAYERS:
+                raise InputError(f"{name} must be a mask of 32 bits, got {getattr(self, name)}")
+        if not (math.isfinite(self.thickness_m) and 0 <= self.thickness_m <= 0.1):
+            raise InputError(f"thickness_m must lie in [0, 0.1] m, got {self.thickness_m}")
+
+    def meets(self, other: Surface) -> bool:
+        """Whether the layers of two bodies may touch."""
+        return bool(self.layer & other.collides_with and other.layer & self.collides_with)
+
+
+def check_friction(value: float | None, whose: str) -> None:
+    """Refuse a friction coefficient out of [0, 10]; None is no say."""
+    if value is not None and not (math.isfinite(value) and 0 <= value <= 10):
+        raise InputError(f"friction coefficient of {whose} must lie in [0, 10], got {value}")
+
+
+def check_pose(value: np.ndarray | None, whose: str) -> np.ndarray | None:
+    """A pose or one an environment, [7] or [env, 7]: position [m], quaternion x, y, z, w."""
+    if value is None:
+        return None
+    pose = np.asarray(value, dtype=np.float64)
+    if pose.shape[-1:] != (7,) or pose.ndim > 2:
+        raise InputError(f"pose of {whose} must have shape [7] or [env, 7], got {pose.shape}")
+    if not np.isfinite(pose).all():
+        raise InputError(f"pose of {whose} holds NaN or infinite values")
+    norm = np.linalg.norm(pose[..., 3:], axis=-1)
+    if (np.abs(norm - 1) > 1e-6).any():
+        raise InputError(f"quaternion (x, y, z, w) of {whose} must have unit length, got {norm}")
+    return pose
+
+
+def _check_vector(value: tuple[float, float, float], name: str, whose: str) -> None:
+    if len(value) != 3 or not all(math.isfinite(v) for v in value):
+        raise InputError(f"{name} of {whose} must be three finite numbers, got {value}")
+
+
+@dataclass(frozen=True)
+class SoftBody:
+    """A FEM body; its bonded nodes carry no degrees of freedom."""
+
+    mesh: TetMesh
+    material: Material | MaterialField
+    bonded_nodes: np.ndarray | None = None
+    """Sorted node indices held fixed, or by the mount; the mesh's bond and window nodes when
+    None."""
+    rest_positions_m: np.ndarray | None = None
+    """Rest shape per environment [m], shape [env_count, node_count, 3]: one connectivity, graded
+    differently in each environment. The mesh's nodes for all environments when None."""
+    name: str = "gel"
+    friction_coefficient: float | None = None
+    """Coulomb friction; see ``Scene.pair_friction``. None leaves it to the other body."""
+    mount: str | None = None
+    """Kinematic body whose frame the mesh is given in, and which the bonded nodes follow exactly;
+    fixed in the world when None."""
+    element: Element = Element.LINEAR
+    self_contact: bool = False
+    surface: Surface = Surface()
+    initial_pose: np.ndarray | None = None
+    """world_from_mesh at the start, [7] or [env, 7]; for a body without a mount."""
+    initial_velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        count = self.material.tet_count
+        if count is not None and count != self.mesh.tet_count:
+            raise InputError(
+                f"material has moduli of {count} tets, the mesh has {self.mesh.tet_count} tets"
+            )
+        check_friction(self.friction_coefficient, repr(self.name))
+        if self.mount is not None and self.initial_pose is not None:
+            raise InputError(f"{self.name!r} has a mount: its pose is the mount's")
+        if self.surface.environments is not None:
+            raise InputError(f"soft body {self.name!r} must be present in all environments")
+        object.__setattr__(self, "initial_pose", check_pose(self.initial_pose, repr(self.name)))
+        _check_vector(self.initial_velocity_m_s, "initial_velocity_m_s", repr(self.name))
+
+    def bonded(self) -> np.ndarray:
+        """Bonded node indices of ``mesh``, int64, shape [n]."""
+        if self.bonded_nodes is None:
+            return self.mesh.bonded_nodes()
+        return np.unique(np.asarray(self.bonded_nodes, dtype=np.int64))
+
+    @cached_property
+    def nodal_mesh(self) -> TetMesh | QuadraticMesh:
+        """``mesh`` with all the nodes that the solver moves: what reads positions of nodes and
+        faces that touch (signals, outputs) goes by this one."""
+        return quadratic_mesh(self.mesh) if self.element is Element.QUADRATIC else self.mesh
+
+
+@dataclass(frozen=True)
+class AffineBody:
+    """A stiff free body of 12 degrees of freedom [Lan et al. 2022, Affine Body Dynamics]."""
+
+    shape: TriangleMesh
+    """Closed surface in the body frame; mass and inertia follow from it."""
+    density_kg_m3: float = 1000.0
+    young_modulus_pa: float = 1e9
+    """Stiffness against any deformation: large, but not so large that rounding rules."""
+    name: str = "object"
+    friction_coefficient: float | None = None
+    surface: Surface = Surface()
+    initial_pose: np.ndarray | None = None
+    """world_from_body at the start, [7] or [env, 7]; the identity when None."""
+    initial_velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of the centre of mass."""
+    initial_spin_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Angular velocity in world axes."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.shape, TriangleMesh):
+            raise InputError(f"affine body {self.name!r} needs a closed TriangleMesh")
+        if not (math.isfinite(self.density_kg_m3) and 0 < self.density_kg_m3 <= 3e4):
+            raise InputError(
+                f"density of {self.name!r} must lie in (0, 3e4] kg/m^3, got {self.density_kg_m3}"
+            )
+        if not (math.isfinite(self.young_modulus_pa) and 1e3 <= self.young_modulus_pa <= 1e13):
+            raise InputError(
+                f"young_modulus_pa of {self.name!r} must lie in [1e3, 1e13] Pa, "
+                f"got {self.young_modulus_pa}"
+            )
+        check_friction(self.friction_coefficient, repr(self.name))
+        object.__setattr__(self, "initial_pose", check_pose(self.initial_pose, repr(self.name)))
+        _check_vector(self.initial_velocity_m_s, "initial_velocity_m_s", repr(self.name))
+        _check_vector(self.initial_spin_rad_s, "initial_spin_rad_s", repr(self.name))
+
+
+@dataclass(frozen=True)
+class KinematicBody:
+    """A rigid body whose pose is prescribed; it has no degrees of freedom."""
+
+    shape: TriangleMesh | Ball | None
+    """None for a frame without a surface, such as the mount of a gel."""
+    friction_coefficient: float | None = 0.0
+    """Coulomb friction; see ``Scene.pair_friction``. None leaves it to the other body."""
+    name: str = "indenter"
+    surface: Surface = Surface()
+
+    def __post_init__(self) -> None:
+        check_friction(self.friction_coefficient, repr(self.name))
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A half-space that never moves; bodies stay on the side its normal points to."""
+
+    point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    friction_coefficient: float | None = None
+    name: str = "plane"
+    surface: Surface = Surface()
+
+    def __post_init__(self) -> None:
+        _check_vector(self.point_m, "point_m", repr(self.name))
+        _check_vector(self.normal, "normal", repr(self.name))
+        length = math.hypot(*self.normal)
+        if not length > 1e-9:
+            raise InputError(f"normal of {self.name!r} must not be zero, got {self.normal}")
+        unit = tuple(v / length for v in self.normal)
+        object.__setattr__(self, "normal", unit)
+        check_friction(self.friction_coefficient, repr(self.name))
+
+
+Body = SoftBody | AffineBody | KinematicBody | Plane
+
+
+def combined_friction(first: Body, second: Body) -> float:
+    """Coefficient of a pair from the bodies' own: the harmonic mean, as in Taccel.
+
+    A body without a say takes the other's; two such slide freely.
+    """
+    a, b = first.friction_coefficient, second.friction_coefficient
+    if a is None or b is None:
+        return a or b or 0.0
+    return 2 * a * b / (a + b) if a + b > 0 else 0.0

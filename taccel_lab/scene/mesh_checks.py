@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Meshes that no simulation can use, refused with the ids of what is wrong and what is allowed.
+
+An edge crosses a face where its ends lie on either side of the face's plane and its line passes
+on the same side of all three face edges. Signed volumes below the rounding error of their
+products count as zero. Faces that overlap within one plane are not told apart from faces that do
+not; the edges of their neighbours give them away.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+
+COINCIDENT = 1e-9
+"""Distance over extent at which vertices count as the same."""
+FLAT = 1e-10
+"""Height over longest edge of a triangle, volume over longest edge cubed of a tet."""
+_NAMED = 5
+"""How many offenders a message lists."""
+
+
+def first_of(items: np.ndarray) -> str:
+    """The first few ids or tuples of ids, for a message."""
+    text = ", ".join(
+        str(tuple(item.tolist())) if np.ndim(item) else str(int(item)) for item in items[:_NAMED]
+    )
+    return text + (", ..." if len(items) > _NAMED else "")
+
+
+def check_extent(vertices: np.ndarray, what: str, limits_m: tuple[float, float]) -> None:
+    """Refuse sizes that come from another unit of length."""
+    extent = float((vertices.max(axis=0) - vertices.min(axis=0)).max())
+    low, high = limits_m
+    if extent > high:
+        raise InputError(
+            f"{what} is {extent:g} m across; at most {high:g} m is allowed. "
+            "Lengths are in metres: a mesh in millimetres must be scaled by 1e-3"
+        )
+    if extent < low:
+        raise InputError(
+            f"{what} is {extent:g} m across; at least {low:g} m is allowed. Lengths are in metres"
+        )
+
+
+def check_surface(vertices: np.ndarray, faces: np.ndarray, what: str, *, closed: bool) -> None:
+    """Refuse a triangle surface that is not manifold, oriented, clean and free of crossings.
+
+    ``vertices``: [n, 3] [m]; ``faces``: [m, 3]; ``closed``: whether open edges are refused too.
+    """
+    faces = faces.astype(np.int64)
+    unused = np.setdiff1d(np.arange(len(vertices)), faces)
+    if len(unused):
+        raise InputError(
+            f"{what}: {len(unused)} vertices belong to no face: vertices {first_of(unused)}; "
+            "remove them"
+        )
+    _check_duplicates(vertices, what)
+    _check_shape(vertices, faces, what, closed)
+
+
+def _check_shape(vertices: np.ndarray, faces: np.ndarray, what: str, closed: bool) -> None:
+    check_edges(vertices, faces, what, closed=closed)
+    _check_faces(vertices, faces, what)
+    _check_fans(faces, what)
+    _check_folds(vertices, faces, what)
+    edges, crossed = self_crossings(vertices, faces)
+    if len(edges):
+        raise InputError(
+            f"{what} intersects itself: {len(edges)} times an edge passes through a face, "
+            f"edges (vertex, vertex) {first_of(edges)} through faces {first_of(crossed)}; "
+            "a surface must not cross or touch itself"
+        )
+
+
+def check_tets(mesh: TetMesh, what: str) -> None:
+    """Refuse tets that are flat, overlap or share no face, and nodes that belong to none."""
+    nodes, tets = mesh.nodes_m, mesh.tets.astype(np.int64)
+    corners = nodes[tets]
+    sides = np.linalg.norm(corners[:, [0, 0, 0, 1, 1, 2]] - corners[:, [1, 2, 3, 2, 3, 3]], axis=2)
+    flat = np.flatnonzero(6 * mesh.volumes_m3() <= FLAT * sides.max(axis=1) ** 3)
+    if len(flat):
+        raise InputError(
+            f"{what}: {len(flat)} tets have no volume to speak of: tets {first_of(flat)}; "
+            f"6 V must exceed {FLAT:g} times the longest edge cubed"
+        )
+    unused = np.setdiff1d(np.arange(len(nodes)), tets)
+    if len(unused):
+        raise InputError(
+            f"{what}: {len(unused)} nodes belong to no tet: nodes {first_of(unused)}; "
+            "such nodes have neither mass nor stiffness and must be removed"
+        )
+    _check_duplicates(nodes, what)
+    _check_tet_faces(mesh, what)
+    _check_shape(nodes, mesh.faces.astype(np.int64), f"the surface of {what}", closed=True)
+
+
+def _check_tet_faces(mesh: TetMesh, what: str) -> None:
+    """Tets meet in whole faces, from both sides; the surface is what belongs to one tet."""
+    tets = mesh.tets.astype(np.int64)
+    outward = tets[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
+    keys, inverse, uses = _unique_rows(np.sort(outward, axis=1))
+    owner = np.arange(len(outward)) // 4
+    crowded = np.flatnonzero(uses > 2)
+    if len(crowded):
+        where = owner[np.isin(inverse, crowded)]
+        raise InputError(
+            f"{what}: {len(crowded)} faces are shared by more than two tets: tets {first_of(where)}"
+        )
+    turn = np.bincount(inverse, _parity(outward), minlength=len(keys))
+    folded = np.flatnonzero((uses == 2) & (turn != 0))
+    if len(folded):
+        where = owner[np.isin(inverse, folded)]
+        raise InputError(
+            f"{what}: {len(folded)} pairs of tets lie on the same side of the face they share, "
+            f"so they overlap: tets {first_of(where)}"
+        )
+    expected = _rotated(outward[uses[inverse] == 1])
+    known = _unique_rows(expected)[0]
+    both = _unique_rows(np.concatenate([known, _rotated(mesh.faces.astype(np.int64))]))[0]
+    if len(both) > len(known) or len(mesh.faces) != len(known):
+        raise InputError(
+            f"{what}: TetMesh.faces has {len(mesh.faces)} faces, of which {len(both) - len(known)} "
+            f"are not outward faces of exactly one tet; the surface consists of {len(known)} such "
+            "faces (see geometry.tet_mesh.boundary_faces)"
+        )
+
+
+def _rotated(faces: np.ndarray) -> np.ndarray:
+    """The same faces with the smallest id first."""
+    first = faces.argmin(axis=1)[:, None]
+    return np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
+
+
+def _parity(faces: np.ndarray) -> np.ndarray:
+    """+1 for faces whose corners ascend up to a rotation, else -1."""
+    a, b, c = faces.T
+    return np.where((a < b).astype(int) + (b < c) + (c < a) == 2, 1, -1)
+
+
+def _unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unique rows of ids, the place of each row among them, and how often each occurs."""
+    base = rows.max() + 1
+    if base ** rows.shape[1] >= 2**62:
+        unique, inverse, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+        return unique, inverse.ravel(), counts
+    # As one 64-bit key rows sort many times faster.
+    key = rows[:, 0]
+    for column in range(1, rows.shape[1]):
+        key = key * base + rows[:, column]
+    _, first, inverse, counts = np.unique(
+        key, return_index=True, return_inverse=True, return_counts=True
+    )
+    return rows[first], inverse.ravel(), counts
+
+
+def _check_faces(vertices: np.ndarray, faces: np.ndarray, what: str) -> None:
+    p = vertices[faces]
+    longest = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2).max(axis=1)
+    doubled = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    flat = np.flatnonzero(doubled <= FLAT * longest**2)
+    if len(flat):
+        raise InputError(
+            f"{what}: {len(flat)} faces have no area to speak of: faces {first_of(flat)}; "
+            f"twice the area must exceed {FLAT:g} times the longest edge squared"
+        )
+
+
+def _check_duplicates(points: np.ndarray, what: str) -> None:
+    from scipy.spatial import cKDTree
+
+    extent = float((points.max(axis=0) - points.min(axis=0)).max())
+    pairs = cKDTree(points).query_pairs(COINCIDENT * extent, output_type="ndarray")
+    if len(pairs):
+        raise InputError(
+            f"{what}: {len(pairs)} pairs of vertices lie at the same place: "
+            f"pairs {first_of(np.sort(pairs, axis=1))}; merge them"
+        )
+
+
+def check_edges(vertices: np.ndarray, faces: np.ndarray, what: str, *, closed: bool) -> None:
+    """Refuse edges of more than two faces, of two that run the same way, and open ones if
+    ``closed``; also faces that name a vertex twice."""
+    faces = faces.astype(np.int64)
+    repeated = np.flatnonzero((faces == np.roll(faces, 1, axis=1)).any(axis=1))
+    if len(repeated):
+        raise InputError(
+            f"{what}: {len(repeated)} faces name a vertex twice: faces {first_of(repeated)}; "
+            "a face needs three vertices"
+        )
+    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges, inverse, uses = _unique_rows(np.sort(directed, axis=1))
+    crowded = edges[uses > 2]
+    if len(crowded):
+        raise InputError(
+            f"{what} is not manifold: {len(crowded)} edges belong to more than two faces: "
+            f"edges (vertex, vertex) {first_of(crowded)}"
+        )
+    open_edges = edges[uses == 1]
+    if closed and len(open_edges):
+        hint = ""
+        if len(np.unique(vertices, axis=0)) < len(vertices):
+            hint = "; some vertices coincide: merge them if the surface was meant to be closed"
+        raise InputError(
+            f"{what} is not closed: {len(open_edges)} edges belong to one face only: "
+            f"edges (vertex, vertex) {first_of(open_edges)}{hint}"
+        )
+    ahead = np.bincount(inverse, directed[:, 0] < directed[:, 1], minlength=len(edges))
+    turned = edges[(uses == 2) & (ahead != 1)]
+    if len(turned):
+        raise InputError(
+            f"{what}: neighbouring faces are oriented differently at {len(turned)} edges: "
+            f"edges (vertex, vertex) {first_of(turned)}; all faces must be outward by the "
+            "right-hand rule"
+        )
+
+
+def _inner_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of two faces [n, 2], and their two places among the edges 01, 12, 20 of all faces
+    [n, 2]; no edge may have more."""
+    edges, inverse, uses = _unique_rows(
+        np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    )
+    order = np.argsort(inverse, kind="stable")
+    places = order[uses[inverse[order]] == 2].reshape(-1, 2)
+    return edges[inverse[places[:, 0]]], places
+
+
+def _check_fans(faces: np.ndarray, what: str) -> None:
+    """Faces around a vertex form one fan: two that meet in a point only are not a surface."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    edges, places = _inner_edges(faces)
+    # Corners of two faces at the same end of a shared edge belong to the same fan.
+    links = []
+    for end in range(2):
+        at = [(faces[places[:, k] // 3] == edges[:, end, None]).argmax(axis=1) for k in range(2)]
+        links.append(np.stack([3 * (places[:, k] // 3) + at[k] for k in range(2)], axis=1))
+    pairs = np.concatenate(links)
+    count = faces.size
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    labels = connected_components(graph, directed=False)[1]
+    fan_nodes = faces.ravel()[np.unique(labels, return_index=True)[1]]
+    nodes, fans = np.unique(fan_nodes, return_counts=True)
+    pinched = nodes[fans > 1]
+    if len(pinched):
+        raise InputError(
+            f"{what} is not manifold: {len(pinched)} vertices join parts that share no edge: "
+            f"vertices {first_of(pinched)}"
+        )
+
+
+def _check_folds(vertices: np.ndarray, faces: np.ndarray, what: str) -> None:
+    """Two faces of an edge that lie on each other."""
+    opposite = faces[:, [2, 0, 1]].ravel()
+    edge, inner = _inner_edges(faces)
+    origin, along = vertices[edge[:, 0]], vertices[edge[:, 1]] - vertices[edge[:, 0]]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    arms = []
+    for k in range(2):
+        arm = vertices[opposite[inner[:, k]]] - origin
+        arm -= (arm * along).sum(axis=1, keepdims=True) * along
+        arms.append(arm / np.linalg.norm(arm, axis=1, keepdims=True))
+    # From the chord: the scalar product of nearly equal directions has only eight digits.
+    folded = np.flatnonzero(np.linalg.norm(arms[0] - arms[1], axis=1) < 1e-9)
+    if len(folded):
+        raise InputError(
+            f"{what}: {len(folded)} pairs of faces lie on each other: "
+            f"faces {first_of(np.sort(inner[folded] // 3, axis=1))}"
+        )
+
+
+def self_crossings(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (vertex, vertex) [n, 2] and the faces [n] of the same surface they pass through."""
+    from taccel_lab.scene.primitives import unique_edges
+
+    edges = unique_edges(faces).astype(np.int64)
+    edge, face = crossing_pairs(vertices[edges], vertices[faces], edges, faces)
+    return edges[edge], face
+
+
+def crossing_pairs(
+    segments: np.ndarray,
+    triangles: np.ndarray,
+    segment_nodes: np.ndarray | None = None,
+    triangle_nodes: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of segments [n, 2, 3] and the triangles [m, 3, 3] they pass through or touch.
+
+    With node ids ([n, 2] and [m, 3]) given, pairs that share a node are left out.
+    """
+    from taccel_lab.scene.box_pairs import box_pairs
+
+    a, b = box_pairs(
+        (segments.min(axis=1), segments.max(axis=1)), (triangles.min(axis=1), triangles.max(axis=1))
+    )
+    if segment_nodes is not None and triangle_nodes is not None:
+        shared = (segment_nodes[a][:, :, None] == triangle_nodes[b][:, None, :]).any(axis=(1, 2))
+        a, b = a[~shared], b[~shared]
+    hit = segments_pierce(segments[a], triangles[b])
+    return a[hit], b[hit]
+
+
+def segments_pierce(segments: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Whether each segment [n, 2, 3] passes through its triangle [n, 3, 3], touching included."""
+    if len(segments) == 0:
+        return np.zeros(0, dtype=bool)
+    p = segments[:, 0]
+    q = segments[:, 1] - p
+    a, b, c = (triangles[:, k] - p for k in range(3))
+    reach = np.abs(np.concatenate([triangles - p[:, None], q[:, None]], axis=1)).max(axis=(1, 2))
+    largest = np.maximum(np.abs(segments).max(axis=(1, 2)), np.abs(triangles).max(axis=(1, 2)))
+    noise = 64 * np.finfo(float).eps * largest * reach**2
+
+    def volume(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
+        value = np.einsum("ij,ij->i", np.cross(u, v), w)
+        return np.where(np.abs(value) <= noise, 0.0, value)
+
+    above = volume(b - a, c - a, -a)
+    below = volume(b - a, c - a, q - a)
+    sides = np.stack([volume(q, a, b), volume(q, b, c), volume(q, c, a)])
+    split = (above * below <= 0) & ((above != 0) | (below != 0))
+    return split & ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0))

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cauchy stress against closed forms, for every law and element."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.model import Model
+from taccel_lab.outputs.stress import StressReader, peak_at, von_mises
+from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
+from tests.verification.blocks import block_mesh
+
+E, NU = 1e5, 0.4
+MU, LAM = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))
+MESH = block_mesh((3, 2, 2), (3e-3, 2e-3, 2e-3), jitter=0.25)
+
+
+def block(law: MaterialModel, element: Element, ratio: float = 0.0, env_count: int = 1) -> Model:
+    material = Material(E, NU, model=law, mooney_ratio=ratio)
+    return Scene(SoftBody(MESH, material, element=element), env_count=env_count).finalize()
+
+
+def stresses(model: Model, f: np.ndarray) -> tuple[StressReader, np.ndarray, wp.array]:
+    """Element and nodal stresses of the block under x -> F x."""
+    x = model.rest_positions.numpy()[0] @ f.T
+    positions = wp.array(np.tile(x, (model.env_count, 1, 1)), dtype=wp.vec3d)
+    reader = StressReader(model, model.elastic[0])
+    by_element = reader.read(positions).numpy()
+    nodal = wp.zeros(positions.shape, dtype=wp.mat33d)
+    reader.add_to_nodes(nodal)
+    return reader, by_element, nodal
+
+
+def closed_form(law: MaterialModel, f: np.ndarray) -> np.ndarray:
+    """Cauchy stress from the textbook form of each energy."""
+    j, b, eye = np.linalg.det(f), f @ f.T, np.eye(3)
+    if law is MaterialModel.NEO_HOOKEAN:
+        return (MU * (b - eye) + LAM * np.log(j) * eye) / j
+    if law is MaterialModel.STABLE_NEO_HOOKEAN:
+        # Smith et al. 2018, eq. 14, with their m and l.
+        m, lam = 4 / 3 * MU, LAM + 5 / 6 * MU
+        shape = m * (1 - 1 / (np.trace(b) + 1))
+        return (shape * b + lam * (j - 1 - 0.75 * m / lam) * j * eye) / j
+    if law is MaterialModel.ST_VENANT_KIRCHHOFF:
+        green = 0.5 * (f.T @ f - eye)
+        second = 2 * MU * green + LAM * np.trace(green) * eye
+        return f @ second @ f.T / j
+    raise AssertionError(law)
+
+
+@pytest.mark.parametrize("element", list(Element))
+@pytest.mark.parametrize(
+    "law",
+    [
+        MaterialModel.NEO_HOOKEAN,
+        MaterialModel.STABLE_NEO_HOOKEAN,
+        MaterialModel.ST_VENANT_KIRCHHOFF,
+    ],
+)
+def test_a_uniform_deformation_has_the_closed_form(law: MaterialModel, element: Element) -> None:
+    f = np.array([[1.3, 0.2, 0.0], [-0.1, 0.9, 0.15], [0.05, 0.0, 1.1]])
+    expected = closed_form(law, f)
+    reader, by_element, nodal = stresses(block(law, element), f)
+    scale = np.abs(expected).max()
+    assert scale > 1e4
+    np.testing.assert_allclose(by_element, np.broadcast_to(expected, by_element.shape), rtol=1e-10)
+    np.testing.assert_allclose(nodal.numpy() - expected, 0, atol=1e-10 * scale)
+    volume = np.linalg.det(f) * 3e-3 * 2e-3 * 2e-3
+    assert reader.volumes.numpy().sum() == pytest.approx(volume, rel=1e-12)
+    deviator = expected - np.trace(expected) / 3 * np.eye(3)
+    equivalent = von_mises(nodal).numpy()
+    np.testing.assert_allclose(equivalent, np.sqrt(1.5 * (deviator**2).sum()), rtol=1e-9)
+
+
+@pytest.mark.parametrize("element", list(Element))
+def test_stress_balances_the_forces_of_the_potential(element: Element) -> None:
+    """sum_e sigma V = sum_i x_i (x) g_i: the virial of the gradient, in any deformation."""
+    from taccel_lab.ipc.potentials.elastic import ElasticPotential
+
+    model = block(MaterialModel.MOONEY_RIVLIN, element, 0.3)
+    x = (
+        model.rest_positions.numpy()
+        + np.random.default_rng(0).normal(size=(1, model.node_count, 3)) * 2e-5
+    )
+    positions = wp.array(x, dtype=wp.vec3d)
+    gradient = wp.zeros(positions.shape, dtype=wp.vec3d)
+    active = wp.full(1, 1, dtype=wp.int32)
+    ElasticPotential(model, model.elastic[0]).add_gradient(active, positions, gradient)
+    reader = StressReader(model, model.elastic[0])
+    total = np.einsum("eij,e->ij", reader.read(positions).numpy()[0], reader.volumes.numpy()[0])
+    virial = np.einsum("ni,nj->ij", gradient.numpy()[0], x[0])
+    np.testing.assert_allclose(virial, total, atol=1e-10 * np.abs(total).max())
+
+
+def test_the_peak_at_the_bond_and_where_it_is() -> None:
+    values = np.zeros((2, MESH.node_count))
+    bonded = MESH.bonded_nodes()
+    values[0, bonded[3]] = 5.0
+    values[1, bonded[1]] = 7.0
+    free = np.setdiff1d(np.arange(MESH.node_count), bonded)
+    values[:, free[0]] = 100.0
+    peaks, places = peak_at(bonded, wp.array(values, dtype=wp.float64))
+    assert peaks.numpy().tolist() == [5.0, 7.0]
+    assert places.numpy().tolist() == [bonded[3], bonded[1]]

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes and starts: what cannot be solved is refused with bodies, ids and environment."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+from taccel_lab.model import Model
+from taccel_lab.scene import (
+    AffineBody,
+    Ball,
+    KinematicBody,
+    Material,
+    Plane,
+    Scene,
+    SoftBody,
+    Surface,
+    TimeStepping,
+    TriangleMesh,
+    box_mesh,
+    sphere_mesh,
+)
+from taccel_lab.scene.checks import check_gaps, check_scene, check_state
+from taccel_lab.scene.gaps import SurfacePairs, edge_edge_distances, point_triangle_distances
+from taccel_lab.state import State, initial_state
+from tests.verification.blocks import block_mesh, everywhere, pose
+
+GEL = SoftBody(block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.2), Material(1e5, 0.45))
+DYNAMIC = TimeStepping(quasi_static=False)
+
+
+def box_at(z: float, name: str, side: float = 1e-3, **surface: float) -> AffineBody:
+    return AffineBody(
+        box_mesh((side, side, side)),
+        name=name,
+        initial_pose=pose(0, 0, z, (1, 2, 3), 20.0),
+        surface=Surface(**surface),  # pyright: ignore[reportArgumentType]
+    )
+
+
+def started(*bodies: AffineBody, env_count: int = 1, ball_z: float = 9e-3) -> tuple[Model, State]:
+    scene = Scene(
+        GEL,
+        KinematicBody(Ball(1e-3), name="ball"),
+        env_count,
+        DYNAMIC,
+        affine_bodies=bodies,
+        planes=Plane(point_m=(0, 0, -8e-3), name="floor"),
+    )
+    model = scene.finalize()
+    return model, initial_state(model, everywhere(env_count, pose(0, 0, ball_z)))
+
+
+def test_good_scenes_pass() -> None:
+    model, state = started(box_at(2e-3, "cube"), box_at(4e-3, "lid"))
+    check_scene(model.scene)
+    check_state(model, state)
+    check_gaps(model, state, 1e-7)
+
+
+def test_each_body_is_checked_and_named() -> None:
+    good = box_mesh((1e-3, 1e-3, 1e-3))
+    flipped = good.faces.copy()
+    flipped[2] = flipped[2, ::-1]
+    pin = KinematicBody(TriangleMesh(good.vertices_m, flipped), name="pin")
+    with pytest.raises(InputError, match=r"body 1 \('pin'\): neighbouring faces.*differently"):
+        check_scene(Scene(GEL, pin))
+    lost = TriangleMesh(np.vstack([good.vertices_m, [0, 0, 1]]), good.faces)
+    with pytest.raises(InputError, match=r"body 1 \('pin'\): 1 vertices belong to no face"):
+        check_scene(Scene(GEL, KinematicBody(lost, name="pin")))
+    mesh = GEL.mesh
+    big = TetMesh(mesh.nodes_m * 1e4, mesh.tets, mesh.faces, mesh.face_regions)
+    with pytest.raises(InputError, match=r"body 0 \('gel'\) is 30 m across.*millimetres"):
+        check_scene(Scene(SoftBody(big, GEL.material)))
+    sheet = KinematicBody(TriangleMesh(good.vertices_m, good.faces[2:]), name="sheet")
+    check_scene(Scene(GEL, sheet))
+
+
+def test_states_that_are_not_finite() -> None:
+    model, state = started(box_at(2e-3, "cube"), env_count=3)
+    node = model.bodies[model.body_id("cube")].nodes[0] + 5
+    state.loads(model)
+    for name in ("positions", "velocities", "external_forces"):
+        array = getattr(state, name)
+        good = array.numpy().copy()
+        bad = good.copy()
+        bad[2, node, 1] = np.nan
+        array.assign(bad)
+        with pytest.raises(InputError, match=rf"{name}.*environment 2, node {node} of 'cube'"):
+            check_state(model, state)
+        array.assign(good)
+    _, wrenches = state.loads(model)
+    wrenches.assign(np.array([0, 0, np.inf])[:, None, None, None] * np.ones((3, 1, 2, 3)))
+    with pytest.raises(InputError, match="wrenches.*environments 2"):
+        check_state(model, state)
+
+
+def test_small_gaps_at_the_start_are_refused() -> None:
+    side = 1e-3
+    upright = [
+        AffineBody(box_mesh((side,) * 3), name=name, initial_pose=pose(2e-4, 1e-4, z, deg=20.0))
+        for name, z in (("low", 0.5 * side + 1e-9), ("high", 1.5 * side + 3e-9))
+    ]
+    model, state = started(*upright)
+    check_gaps(model, state, 0.9e-9)
+    with pytest.raises(InputError, match=r"'gel' and 'low'.*environment 0: a gap of 1e-09 m"):
+        check_gaps(model, state, 1.5e-9)
+    model, state = started(upright[1], ball_z=2 * side + 1e-3 + 4e-9)
+    with pytest.raises(InputError, match=r"'ball' and 'high'.*a gap of 1e-09 m between node"):
+        check_gaps(model, state, 1.5e-9)
+
+
+def test_environments_differ_and_absent_bodies_do_not_count() -> None:
+    where = np.stack([pose(0, 0, 2e-3), pose(0, 0, 0.5e-3 + 1e-9)])
+    for absent, fails in ((None, True), ((0,), False)):
+        cube = AffineBody(
+            box_mesh((1e-3,) * 3),
+            name="cube",
+            initial_pose=where,
+            surface=Surface(environments=absent),
+        )
+        model, state = started(cube, env_count=2)
+        if fails:
+            with pytest.raises(InputError, match="too close in environment 1"):
+                check_gaps(model, state, 1e-8)
+        else:
+            check_gaps(model, state, 1e-8)
+
+
+def test_thickness_and_planes() -> None:
+    model, state = started(box_at(2e-3, "cube", thickness_m=1e-4))
+    floor = 8e-3 - 2e-3
+    gaps = SurfacePairs(model).nearer_than(
+        state.positions.numpy()[0], np.ones(4, dtype=bool), floor + 1e-4
+    )
+    plane = gaps.kinds == 2
+    x = state.positions.numpy()[0]
+    low = x[: model.soft_count, 2].min() + 8e-3
+    assert gaps.gaps_m[plane].min() == pytest.approx(low, rel=1e-12)
+    assert "plane node" in gaps.where(int(np.flatnonzero(plane)[0]))
+    cube = gaps.gaps_m[(gaps.bodies == [0, 1]).all(axis=1) | (gaps.bodies == [1, 0]).all(axis=1)]
+    vertices = x[model.bodies[1].node_slice]
+    assert cube.min() == pytest.approx(vertices[:, 2].min() - 1e-4, rel=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000))
+def test_distances_agree_with_ipctk(seed: int) -> None:
+    import ipctk
+
+    rng = np.random.default_rng(seed)
+    points, triangles = rng.normal(size=(20, 3)), rng.normal(size=(20, 3, 3))
+    expected = [
+        ipctk.point_triangle_distance(p, *t) ** 0.5 for p, t in zip(points, triangles, strict=True)
+    ]
+    np.testing.assert_allclose(point_triangle_distances(points, triangles), expected, rtol=1e-9)
+    a, b = rng.normal(size=(20, 2, 3)), rng.normal(size=(20, 2, 3))
+    b[::4] = a[::4] + rng.normal(size=(5, 1, 3))
+    expected = [ipctk.edge_edge_distance(*p, *q) ** 0.5 for p, q in zip(a, b, strict=True)]
+    np.testing.assert_allclose(edge_edge_distances(a, b), expected, rtol=1e-7)
+
+
+def test_gaps_of_large_meshes_are_quick() -> None:
+    """8k faces against 8k faces in 64 environments that start alike."""
+    bodies = [
+        AffineBody(sphere_mesh(1e-2, 4e-4), name=name, initial_pose=pose(0, 0, z))
+        for name, z in (("a", 2e-2), ("b", 4.01e-2))
+    ]
+    model, state = started(*bodies, env_count=64, ball_z=1.0)
+    check_gaps(model, state, 1e-9)
+    begun = time.perf_counter()
+    check_gaps(model, state, 1e-9)
+    assert time.perf_counter() - begun < 1.0

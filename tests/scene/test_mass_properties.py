@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mass properties of closed meshes against closed forms, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taccel_lab.errors import InputError
+from taccel_lab.scene.mass_properties import mass_properties, winding_number
+from taccel_lab.scene.primitives import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
+
+RHO = 1234.0
+TET = TriangleMesh(
+    np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float),
+    np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
+)
+
+
+def rotation(seed: int) -> np.ndarray:
+    q = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    return q * np.sign(np.linalg.det(q))
+
+
+def moved(mesh: TriangleMesh, turn: np.ndarray, shift: np.ndarray) -> TriangleMesh:
+    return TriangleMesh(mesh.vertices_m @ turn.T + shift, mesh.faces)
+
+
+def joined(*meshes: TriangleMesh) -> TriangleMesh:
+    starts = np.cumsum([0] + [len(m.vertices_m) for m in meshes[:-1]])
+    return TriangleMesh(
+        np.concatenate([m.vertices_m for m in meshes]),
+        np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)]),
+    )
+
+
+def flipped(mesh: TriangleMesh) -> TriangleMesh:
+    return TriangleMesh(mesh.vertices_m, mesh.faces[:, ::-1])
+
+
+def test_box() -> None:
+    a, b, c = size = (0.1, 0.02, 0.003)
+    found = mass_properties(box_mesh(size), RHO)
+    mass = RHO * a * b * c
+    assert found.volume_m3 == pytest.approx(a * b * c, rel=1e-14)
+    assert found.mass_kg == pytest.approx(mass, rel=1e-14)
+    np.testing.assert_allclose(found.center_m, 0, atol=1e-17)
+    np.testing.assert_array_equal(found.axes, np.eye(3))
+    np.testing.assert_allclose(
+        found.second_moments_kg_m2, mass * np.array(size) ** 2 / 12, rtol=1e-13
+    )
+    np.testing.assert_allclose(
+        found.inertia_kg_m2,
+        mass / 12 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b]),
+        rtol=1e-13,
+        atol=0,
+    )
+    assert found.radius_m == pytest.approx(np.linalg.norm(size) / 2, rel=1e-14)
+
+
+def test_corner_tetrahedron() -> None:
+    """int x^2 = 1/60, int xy = 1/120, int x = 1/24 over the unit corner tet."""
+    found = mass_properties(TET, 1.0)
+    assert found.volume_m3 == pytest.approx(1 / 6, rel=1e-14)
+    np.testing.assert_allclose(found.center_m, 0.25, rtol=1e-14)
+    raw = (1 / 60 - 1 / 120) * np.eye(3) + 1 / 120 - np.full((3, 3), 1 / 16 / 6)
+    again = (found.axes * found.second_moments_kg_m2) @ found.axes.T
+    np.testing.assert_allclose(again, raw, atol=1e-16)
+
+
+def test_cylinder_of_many_sides() -> None:
+    n, r, h = 48, 0.01, 0.03
+    found = mass_properties(cylinder_mesh(r, h, n), RHO)
+    step = 2 * np.pi / n
+    area = n / 2 * r * r * np.sin(step)
+    mass = RHO * area * h
+    across = mass * r * r * (2 + np.cos(step)) / 12
+    assert found.mass_kg == pytest.approx(mass, rel=1e-13)
+    np.testing.assert_allclose(
+        found.second_moments_kg_m2, [across, across, mass * h * h / 12], rtol=1e-12
+    )
+
+
+def test_sphere_meshes_converge_to_the_ball() -> None:
+    r = 0.02
+    ball = np.array([4 / 3 * np.pi * r**3, 4 / 15 * np.pi * r**5])
+    errors = []
+    for edge in (1e-2, 5e-3, 2.5e-3):
+        found = mass_properties(sphere_mesh(r, edge), 1.0)
+        values = np.array([found.volume_m3, found.second_moments_kg_m2.mean()])
+        errors.append(np.abs(values / ball - 1))
+        np.testing.assert_allclose(found.second_moments_kg_m2, values[1], rtol=1e-12)
+    first, second, third = errors
+    assert (second < first / 3.5).all() and (third < second / 3.5).all() and (third < 0.01).all()
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    size=st.tuples(*[st.floats(1e-3, 1.0)] * 3),
+    far=st.floats(-1.0, 3.0),
+)
+def test_moving_a_body_moves_its_frame_only(
+    seed: int, size: tuple[float, float, float], far: float
+) -> None:
+    mesh = box_mesh(size)
+    turn, shift = rotation(seed), np.random.default_rng(seed).normal(size=3) * 10**far
+    still, found = mass_properties(mesh, RHO), mass_properties(moved(mesh, turn, shift), RHO)
+    # Moving rounds the vertices themselves to eps * shift, which the thinnest edge sees.
+    loss = 1e-13 + 1e-15 * np.abs(shift).max() / min(size)
+    assert found.mass_kg == pytest.approx(still.mass_kg, rel=10 * loss)
+    np.testing.assert_allclose(
+        np.sort(found.second_moments_kg_m2), np.sort(still.second_moments_kg_m2), rtol=100 * loss
+    )
+    np.testing.assert_allclose(found.center_m, shift, atol=1e-14 * (1 + np.abs(shift).max()))
+    np.testing.assert_allclose(found.axes.T @ found.axes, np.eye(3), atol=1e-14)
+    assert np.linalg.det(found.axes) == pytest.approx(1, abs=1e-13)
+    inertia = turn @ still.inertia_kg_m2 @ turn.T
+    np.testing.assert_allclose(
+        found.inertia_kg_m2, inertia, atol=100 * loss * np.abs(inertia).max()
+    )
+
+
+def test_weights_in_the_principal_frame_are_decoupled() -> None:
+    """What an affine body relies on: int rho X_i X_j = 0 and int rho X = 0 there."""
+    mesh = moved(TET, rotation(3) @ np.diag([1, 2, 3]), np.array([7.0, -2, 1e3]))
+    found = mass_properties(mesh, RHO)
+    local = mass_properties(TriangleMesh(found.to_principal(mesh.vertices_m), mesh.faces), RHO)
+    np.testing.assert_allclose(local.center_m, 0, atol=1e-13)
+    np.testing.assert_allclose(local.axes, np.eye(3), atol=1e-10)
+    np.testing.assert_allclose(local.second_moments_kg_m2, found.second_moments_kg_m2, rtol=1e-11)
+
+
+def test_thin_foil() -> None:
+    size = (1.0, 1.0, 1e-5)
+    turn = rotation(5)
+    found = mass_properties(moved(box_mesh(size), turn, np.array([5.0, 5, 5])), RHO)
+    assert found.mass_kg == pytest.approx(RHO * 1e-5, rel=1e-9)
+    thickness = np.sqrt(12 * found.second_moments_kg_m2.min() / found.mass_kg)
+    assert thickness == pytest.approx(1e-5, rel=1e-4)
+
+
+def test_cavity_and_separate_shells() -> None:
+    outer, inner = box_mesh((0.2, 0.2, 0.2)), box_mesh((0.1, 0.1, 0.1))
+    hollow = mass_properties(joined(outer, flipped(inner)), RHO)
+    assert hollow.mass_kg == pytest.approx(RHO * (8e-3 - 1e-3), rel=1e-13)
+    np.testing.assert_allclose(
+        hollow.second_moments_kg_m2, RHO * (0.2**5 - 0.1**5) / 12, rtol=1e-12
+    )
+    apart = joined(inner, moved(inner, np.eye(3), np.array([1.0, 0, 0])))
+    found = mass_properties(apart, RHO)
+    np.testing.assert_allclose(found.center_m, [0.5, 0, 0], atol=1e-15)
+    assert found.second_moments_kg_m2[0] == pytest.approx(RHO * (2e-3 * 0.25 + 2e-5 / 12))
+
+
+def test_winding_number() -> None:
+    triangles = TET.vertices_m[TET.faces]
+    assert winding_number(np.full(3, 0.1), triangles) == pytest.approx(1, abs=1e-12)
+    assert winding_number(np.full(3, 1.1), triangles) == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "words"),
+    [
+        (TriangleMesh(TET.vertices_m, TET.faces[1:]), r"not closed: 3 edges.*\(0, 1\)"),
+        (flipped(TET), "oriented inwards"),
+        (
+            TriangleMesh(TET.vertices_m, np.concatenate([TET.faces[:3], TET.faces[3:, ::-1]])),
+            r"oriented differently at 3 edges.*\(0, 2\)",
+        ),
+        (
+            TriangleMesh(TET.vertices_m, np.concatenate([TET.faces, TET.faces])),
+            "more than two faces",
+        ),
+        (TriangleMesh(TET.vertices_m * [1, 1, 0], TET.faces), "encloses no volume"),
+        (TriangleMesh(np.zeros((4, 3)), TET.faces), "single point"),
+        (
+            TriangleMesh(TET.vertices_m, np.concatenate([TET.faces, [[0, 0, 1]]])),
+            "1 faces name a vertex twice: faces 4",
+        ),
+        (
+            TriangleMesh(TET.vertices_m[TET.faces].reshape(-1, 3), np.arange(12).reshape(4, 3)),
+            "not closed: 12 edges.*merge",
+        ),
+        (
+            joined(box_mesh((0.2, 0.2, 0.2)), box_mesh((0.1, 0.1, 0.1))),
+            "inside another shell",
+        ),
+        (
+            joined(TET, flipped(moved(TET, np.eye(3), np.array([3.0, 0, 0])))),
+            "face 4.*oriented inwards",
+        ),
+    ],
+)
+def test_bad_meshes_are_refused(mesh: TriangleMesh, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        mass_properties(mesh, RHO)
+
+
+@pytest.mark.parametrize("density", [0.0, -1.0, float("nan"), float("inf")])
+def test_bad_densities_are_refused(density: float) -> None:
+    with pytest.raises(InputError, match="density must be positive"):
+        mass_properties(TET, density)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes wrong in one environment stays there, is named, and can be reset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from taccel_lab.model import Model
+from taccel_lab.scene import (
+    AffineBody,
+    Ball,
+    KinematicBody,
+    Material,
+    Plane,
+    Scene,
+    SoftBody,
+    TimeScheme,
+    TimeStepping,
+    box_mesh,
+)
+from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.report import EnvStatus
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import State, initial_state
+from tests.verification.blocks import block_mesh, pose
+
+MESH = block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.15)
+SIDE = 1.2e-3
+CUBE_START, CUBE_STEP = 5e-4, 2e-4
+STEPS = 3
+
+
+def model_of(envs: list[int], scheme: TimeScheme = TimeScheme.EULER) -> Model:
+    """A cube falls on a gel beside a floor while a ball comes down; each environment differs."""
+    cube = AffineBody(
+        box_mesh((SIDE,) * 3),
+        8000,
+        friction_coefficient=0.4,
+        name="cube",
+        initial_pose=np.stack(
+            [pose(1e-4 * e, 0, SIDE / 2 + 2e-5 + 3e-6 * e, (0, 0, 1), 10.0 * e) for e in envs]
+        ),
+        initial_velocity_m_s=(0.0, 0.0, -0.05),
+    )
+    return Scene(
+        SoftBody(MESH, Material(1e5, 0.4), friction_coefficient=0.4),
+        KinematicBody(Ball(1e-3), 0.4, name="ball"),
+        len(envs),
+        TimeStepping(False, 2e-3, (0, 0, -9.81), scheme),
+        affine_bodies=cube,
+        planes=Plane((0, 0, -2.5e-3), name="floor"),
+    ).finalize()
+
+
+def ball_at(envs: list[int], step: int) -> np.ndarray:
+    z = SIDE + 1e-3 + 1.5e-4 - 6e-5 * step
+    return np.stack([pose(1e-4 * e, 1e-5 * e * step, z)[None] for e in envs])
+
+
+Spoil = Callable[[Model, State], None]
+
+
+def run(
+    envs: list[int], spoil: Spoil | None = None, scheme: TimeScheme = TimeScheme.EULER
+) -> tuple[SolverIPC, State, list[np.ndarray]]:
+    """Some steps of the given environments; ``spoil`` gets the state after the first."""
+    model = model_of(envs, scheme)
+    solver = SolverIPC(model, SolverConfig(relative_tolerance=1e-6))
+    state = initial_state(model, ball_at(envs, 0))
+    statuses = []
+    for k in range(1, STEPS + 1):
+        report = solver.step(state, ball_at(envs, k))
+        statuses.append(report.status)
+        if k == 1:
+            assert report.converged.all(), report.summary()
+            if spoil is not None:
+                spoil(model, state)
+    return solver, state, statuses
+
+
+def moved(state: State, name: str, env: int, node: int, by: tuple[float, float, float]) -> None:
+    array = getattr(state, name)
+    value = array.numpy().copy()
+    value[env, node] += by
+    array.assign(value)
+
+
+def nan_velocity(model: Model, state: State) -> None:
+    moved(state, "velocities", 1, model.affine.first_control, (np.nan, 0, 0))
+
+
+def nan_position(model: Model, state: State) -> None:
+    moved(state, "positions", 1, 20, (np.nan, 0, 0))
+
+
+def inverted(model: Model, state: State) -> None:
+    top = int(MESH.nodes_m[:, 2].argmax())
+    moved(state, "positions", 1, top, (0, 0, -1.9e-3))
+
+
+SPOILS = {
+    nan_velocity: EnvStatus.NOT_A_NUMBER,
+    nan_position: EnvStatus.NOT_A_NUMBER,
+    inverted: EnvStatus.INVERSION,
+}
+
+
+@pytest.mark.parametrize("scheme", list(TimeScheme))
+@pytest.mark.parametrize("spoil", SPOILS)
+def test_others_are_bitwise_as_if_alone(spoil: Spoil, scheme: TimeScheme) -> None:
+    solver, state, statuses = run([0, 1, 2], spoil, scheme)
+    assert statuses[1].tolist() == [
+        EnvStatus.CONVERGED,
+        SPOILS[spoil],
+        EnvStatus.CONVERGED,
+    ]
+    assert statuses[2][1] != EnvStatus.CONVERGED
+    for env in (0, 2):
+        alone_solver, alone, _ = run([env], scheme=scheme)
+        np.testing.assert_array_equal(state.positions.numpy()[env], alone.positions.numpy()[0])
+        np.testing.assert_array_equal(state.velocities.numpy()[env], alone.velocities.numpy()[0])
+        for name in ("contact_gradient", "friction_gradient"):
+            together = getattr(solver, name).numpy()[env]
+            np.testing.assert_array_equal(together, getattr(alone_solver, name).numpy()[0])
+            assert np.abs(together).max() > 1e-6
+
+
+@pytest.mark.parametrize("spoil", SPOILS)
+def test_a_failed_environment_keeps_the_start_of_the_step(spoil: Spoil) -> None:
+    before: list[np.ndarray] = []
+
+    def spoil_and_look(model: Model, state: State) -> None:
+        spoil(model, state)
+        before.extend(a.numpy()[1].copy() for a in (state.positions, state.velocities, state.poses))
+
+    _, state, _ = run([0, 1, 2], spoil_and_look)
+    for array, old in zip((state.positions, state.velocities, state.poses), before, strict=True):
+        np.testing.assert_array_equal(array.numpy()[1], old)
+
+
+@pytest.mark.parametrize("scheme", list(TimeScheme))
+@pytest.mark.parametrize("spoil", SPOILS)
+def test_a_reset_environment_starts_anew_and_the_others_go_on(
+    spoil: Spoil, scheme: TimeScheme
+) -> None:
+    solver, state, _ = run([0, 1, 2], spoil, scheme)
+    untouched = [a.numpy()[[0, 2]].copy() for a in (state.positions, state.velocities)]
+    solver.reset(state, np.array([False, True, False]), ball_at([0, 1, 2], 0))
+    for array, old in zip((state.positions, state.velocities), untouched, strict=True):
+        np.testing.assert_array_equal(array.numpy()[[0, 2]], old)
+    fresh_solver, fresh, _ = run([0, 1, 2], scheme=scheme)
+    fresh = initial_state(solver.model, ball_at([0, 1, 2], 0))
+    np.testing.assert_array_equal(state.positions.numpy()[1], fresh.positions.numpy()[1])
+    np.testing.assert_array_equal(state.velocities.numpy()[1], fresh.velocities.numpy()[1])
+    # From here on it does what an environment that never failed does, bit by bit.
+    only = model_of([1], scheme)
+    alone_solver = SolverIPC(only, SolverConfig(relative_tolerance=1e-6))
+    alone = initial_state(only, ball_at([1], 0))
+    for k in (1, 2):
+        targets = ball_at([0, 1, 2], STEPS)
+        targets[1] = ball_at([1], k)[0]
+        report = solver.step(state, targets)
+        assert report.converged.all(), report.summary()
+        assert alone_solver.step(alone, ball_at([1], k)).converged.all()
+        np.testing.assert_array_equal(state.positions.numpy()[1], alone.positions.numpy()[0])
+        np.testing.assert_array_equal(
+            solver.friction_gradient.numpy()[1], alone_solver.friction_gradient.numpy()[0]
+        )
+    assert fresh_solver.model.env_count == 3

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes of affine bodies that the verification tests share, and what is measured in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.model import BodyKind, Model
+from taccel_lab.scene import AffineBody, Joint, KinematicBody, Plane, Scene, TimeStepping
+from taccel_lab.scene.mass_properties import winding_number
+from taccel_lab.scene.mesh_checks import crossing_pairs
+from taccel_lab.scene.primitives import TriangleMesh, box_mesh
+from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
+from taccel_lab.state import State, initial_state
+
+G = 9.81
+DOWN = (0.0, 0.0, -G)
+
+
+def turned(axis: Sequence[float], angle: float) -> np.ndarray:
+    """Quaternion (x, y, z, w) of a rotation."""
+    unit = np.asarray(axis) / np.linalg.norm(axis)
+    return np.append(np.sin(angle / 2) * unit, np.cos(angle / 2))
+
+
+def box(
+    name: str,
+    size: tuple[float, float, float],
+    center: Sequence[float] = (0, 0, 0),
+    rotation: Sequence[float] = (0, 0, 0, 1),
+    **options: object,
+) -> AffineBody:
+    """A box about a centre."""
+    pose = np.array([*center, *rotation], dtype=float)
+    return AffineBody(box_mesh(size), name=name, initial_pose=pose, **options)  # type: ignore[arg-type]
+
+
+def affine_scene(
+    bodies: Sequence[AffineBody],
+    joints: Sequence[Joint] = (),
+    planes: Sequence[Plane] = (),
+    kinematic: Sequence[KinematicBody] = (),
+    dt: float = 0.01,
+    gravity: tuple[float, float, float] = DOWN,
+    env_count: int = 1,
+    **time: object,
+) -> Scene:
+    """Free bodies in time."""
+    stepping = TimeStepping(quasi_static=False, dt_s=dt, gravity_m_s2=gravity, **time)  # type: ignore[arg-type]
+    return Scene(
+        affine_bodies=bodies,
+        joints=joints,
+        planes=planes,
+        kinematic_bodies=kinematic,
+        env_count=env_count,
+        time=stepping,
+    )
+
+
+class Run:
+    """A scene that steps and is watched; arrays are of environment 0 unless said otherwise."""
+
+    def __init__(
+        self, scene: Scene, config: SolverConfig | None = None, poses: np.ndarray | None = None
+    ) -> None:
+        self.model: Model = scene.finalize()
+        self.solver = SolverIPC(self.model, config)
+        self.state: State = initial_state(self.model, poses)
+        self.dt = scene.time.dt_s
+        first, count = self.model.affine.first_control, self.model.affine.count
+        self.control = slice(first, first + 4 * count)
+        self.masses = self.model.masses.numpy()[0, self.control].reshape(count, 4, 1)
+        self.lengths = self.model.affine.lengths.numpy()
+
+    def step(self, poses: np.ndarray | None = None) -> StepReport:
+        """One step, which has to converge with closed joints."""
+        report = self.solver.step(self.state, poses)
+        assert report.converged.all(), report.summary()
+        if self.solver.joints is not None:
+            assert (report.joint_violation_m <= self.solver.joints.tolerance_m).all()
+        return report
+
+    @property
+    def y(self) -> np.ndarray:
+        """Control nodes [m], shape [body, 4, 3]; a copy."""
+        return self.state.positions.numpy()[0, self.control].reshape(-1, 4, 3).copy()
+
+    @property
+    def v(self) -> np.ndarray:
+        """Their velocities [m/s], shape [body, 4, 3]; a copy."""
+        return self.state.velocities.numpy()[0, self.control].reshape(-1, 4, 3).copy()
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """Vertices of all affine bodies [m], shape [n, 3]; a copy."""
+        bodies = [b for b in self.model.bodies if b.kind is BodyKind.AFFINE]
+        x = self.state.positions.numpy()[0]
+        return np.concatenate([x[b.node_slice] for b in bodies])
+
+    @property
+    def maps(self) -> np.ndarray:
+        """A of each body, shape [body, 3, 3]."""
+        return self.y[:, 1:].transpose(0, 2, 1) / self.lengths[:, None, None]
+
+    @property
+    def strain(self) -> float:
+        """Largest |A^T A - I| (Frobenius) of any body."""
+        maps = self.maps
+        gram = maps.transpose(0, 2, 1) @ maps - np.eye(3)
+        return float(np.linalg.norm(gram, axis=(1, 2)).max())
+
+    @property
+    def momentum(self) -> np.ndarray:
+        """Linear momentum [kg m/s], shape [3]."""
+        return (self.masses * self.v)[:, 0].sum(axis=0)
+
+    @property
+    def kinetic_energy(self) -> float:
+        """[J]"""
+        return float(0.5 * (self.masses * self.v**2).sum())
+
+    def angular_impulse(self, change: np.ndarray) -> np.ndarray:
+        """sum m y x (change of velocity) at the present positions [kg m^2/s]: the angular momentum
+        that forces have given in the last step, whatever the step length."""
+        return np.cross(self.y, self.masses * change).sum(axis=(0, 1))
+
+    @property
+    def angular_momentum(self) -> np.ndarray:
+        """About the origin [kg m^2/s], shape [3]."""
+        return np.cross(self.y, self.masses * self.v).sum(axis=(0, 1))
+
+    def overlaps(self) -> list[str]:
+        """Bodies that cross, contain one another, or lie below a plane."""
+        x = self.state.positions.numpy()[0]
+        affine = [
+            (body, x[body.node_slice], scene_body.shape)
+            for body, scene_body in zip(
+                [b for b in self.model.bodies if b.kind is BodyKind.AFFINE],
+                self.model.scene.affine_bodies,
+                strict=True,
+            )
+        ]
+        found = []
+        for plane in self.model.scene.planes:
+            for body, points, _ in affine:
+                if ((points - np.array(plane.point_m)) @ np.array(plane.normal)).min() <= 0:
+                    found.append(f"{body.name} below {plane.name}")
+        for i, (first, p, mesh) in enumerate(affine):
+            for second, q, other in affine[i + 1 :]:
+                apart = (p.min(axis=0) > q.max(axis=0)) | (q.min(axis=0) > p.max(axis=0))
+                if not apart.any() and _overlap(p, mesh, q, other):
+                    found.append(f"{first.name} in {second.name}")
+        return found
+
+
+def _overlap(p: np.ndarray, first: TriangleMesh, q: np.ndarray, second: TriangleMesh) -> bool:
+    crossings = len(crossing_pairs(p[first.edges()], q[second.faces])[0])
+    crossings += len(crossing_pairs(q[second.edges()], p[first.faces])[0])
+    inside = winding_number(p[0], q[second.faces]) > 0.5
+    return bool(crossings or inside or winding_number(q[0], p[first.faces]) > 0.5)
+
+
+def placed(mesh: TriangleMesh, pose: np.ndarray) -> np.ndarray:
+    """Vertices of a mesh at a pose [7]."""
+    return rotate(pose[3:], mesh.vertices_m) + pose[:3]

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Order of the time schemes, and what they conserve: momentum, the balance of torques, energy.
+
+Inner forces have no resultant and no torque at the positions where they are evaluated, the end of
+the step. Linear momentum is therefore kept exactly. Angular momentum is not: by the end of the step
+the lever arms have turned by dt w, so that implicit Euler changes it by -dt^2 sum v x f a step, in
+total by a part that falls in proportion to dt, and BDF2 by one that falls faster.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from taccel_lab.outputs import Outputs
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    Material,
+    Scene,
+    SoftBody,
+    TimeScheme,
+    TimeStepping,
+    box_mesh,
+)
+from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import initial_state
+from tests.verification.blocks import free_block, pose
+
+SIDE = 4e-2
+SOFT = Material(1e4, 0.4)
+MESH = free_block((2, 2, 2), SIDE, jitter=0.15)
+
+
+class Free:
+    """A scene without outer forces, and its history of momenta and energies."""
+
+    def __init__(self, scene: Scene, config: SolverConfig) -> None:
+        self.model = scene.finalize()
+        self.solver = SolverIPC(self.model, config)
+        self.state = initial_state(self.model)
+        self.outputs = Outputs(self.solver)
+        self.linear: list[np.ndarray] = []
+        self.angular: list[np.ndarray] = []
+        self.torque: list[np.ndarray] = []
+        """sum x_{n+1} x m (v_{n+1} - v_n): momentum that inner forces bring in by their torque."""
+        self.energy: list[float] = []
+        self.touched = 0
+
+    def record(self) -> None:
+        momentum = self.outputs.update(self.state).momentum()
+        self.linear.append(momentum.linear.numpy()[0].sum(axis=0))
+        self.angular.append(momentum.angular.numpy()[0].sum(axis=0))
+        self.energy.append(float(sum(e[0] for e in self.outputs.energies.values())))
+
+    def run(self, steps: int) -> None:
+        self.record()
+        reader = self.outputs._momentum
+        for _ in range(steps):
+            before = self.state.copy()
+            report = self.solver.step(self.state)
+            assert report.converged.all(), report.summary()
+            self.touched += int(np.isfinite(report.min_distance_m[0]))
+            self.record()
+            # The same lever arms for both velocities: only forces remain.
+            now, then = (
+                reader.read(self.state.positions, velocities).angular.numpy()[0].sum(axis=0)
+                for velocities in (self.state.velocities, before.velocities)
+            )
+            self.torque.append(now - then)
+
+    def drift(self, name: str) -> float:
+        """Largest change from the start, as part of the initial size."""
+        values = np.array(getattr(self, name))
+        return float(np.abs(values - values[0]).max() / np.linalg.norm(values[0]))
+
+
+def block(
+    scheme: TimeScheme, dt: float, stretch: float, spin: float, element: Element = Element.LINEAR
+) -> Free:
+    """A block that is let go stretched, flying and spinning."""
+    stepping = TimeStepping(quasi_static=False, dt_s=dt, scheme=scheme)
+    body = SoftBody(MESH, SOFT, element=element)
+    free = Free(Scene(body, time=stepping), SolverConfig(absolute_tolerance_n=1e-9))
+    x = free.state.positions.numpy().copy()
+    centre = x.mean(axis=1, keepdims=True)
+    free.state.positions.assign(centre + (x - centre) * [1 + stretch, 1 - stretch / 2, 1])
+    spinning = np.cross([0.3 * spin, 0, spin], x - centre)
+    free.state.velocities.assign(spinning + [0.5, 0.0, -0.2])
+    return free
+
+
+@pytest.mark.parametrize(
+    ("scheme", "order", "fewest"), [(TimeScheme.EULER, 1, 32), (TimeScheme.BDF2, 2, 16)]
+)
+def test_measured_order_of_a_free_oscillation(scheme: TimeScheme, order: int, fewest: int) -> None:
+    """Halving the step divides the error by 2^order."""
+    duration = 5e-3
+
+    def end(steps: int) -> np.ndarray:
+        free = block(scheme, duration / steps, 0.05, 0.0)
+        free.run(steps)
+        return free.state.positions.numpy()[0]
+
+    ends = [end(fewest * 2**k) for k in range(4)]
+    # Differences of neighbours fall as the error does, and need no reference.
+    changes = [np.linalg.norm(a - b) for a, b in pairwise(ends)]
+    slopes = np.log2(np.array(changes[:-1]) / np.array(changes[1:]))
+    np.testing.assert_allclose(slopes, order, atol=0.1)
+
+
+@pytest.mark.parametrize("element", list(Element))
+@pytest.mark.parametrize("scheme", list(TimeScheme))
+def test_a_free_body_keeps_its_momentum(scheme: TimeScheme, element: Element) -> None:
+    free = block(scheme, 1e-3, 0.05, 20.0, element)
+    free.run(8)
+    assert free.drift("linear") < 1e-10
+    scale = np.linalg.norm(free.angular[0])
+    if scheme is TimeScheme.EULER:
+        assert np.abs(free.torque).max() < 1e-10 * scale
+    # It is not an empty statement: the body deforms and its angular momentum does change.
+    assert free.drift("angular") > 1e-4
+    assert free.energy[-1] < 0.995 * free.energy[0]
+    if scheme is TimeScheme.EULER:
+        assert np.diff(free.energy).max() <= 0
+
+
+def test_how_angular_momentum_is_lost() -> None:
+    """In a quarter of a turn implicit Euler loses 2.6 % in 30 steps and 1.4 % in 60, BDF2 0.1 % and
+    0.03 %."""
+    duration = np.pi / 2 / np.hypot(20.0, 6.0)
+    euler, bdf2 = (
+        np.array([_loss(scheme, duration, steps, 20.0) for steps in (30, 60)])
+        for scheme in (TimeScheme.EULER, TimeScheme.BDF2)
+    )
+    assert np.log2(euler[0] / euler[1]) == pytest.approx(1, abs=0.15)
+    assert euler[1] == pytest.approx(0.014, rel=0.1)
+    assert (np.abs(bdf2) < 0.05 * euler).all()
+
+
+def _loss(scheme: TimeScheme, duration: float, steps: int, spin: float) -> float:
+    free = block(scheme, duration / steps, 0.0, spin)
+    free.run(steps)
+    first, last = free.angular[0], free.angular[-1]
+    return float(1 - np.linalg.norm(last) / np.linalg.norm(first))
+
+
+def colliding(soft: bool) -> Free:
+    """A block flies off-centre into another block, or into a stiff cube."""
+    stepping = TimeStepping(quasi_static=False, dt_s=1e-3)
+    gap = 2e-4
+    place = pose(0.3 * SIDE, 0.1 * SIDE, gap + 0.5 * SIDE, (0, 0, 1), 15.0)
+    one = SoftBody(MESH, SOFT, initial_velocity_m_s=(0.1, 0.0, 0.5))
+    if soft:
+        # The mesh hangs below its frame's origin.
+        place[2] += 0.5 * SIDE
+        other = SoftBody(MESH, SOFT, name="other", initial_pose=place)
+        scene = Scene((one, other), time=stepping)
+    else:
+        cube = AffineBody(box_mesh((SIDE, SIDE, SIDE)), initial_pose=place)
+        scene = Scene(one, affine_bodies=cube, time=stepping)
+    return Free(
+        scene, SolverConfig(dhat_m=1e-4, absolute_tolerance_n=1e-9, relative_tolerance=1e-12)
+    )
+
+
+@pytest.mark.parametrize("soft", [True, False])
+def test_a_collision_keeps_momentum_and_gains_no_energy(soft: bool) -> None:
+    free = colliding(soft)
+    free.run(12)
+    assert free.touched >= 5
+    scale = np.linalg.norm(free.linear[0])
+    steps = np.abs(np.diff(free.linear, axis=0)).max()
+    assert steps < 1e-10 * scale
+    momenta = free.outputs.momentum().linear.numpy()[0]
+    assert np.linalg.norm(momenta[1]) > 0.1 * scale, "the second body was hit"
+    assert np.abs(free.torque).max() < 1e-9 * scale * SIDE
+    gains = np.diff(free.energy)
+    assert gains.max() < 1e-9 * free.energy[0]

@@ -1,0 +1,359 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mechanisms against their closed forms, as implicit Euler has them, with joints closed to 1e-9."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taccel_lab.scene import (
+    AffineBody,
+    FixedJoint,
+    KinematicBody,
+    PositionDrive,
+    PrismaticJoint,
+    RevoluteJoint,
+    VelocityDrive,
+)
+from tests.verification.affine_scenes import DOWN, G, Run, affine_scene, box, turned
+
+NONE = (0.0, 0.0, 0.0)
+ROD = (0.1, 0.02, 0.03)
+"""Along x, hinged at its end about y."""
+MASS = 1000 * 0.1 * 0.02 * 0.03
+MOMENT = MASS * (0.1**2 + 0.03**2) / 12 + MASS * 0.05**2
+"""About the hinge."""
+HANGING = turned((0, 1, 0), np.pi / 2)
+
+
+def hanging_rod(angle: float = 0.0, **options: object) -> Run:
+    """A rod that hangs from a hinge at the origin, turned by ``angle`` about y."""
+    rotation = turned((0, 1, 0), np.pi / 2 + angle)
+    center = 0.05 * np.array([np.cos(np.pi / 2 + angle), 0, -np.sin(np.pi / 2 + angle)])
+    hinge = RevoluteJoint("rod", None, (0, 0, 0), (0, 1, 0), name="hinge", **options)  # type: ignore[arg-type]
+    return Run(affine_scene([box("rod", ROD, center, rotation)], [hinge]))
+
+
+def coordinate(run: Run, joint: int = 0) -> float:
+    assert run.solver.joints is not None
+    return float(run.solver.joints.coordinates.numpy()[0, joint])
+
+
+def test_small_swings_of_a_pendulum() -> None:
+    """Implicit Euler of a'' = -w^2 a: a phase of atan(w dt) a step, and its damping."""
+    start = 0.02
+    run = hanging_rod(start)
+    w = np.sqrt(MASS * G * 0.05 / MOMENT)
+    angle, rate = start, 0.0
+    found, expected = [], []
+    for _ in range(90):
+        run.step()
+        rate = (rate - run.dt * w**2 * angle) / (1 + (w * run.dt) ** 2)
+        angle += run.dt * rate
+        found.append(start + coordinate(run))
+        expected.append(angle)
+    # sin a = a costs a^2 / 6 of the force.
+    np.testing.assert_allclose(found, expected, atol=1e-3 * start)
+    signs = np.sign(found)
+    crossings = np.flatnonzero(signs[1:] != signs[:-1])
+    assert len(crossings) >= 3
+    period = 2 * run.dt * (crossings[2] - crossings[0]) / 2
+    assert period == pytest.approx(2 * np.pi * run.dt / np.arctan(w * run.dt), abs=run.dt)
+
+
+def test_a_hanging_rod_pulls_with_its_weight() -> None:
+    run = hanging_rod()
+    for _ in range(3):
+        run.step()
+    joints = run.solver.joints
+    assert joints is not None
+    np.testing.assert_allclose(joints.forces.numpy()[0, 0], [0, 0, MASS * G], atol=1e-6 * MASS * G)
+    np.testing.assert_allclose(joints.torques.numpy()[0, 0], 0, atol=1e-8)
+    assert run.strain < 1e-6
+
+
+def test_a_held_rod_needs_its_moment() -> None:
+    """A fixed joint carries force and torque: a cantilever."""
+    run = Run(affine_scene([box("rod", ROD, (0.05, 0, 0))], [FixedJoint("rod", None, (0, 0, 0))]))
+    for _ in range(3):
+        run.step()
+    joints = run.solver.joints
+    assert joints is not None
+    weight = MASS * G
+    np.testing.assert_allclose(joints.forces.numpy()[0, 0], [0, 0, weight], atol=1e-6 * weight)
+    moment = [0, -0.05 * weight, 0]
+    np.testing.assert_allclose(joints.torques.numpy()[0, 0], moment, atol=1e-6 * weight)
+    np.testing.assert_allclose(run.maps[0], np.eye(3), atol=1e-6)
+
+
+def test_a_slider_falls_along_its_axis() -> None:
+    axis = np.array([1.0, 0.5, -1.0]) / 1.5
+    joint = PrismaticJoint("b", None, (0.3, 0.1, 0), axis, name="slide")
+    run = Run(affine_scene([box("b", ROD, (0.1, 0.2, 0.3))], [joint]))
+    start, n = run.y[0, 0], 25
+    for _ in range(n):
+        run.step()
+    way = (np.array(DOWN) @ axis) * run.dt**2 * n * (n + 1) / 2
+    assert coordinate(run) == pytest.approx(way, rel=3e-6)
+    np.testing.assert_allclose(run.y[0, 0], start + way * axis, atol=1e-6)
+    np.testing.assert_allclose(run.maps[0], np.eye(3), atol=1e-7)
+
+
+def double_pendulum(density: float = 1000.0, **options: object) -> Run:
+    bodies = [
+        box("upper", ROD, (0.05, 0, 0)),
+        box("lower", ROD, (0.15, 0, 0), density_kg_m3=density),
+    ]
+    joints = [
+        RevoluteJoint("upper", None, (0, 0, 0), (0, 1, 0), name="shoulder"),
+        RevoluteJoint("lower", "upper", (0.1, 0, 0), (0, 1, 0), name="elbow"),
+    ]
+    return Run(affine_scene(bodies, joints, **options))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("density", [1000.0, 20_000.0, 20.0])
+def test_a_double_pendulum_loses_energy_only(density: float) -> None:
+    """From the horizontal, with a heavy or a light end: mass ratios of 20 and 50."""
+    run = double_pendulum(density)
+    masses = run.masses[:, 0, 0]
+    energies = [0.0]
+    for _ in range(25):
+        run.step()
+        energies.append(run.kinetic_energy + G * float(masses @ run.y[:, 0, 2]))
+        assert run.strain < 1e-4
+        # Both stay in the plane of the motion.
+        assert np.abs(run.y[:, 0, 1]).max() < 1e-9
+    assert (np.diff(energies) < 1e-9).all()
+    assert run.y[1, 0, 2] < -0.08
+
+
+def test_a_floating_pair_keeps_its_momentum() -> None:
+    """Joint and drive act in pairs."""
+    bodies = [
+        box("a", ROD, (0.05, 0, 0), initial_spin_rad_s=(1, 2, 3)),
+        box("b", (0.04, 0.05, 0.06), (0.13, 0, 0), initial_velocity_m_s=(0.1, 0.2, -0.3)),
+    ]
+    drive = PositionDrive(stiffness=0.05, damping=1e-4, target=1.0)
+    joint = RevoluteJoint("a", "b", (0.105, 0, 0), (0, 1, 1), drive=drive)
+    run = Run(affine_scene(bodies, [joint], gravity=NONE, dt=5e-3))
+    momentum, size = run.momentum, np.linalg.norm(run.angular_momentum)
+    for _ in range(30):
+        before = run.v
+        run.step()
+        assert np.linalg.norm(run.momentum - momentum) < 1e-8 * np.linalg.norm(momentum)
+        assert np.linalg.norm(run.angular_impulse(run.v - before)) < 1e-8 * size
+    assert abs(coordinate(run)) > 0.1
+
+
+def test_two_cubes_fixed_together_are_one_box() -> None:
+    spin = (3.0, 5.0, -2.0)
+    options = {"gravity": NONE, "dt": 5e-3}
+    whole = Run(
+        affine_scene([box("w", (0.2, 0.1, 0.1), (0.1, 0, 0), initial_spin_rad_s=spin)], **options)  # type: ignore[arg-type]
+    )
+    cubes: list[AffineBody] = []
+    for name, x in (("a", 0.05), ("b", 0.15)):
+        velocity = np.cross(spin, [x - 0.1, 0, 0])
+        cube = box(
+            name,
+            (0.1, 0.1, 0.1),
+            (x, 0, 0),
+            initial_spin_rad_s=spin,
+            initial_velocity_m_s=tuple(velocity),
+        )
+        cubes.append(cube)
+    pair = Run(affine_scene(cubes, [FixedJoint("a", "b", (0.1, 0, 0))], **options))  # type: ignore[arg-type]
+    for _ in range(40):
+        whole.step()
+        pair.step()
+        np.testing.assert_allclose(pair.maps, whole.maps.repeat(2, axis=0), atol=1e-5)
+    ends = 0.1 * whole.maps[0][:, 0] * np.array([[-0.5], [0.5]])
+    np.testing.assert_allclose(pair.y[:, 0], whole.y[0, 0] + ends, atol=1e-6)
+    assert np.abs(whole.maps[0] - np.eye(3)).max() > 0.5
+
+
+def test_a_four_bar_linkage_follows_its_closed_form() -> None:
+    """A closed loop: crank 40, coupler 100, rocker 80, ground 100 mm; a whole turn of the crank."""
+    a, b, c, d = 0.04, 0.1, 0.08, 0.1
+
+    def loop(crank: float) -> tuple[np.ndarray, np.ndarray]:
+        """Ends of crank and rocker, in the plane (x, z), coupler above."""
+        p = a * np.array([np.cos(crank), np.sin(crank)])
+        to_pivot = np.array([d, 0]) - p
+        r = np.linalg.norm(to_pivot)
+        along = (b**2 - c**2 + r**2) / (2 * r)
+        up = np.array([-to_pivot[1], to_pivot[0]]) / r
+        return p, p + along * to_pivot / r + np.sqrt(b**2 - along**2) * up
+
+    def rod(name: str, start: np.ndarray, end: np.ndarray, y: float) -> AffineBody:
+        way, middle = end - start, (start + end) / 2
+        # Turning about -y leads from x to z.
+        rotation = turned((0, -1, 0), np.arctan2(way[1], way[0]))
+        size = (float(np.linalg.norm(way)), 0.01, 0.01)
+        return box(name, size, (middle[0], y, middle[1]), rotation)
+
+    start = 0.7
+    p, q = loop(start)
+    pivot = np.array([d, 0.0])
+    bodies = [
+        rod("crank", np.zeros(2), p, 0),
+        rod("coupler", p, q, 0.02),
+        rod("rocker", pivot, q, 0),
+    ]
+
+    def hinge(first: str, second: str | None, at: np.ndarray, **more: object) -> RevoluteJoint:
+        anchor = (float(at[0]), 0.01, float(at[1]))
+        return RevoluteJoint(first, second, anchor, (0, -1, 0), name=f"{first}-{second}", **more)  # type: ignore[arg-type]
+
+    rate = 2 * np.pi
+    joints = [
+        hinge("crank", None, np.zeros(2), drive=VelocityDrive(damping=10.0, target=rate)),
+        hinge("coupler", "crank", p),
+        hinge("rocker", "coupler", q),
+        hinge("rocker", None, pivot),
+    ]
+    run = Run(affine_scene(bodies, joints, dt=0.02))
+    q_start = loop(start)[1] - pivot
+    for _ in range(52):
+        run.step()
+        crank = start + coordinate(run, 0)
+        rocker = loop(crank)[1] - pivot
+        turn = np.arctan2(q_start[0] * rocker[1] - q_start[1] * rocker[0], q_start @ rocker)
+        assert coordinate(run, 3) == pytest.approx(turn, abs=1e-5)
+    assert coordinate(run, 0) == pytest.approx(52 * 0.02 * rate, rel=1e-3)
+
+
+# Limits and drives ------------------------------------------------------------------------------
+
+
+def test_a_hinge_stops_at_its_limit_and_stays() -> None:
+    """A rod let go from the horizontal drops on its stop, which then carries the weight."""
+    joint = RevoluteJoint("rod", None, (0, 0, 0), (0, 1, 0), limits_deg=(-5, 30))
+    run = Run(affine_scene([box("rod", ROD, (0.05, 0, 0))], [joint]))
+    limit = np.radians(30)
+    for _ in range(30):
+        run.step()
+        assert coordinate(run) < limit + 1e-9
+    assert coordinate(run) == pytest.approx(limit, abs=1e-9)
+    joints = run.solver.joints
+    assert joints is not None
+    arm = 0.05 * np.cos(limit)
+    torque = joints.torques.numpy()[0, 0]
+    np.testing.assert_allclose(torque, [0, -MASS * G * arm, 0], atol=1e-6 * MASS * G)
+    assert run.kinetic_energy < 1e-12
+
+
+def test_a_slider_leaves_its_limit_when_pushed_back() -> None:
+    joint = PrismaticJoint(
+        "b", None, (0, 0, 0), (0, 0, 1), limits_mm=(-2, 2), drive=PositionDrive(1e-9)
+    )
+    run = Run(affine_scene([box("b", ROD)], [joint]))
+    for _ in range(8):
+        run.step()
+    assert coordinate(run) == pytest.approx(-2e-3, abs=1e-10)
+    joints = run.solver.joints
+    assert joints is not None
+    run.solver.joints.targets.fill_(1e9 * 2 * MASS * G)
+    run.step()
+    # Net force: the drive pulls twice the weight.
+    assert coordinate(run) == pytest.approx(-2e-3 + G * run.dt**2, rel=1e-6)
+    assert joints.efforts.numpy()[0, 0] == pytest.approx(2 * MASS * G, rel=1e-9)
+
+
+def test_a_servo_settles_where_spring_and_weight_balance() -> None:
+    stiffness, target = 200.0, 0.02
+    drive = PositionDrive(stiffness, damping=5.0, target=target)
+    joint = PrismaticJoint("b", None, (0, 0, 0), (0, 0, 1), drive=drive)
+    run = Run(affine_scene([box("b", ROD)], [joint]))
+    for _ in range(80):
+        run.step()
+    assert coordinate(run) == pytest.approx(target - MASS * G / stiffness, abs=1e-6)
+
+
+def test_a_servo_turns_many_times() -> None:
+    target = 5 * 2 * np.pi + 1
+    drive = PositionDrive(stiffness=1.0, damping=0.1, target=target)
+    joint = RevoluteJoint("rod", None, (0, 0, 0), (0, 1, 0), drive=drive)
+    run = Run(affine_scene([box("rod", ROD, (0.05, 0, 0))], [joint], gravity=NONE, dt=0.02))
+    for _ in range(100):
+        run.step()
+    assert coordinate(run) == pytest.approx(target, abs=1e-3)
+
+
+@pytest.mark.parametrize("effort", [0.1, np.inf])
+def test_a_motor_reaches_its_rate_with_its_force(effort: float) -> None:
+    drive = VelocityDrive(damping=1e3, target=0.3, max_effort=effort)
+    joint = PrismaticJoint("b", None, (0, 0, 0), (1, 0, 0), drive=drive)
+    run = Run(affine_scene([box("b", ROD)], [joint]))
+    rates = []
+    for _ in range(25):
+        run.step()
+        rates.append(run.v[0, 0, 0])
+    if effort < 1:
+        # Constant force until the rate is reached.
+        assert rates[9] == pytest.approx(10 * run.dt * effort / MASS, rel=1e-6)
+    else:
+        assert rates[0] == pytest.approx(0.3, rel=1e-2)
+    assert rates[-1] == pytest.approx(0.3, rel=1e-6)
+
+
+def test_a_joint_follows_a_kinematic_body() -> None:
+    """A rod hinged to a carriage that moves and turns by its own poses."""
+    start = np.array([[[0, 0, 0, 0, 0, 0, 1.0]]])
+    joint = RevoluteJoint("rod", "carriage", (0, 0, 0), (0, 1, 0))
+    rod = box("rod", ROD, (0, 0, -0.05), HANGING)
+    run = Run(
+        affine_scene([rod], [joint], kinematic=[KinematicBody(None, name="carriage")]), poses=start
+    )
+    end = start.copy()
+    for i in range(1, 15):
+        end[0, 0, :3] = 0.02 * i, 0.005 * i, -0.01 * i
+        end[0, 0, 3:] = turned((0, 0.3, 1), 0.05 * i)
+        run.step(end)
+        hinge = run.y[0, 0] + run.maps[0] @ [-0.05, 0, 0]
+        np.testing.assert_allclose(hinge, end[0, 0, :3], atol=1e-9)
+    assert abs(coordinate(run)) > 0.1
+
+
+def test_environments_do_not_see_each_other() -> None:
+    """Bitwise: alone, or beside one whose drive does something else."""
+
+    def made(targets: np.ndarray) -> Run:
+        drive = PositionDrive(0.5, 0.01, target=targets)
+        bodies = [box("a", ROD, (0.05, 0, 0)), box("b", ROD, (0.15, 0, 0))]
+        joints = [
+            RevoluteJoint("a", None, (0, 0, 0), (0, 1, 0), name="1", drive=drive),
+            RevoluteJoint("b", "a", (0.1, 0, 0), (0, 1, 0), name="2"),
+        ]
+        return Run(affine_scene(bodies, joints, env_count=len(targets)))
+
+    alone, beside = made(np.array([0.3])), made(np.array([-2.0, 0.3]))
+    for _ in range(10):
+        alone.step()
+        beside.step()
+    np.testing.assert_array_equal(
+        alone.state.positions.numpy()[0], beside.state.positions.numpy()[1]
+    )
+    assert np.abs(np.diff(beside.state.positions.numpy(), axis=0)).max() > 1e-3
+
+
+def test_reset_forgets_one_environment() -> None:
+    bodies = [box("a", ROD, (0.05, 0, 0))]
+    joint = RevoluteJoint("a", None, (0, 0, 0), (0, 1, 0))
+    run = Run(affine_scene(bodies, [joint], env_count=2))
+    start = run.state.positions.numpy().copy()
+    for _ in range(5):
+        run.step()
+    moved = run.state.positions.numpy().copy()
+    run.solver.reset(run.state, np.array([True, False]))
+    found = run.state.positions.numpy()
+    np.testing.assert_array_equal(found[0], start[0])
+    np.testing.assert_array_equal(found[1], moved[1])
+    joints = run.solver.joints
+    assert joints is not None
+    assert joints.coordinates.numpy()[0, 0] == 0 and joints.coordinates.numpy()[1, 0] > 0.01
+    run.step()
+    again = run.state.positions.numpy()
+    fresh = Run(affine_scene(bodies, [joint]))
+    fresh.step()
+    np.testing.assert_array_equal(again[0], fresh.state.positions.numpy()[0])
