@@ -20,20 +20,34 @@ CORE_ROUNDNESS = 0.5
 """How far the outside of the fine half cube is on its way to a half sphere, 0 to 1."""
 
 
-def half_space_mesh(core_m: float, cells: int, total_m: float, growth: float) -> TetMesh:
+def half_space_mesh(
+    core_m: float,
+    cells: int,
+    total_m: float,
+    growth: float,
+    roundness: float = CORE_ROUNDNESS,
+    grading: float = 1.0,
+) -> TetMesh:
     """A block with its contact face at z = 0, bonded everywhere else on its outside.
 
     ``core_m``: half width of the fine part [m], ``cells`` of which lie side by side in it;
     ``total_m``: radius of the outside [m]; ``growth``: largest ratio of neighbouring shells.
+    ``roundness`` 1 makes a circle of nodes of radius ``core_m`` on the contact face, and
+    ``grading`` above 1 makes cells small near it: of size cells^-grading, for a punch's rim.
     """
     unit, core_tets = _half_cube(cells)
+    if grading != 1.0:
+        depth = unit[:, 2:]
+        sides = np.sign(unit[:, :2]) * (1 - (1 - np.abs(unit[:, :2])) ** grading)
+        unit = np.concatenate([sides, -((-depth) ** grading)], axis=1)
     faces = boundary_faces(core_tets)
     skin = faces[(unit[faces][..., 2] < -1e-9).any(axis=1)]
     used, prism = np.unique(skin, return_inverse=True)
     # Corners of a triangle ascend, so that neighbouring prisms split their common wall alike.
     prism = np.sort(prism.reshape(skin.shape), axis=1)
-    scales = _shell_scales(total_m / core_m, cells, growth)
-    nodes = core_m * np.concatenate([_rounded(unit)] + [_rounded(s * unit[used]) for s in scales])
+    scales = _shell_scales(total_m / core_m, float(cells) ** -grading, growth)
+    layers = [unit, *(s * unit[used] for s in scales)]
+    nodes = core_m * np.concatenate([_rounded(layer, roundness) for layer in layers])
     shells = len(unit) + len(used) * np.arange(len(scales))[:, None] + np.arange(len(used))
     tets = [core_tets]
     for inner, outer in zip([used, *shells[:-1]], shells, strict=True):
@@ -74,21 +88,19 @@ def _half_cube(n: int) -> tuple[np.ndarray, np.ndarray]:
     return nodes, all_tets
 
 
-def _rounded(points: np.ndarray) -> np.ndarray:
+def _rounded(points: np.ndarray, roundness: float) -> np.ndarray:
     """Bend nested half cubes towards nested half spheres, shape [n, 3]; the larger the more."""
     size = np.abs(points).max(axis=1, keepdims=True)
     unit = points / np.maximum(size, 1e-12)
     angular = np.tan(np.pi / 4 * unit)
     sphere = angular / np.maximum(np.linalg.norm(angular, axis=1, keepdims=True), 1e-12)
-    share = np.where(
-        size < 1, CORE_ROUNDNESS * size, 1 - (1 - CORE_ROUNDNESS) / np.maximum(size, 1)
-    )
+    share = np.where(size < 1, roundness * size, 1 - (1 - roundness) / np.maximum(size, 1))
     return size * ((1 - share) * unit + share * sphere)
 
 
-def _shell_scales(total: float, cells: int, growth: float) -> np.ndarray:
-    """Sizes of the shells over the fine part's, the last one ``total``."""
-    scale, thickness = [1.0], 1.0 / cells
+def _shell_scales(total: float, cell: float, growth: float) -> np.ndarray:
+    """Sizes of the shells over the fine part's, the last one ``total``; ``cell`` is inside."""
+    scale, thickness = [1.0], cell
     while scale[-1] < total:
         thickness = min(thickness * growth, (growth - 1) * scale[-1])
         scale.append(scale[-1] + thickness)

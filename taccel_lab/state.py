@@ -157,4 +157,6 @@ def _initial_motion(model: Model, poses: np.ndarray) -> tuple[np.ndarray, np.nda
         spin = np.cross(np.array(body.initial_spin_rad_s), control[:, 1:])
         velocities[:, first] = body.initial_velocity_m_s
         velocities[:, first + 1 : first + 4] = spin
+        absent = model.present.numpy()[:, len(scene.soft_bodies) + index] == 0
+        velocities[absent, first : first + 4] = 0.0
     return positions, velocities

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.distance.closest_pair import ClosestPair
+from taccel_lab.ipc.distance.closest_pair import ClosestPair, combine
 from taccel_lab.ipc.distance.edge_edge import closest_edge_edge
 from taccel_lab.ipc.distance.point_triangle import closest_point_triangle
 
@@ -70,6 +70,50 @@ def _closest(
     if edge_edge:
         return closest_edge_edge(x0, x1, x2, x3)
     return closest_point_triangle(x0, x1, x2, x3)
+
+
+@wp.func
+def _separation(
+    edge_edge: wp.bool,
+    n: wp.vec3d,
+    p0: wp.vec3d,
+    p1: wp.vec3d,
+    p2: wp.vec3d,
+    p3: wp.vec3d,
+    v0: wp.vec3d,
+    v1: wp.vec3d,
+    v2: wp.vec3d,
+    v3: wp.vec3d,
+    kept: wp.float64,
+    t_max: wp.float64,
+) -> wp.float64:
+    """Time for which a gap of ``kept`` along the unit vector n remains, up to t_max; 0 if none."""
+    zero = wp.float64(0.0)
+    spare = _extreme_gap(edge_edge, n, p0, p1, p2, p3) - kept
+    if not (spare > zero):
+        return zero
+    closing = -_extreme_gap(edge_edge, n, v0, v1, v2, v3)
+    if closing * t_max <= spare:
+        return t_max
+    return spare / closing
+
+
+@wp.func
+def _feature_normal(
+    pair: ClosestPair, n: wp.vec3d, p0: wp.vec3d, p1: wp.vec3d, p2: wp.vec3d, p3: wp.vec3d
+) -> wp.vec3d:
+    """The normal n to full precision, from the directions in which the closest points can slide.
+
+    In a narrow gap the offset is mostly rounding, and a vector that leans by its error loses the
+    gap over the length of a feature.
+    """
+    along = wp.normalize(combine(pair.dweights_a, p0, p1, p2, p3))
+    if pair.free_count == 1:
+        return wp.normalize(n - wp.dot(n, along) * along)
+    face = wp.normalize(wp.cross(along, combine(pair.dweights_b, p0, p1, p2, p3)))
+    if wp.dot(face, n) < wp.float64(0.0):
+        return -face
+    return face
 
 
 @wp.func
@@ -133,14 +177,16 @@ def _advance(
             return result
         result.iterations += 1
         step = (gap - enough) / speed
+        kept = floor + enough
         n = pair.offset / distance
-        spare = _extreme_gap(edge_edge, n, p0, p1, p2, p3) - floor - enough
-        if spare > zero:
-            closing = -_extreme_gap(edge_edge, n, v0, v1, v2, v3)
-            if closing <= zero:
-                step = t_max
-            else:
-                step = wp.max(step, spare / closing)
+        step = wp.max(
+            step, _separation(edge_edge, n, p0, p1, p2, p3, v0, v1, v2, v3, kept, t_max)
+        )
+        if pair.free_count > 0:
+            n = _feature_normal(pair, n, p0, p1, p2, p3)
+            step = wp.max(
+                step, _separation(edge_edge, n, p0, p1, p2, p3, v0, v1, v2, v3, kept, t_max)
+            )
         result.toi = t + step
         if result.toi >= t_max:
             result.toi = t_max

@@ -3,20 +3,24 @@
 
 Two closed surfaces intersect exactly when an edge of one crosses a face of the other, or when one
 lies inside the other as a whole. Crossings are found from the signs of tet volumes, containment
-from the winding number [Van Oosterom and Strackee 1983, The Solid Angle of a Plane Triangle]. The
-gel counts with its whole boundary, glued faces included; bodies are not checked against each
-other. Surfaces that only touch in a plane they share are not told apart from surfaces that do not.
+from the winding number. Only bodies that may touch are looked at, a soft body with itself where it
+has self-contact. A gel counts with its whole boundary, glued faces included. Surfaces that only
+touch in a plane they share are not told apart from surfaces that do not. Thickness is left out:
+it is a distance to keep, not a body.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.model import Model
+from taccel_lab.model import BodyKind, Model
+from taccel_lab.scene.crossings import crossing_pairs, self_crossings
+from taccel_lab.scene.mass_properties import winding_number
 from taccel_lab.scene.primitives import Ball, unique_edges
 from taccel_lab.state import State
 
@@ -25,115 +29,167 @@ class IntersectionKind(StrEnum):
     """How two things overlap."""
 
     CROSSING = "crossing"
-    """An edge of one surface passes through a face of the other, or the ball reaches a gel face."""
-    BODY_INSIDE_GEL = "body inside gel"
-    GEL_INSIDE_BODY = "gel inside body"
+    """An edge of one surface passes through a face of the other, or the ball reaches a face."""
+    SELF_CROSSING = "crossing itself"
+    INSIDE = "inside"
+    """The first body, or a separate part of it, is inside the second as a whole."""
+    BELOW_PLANE = "below a plane"
     INVERTED_TET = "inverted tet"
 
 
 @dataclass(frozen=True)
 class Intersection:
-    """One kind of overlap of one body with the gel in one environment."""
+    """One kind of overlap of two bodies in one environment."""
 
     kind: IntersectionKind
-    body: str
-    """Name of the kinematic body; empty for inverted tets."""
+    first: str
+    """Name of a body; of two, the stiffer one unless the other is inside it."""
+    second: str
+    """Name of the other body; the same for inverted tets and crossings of a body with itself."""
     count: int
-    """Crossing pairs, components inside, or tets."""
+    """Crossing pairs, components inside, nodes below the plane, or tets."""
     point_m: np.ndarray
     """One place where it happens [m], shape [3]."""
 
 
+@dataclass(frozen=True)
+class _Body:
+    """A body where it is now."""
+
+    name: str
+    kind: BodyKind
+    nodes: np.ndarray
+    """[m], shape [n, 3]; of a ball its centre, of a plane its origin."""
+    faces: np.ndarray
+    radius_m: float
+    """Of a ball, else 0."""
+    normal: np.ndarray
+    """Of a plane."""
+
+
 def find_intersections(model: Model, state: State) -> list[list[Intersection]]:
-    """All overlaps of gel and kinematic bodies, one list per environment; empty when separate."""
-    positions = state.positions.numpy()
-    poses = state.poses.numpy().reshape(model.env_count, len(model.kinematic), 7)
-    return [_intersections(model, positions[e], poses[e]) for e in range(model.env_count)]
+    """All overlaps of bodies that may touch, and inverted tets: one list per environment."""
+    positions, present = state.positions.numpy(), model.present.numpy() != 0
+    return [_intersections(model, x, here) for x, here in zip(positions, present, strict=True)]
 
 
 def require_separated(model: Model, state: State) -> None:
-    """Raise InputError when a body starts in the gel or a tet is inverted."""
+    """Raise InputError when bodies overlap or a tet is inverted."""
     for env, found in enumerate(find_intersections(model, state)):
         for item in found:
             x, y, z = item.point_m * 1e3
-            where = f"near x {x:.3f}, y {y:.3f}, z {z:.3f} mm"
-            if item.kind == IntersectionKind.INVERTED_TET:
-                raise InputError(
-                    f"{item.count} tets of the gel are inverted in environment {env}, {where}"
-                )
+            where = f"in environment {env}, near x {x:.3f}, y {y:.3f}, z {z:.3f} mm"
+            if item.kind is IntersectionKind.INVERTED_TET:
+                raise InputError(f"{item.count} tets of {item.first!r} are inverted {where}")
+            if item.kind is IntersectionKind.SELF_CROSSING:
+                raise InputError(f"{item.first!r} crosses itself {where}")
             raise InputError(
-                f"{item.body!r} starts inside the gel in environment {env} ({item.kind}, {where}); "
-                "allowed: a start pose with a gap everywhere between body and gel"
+                f"{item.first!r} starts inside {item.second!r} {where} ({item.kind}); "
+                "allowed: a start with a gap everywhere between bodies that may touch"
             )
 
 
-def _intersections(model: Model, positions: np.ndarray, poses: np.ndarray) -> list[Intersection]:
-    """Overlaps of one environment; positions [node_count, 3], poses [body_count, 7]."""
-    mesh = model.scene.soft_bodies[0].mesh
-    gel = positions[: model.soft_count]
-    found = _inverted_tets(gel, mesh.tets)
-    for arrays, body, pose in zip(
-        model.kinematic, model.scene.kinematic_bodies, poses, strict=True
-    ):
-        if isinstance(body.shape, Ball):
-            items = _ball_overlaps(gel, mesh.faces, pose[:3], body.shape.radius_m)
-        else:
-            vertices = _rotate(pose[3:], body.shape.vertices_m) + pose[:3]
-            items = _surface_overlaps(gel, mesh.faces, vertices, body.shape.faces)
-        found += [Intersection(kind, arrays.name, count, point) for kind, count, point in items]
+def _bodies(model: Model, x: np.ndarray) -> list[_Body]:
+    scene, normals = model.scene, model.surface.plane_normals.numpy()
+    bodies = []
+    for part, body in zip(model.bodies, scene.bodies, strict=True):
+        mesh = body.nodal_mesh if part.kind is BodyKind.SOFT else getattr(body, "shape", None)
+        is_ball = isinstance(mesh, Ball)
+        bodies.append(
+            _Body(
+                name=part.name,
+                kind=part.kind,
+                nodes=x[part.node_slice],
+                faces=np.zeros((0, 3), dtype=int) if mesh is None or is_ball else mesh.faces,
+                radius_m=mesh.radius_m if is_ball else 0.0,
+                normal=normals[part.nodes[0]] if part.kind is BodyKind.PLANE else np.zeros(3),
+            )
+        )
+    return bodies
+
+
+def _intersections(model: Model, x: np.ndarray, present: np.ndarray) -> list[Intersection]:
+    """Overlaps of one environment; positions [node_count, 3], present [body_count]."""
+    bodies = _bodies(model, x)
+    found: list[Intersection] = []
+    for part, body in zip(model.bodies, model.scene.soft_bodies, strict=False):
+        corners = x[part.node_slice][body.mesh.tets]
+        found += _inverted_tets(part.name, corners)
+    for i, j in model.plan.pairs:
+        if present[i] and present[j]:
+            found += _itself(bodies[i]) if i == j else _overlaps(bodies[i], bodies[j])
     return found
 
 
-_Overlaps = list[tuple[IntersectionKind, int, np.ndarray]]
-
-
-def _rotate(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Rotate points [n, 3] by a unit quaternion (x, y, z, w)."""
-    axis, w = quaternion[:3], quaternion[3]
-    across = 2 * np.cross(axis, points)
-    return points + w * across + np.cross(axis, across)
-
-
-def _inverted_tets(nodes: np.ndarray, tets: np.ndarray) -> list[Intersection]:
-    p = nodes[tets]
-    bad = np.flatnonzero(~(np.linalg.det(p[:, 1:] - p[:, :1]) > 0))
+def _inverted_tets(name: str, corners: np.ndarray) -> list[Intersection]:
+    bad = np.flatnonzero(~(np.linalg.det(corners[:, 1:] - corners[:, :1]) > 0))
     if len(bad) == 0:
         return []
-    return [Intersection(IntersectionKind.INVERTED_TET, "", len(bad), p[bad[0]].mean(axis=0))]
+    place = corners[bad[0]].mean(axis=0)
+    return [Intersection(IntersectionKind.INVERTED_TET, name, name, len(bad), place)]
 
 
-def _ball_overlaps(
-    nodes: np.ndarray, faces: np.ndarray, centre: np.ndarray, radius: float
-) -> _Overlaps:
-    distance = point_face_distances(centre, nodes[faces])
-    near = distance <= radius
+def _itself(body: _Body) -> list[Intersection]:
+    edges, _ = self_crossings(body.nodes, body.faces)
+    if len(edges) == 0:
+        return []
+    place = body.nodes[edges[0]].mean(axis=0)
+    return [Intersection(IntersectionKind.SELF_CROSSING, body.name, body.name, len(edges), place)]
+
+
+def _overlaps(softer: _Body, stiffer: _Body) -> list[Intersection]:
+    """Overlaps of two bodies in the order of their ids."""
+    if stiffer.kind is BodyKind.PLANE:
+        used = np.unique(softer.faces)
+        height = (softer.nodes[used] - stiffer.nodes[0]) @ stiffer.normal
+        below = used[~(height > 0)]
+        if len(below) == 0:
+            return []
+        place = softer.nodes[below[0]]
+        kind = IntersectionKind.BELOW_PLANE
+        return [Intersection(kind, softer.name, stiffer.name, len(below), place)]
+    if stiffer.radius_m > 0:
+        return _ball_overlaps(softer, stiffer)
+    return list(_surface_overlaps(softer, stiffer))
+
+
+def _ball_overlaps(body: _Body, ball: _Body) -> list[Intersection]:
+    triangles, centre = body.nodes[body.faces], ball.nodes[0]
+    distance = point_face_distances(centre, triangles)
+    near = distance <= ball.radius_m
     if near.any():
-        face = int(np.argmin(distance))
-        return [(IntersectionKind.CROSSING, int(near.sum()), nodes[faces[face]].mean(axis=0))]
-    if _is_inside(centre, nodes[faces]):
-        return [(IntersectionKind.BODY_INSIDE_GEL, 1, centre)]
+        place = triangles[int(np.argmin(distance))].mean(axis=0)
+        kind = IntersectionKind.CROSSING
+        return [Intersection(kind, ball.name, body.name, int(near.sum()), place)]
+    if _is_inside(centre, triangles):
+        return [Intersection(IntersectionKind.INSIDE, ball.name, body.name, 1, centre)]
     return []
 
 
-def _surface_overlaps(
-    nodes: np.ndarray, faces: np.ndarray, vertices: np.ndarray, body_faces: np.ndarray
-) -> _Overlaps:
+def _surface_overlaps(softer: _Body, stiffer: _Body) -> Iterator[Intersection]:
     """Crossings, or else containment: without a crossing a component is inside as a whole."""
-    through_body = _crossings(nodes[unique_edges(faces)], vertices[body_faces])
-    through_gel = _crossings(vertices[unique_edges(body_faces)], nodes[faces])
-    points = np.concatenate([through_body, through_gel])
-    if len(points):
-        return [(IntersectionKind.CROSSING, len(points), points[0])]
-    inside = [v for v in vertices[_component_nodes(body_faces)] if _is_inside(v, nodes[faces])]
-    found: _Overlaps = []
-    if inside:
-        found.append((IntersectionKind.BODY_INSIDE_GEL, len(inside), inside[0]))
-    if _is_closed(body_faces):
-        around = vertices[body_faces]
-        inside = [p for p in nodes[_component_nodes(faces)] if _is_inside(p, around)]
+    crossings = 0
+    place = np.zeros(3)
+    for edged, faced in ((softer, stiffer), (stiffer, softer)):
+        segments = edged.nodes[unique_edges(edged.faces)]
+        edge, _ = crossing_pairs(segments, faced.nodes[faced.faces])
+        crossings += len(edge)
+        place = segments[edge[0]].mean(axis=0) if len(edge) else place
+    if crossings:
+        kind = IntersectionKind.CROSSING
+        yield Intersection(kind, stiffer.name, softer.name, crossings, place)
+        return
+    for inner, outer in ((stiffer, softer), (softer, stiffer)):
+        if not _is_closed(outer.faces):
+            continue
+        around = outer.nodes[outer.faces]
+        points = inner.nodes[_component_nodes(inner.faces)]
+        low, high = around.min(axis=(0, 1)), around.max(axis=(0, 1))
+        points = points[((points >= low) & (points <= high)).all(axis=1)]
+        inside = [p for p in points if _is_inside(p, around)]
         if inside:
-            found.append((IntersectionKind.GEL_INSIDE_BODY, len(inside), inside[0]))
-    return found
+            kind = IntersectionKind.INSIDE
+            yield Intersection(kind, inner.name, outer.name, len(inside), inside[0])
 
 
 def _component_nodes(faces: np.ndarray) -> np.ndarray:
@@ -156,50 +212,8 @@ def _is_closed(faces: np.ndarray) -> bool:
 
 
 def _is_inside(point: np.ndarray, triangles: np.ndarray) -> bool:
-    """Winding number of a closed surface, triangles [n, 3, 3], of either orientation."""
-    a, b, c = np.moveaxis(triangles - point, 1, 0)
-    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
-    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
-    ab, bc, ca = (np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
-    angle = 2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
-    return bool(abs(angle.sum()) > 2 * np.pi)
-
-
-def _crossings(edges: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Midpoints of the edges [n, 2, 3] that pass through triangles [m, 3, 3], one per pair."""
-    edge, face = _overlapping_boxes(edges, triangles)
-    p, q = edges[edge, 0], edges[edge, 1]
-    a, b, c = (triangles[face, k] for k in range(3))
-    above, below = _volume(a, b, c, p), _volume(a, b, c, q)
-    sides = np.stack([_volume(p, q, a, b), _volume(p, q, b, c), _volume(p, q, c, a)])
-    hit = (above * below <= 0) & ((above != 0) | (below != 0))
-    hit &= (sides >= 0).all(axis=0) | (sides <= 0).all(axis=0)
-    return 0.5 * (p + q)[hit]
-
-
-def _volume(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Six times the signed volume of tets, shape [n]."""
-    return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a)
-
-
-def _overlapping_boxes(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index pairs of primitives [n, corners, 3] whose bounding boxes overlap."""
-    low_a, high_a = first.min(axis=1), first.max(axis=1)
-    low_b, high_b = second.min(axis=1), second.max(axis=1)
-    low, high = low_b.min(axis=0), high_b.max(axis=0)
-    kept = np.flatnonzero(((low_a <= high) & (high_a >= low)).all(axis=1))
-    # Sorted by their lower x, the boxes that can overlap one in x are a contiguous range.
-    order = np.argsort(low_b[:, 0], kind="stable")
-    starts = low_b[order, 0]
-    width = float((high_b[:, 0] - low_b[:, 0]).max(initial=0.0))
-    begin = np.searchsorted(starts, low_a[kept, 0] - width, side="left")
-    end = np.searchsorted(starts, high_a[kept, 0], side="right")
-    count = end - begin
-    a = np.repeat(kept, count)
-    within = np.arange(len(a)) - np.repeat(np.cumsum(count) - count, count)
-    b = order[np.repeat(begin, count) + within]
-    overlap = ((low_a[a] <= high_b[b]) & (high_a[a] >= low_b[b])).all(axis=1)
-    return a[overlap], b[overlap]
+    """Inside of a closed surface [n, 3, 3] of either orientation."""
+    return abs(winding_number(point, triangles)) > 0.5
 
 
 def point_face_distances(point: np.ndarray, triangles: np.ndarray) -> np.ndarray:

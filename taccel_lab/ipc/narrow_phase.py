@@ -232,9 +232,7 @@ def node_face_kernel(
                 count = edge_coefficient(env, node, edge_id, both, surface, positions)
                 if count != 0:
                     nodes = wp.vec4i(node, edge[0], edge[1], edge[1])
-                    add_collision(
-                        env, 1, nodes, stiffness * wp.float64(count), none, gap, lists
-                    )
+                    add_collision(env, 1, nodes, stiffness * wp.float64(count), none, gap, lists)
         vertex = face[k]
         if (
             wp.length_sq(p - positions[env, vertex]) < reach_sq

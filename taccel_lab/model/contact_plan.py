@@ -86,7 +86,12 @@ def contact_plan(scene: Scene, surfaces: list[BodySurface], put: Put) -> Contact
     pairs = []
     for i in range(count):
         for j in range(i, count):
-            if not scene.may_touch(bodies[i], bodies[j]):
+            mine = bodies[i]
+            if i == j:
+                searched = isinstance(mine, SoftBody) and mine.self_contact
+            else:
+                searched = scene.may_touch(mine, bodies[j])
+            if not searched:
                 continue
             pairs.append((i, j))
             a, b = surfaces[i], surfaces[j]

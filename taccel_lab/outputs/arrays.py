@@ -19,16 +19,6 @@ def _negate_kernel(values: wp.array2d(dtype=wp.vec3d), result: wp.array2d(dtype=
     result[i, j] = -values[i, j]
 
 
-@wp.kernel
-def _add_kernel(
-    first: wp.array2d(dtype=wp.vec3d),
-    second: wp.array2d(dtype=wp.vec3d),
-    result: wp.array2d(dtype=wp.vec3d),
-):
-    i, j = wp.tid()
-    result[i, j] = first[i, j] + second[i, j]
-
-
 def negated(values: wp.array) -> wp.array:
     """Minus the vectors, vec3d, two axes."""
     result = wp.empty_like(values)
@@ -38,19 +28,6 @@ def negated(values: wp.array) -> wp.array:
         inputs=[values],
         outputs=[result],
         device=values.device,
-    )
-    return result
-
-
-def added(first: wp.array, second: wp.array) -> wp.array:
-    """Sum of the vectors, vec3d, two axes."""
-    result = wp.empty_like(first)
-    wp.launch(
-        _add_kernel,
-        dim=first.shape,
-        inputs=[first, second],
-        outputs=[result],
-        device=first.device,
     )
     return result
 

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.model import BodyKind
-from taccel_lab.outputs.arrays import added, negated
+from taccel_lab.outputs.arrays import negated
 from taccel_lab.outputs.contact_wrenches import (
     PairWrenches,
     contact_wrenches,
@@ -70,8 +70,8 @@ class Outputs:
     @cached_property
     def surface_load(self) -> SurfaceLoad:
         """Tractions of contact and friction, and contact pressure, on the surface as it is now."""
-        total = added(self.normal_forces, self.friction_forces)
-        return surface_load(self._model, self.state.positions, total)
+        x = self.state.positions
+        return surface_load(self._model, x, self.normal_forces, self.friction_forces)
 
     def contact_wrenches(self, center_m: tuple[float, float, float] = (0, 0, 0)) -> PairWrenches:
         """Normal forces between bodies, torques about ``center_m``, and gaps."""

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tractions of nodal forces on the deformed surface: force over the area around a node.
+"""Tractions of nodal contact forces on the deformed surface: force over the area that is touched.
 
-A node of a collision surface has a third of the area of each face around it, and as its normal the
-mean of theirs by area. Pressure is the part of the traction against that normal, shear the rest.
+A node has a third of each face around it. Of that it offers to a contact what it shows in the
+direction the contact comes from: at a rim the side that is touched counts and not the one around
+the corner, as in the area weights of the contact itself. Pressure is the part of the traction along
+that direction, shear the rest.
 """
 
 from __future__ import annotations
@@ -22,28 +24,35 @@ def _traction_kernel(
     node_faces: wp.array(dtype=wp.int32),
     faces: wp.array(dtype=wp.vec3i),
     positions: wp.array2d(dtype=wp.vec3d),
-    forces: wp.array2d(dtype=wp.vec3d),
+    normal_forces: wp.array2d(dtype=wp.vec3d),
+    friction_forces: wp.array2d(dtype=wp.vec3d),
     areas: wp.array2d(dtype=wp.float64),
     normals: wp.array2d(dtype=wp.vec3d),
     tractions: wp.array2d(dtype=wp.vec3d),
     pressures: wp.array2d(dtype=wp.float64),
 ):
     env, node = wp.tid()
+    facing = -wp.normalize(normal_forces[env, node])
+    is_loaded = wp.length_sq(facing) > wp.float64(0.0)
     area = wp.float64(0.0)
     normal = wp.vec3d()
     for k in range(node_face_starts[node], node_face_starts[node + 1]):
         face = faces[node_faces[k]]
         a = positions[env, face[0]]
-        doubled = wp.cross(positions[env, face[1]] - a, positions[env, face[2]] - a)
-        normal += doubled
-        area += wp.length(doubled) / wp.float64(6.0)
+        share = wp.cross(positions[env, face[1]] - a, positions[env, face[2]] - a)
+        share = share / wp.float64(6.0)
+        normal += share
+        if is_loaded:
+            area += wp.max(wp.dot(share, facing), wp.float64(0.0))
+        else:
+            area += wp.length(share)
     areas[env, node] = area
     normals[env, node] = wp.normalize(normal)
     traction = wp.vec3d()
     if area > wp.float64(0.0):
-        traction = forces[env, node] / area
+        traction = (normal_forces[env, node] + friction_forces[env, node]) / area
     tractions[env, node] = traction
-    pressures[env, node] = -wp.dot(traction, normals[env, node])
+    pressures[env, node] = -wp.dot(traction, facing)
 
 
 @dataclass(frozen=True)
@@ -51,17 +60,19 @@ class SurfaceLoad:
     """By node, shape [env_count, node_count]; zero where a node has no collision face."""
 
     areas: wp.array
-    """Area that belongs to the node now [m^2], float64."""
+    """Area of the node now [m^2], float64: what faces the contact, or all where there is none."""
     normals: wp.array
-    """Unit outward normal, vec3d."""
+    """Unit outward normal, the mean of the faces around by area, vec3d."""
     tractions: wp.array
     """Force per area [Pa], vec3d."""
     pressures: wp.array
-    """Traction against the outward normal [Pa], float64; negative where it pulls."""
+    """Contact pressure [Pa], float64."""
 
 
-def surface_load(model: Model, positions: wp.array, forces: wp.array) -> SurfaceLoad:
-    """Tractions of ``forces`` [N] at ``positions`` [m], vec3d, [env_count, node_count]."""
+def surface_load(
+    model: Model, positions: wp.array, normal_forces: wp.array, friction_forces: wp.array
+) -> SurfaceLoad:
+    """Tractions of contact forces [N] at ``positions`` [m], all vec3d, [env_count, node_count]."""
     s, shape, device = model.surface, positions.shape, model.device
     load = SurfaceLoad(
         areas=wp.zeros(shape, dtype=wp.float64, device=device),
@@ -72,7 +83,8 @@ def surface_load(model: Model, positions: wp.array, forces: wp.array) -> Surface
     wp.launch(
         _traction_kernel,
         dim=shape,
-        inputs=[s.node_face_starts, s.node_faces, s.faces, positions, forces],
+        inputs=[s.node_face_starts, s.node_faces, s.faces, positions]
+        + [normal_forces, friction_forces],
         outputs=[load.areas, load.normals, load.tractions, load.pressures],
         device=device,
     )

@@ -180,9 +180,10 @@ class Scene:
         return combined_friction(first, second)
 
     def may_touch(self, first: Body, second: Body) -> bool:
-        """Whether a pair of bodies is searched for contacts at all."""
-        if first is second:
-            return isinstance(first, SoftBody) and first.self_contact
+        """Whether two different bodies are searched for contacts with each other at all.
+
+        One description may stand for several bodies, so they may be the same object.
+        """
         moves = (SoftBody, AffineBody)
         if not isinstance(first, moves) and not isinstance(second, moves):
             return False
@@ -197,7 +198,9 @@ class Scene:
         return first.surface.meets(second.surface)
 
     def finalize(self, device: str = "cpu") -> Model:
-        """Build the device arrays; raises InputError for inverted or degenerate rest tets."""
+        """Build the device arrays; raises InputError for meshes that cannot be used."""
         from taccel_lab.model import build_model
+        from taccel_lab.scene.checks import check_scene
 
+        check_scene(self)
         return build_model(self, device)

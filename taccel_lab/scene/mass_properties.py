@@ -18,12 +18,11 @@ from itertools import permutations
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.scene.mesh_checks import check_edges
 from taccel_lab.scene.primitives import TriangleMesh
 
 _FLAT = 1e-13
 """Volume over (area * extent) that is rounding error; a 10 um foil of 1 m has 1e-5."""
-_NAMED = 5
-"""How many offending edges or faces a message lists."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def mass_properties(mesh: TriangleMesh, density_kg_m3: float) -> MassProperties:
     if not (math.isfinite(density_kg_m3) and density_kg_m3 > 0):
         raise InputError(f"density must be positive and finite, got {density_kg_m3:g} kg/m^3")
     faces = mesh.faces.astype(np.int64)
-    require_closed_surface(faces, mesh.vertices_m)
+    check_edges(mesh.vertices_m, faces, "the mesh", closed=True)
 
     used = np.unique(faces)
     corners = mesh.vertices_m[used]
@@ -96,54 +95,6 @@ def mass_properties(mesh: TriangleMesh, density_kg_m3: float) -> MassProperties:
         second_moments_kg_m2=density_kg_m3 * scale**5 * moments,
         radius_m=float(scale * np.linalg.norm(points[used] - center, axis=1).max()),
     )
-
-
-def require_closed_surface(faces: np.ndarray, vertices_m: np.ndarray) -> None:
-    """Refuse a surface in which some edge does not have two faces of opposite direction."""
-    repeated = np.flatnonzero(
-        (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    )
-    if len(repeated):
-        raise InputError(
-            f"{len(repeated)} faces name a vertex twice: faces {_first(repeated)}; "
-            "a face needs three vertices"
-        )
-    count = np.int64(faces.max()) + 1
-    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    low, high = directed.min(axis=1), directed.max(axis=1)
-    keys, inverse, uses = np.unique(low * count + high, return_inverse=True, return_counts=True)
-    edges = np.stack([keys // count, keys % count], axis=1)
-    forward = np.bincount(inverse.ravel(), directed[:, 0] == low, minlength=len(keys))
-
-    crowded = edges[uses > 2]
-    if len(crowded):
-        raise InputError(
-            f"the mesh is not manifold: {len(crowded)} edges belong to more than two faces: "
-            f"edges (vertex, vertex) {_first(crowded)}"
-        )
-    open_edges = edges[uses == 1]
-    if len(open_edges):
-        hint = ""
-        if len(np.unique(vertices_m, axis=0)) < len(vertices_m):
-            hint = "; some vertices coincide: merge them if the surface was meant to be closed"
-        raise InputError(
-            f"the mesh is not closed: {len(open_edges)} edges belong to one face only: "
-            f"edges (vertex, vertex) {_first(open_edges)}{hint}"
-        )
-    turned = edges[forward != 1]
-    if len(turned):
-        raise InputError(
-            f"neighbouring faces are oriented differently at {len(turned)} edges: "
-            f"edges (vertex, vertex) {_first(turned)}; all faces must be outward by the "
-            "right-hand rule"
-        )
-
-
-def _first(items: np.ndarray) -> str:
-    text = ", ".join(
-        str(tuple(item.tolist())) if np.ndim(item) else str(int(item)) for item in items[:_NAMED]
-    )
-    return text + (", ..." if len(items) > _NAMED else "")
 
 
 def _shells(faces: np.ndarray, vertex_count: int) -> np.ndarray:

@@ -1,11 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Meshes that no simulation can use, refused with the ids of what is wrong and what is allowed.
-
-An edge crosses a face where its ends lie on either side of the face's plane and its line passes
-on the same side of all three face edges. Signed volumes below the rounding error of their
-products count as zero. Faces that overlap within one plane are not told apart from faces that do
-not; the edges of their neighbours give them away.
-"""
+"""Meshes that no simulation can use, refused with the ids of what is wrong and what is allowed."""
 
 from __future__ import annotations
 
@@ -13,6 +7,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.scene.crossings import self_crossings
 
 COINCIDENT = 1e-9
 """Distance over extent at which vertices count as the same."""
@@ -271,56 +266,3 @@ def _check_folds(vertices: np.ndarray, faces: np.ndarray, what: str) -> None:
             f"{what}: {len(folded)} pairs of faces lie on each other: "
             f"faces {first_of(np.sort(inner[folded] // 3, axis=1))}"
         )
-
-
-def self_crossings(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (vertex, vertex) [n, 2] and the faces [n] of the same surface they pass through."""
-    from taccel_lab.scene.primitives import unique_edges
-
-    edges = unique_edges(faces).astype(np.int64)
-    edge, face = crossing_pairs(vertices[edges], vertices[faces], edges, faces)
-    return edges[edge], face
-
-
-def crossing_pairs(
-    segments: np.ndarray,
-    triangles: np.ndarray,
-    segment_nodes: np.ndarray | None = None,
-    triangle_nodes: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of segments [n, 2, 3] and the triangles [m, 3, 3] they pass through or touch.
-
-    With node ids ([n, 2] and [m, 3]) given, pairs that share a node are left out.
-    """
-    from taccel_lab.scene.box_pairs import box_pairs
-
-    a, b = box_pairs(
-        (segments.min(axis=1), segments.max(axis=1)), (triangles.min(axis=1), triangles.max(axis=1))
-    )
-    if segment_nodes is not None and triangle_nodes is not None:
-        shared = (segment_nodes[a][:, :, None] == triangle_nodes[b][:, None, :]).any(axis=(1, 2))
-        a, b = a[~shared], b[~shared]
-    hit = segments_pierce(segments[a], triangles[b])
-    return a[hit], b[hit]
-
-
-def segments_pierce(segments: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Whether each segment [n, 2, 3] passes through its triangle [n, 3, 3], touching included."""
-    if len(segments) == 0:
-        return np.zeros(0, dtype=bool)
-    p = segments[:, 0]
-    q = segments[:, 1] - p
-    a, b, c = (triangles[:, k] - p for k in range(3))
-    reach = np.abs(np.concatenate([triangles - p[:, None], q[:, None]], axis=1)).max(axis=(1, 2))
-    largest = np.maximum(np.abs(segments).max(axis=(1, 2)), np.abs(triangles).max(axis=(1, 2)))
-    noise = 64 * np.finfo(float).eps * largest * reach**2
-
-    def volume(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
-        value = np.einsum("ij,ij->i", np.cross(u, v), w)
-        return np.where(np.abs(value) <= noise, 0.0, value)
-
-    above = volume(b - a, c - a, -a)
-    below = volume(b - a, c - a, q - a)
-    sides = np.stack([volume(q, a, b), volume(q, b, c), volume(q, c, a)])
-    split = (above * below <= 0) & ((above != 0) | (below != 0))
-    return split & ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0))

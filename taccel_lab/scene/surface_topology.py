@@ -84,10 +84,9 @@ def surface_areas(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rest areas [m^2] of nodes, edges (a third of each incident face) and faces.
 
-    The area of a node is what it shows in one direction: the sum over its faces of (share of the
-    area) max(0, n_face . n), at its largest over the normals n of its faces. Within a flat face this
-    is its share of each face; at a right-angled rim, the side that is touched counts and not the
-    one around the corner.
+    The area of a node is what it shows in one direction n: the sum over its faces of (share of the
+    area) max(0, n_face . n), averaged over the normals n of its faces. Within a flat face this is
+    its share of each face; at a right-angled rim, the mean of both sides and not their sum.
 
     ``positions``: [env, node, 3]. ``shares``: part of a face's area that each of its corners stands
     for, [face, 3]; a third when None. ``preferred``: faces whose normals alone count where a node
@@ -136,5 +135,5 @@ def _shown_areas(
         facing = (normals[around[direction]] * normals[around[other]]).sum(axis=1)
         weight = np.maximum(facing, 0.0) * 0.5 * size[env, around[other]] * share[other]
         shown = np.bincount(direction, weight, minlength=len(around))
-        np.maximum.at(areas[env], owner[counted], shown[counted])
-    return areas
+        areas[env] = np.bincount(owner[counted], shown[counted], minlength=len(counts))
+    return areas / np.maximum(np.bincount(owner[counted], minlength=len(counts)), 1)

@@ -17,14 +17,11 @@ import warp as wp
 
 from taccel_lab.ipc.affine.embedding import embed_vertices
 from taccel_lab.ipc.kinematics import (
-    chord_error,
     interpolate_poses,
     place_kinematic_nodes,
     turn_angle,
 )
 from taccel_lab.ipc.motion import (
-    adapted_stride,
-    advance_positions,
     aim_prescribed,
     begin_rhs,
     copy_rows,
@@ -35,8 +32,8 @@ from taccel_lab.ipc.motion import (
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.ipc.reduce import dot_rows
-from taccel_lab.ipc.step_limit import limit_step
 from taccel_lab.solvers.free_flight import start_in_free_flight
+from taccel_lab.solvers.line_search import search_line
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.state import State
 
@@ -92,16 +89,16 @@ class StepRun:
         self._begin_potentials()
         finite = np.isfinite(state.positions.numpy()).all(axis=(1, 2))
         finite &= np.isfinite(state.velocities.numpy()).all(axis=(1, 2))
-        self._stop(self.active & ~finite, EnvStatus.NOT_A_NUMBER)
+        self.stop(self.active & ~finite, EnvStatus.NOT_A_NUMBER)
         self.push_active()
         for part in s.elastic:
             inverted = np.isinf(part.energy(s.active, state.positions))
-            self._stop(self.active & inverted, EnvStatus.INVERSION)
+            self.stop(self.active & inverted, EnvStatus.INVERSION)
         self.push_active()
         s.displacements.zero_()
         self.find_candidates(state.poses, s.config.dhat_m)
         if s.friction is not None:
-            self._collide(state.positions)
+            self.collide(state.positions)
             s.friction.clear(self.who)
             s.friction.lag(s.active, state.positions)
         start_in_free_flight(self)
@@ -130,7 +127,7 @@ class StepRun:
             return
         self.push_active()
         self._search_direction()
-        self._line_search()
+        search_line(self)
 
     def finish(self) -> StepReport:
         """Roll back what failed and report."""
@@ -186,12 +183,10 @@ class StepRun:
     def find_candidates(self, poses: wp.array, margin: float) -> None:
         """Pairs near the way of ``displacements`` and of the frames to ``poses``."""
         s, state = self.s, self.state
-        s.candidates.update(
-            s.active, state.positions, s.displacements, state.poses, poses, margin
-        )
+        s.candidates.update(s.active, state.positions, s.displacements, state.poses, poses, margin)
         self._drop(s.candidates.overflowed)
 
-    def _collide(self, positions: wp.array) -> None:
+    def collide(self, positions: wp.array) -> None:
         """Collisions at ``positions``, for the environments flagged in the solver's ``active``."""
         self.s.collisions.update(self.s.active, positions, self.s.candidates)
         self._drop(self.s.collisions.overflowed)
@@ -199,14 +194,14 @@ class StepRun:
     def _drop(self, overflowed: np.ndarray) -> None:
         """Give up environments with too many contacts."""
         if (self.active & overflowed).any():
-            self._stop(self.active & overflowed, EnvStatus.CONTACT_OVERFLOW)
+            self.stop(self.active & overflowed, EnvStatus.CONTACT_OVERFLOW)
             kept = self.s.active.numpy() * self.active
             self.s.active.assign(kept.astype(np.int32))
 
     def _evaluate_gradient(self) -> None:
         """Gradient, residual, contact force and minimum distance of the active environments."""
         s, x = self.s, self.state.positions
-        self._collide(x)
+        self.collide(x)
         s.gradient.zero_()
         s.contact_gradient.zero_()
         s.min_distance.fill_(np.inf)
@@ -238,13 +233,13 @@ class StepRun:
     def _judge(self) -> None:
         """Freeze environments that have converged or cannot go on."""
         s = self.s
-        self._stop(self.active & ~np.isfinite(self.residual), EnvStatus.NOT_A_NUMBER)
-        self._stop(self.active & ~(self.min_distance > 0), EnvStatus.TOUCHING)
+        self.stop(self.active & ~(self.min_distance > 0), EnvStatus.TOUCHING)
+        self.stop(self.active & ~np.isfinite(self.residual), EnvStatus.NOT_A_NUMBER)
         settled = self.active & (self.progress >= 1)
         if s.joints is not None:
             settled = self._close_joints(settled)
         if s.friction is None:
-            self._stop(settled & (self.residual <= self._tolerance()), EnvStatus.CONVERGED)
+            self.stop(settled & (self.residual <= self._tolerance()), EnvStatus.CONVERGED)
         else:
             # While freezing anew still changes forces, solving in between to the last digit is
             # wasted: a tenth of the last change is enough, and one step when damped.
@@ -252,7 +247,7 @@ class StepRun:
             settled &= good_enough | (self.damping < 1)
             if settled.any():
                 self._refreeze_friction(settled)
-        self._stop(
+        self.stop(
             self.active & (self.newton >= s.config.max_newton_iterations),
             EnvStatus.NO_CONVERGENCE,
         )
@@ -272,9 +267,7 @@ class StepRun:
         self.violation[solved] = violation[solved]
         is_open = solved & (violation > s.joints.tolerance_m)
         self.joint_rounds[is_open] += 1
-        self._stop(
-            is_open & (self.joint_rounds > s.config.max_joint_rounds), EnvStatus.JOINT
-        )
+        self.stop(is_open & (self.joint_rounds > s.config.max_joint_rounds), EnvStatus.JOINT)
         self.push_active()
         if (is_open & self.active).any():
             self._evaluate_gradient()
@@ -298,15 +291,14 @@ class StepRun:
         self.damping[shrinks] = np.minimum(1.5 * self.damping[shrinks], 1.0)
         self.lag_change[who] = self.residual[who]
         self.active = everyone
-        self._stop(done, EnvStatus.CONVERGED)
-        self._stop(
-            self.active & who & (self.lags >= s.config.max_friction_lags), EnvStatus.FRICTION
-        )
+        self.stop(done, EnvStatus.CONVERGED)
+        self.stop(self.active & who & (self.lags >= s.config.max_friction_lags), EnvStatus.FRICTION)
         # The measurement covered only those frozen anew: restore the gradient of all.
         self.push_active()
         self._measure_residual()
 
-    def _stop(self, who: np.ndarray, status: EnvStatus) -> None:
+    def stop(self, who: np.ndarray, status: EnvStatus) -> None:
+        """End the step of the environments ``who`` with a status."""
         self.status[who] = status
         self.active &= ~who
 
@@ -323,7 +315,7 @@ class StepRun:
         self.cg += solved.iterations
         self.newton[self.active] += 1
         # After a breakdown the last iterate still descends, unless there is none.
-        self._stop(solved.breakdown & (solved.iterations == 0), EnvStatus.NOT_A_NUMBER)
+        self.stop(solved.breakdown & (solved.iterations == 0), EnvStatus.NOT_A_NUMBER)
         spread_solution(self.model, s.active, s.linear.solution, s.displacements)
 
     def _assemble(self, x: wp.array) -> None:
@@ -377,78 +369,6 @@ class StepRun:
         """
         ratios = self._tolerance() / np.maximum(self.residual, 1e-300)
         return np.clip(0.3 * ratios, 1e-6, 1e-2)
-
-    def _line_search(self) -> None:
-        s, state = self.s, self.state
-        margin = s.config.dhat_m
-        if self.turning.any():
-            margin += chord_error(
-                self.start_poses, self.end_poses, self.model.kinematic_radii_m
-            )
-        self.find_candidates(s.target_poses, margin)
-        limit_step(self.model, s.active, s.candidates, state.positions, s.displacements, s.alphas)
-        alpha = np.minimum(s.alphas.numpy(), self.damping)
-        self._stop(self.active & (alpha <= 0), EnvStatus.TOUCHING)
-        self.push_active()
-        gradient = s.gradient.numpy() + s.contact_gradient.numpy() + s.friction_gradient.numpy()
-        slope = dot_rows(gradient, s.displacements.numpy())
-        self._collide(state.positions)
-        before = self.energy(state.positions, state.poses)
-        settled = self.progress >= 1
-        waiting = self.active.copy()
-        progress = self.progress
-        for _ in range(s.config.max_line_search_cuts):
-            progress = self._trial(alpha)
-            s.active.assign(waiting.astype(np.int32))
-            safe = self._rotation_is_safe(waiting)
-            self._collide(s.trial)
-            waiting &= self.active
-            after = self.energy(s.trial, s.trial_poses)
-            # Sums of that many terms carry rounding of about 1e-14 of the energy.
-            enough = before + 1e-4 * alpha * np.minimum(slope, 0) + 1e-13 * np.abs(before)
-            good = waiting & safe & np.isfinite(after) & (~settled | (after <= enough))
-            waiting &= ~good
-            if not waiting.any():
-                break
-            alpha[waiting] *= 0.5
-        moved = self.active & ~waiting
-        progress = np.where(moved, progress, self.progress)
-        self._stop(waiting, EnvStatus.LINE_SEARCH)
-        self.smallest_step[moved] = np.minimum(self.smallest_step[moved], alpha[moved])
-        s.active.assign(moved.astype(np.int32))
-        alpha[~moved] = 0.0
-        self._trial(alpha)
-        self.progress = progress
-        self.stride[moved] = adapted_stride(self.stride, alpha)[moved]
-        wp.copy(state.positions, s.trial)
-        wp.copy(state.poses, s.trial_poses)
-
-    def _trial(self, alpha: np.ndarray) -> np.ndarray:
-        """Positions and poses after a fraction of the direction; returns the new progress."""
-        s = self.s
-        progress = self.progress + alpha * (self.goal - self.progress)
-        progress[progress > 1 - 1e-12] = 1.0
-        poses = interpolate_poses(self.start_poses, self.end_poses, progress)
-        poses[~self.who] = self.state.poses.numpy().reshape(poses.shape)[~self.who]
-        s.trial_poses.assign(poses.reshape(s.trial_poses.shape + (7,)))
-        s.alphas.assign(alpha)
-        advance_positions(self.state.positions, s.displacements, s.alphas, s.trial)
-        place_kinematic_nodes(self.model, s.trial_poses, s.trial)
-        return progress
-
-    def _rotation_is_safe(self, who: np.ndarray) -> np.ndarray:
-        """A body that turns leaves the chord that CCD checked: check the path really taken."""
-        s = self.s
-        if not self.turning.any():
-            return np.ones(len(who), dtype=bool)
-        path = wp.array(
-            s.trial.numpy() - self.state.positions.numpy(),
-            dtype=wp.vec3d,
-            device=self.model.device,
-        )
-        limits = wp.zeros(len(who), dtype=wp.float64, device=self.model.device)
-        limit_step(self.model, s.active, s.candidates, self.state.positions, path, limits)
-        return (limits.numpy() >= 1.0) | ~self.turning
 
     def energy(self, positions: wp.array, poses: wp.array) -> np.ndarray:
         """Total potential of the environments flagged in ``active`` [J], shape [env_count]."""

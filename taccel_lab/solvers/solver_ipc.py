@@ -166,9 +166,7 @@ class SolverIPC:
             report = self._in_halves(state, start, end, report, dt, 1)
         return self._finish(state, report, time.perf_counter() - started)
 
-    def reset(
-        self, state: State, mask: np.ndarray, poses: np.ndarray | None = None
-    ) -> None:
+    def reset(self, state: State, mask: np.ndarray, poses: np.ndarray | None = None) -> None:
         """Put the environments of ``mask`` (bool, [env_count]) back to their initial state.
 
         ``poses``: of the kinematic bodies, [env_count, kinematic_count, 7]; those of other

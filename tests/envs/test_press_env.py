@@ -323,14 +323,14 @@ def test_a_press_starts_apart_and_close(indenter: str, at_mm: tuple[float, float
     start = env.poses.copy()
     start[:, 0, 2] = env.touch_m - 1e-6
     inside = initial_state(env.model, start)
-    with pytest.raises(InputError, match="starts inside the gel"):
+    with pytest.raises(InputError, match="starts inside 'gel'"):
         require_separated(env.model, inside)
 
 
 def test_an_indenter_that_starts_inside_the_gel_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wherever first touch comes from, an overlap at the start is never simulated."""
     monkeypatch.setattr("taccel_lab.envs.press.first_touch_m", lambda *_: 1e-3)
-    with pytest.raises(InputError, match=r"'sphere:2\.0' starts inside the gel"):
+    with pytest.raises(InputError, match=r"'sphere:2\.0' starts inside 'gel'"):
         press_env()
 
 

@@ -9,6 +9,7 @@ with Sturm sequences over fractions, so the answer has no rounding at all.
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 
@@ -69,7 +70,7 @@ def _sturm(p: Polynomial) -> list[Polynomial]:
 
 def _changes(chain: list[Polynomial], t: Fraction) -> int:
     signs = [s for p in chain if (s := _at(p, t)) != 0]
-    return sum((a > 0) != (b > 0) for a, b in zip(signs, signs[1:], strict=False))
+    return sum((a > 0) != (b > 0) for a, b in pairwise(signs))
 
 
 def _isolated(p: Polynomial, low: Fraction, high: Fraction) -> list[tuple[Fraction, Fraction]]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,20 @@ from taccel_lab.ipc.intersection import (
     point_face_distances,
     require_separated,
 )
-from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh, sphere_mesh
+from taccel_lab.scene import (
+    AffineBody,
+    Ball,
+    KinematicBody,
+    Material,
+    Plane,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    TriangleMesh,
+    box_mesh,
+    sphere_mesh,
+)
+from taccel_lab.scene.bodies import Surface
 from taccel_lab.state import initial_state
 from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
@@ -51,17 +65,17 @@ def test_a_body_just_above_and_just_below_the_surface(
     )
     assert above == []
     assert kinds(below) == [IntersectionKind.CROSSING]
-    assert below[0].body == "indenter" and below[0].count > 0
+    assert below[0].first == "indenter" and below[0].second == "gel" and below[0].count > 0
     assert np.abs(below[0].point_m[:2]).max() < 5e-3
 
 
 def test_bodies_that_do_not_cross_but_contain() -> None:
     (swallowed,) = intersections(sphere_mesh(0.3e-3, 1e-4), pose(1e-4, 0, -1e-3))
-    assert kinds(swallowed) == [IntersectionKind.BODY_INSIDE_GEL]
+    assert kinds(swallowed) == [IntersectionKind.INSIDE]
     (ball,) = intersections(Ball(0.3e-3), pose(1e-4, 0, -1e-3))
-    assert kinds(ball) == [IntersectionKind.BODY_INSIDE_GEL]
+    assert kinds(ball) == [IntersectionKind.INSIDE]
     (around,) = intersections(box_mesh((9e-3, 9e-3, 9e-3)), pose(0, 0, -1e-3, (1, 0, 0), 20))
-    assert kinds(around) == [IntersectionKind.GEL_INSIDE_BODY]
+    assert kinds(around) == [IntersectionKind.INSIDE]
     (hollow,) = intersections(Ball(9e-3), pose(0, 0, -1e-3))
     assert kinds(hollow) == [IntersectionKind.CROSSING]
 
@@ -84,7 +98,7 @@ def test_inverted_tets_are_found() -> None:
     first, second = find_intersections(model, state)
     assert first == []
     assert kinds(second) == [IntersectionKind.INVERTED_TET]
-    with pytest.raises(InputError, match="inverted in environment 1"):
+    with pytest.raises(InputError, match="'gel' are inverted in environment 1"):
         require_separated(model, state)
 
 
@@ -124,7 +138,7 @@ def test_a_bad_start_is_refused_with_its_place(shape: TriangleMesh | Ball) -> No
     good, bad = pose(0, 0, 1.1e-3), pose(1e-3, 0, 0.9e-3)
     require_separated(model, initial_state(model, np.stack([good, good])[:, None]))
     state = initial_state(model, np.stack([good, bad])[:, None])
-    with pytest.raises(InputError, match=r"'pin' starts inside the gel in environment 1.*gap"):
+    with pytest.raises(InputError, match=r"'pin' starts inside 'gel' in environment 1.*gap"):
         require_separated(model, state)
 
 
@@ -137,3 +151,72 @@ def test_a_thousand_gel_faces_against_five_thousand_in_a_second() -> None:
     started = time.perf_counter()
     assert find_intersections(model, state) == [[]] * 4
     assert time.perf_counter() - started < 4
+
+
+FREE = np.zeros(0, dtype=np.int64)
+DYNAMIC = TimeStepping(quasi_static=False)
+SOFT = Material(1e5, 0.4, 1000.0)
+
+
+def names(found: list[Intersection]) -> set[tuple[str, str, str]]:
+    return {(item.kind.value, item.first, item.second) for item in found}
+
+
+def in_scene(made: Scene, shifts: dict[str, list[float]]) -> set[tuple[str, str, str]]:
+    """Overlaps when bodies are moved by shifts from where they start."""
+    model = made.finalize()
+    state = initial_state(model)
+    x = state.positions.numpy()
+    for body in model.bodies:
+        x[:, body.node_slice] += shifts.get(body.name, [0.0, 0.0, 0.0])
+    state.positions.assign(x)
+    return names(find_intersections(model, state)[0])
+
+
+def test_any_two_bodies() -> None:
+    box = box_mesh((1e-3, 1e-3, 1e-3))
+    gels = [
+        SoftBody(block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3)), SOFT, FREE, name=name)
+        for name in ("left", "right")
+    ]
+    gels[1] = replace(gels[1], initial_pose=pose(3e-3, 0, 0))
+    made = Scene(
+        gels,
+        KinematicBody(Ball(0.5e-3), name="ball"),
+        affine_bodies=[
+            AffineBody(box, name="cube", initial_pose=pose(0, 5e-3, 0)),
+            AffineBody(sphere_mesh(0.2e-3, 1e-4), name="pea", initial_pose=pose(0, 0, 5e-3)),
+        ],
+        planes=Plane((0, 0, -2e-3), name="floor"),
+        time=DYNAMIC,
+    )
+    far = {"ball": [9e-3, 9e-3, 9e-3]}
+    assert in_scene(made, far) == set()
+    assert in_scene(made, far | {"right": [-1.5e-3, 0, 0]}) == {("crossing", "right", "left")}
+    assert in_scene(made, far | {"cube": [0, -3.8e-3, 0]}) == {("crossing", "cube", "left")}
+    assert in_scene(made, far | {"pea": [0, 5e-3, -5e-3]}) == {("inside", "pea", "cube")}
+    assert in_scene(made, far | {"pea": [0, 0, -5.5e-3]}) == {("inside", "pea", "left")}
+    assert in_scene(made, far | {"cube": [0, 0, -1.6e-3]}) == {("below a plane", "cube", "floor")}
+    assert in_scene(made, far | {"left": [0, 0, -1.1e-3]}) == {("below a plane", "left", "floor")}
+    assert in_scene(made, {"ball": [0, 5e-3, 0.9e-3]}) == {("crossing", "ball", "cube")}
+    apart = replace(made, affine_bodies=[replace(b, surface=Surface(2, 2)) for b in made.affine_bodies])
+    assert in_scene(apart, far | {"cube": [0, -3.8e-3, 0]}) == set(), "layers that never touch"
+    gone = Surface(environments=())
+    absent = replace(made, affine_bodies=[replace(b, surface=gone) for b in made.affine_bodies])
+    assert in_scene(absent, far | {"cube": [0, -3.8e-3, 0]}) == set(), "a body that is not there"
+
+
+def test_a_body_that_crosses_itself() -> None:
+    mesh = block_mesh((6, 1, 1), (6e-3, 1e-3, 0.5e-3))
+    strip = SoftBody(mesh, SOFT, FREE, self_contact=True)
+    model = Scene(strip, time=DYNAMIC).finalize()
+    state = initial_state(model)
+    x = state.positions.numpy()[0]
+    for degrees, expected in ((340, set()), (372, {("crossing itself", "gel", "gel")})):
+        angle = x[:, 0] / 6e-3 * np.deg2rad(degrees)
+        radius = 1.3e-3 - x[:, 2]
+        state.positions.assign(
+            np.column_stack([radius * np.sin(angle), x[:, 1], radius * np.cos(angle)])[None]
+        )
+        found = names(find_intersections(model, state)[0])
+        assert {item for item in found if item[0] != "inverted tet"} == expected

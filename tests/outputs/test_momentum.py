@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.ipc.potentials.external import pressure_forces, traction_forces
 from taccel_lab.outputs.momentum import MomentumReader
 from taccel_lab.outputs.surface_load import surface_load
 from taccel_lab.scene import (
@@ -76,20 +77,21 @@ def test_a_soft_body_sums_its_lumped_masses_and_a_kinematic_one_has_none() -> No
 
 
 def test_tractions_times_areas_are_the_forces() -> None:
+    """A uniform pressure on the top of a block, rim included, and a drag along x."""
     mesh = block_mesh((4, 4, 2), SIZE, jitter=0.2)
     model = Scene(SoftBody(mesh, Material(1e5, 0.4))).finalize()
-    x = mesh.nodes_m * [1.2, 1.0, 0.9]
-    forces = np.zeros((1, mesh.node_count, 3))
-    top = mesh.region_nodes(1)
-    forces[0, top] = np.random.default_rng(0).normal(size=(len(top), 3))
-    positions = wp.array(x[None], dtype=wp.vec3d)
-    load = surface_load(model, positions, wp.array(forces, dtype=wp.vec3d))
-    areas = load.areas.numpy()[0]
-    np.testing.assert_allclose(load.tractions.numpy()[0] * areas[:, None], forces[0], atol=1e-12)
-    # Nodes of the rim count their part of the sides too; the bonded bottom is no collision face.
-    sides = 2 * (SIZE[0] * 1.2 + SIZE[1]) * SIZE[2] * 0.9
-    assert areas.sum() == pytest.approx(SIZE[0] * 1.2 * SIZE[1] + sides, rel=1e-12)
-    inner = top[(np.abs(mesh.nodes_m[top, :2]) < np.array(SIZE[:2]) / 2 - 1e-9).all(axis=1)]
+    x = (mesh.nodes_m * [1.2, 1.0, 0.9])[None]
+    top = mesh.region_faces(1)
+    normal, drag = pressure_forces(x, top, 2e3), traction_forces(x, top, np.array([500.0, 0, 0]))
+    positions, pushing, dragging = (wp.array(v, dtype=wp.vec3d) for v in (x, normal, drag))
+    load = surface_load(model, positions, pushing, dragging)
+    areas, nodes = load.areas.numpy()[0], np.unique(top)
+    np.testing.assert_allclose(load.tractions.numpy()[0] * areas[:, None], (normal + drag)[0])
+    # The rim counts with the top that is touched, not with the sides.
+    assert areas[nodes].sum() == pytest.approx(SIZE[0] * 1.2 * SIZE[1], rel=1e-12)
+    np.testing.assert_allclose(load.pressures.numpy()[0, nodes], 2e3, rtol=1e-12)
+    np.testing.assert_allclose(load.tractions.numpy()[0, nodes], [[500, 0, -2e3]] * len(nodes))
+    inner = nodes[(np.abs(mesh.nodes_m[nodes, :2]) < np.array(SIZE[:2]) / 2 - 1e-9).all(axis=1)]
     np.testing.assert_allclose(load.normals.numpy()[0, inner], [[0, 0, 1]] * len(inner), atol=1e-12)
-    pressures = load.pressures.numpy()[0, inner]
-    np.testing.assert_allclose(pressures, -forces[0, inner, 2] / areas[inner], rtol=1e-12)
+    free = np.setdiff1d(np.unique(mesh.faces), nodes)
+    assert not load.pressures.numpy()[0, free].any()

@@ -100,7 +100,9 @@ def test_action_is_reaction_for_each_pair(pressed: Pressed) -> None:
         touching = {tuple(p) for p in np.argwhere(np.abs(force[0]).max(-1) > 1e-9 * scale)}
         assert touching == {(0, 1), (1, 0), (1, 3), (3, 1), (2, 4), (4, 2)}
     torque = normal[..., 3:]
-    np.testing.assert_allclose(torque, -np.swapaxes(torque, 1, 2), atol=1e-12 * np.abs(torque).max())
+    np.testing.assert_allclose(
+        torque, -np.swapaxes(torque, 1, 2), atol=1e-12 * np.abs(torque).max()
+    )
     # Friction acts on two surfaces that are a gap apart.
     torque, force = friction[..., 3:], np.linalg.norm(friction[..., :3], axis=-1)
     couple = np.linalg.norm(torque + np.swapaxes(torque, 1, 2), axis=-1)

@@ -98,7 +98,7 @@ def test_states_that_are_not_finite() -> None:
         array.assign(good)
     _, wrenches = state.loads(model)
     wrenches.assign(np.array([0, 0, np.inf])[:, None, None, None] * np.ones((3, 1, 2, 3)))
-    with pytest.raises(InputError, match="wrenches.*environments 2"):
+    with pytest.raises(InputError, match=r"wrenches.*environments 2"):
         check_state(model, state)
 
 

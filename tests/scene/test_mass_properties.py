@@ -138,7 +138,7 @@ def test_thin_foil() -> None:
     found = mass_properties(moved(box_mesh(size), turn, np.array([5.0, 5, 5])), RHO)
     assert found.mass_kg == pytest.approx(RHO * 1e-5, rel=1e-9)
     thickness = np.sqrt(12 * found.second_moments_kg_m2.min() / found.mass_kg)
-    assert thickness == pytest.approx(1e-5, rel=1e-4)
+    assert thickness == pytest.approx(1e-5, rel=1e-8)
 
 
 def test_cavity_and_separate_shells() -> None:

@@ -15,7 +15,8 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.scene import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
 from taccel_lab.scene.box_pairs import box_pairs
-from taccel_lab.scene.mesh_checks import check_extent, check_surface, check_tets, self_crossings
+from taccel_lab.scene.crossings import self_crossings
+from taccel_lab.scene.mesh_checks import check_extent, check_surface, check_tets
 from taccel_lab.scene.primitives import unique_edges
 from tests.verification.blocks import block_mesh, bumpy_body, labelled
 

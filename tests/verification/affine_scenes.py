@@ -10,8 +10,8 @@ import numpy as np
 from taccel_lab.ipc.affine.embedding import rotate
 from taccel_lab.model import BodyKind, Model
 from taccel_lab.scene import AffineBody, Joint, KinematicBody, Plane, Scene, TimeStepping
+from taccel_lab.scene.crossings import crossing_pairs
 from taccel_lab.scene.mass_properties import winding_number
-from taccel_lab.scene.mesh_checks import crossing_pairs
 from taccel_lab.scene.primitives import TriangleMesh, box_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import State, initial_state

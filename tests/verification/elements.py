@@ -63,17 +63,21 @@ class ElementForces:
         return move
 
     def equilibrium(
-        self, load: np.ndarray, fixed: np.ndarray | None = None, tolerance: float = 1e-9
+        self,
+        load: np.ndarray,
+        fixed: np.ndarray | None = None,
+        start: np.ndarray | None = None,
+        tolerance_n: float = 1e-9,
     ) -> tuple[np.ndarray, int]:
-        """Positions [node_count, 3] of environment 0 at rest under nodal forces ``load`` [N], and
-        the Newton iterations. ``fixed``: coordinates held besides bonded nodes, bool [node, 3]."""
-        x = self.model.rest_positions.numpy()[0].copy()
+        """Positions [node_count, 3] of environment 0 in balance with nodal forces ``load`` [N], and
+        the Newton iterations. ``fixed``: coordinates held besides bonded nodes, bool [node, 3];
+        ``start``: where to begin, the rest shape when None."""
+        x = (self.model.rest_positions.numpy()[0] if start is None else start).copy()
         keep = self._open(fixed)
-        scale = np.linalg.norm(load)
         force = load[self.free]
         for count in range(60):
             force = (load - self.gradient(x[None])[0])[self.free]
-            if np.linalg.norm(force[keep]) <= tolerance * scale:
+            if np.linalg.norm(force[keep]) <= tolerance_n:
                 return x, count
             step = self._solve(x, force, keep)
             alpha, before = 1.0, self._potential(x, load)
@@ -86,7 +90,7 @@ class ElementForces:
                 alpha /= 2
             else:
                 break
-        raise RuntimeError(f"no equilibrium: residual {np.linalg.norm(force[keep]) / scale:.1e}")
+        raise RuntimeError(f"no equilibrium: residual {np.linalg.norm(force[keep]):.1e} N")
 
     def _open(self, fixed: np.ndarray | None) -> np.ndarray:
         """Coordinates of free nodes that may move, bool, shape [free_count, 3]."""

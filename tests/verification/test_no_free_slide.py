@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flat gel under a flat plate without friction: the contact force must not lean, nor be uneven."""
+"""A flat gel under a flat plate without friction: the force must not lean nor be uneven."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_flat_patch_does_not_lean(gap: float) -> None:
 def test_under_pressure_beyond_the_guard_it_leans_a_little() -> None:
     """At a gap within the guard's range, above four kappa, edge pairs act too."""
     ratios = np.array([leaning(24, 10, seed, 0.15) for seed in range(4)])
-    assert 0 < ratios.mean() < 0.01
+    assert 0 < ratios.mean() < 1e-3
 
 
 def contact_areas(mesh: TetMesh) -> np.ndarray:
@@ -89,12 +89,10 @@ def test_a_uniform_load_is_a_uniform_pressure(
     loaded = area > 0
     pressure = force[loaded] / area[loaded]
     assert np.abs(force[~loaded]).max() < 1e-9 * force.sum()
-    assert np.sqrt(np.mean((pressure / pressure.mean() - 1) ** 2)) < 1e-3
+    assert np.sqrt(np.mean((pressure / pressure.mean() - 1) ** 2)) < 1e-4
     # Neo-Hooke's law of a bar of Young's modulus 1e5 Pa, pressed by depth less the gap.
-    gap = report.min_distance_m[0]
-    stretch = 1 - (depth + gap) / 1e-3
-    stretch = 1 - (depth + 0.5 * DHAT) / 1e-3 if gap > DHAT else stretch
-    assert pressure.mean() == pytest.approx(0.5e5 * (1 / stretch - stretch), rel=2e-3)
+    stretch = 1 - (depth + report.min_distance_m[0]) / 1e-3
+    assert pressure.mean() == pytest.approx(0.5e5 * (1 / stretch - stretch), rel=1e-3)
 
 
 def test_a_uniform_load_on_quadratic_tets() -> None:

@@ -87,29 +87,41 @@ def test_stiffness_ratio_of_ten_thousand() -> None:
 # Card house ------------------------------------------------------------------------------------
 
 
+HEIGHT, THICKNESS, WIDTH, LEAN = 0.1, 2e-3, 0.06, np.radians(20)
+REACH = THICKNESS / 2 * np.cos(LEAN) + HEIGHT / 2 * np.sin(LEAN)
+RISE = THICKNESS / 2 * np.sin(LEAN) + HEIGHT / 2 * np.cos(LEAN)
+
+
+def card(
+    name: str, size: tuple[float, float, float], friction: float, *place: object
+) -> AffineBody:
+    return box(name, size, *place, density_kg_m3=500.0, friction_coefficient=friction)  # type: ignore[arg-type]
+
+
+def leaning_pair(x: float, z: float, name: str, friction: float) -> list[AffineBody]:
+    """Two cards that lean on each other, 20 degrees from upright, their feet at height z."""
+    return [
+        card(
+            f"{name} {side}",
+            (THICKNESS, WIDTH, HEIGHT),
+            friction,
+            (x + side * (REACH + GAP / 2), 0, z + RISE + GAP),
+            turned((0, 1, 0), -side * LEAN),
+        )
+        for side in (-1, 1)
+    ]
+
+
 def card_house(friction: float) -> Run:
-    """Two pairs of cards, a card across, and a pair on top; 20 degrees from upright."""
-    height, thickness, width, lean = 0.1, 2e-3, 0.06, np.radians(20)
-    reach = thickness / 2 * np.cos(lean) + height / 2 * np.sin(lean)
-    rise = thickness / 2 * np.sin(lean) + height / 2 * np.cos(lean)
-    options = {"density_kg_m3": 500.0, "friction_coefficient": friction}
-    cards: list[AffineBody] = []
-
-    def pair(x: float, z: float, name: str) -> None:
-        for sign in (-1, 1):
-            center = (x + sign * (reach + GAP / 2), 0, z + rise + GAP)
-            rotation = turned((0, 1, 0), -sign * lean)
-            cards.append(
-                box(f"{name} {sign}", (thickness, width, height), center, rotation, **options)
-            )
-
-    apart = 4 * reach + 5e-3
-    pair(-apart / 2, 0, "left")
-    pair(apart / 2, 0, "right")
-    deck = 2 * rise + 2 * GAP
-    size = (apart + 0.06, width, thickness)
-    cards.append(box("deck", size, (0, 0, deck + thickness / 2), **options))
-    pair(0, deck + thickness, "top")
+    """Two pairs of cards, a card across, and a pair on top."""
+    apart = 4 * REACH + 5e-3
+    deck = 2 * RISE + 2 * GAP
+    cards = [
+        *leaning_pair(-apart / 2, 0, "left", friction),
+        *leaning_pair(apart / 2, 0, "right", friction),
+        card("deck", (apart + 0.06, WIDTH, THICKNESS), friction, (0, 0, deck + THICKNESS / 2)),
+        *leaning_pair(0, deck + THICKNESS, "top", friction),
+    ]
     scene = affine_scene(cards, planes=[Plane(friction_coefficient=friction)], dt=0.025)
     return Run(scene, SolverConfig(friction_eps_m=1e-7))
 
@@ -125,14 +137,20 @@ def test_a_card_house_stands() -> None:
     np.testing.assert_allclose(plane_force(run)[2], -weight(run), rtol=1e-3)
 
 
-def test_a_card_house_with_too_little_friction_falls() -> None:
-    """A leaning card needs friction of tan(20) / 2 = 0.18 at its foot."""
-    run = card_house(0.1)
+@pytest.mark.parametrize("stands", [True, False])
+def test_two_cards_need_the_friction_that_statics_asks_for(stands: bool) -> None:
+    """Moments about the foot: H (h cos) = W (h/2 sin - t/2 cos); 5 % more or less than H / W."""
+    needed = np.tan(LEAN) / 2 - THICKNESS / (2 * HEIGHT)
+    friction = float(needed * (1.05 if stands else 0.95))
+    cards = leaning_pair(0, 0, "card", friction)
+    run = Run(affine_scene(cards, planes=[Plane(friction_coefficient=friction)], dt=0.025))
+    run.step()
     start = run.vertices
     for _ in range(8):
         run.step()
         assert run.overlaps() == []
-    assert np.abs(run.vertices - start).max() > 5e-3
+    moved = np.abs(run.vertices - start).max()
+    assert moved < 1e-5 if stands else moved > 1e-3
 
 
 @pytest.mark.slow
@@ -185,10 +203,15 @@ def test_a_masonry_arch_stands() -> None:
     arches]."""
     run = arch(0.2)
     start = run.vertices
-    for _ in range(15):
+    for _ in range(10):
         run.step()
+    settled = run.vertices
+    # The 28 joints close by some micrometres each, and then no more.
+    assert np.abs(settled - start).max() < 2e-4
+    for _ in range(5):
+        run.step()
+    assert np.abs(run.vertices - settled).max() < 5e-6
     assert run.overlaps() == []
-    assert np.abs(run.vertices - start).max() < 1e-4
     assert run.strain < 1e-5
     np.testing.assert_allclose(plane_force(run)[2], -weight(run), rtol=1e-3)
 
@@ -198,11 +221,11 @@ def test_a_thin_masonry_arch_falls() -> None:
     run = arch(0.05)
     crown = run.y[13, 0, 2]
     drops = []
-    for _ in range(30):
+    for _ in range(16):
         run.step()
         drops.append(crown - run.y[13, 0, 2])
     assert run.overlaps() == []
-    assert drops[-1] > 3 * drops[-15] > 1e-3
+    assert drops[-1] > 3 * drops[-8] > 5e-3
 
 
 @pytest.mark.slow

@@ -23,8 +23,8 @@ from taccel_lab.scene import (
     TriangleMesh,
     box_mesh,
 )
+from taccel_lab.scene.crossings import crossing_pairs
 from taccel_lab.scene.gaps import SurfacePairs
-from taccel_lab.scene.mesh_checks import crossing_pairs
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC

@@ -84,6 +84,7 @@ class Candidates:
         self._node_face = pair_list(faces > 0 or soft)
         self._edge_edge = pair_list(len(plan.edge_target) > 0 or soft)
         self._soft = SoftTrees(model) if soft else None
+        self._needs_frames = faces > len(plan.ball_face) or len(plan.edge_target) > 0
         self._trees = target_trees(model)
         self._start, self._end = self._frames(), self._frames()
         self._rest = wp.zeros(
@@ -139,8 +140,9 @@ class Candidates:
         """
         lists = (self._node_face, self._edge_edge)
         reach = margin + self.model.largest_thickness_m
-        update_frames(self.model, poses_start, positions, self._rest, self._start)
-        update_frames(self.model, poses_end, positions, displacements, self._end)
+        if self._needs_frames:
+            update_frames(self.model, poses_start, positions, self._rest, self._start)
+            update_frames(self.model, poses_end, positions, displacements, self._end)
         self.overflowed = np.zeros(self.model.env_count, dtype=bool)
         while True:
             for pair_list in lists:

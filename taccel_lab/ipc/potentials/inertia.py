@@ -98,6 +98,8 @@ def _predict_kernel(
     spans: wp.array(dtype=wp.float64),
     gravity: wp.vec3d,
     gravity_scale: wp.array(dtype=wp.float64),
+    node_bodies: wp.array(dtype=wp.int32),
+    present: wp.array2d(dtype=wp.int32),
     anchors: wp.array2d(dtype=wp.vec3d),
     predictions: wp.array2d(dtype=wp.vec3d),
 ):
@@ -111,7 +113,11 @@ def _predict_kernel(
         carried = v + carries[env] * (v - previous_velocities[env, node])
     s = spans[env]
     anchors[env, node] = anchor
-    predictions[env, node] = anchor + s * (carried + s * gravity_scale[node] * gravity)
+    weight = gravity_scale[node]
+    if present[env, node_bodies[node]] == 0:
+        # A body that is not there rests where it is.
+        weight = wp.float64(0.0)
+    predictions[env, node] = anchor + s * (carried + s * weight * gravity)
 
 
 @wp.kernel
@@ -244,7 +250,8 @@ class InertiaPotential:
             inputs=[positions, velocities]
             + [history.positions if history else positions]
             + [history.velocities if history else velocities]
-            + [self._carries, self.spans, wp.vec3d(*m.scene.time.gravity_m_s2), m.gravity_scale],
+            + [self._carries, self.spans, wp.vec3d(*m.scene.time.gravity_m_s2), m.gravity_scale]
+            + [m.surface.node_bodies, m.present],
             outputs=[self._anchors, self.predictions],
             device=m.device,
         )

@@ -43,7 +43,7 @@ BODIES: dict[str, tuple[TriangleMesh | Ball, np.ndarray]] = {
     "concave": (bumpy_body(1, 0.8e-3), pose(1e-4, -2e-4, 0, (1, 2, 3), 40)),
     "dented": (bumpy_body(6, 1e-3, 0.6), pose(-2e-4, 1e-4, 0, (3, 1, -1), 75)),
     "corner": (box_mesh((1e-3, 1e-3, 1e-3)), pose(1e-4, 5e-5, 0, (1, 1.1, 0.1), 50)),
-    "parallel edges": (box_mesh((1e-3, 0.8e-3, 1e-3)), pose(1e-4, 1e-4, 0, (1, 0.3, 0.5), 0.7)),
+    "parallel edges": (box_mesh((1e-3, 0.8e-3, 1e-3)), pose(1e-4, 6.2e-4, 0, (1, 0.3, 0.5), 0.7)),
     "spike": (SPIKE, pose(MIDDLE[0] + 3e-5, MIDDLE[1] - 2e-5, 0)),
     "roof": (ROOF, pose(MIDDLE[0] - 4e-6, MIDDLE[1] + 5e-6, 0, (1, 0.2, 0), 1)),
     "ball": (Ball(1.5e-3), pose(2e-4, -1e-4, 0)),
@@ -59,7 +59,7 @@ def probing_assembly(name: str) -> tuple[Assembly, np.ndarray, np.ndarray]:
         one = scene(MESH, KinematicBody(shape)).finalize()
         turned = initial_state(one, everywhere(1, placed)).positions.numpy()[0, MESH.node_count :]
         lowest = turned[:, 2].min()
-    placed = placed + [0, 0, 0.15 * DHAT - lowest, 0, 0, 0, 0]
+    placed = placed + [0, 0, 0.05 * DHAT - lowest, 0, 0, 0, 0]
     body_count = 1 if isinstance(shape, Ball) else len(shape.vertices_m)
     nodes = np.arange(MESH.node_count + body_count)
     count = 6 * len(nodes)

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Convergence of linear and quadratic tets towards solutions that are known, by Poisson's ratio.
+
+Two problems of linear elasticity (the element matrices at rest, a sparse direct solver):
+
+*Swirl*: a cube held all around, under the body force of the divergence-free displacement
+(d psi/dy, -d psi/dx, 0), psi = sin^2 pi x sin^2 pi y sin^2 pi z. Smooth, so that the error falls
+with the order of the element. Error: L2 norm over that of the displacement.
+
+*Cook's membrane* [Cook, Malkus and Plesha 1989] in plane strain, a sheet of one tet between two
+frictionless walls, even cells. Referee: scikit-fem 12, plane strain, triangles of order four on
+meshes of 2^r x 2^r cells graded towards the clamped corners, extrapolated over r
+(``python -m benchmarks.element_convergence --referee`` does it again). Error: energy of the load,
+which the corner where the clamped edge meets the free one keeps from converging with the order of
+any element: near it stress goes to infinity.
+
+    python -m benchmarks.element_convergence --out benchmarks/results
+"""
+
+from __future__ import annotations
+
+import argparse
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from benchmarks.machine import describe_run
+from benchmarks.nodal_loads import body_load, shape_functions, surface_load, tet_rule, whole_faces
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.output import write_json
+from taccel_lab.scene import Element, Material, Scene, SoftBody
+from tests.verification.elements import ElementForces
+
+POISSON_RATIOS = (0.3, 0.49, 0.499)
+YOUNG_PA = 1e5
+CUBE_M = 1e-2
+COOK_ENERGY = {0.3: 22.0122, 0.49: 18.7928, 0.499: 18.5881}
+"""Work of a unit load on a membrane of unit thickness and modulus, lengths 48, 44, 16: referee."""
+COOK_THICKNESS = 8.0
+
+
+def _grid(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes of the unit cube and six tets around the diagonal of each cell (Kuhn)."""
+    axes = [np.linspace(0, 1, n + 1) for n in cells]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    low = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3)
+    strides = np.array([(cells[1] + 1) * (cells[2] + 1), cells[2] + 1, 1])
+    tets = []
+    for order in permutations(range(3)):
+        path = [low]
+        for axis in order:
+            path.append(path[-1] + np.eye(3, dtype=int)[axis])
+        tets.append(np.stack([p @ strides for p in path], axis=1))
+    return nodes, np.concatenate(tets)
+
+
+def _mesh(nodes: np.ndarray, tets: np.ndarray) -> TetMesh:
+    """Turn inverted tets round and find the faces."""
+    p = nodes[tets]
+    flipped = np.linalg.det(p[:, 1:] - p[:, :1]) < 0
+    tets[flipped] = tets[flipped][:, [0, 2, 1, 3]]
+    faces = boundary_faces(tets)
+    return TetMesh(nodes, tets, faces, np.full(len(faces), int(Region.SIDE)))
+
+
+def _body(mesh: TetMesh, held: np.ndarray, element: Element, poisson: float) -> SoftBody:
+    return SoftBody(mesh, Material(YOUNG_PA, poisson), held, element=element)
+
+
+def _swirl(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and minus its Laplacian, over a unit length, at points of the unit cube."""
+    s, c = np.sin(np.pi * points), np.cos(np.pi * points)
+    f, d = s**2, 2 * np.pi * s * c
+    dd, ddd = 2 * np.pi**2 * (c**2 - s**2), -8 * np.pi**3 * s * c
+    x, y, z = range(3)
+    zero = np.zeros(len(points))
+    u = f[:, x] * d[:, y] * f[:, z]
+    v = d[:, x] * f[:, y] * f[:, z]
+    lap_u = (dd[:, x] * d[:, y] + f[:, x] * ddd[:, y]) * f[:, z] + f[:, x] * d[:, y] * dd[:, z]
+    lap_v = (ddd[:, x] * f[:, y] + d[:, x] * dd[:, y]) * f[:, z] + d[:, x] * f[:, y] * dd[:, z]
+    return np.stack([u, -v, zero], axis=1), -np.stack([lap_u, -lap_v, zero], axis=1)
+
+
+def swirl_error(element: Element, cells: int, poisson: float) -> tuple[int, float]:
+    """Nodes, and relative error of the displacement in the L2 norm."""
+    unit, tets = _grid((cells, cells, cells))
+    inside = ((unit > 0) & (unit < 1)).all(axis=1)
+    moves = np.random.default_rng(0).uniform(-0.1, 0.1, unit.shape) / cells
+    mesh = _mesh(CUBE_M * (unit + moves * inside[:, None]), tets)
+    body = _body(mesh, np.flatnonzero(~inside), element, poisson)
+    forces = ElementForces(Scene(body).finalize())
+    full = body.nodal_mesh
+    mu = YOUNG_PA / (2 * (1 + poisson))
+    load = body_load(full, lambda x: mu * _swirl(x / CUBE_M)[1] / CUBE_M**2)
+    found = forces.linear_response(load)
+    corners = full.nodes_m[full.tets[:, :4]]
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1])
+    error = norm = 0.0
+    for point, weight in zip(*tet_rule(), strict=True):
+        exact = _swirl(np.einsum("k,tkd->td", point, corners) / CUBE_M)[0]
+        shapes = shape_functions(point, full.tets.shape[1])
+        here = np.einsum("k,tkd->td", shapes, found[full.tets])
+        error += weight * (volumes * ((here - exact) ** 2).sum(axis=1)).sum()
+        norm += weight * (volumes * (exact**2).sum(axis=1)).sum()
+    return full.node_count, float(np.sqrt(error / norm))
+
+
+def _cook_points(unit: np.ndarray) -> np.ndarray:
+    """The membrane [mm] from the unit square, shape [n, 2]."""
+    s, t = unit[:, 0], unit[:, 1]
+    return np.stack([48 * s, 44 * s * (1 - t) + (44 + 16 * s) * t], axis=1)
+
+
+def cook_error(element: Element, cells: int, poisson: float) -> tuple[int, float]:
+    """Nodes, and relative error of the energy of the load; negative when too stiff."""
+    unit, tets = _grid((cells, cells, 1))
+    nodes = np.concatenate([_cook_points(unit), COOK_THICKNESS * unit[:, 2:]], axis=1)
+    mesh = _mesh(1e-3 * nodes, tets)
+    body = _body(mesh, np.flatnonzero(unit[:, 0] == 0), element, poisson)
+    forces = ElementForces(Scene(body).finalize())
+    full = body.nodal_mesh
+    x_mm = 1e3 * full.nodes_m
+    faces = whole_faces(full)
+    faces = faces[(x_mm[faces[:, :3], 0] > 48 - 1e-9).all(axis=1)]
+    pressure_pa = 1.0 / (16e-3 * COOK_THICKNESS * 1e-3)
+    load = surface_load(full, faces, lambda x: np.tile([0.0, pressure_pa, 0.0], (len(x), 1)))
+    fixed = np.zeros(x_mm.shape, dtype=bool)
+    fixed[:, 2] = (x_mm[:, 2] < 1e-9) | (x_mm[:, 2] > COOK_THICKNESS - 1e-9)
+    work = (forces.linear_response(load, fixed) * load).sum()
+    unit_work = work * YOUNG_PA * COOK_THICKNESS * 1e-3
+    return full.node_count, float(unit_work / COOK_ENERGY[poisson] - 1)
+
+
+def rate(cells: list[int], errors: list[float]) -> float:
+    """Order of convergence by least squares over all meshes given."""
+    slope = np.polyfit(np.log(cells), np.log(np.abs(errors)), 1)[0]
+    return float(-slope)
+
+
+def referee(poisson: float, levels: tuple[int, ...] = (3, 4, 5, 6)) -> float:
+    """Cook's energy by scikit-fem, extrapolated; scikit-fem is no dependency of the project."""
+    import skfem  # pyright: ignore[reportMissingImports]
+    from skfem.models.elasticity import (  # pyright: ignore[reportMissingImports]
+        linear_elasticity,
+    )
+
+    lam = poisson / ((1 + poisson) * (1 - 2 * poisson))
+    energies = []
+    for level in levels:
+        even = np.linspace(0, 1, 2**level + 1)
+        mesh = skfem.MeshTri.init_tensor(even**2, (1 - np.cos(np.pi * even)) / 2)
+        mesh = skfem.MeshTri(_cook_points(mesh.p.T).T, mesh.t)
+        element = skfem.ElementVector(skfem.ElementTriP4())
+        basis = skfem.Basis(mesh, element, intorder=8)
+        matrix = linear_elasticity(lam, 1 / (2 * (1 + poisson))).assemble(basis)
+        right = skfem.FacetBasis(
+            mesh, element, facets=mesh.facets_satisfying(lambda x: np.isclose(x[0], 48))
+        )
+        load = skfem.LinearForm(lambda v, w: v[1] / 16).assemble(right)
+        held = basis.get_dofs(mesh.facets_satisfying(lambda x: np.isclose(x[0], 0)))
+        energies.append(load @ skfem.solve(*skfem.condense(matrix, load, D=held)))
+    last, before, first = energies[-1], energies[-2], energies[-3]
+    return float(last + (last - before) / ((before - first) / (last - before) - 1))
+
+
+def study(levels: dict[str, dict[Element, list[int]]]) -> list[dict]:
+    """Rows of all problems, elements and Poisson's ratios; ``levels``: cells of each."""
+    rows = []
+    for name, problem in (("swirl", swirl_error), ("cook", cook_error)):
+        for ratio in POISSON_RATIOS:
+            for element, cells in levels[name].items():
+                results = [problem(element, n, ratio) for n in cells]
+                errors = [error for _, error in results]
+                rows.append(
+                    {
+                        "problem": name,
+                        "element": element.value,
+                        "poisson_ratio": ratio,
+                        "cells": cells,
+                        "nodes": [count for count, _ in results],
+                        "errors": [float(f"{error:.5g}") for error in errors],
+                        "rate": round(rate(cells, errors), 2),
+                    }
+                )
+                text = "  ".join(f"{n}: {100 * e:+.3f} %" for n, e in results)
+                print(f"{name} nu {ratio} {element}: {text}  rate {rows[-1]['rate']}", flush=True)
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    parser.add_argument("--referee", action="store_true", help="compute Cook's energies again")
+    options = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING
+    if options.referee:
+        for ratio in POISSON_RATIOS:
+            print(f"nu {ratio}: {referee(ratio):.4f}")
+        return
+    linear, quadratic = [4, 8, 16], [2, 4, 8]
+    rows = study(
+        {
+            "swirl": {Element.LINEAR: linear, Element.QUADRATIC: quadratic},
+            "cook": {Element.LINEAR: [*linear, 32], Element.QUADRATIC: [*quadratic, 16]},
+        }
+    )
+    write_json(
+        options.out / "element_convergence.json",
+        {"what": __doc__.split("\n")[0], "run": describe_run(), "rows": rows},
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blocks outside of the pattern: assembly from nodes of every kind, and all solvers with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.ipc.linear.dense_cholesky import DenseCholesky
+from taccel_lab.ipc.linear.pcg import BlockJacobiCG
+from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
+from taccel_lab.ipc.linear.ssor_cg import SsorCG
+from taccel_lab.ipc.linear.system import LinearSystem
+from taccel_lab.ipc.motion import newton_system
+from taccel_lab.scene import (
+    AffineBody,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    box_mesh,
+    sphere_mesh,
+)
+from tests.ipc.linear.systems import delaunay_pattern, random_spd
+from tests.verification.blocks import block_mesh
+
+CPU = wp.get_device("cpu")
+
+
+def springs_between(
+    rng: np.random.Generator, places: np.ndarray, n: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Blocks of stiff springs between rows that no element connects, and what each adds to both
+    diagonal blocks, [m, 3, 3] each."""
+    normals = rng.normal(size=(len(places), 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    stiffness = 10.0 ** rng.uniform(0, 3, len(places))
+    outer = stiffness[:, None, None] * normals[:, :, None] * normals[:, None, :]
+    return -outer, outer
+
+
+@pytest.mark.parametrize("solver", [SsorCG, BlockJacobiCG, DenseCholesky])
+def test_solvers_with_extra_blocks(solver: type) -> None:
+    rng = np.random.default_rng(3)
+    pattern = delaunay_pattern(rng, 60, 5)
+    n = pattern.free_count
+    envs = 3
+    values = np.stack([random_spd(rng, pattern, 30.0) for _ in range(envs)])
+    counts = np.array([25, 0, 7])
+    places = np.zeros((envs, 40, 2), dtype=np.int32)
+    blocks = np.zeros((envs, 40, 3, 3))
+    for env, count in enumerate(counts):
+        pairs = rng.integers(0, n, (count, 2))
+        pairs[:, 0] += (pairs[:, 0] == pairs[:, 1]) & (pairs[:, 0] < n - 1)
+        pairs = np.sort(pairs, axis=1)[:, ::-1]
+        off, on = springs_between(rng, pairs, n)
+        places[env, :count], blocks[env, :count] = pairs, off
+        # What lies beyond the count must not matter.
+        places[env, count:], blocks[env, count:] = [n - 1, 0], np.nan
+        for (i, j), block in zip(pairs, on, strict=True):
+            values[env, pattern.diagonal[i]] += block
+            values[env, pattern.diagonal[j]] += block
+    rhs = rng.normal(size=(envs, n, 3))
+
+    system = LinearSystem(pattern, envs, CPU)
+    system._solver = solver(pattern, envs, CPU)
+    system.values.assign(values)
+    system.rhs.assign(rhs)
+    extra = system.extra
+    extra.counts.assign(np.full(envs, 40))
+    assert extra.overflowed()
+    padded_places = np.zeros((envs, extra.places.shape[1], 2), dtype=np.int32)
+    padded_blocks = np.zeros((envs, extra.places.shape[1], 3, 3))
+    padded_places[:, :40], padded_blocks[:, :40] = places, blocks
+    extra.places.assign(padded_places)
+    extra.values.assign(padded_blocks)
+    extra.counts.assign(counts)
+    assert not extra.overflowed()
+    report = system.solve(wp.full(envs, 1, dtype=wp.int32, device=CPU), 1e-10, 5000)
+    assert not report.breakdown.any()
+    assert (report.relative_residual <= 1.1e-10).all()
+    for env, count in enumerate(counts):
+        full = pattern.dense(values[env : env + 1])[0]
+        for (i, j), block in zip(places[env, :count], blocks[env, :count], strict=True):
+            full[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += block
+            full[3 * j : 3 * j + 3, 3 * i : 3 * i + 3] += block.T
+        assert np.linalg.eigvalsh(full)[0] > 0
+        expected = np.linalg.solve(full, rhs[env].ravel()).reshape(n, 3)
+        found = system.solution.numpy()[env]
+        np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
+
+
+@wp.kernel
+def _add_pairs_kernel(
+    first: wp.array(dtype=wp.int32),
+    second: wp.array(dtype=wp.int32),
+    blocks: wp.array(dtype=wp.mat33d),
+    system: NewtonSystem,
+):
+    k = wp.tid()
+    add_block(0, first[k], second[k], blocks[k], system)
+
+
+def test_blocks_of_all_kinds_of_nodes_are_j_transposed_h_j() -> None:
+    """Soft, bonded, mounted, affine and kinematic nodes: H in terms of the unknowns, and the rest
+    on the right-hand side."""
+    rng = np.random.default_rng(1)
+    gel = SoftBody(block_mesh((1, 1, 1), (1e-3,) * 3), Material(1e5, 0.4), mount="hand")
+    bodies = [AffineBody(box_mesh((2e-3, 1e-3, 1e-3))), AffineBody(sphere_mesh(1e-3, 1e-3))]
+    model = Scene(
+        gel,
+        [KinematicBody(None, name="hand"), KinematicBody(box_mesh((1e-3,) * 3))],
+        time=TimeStepping(quasi_static=False),
+        affine_bodies=bodies,
+    ).finalize()
+    count = model.node_count
+    # d node / d unknown, and d node / d prescribed motion.
+    jacobian = np.zeros((count, model.free_count))
+    free_index, parents = model.free_index.numpy(), model.parents.numpy()
+    weights = model.weights.numpy()
+    for node in range(count):
+        if free_index[node] >= 0:
+            jacobian[node, free_index[node]] = 1.0
+        elif parents[node] >= 0:
+            rows = free_index[parents[node] : parents[node] + 4]
+            jacobian[node, rows] = weights[node]
+    prescribed = ~jacobian.any(axis=1)
+    assert prescribed.sum() == 4 + 8 and (parents >= 0).sum() == 20
+    motion = np.where(prescribed[:, None], rng.normal(size=(count, 3)), 0.0)
+
+    pairs = np.stack(np.meshgrid(*2 * [rng.choice(count, 30, replace=False)]), -1).reshape(-1, 2)
+    upper = pairs[pairs[:, 0] <= pairs[:, 1]]
+    blocks = rng.normal(size=(len(upper), 3, 3))
+    hessian = np.zeros((count, 3, count, 3))
+    for (i, j), block in zip(upper, blocks, strict=True):
+        if i == j:
+            block = block + block.T
+        hessian[i, :, j] = block
+        hessian[j, :, i] = block.T
+    rows, columns = np.argwhere(np.abs(hessian).sum(axis=(1, 3)) > 0).T
+
+    linear = LinearSystem(model.pattern, 1, model.device)
+    displacements = wp.array(motion[None], dtype=wp.vec3d)
+    launches = 0
+    while True:
+        system = newton_system(model, linear, displacements)
+        linear.values.zero_()
+        linear.rhs.zero_()
+        linear.extra.clear()
+        wp.launch(
+            _add_pairs_kernel,
+            dim=len(rows),
+            inputs=[
+                wp.array(rows.astype(np.int32), dtype=wp.int32),
+                wp.array(columns.astype(np.int32), dtype=wp.int32),
+                wp.array(hessian[rows, :, columns], dtype=wp.mat33d),
+                system,
+            ],
+        )
+        launches += 1
+        if not linear.extra.overflowed():
+            break
+    assert launches == 2, "the list was too short at first"
+    full = model.pattern.dense(linear.values.numpy())[0]
+    n = linear.extra.max_count
+    assert n > 0
+    for (i, j), block in zip(
+        linear.extra.places.numpy()[0, :n], linear.extra.values.numpy()[0, :n], strict=True
+    ):
+        assert i > j
+        full[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += block
+        full[3 * j : 3 * j + 3, 3 * i : 3 * i + 3] += block.T
+    expected = np.einsum("nr,naMb,Ms->rasb", jacobian, hessian, jacobian)
+    expected = expected.reshape(full.shape)
+    np.testing.assert_allclose(full, expected, atol=1e-12 * np.abs(expected).max())
+    pushed = -np.einsum("nr,naMb,Mb->ra", jacobian, hessian, motion)
+    np.testing.assert_allclose(
+        linear.rhs.numpy()[0], pushed, atol=1e-12 * np.abs(pushed).max()
+    )

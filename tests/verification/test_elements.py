@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Linear and quadratic tets: patch test, bending, convergence, locking. The whole studies are
+``benchmarks/element_convergence.py`` and ``benchmarks/element_choice.py``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.element_choice import press
+from benchmarks.element_convergence import cook_error, rate, swirl_error
+from benchmarks.nodal_loads import surface_load, whole_faces
+from taccel_lab.geometry import Region
+from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
+from tests.verification.blocks import block_mesh
+from tests.verification.elements import ElementForces
+
+KINDS = list(Element)
+YOUNG = 1e5
+
+
+def soft(element: Element, law: MaterialModel, poisson: float) -> SoftBody:
+    """A block of distorted tets, held at all its outer nodes."""
+    mesh = block_mesh((3, 3, 3), (3e-3, 3e-3, 3e-3), jitter=0.25, seed=2)
+    ratio = 0.3 if law is MaterialModel.MOONEY_RIVLIN else 0.0
+    material = Material(YOUNG, poisson, model=law, mooney_ratio=ratio)
+    return SoftBody(mesh, material, np.unique(mesh.faces), element=element)
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.499])
+@pytest.mark.parametrize("law", list(MaterialModel))
+@pytest.mark.parametrize("element", KINDS)
+def test_patch(element: Element, law: MaterialModel, poisson: float) -> None:
+    """Outside nodes on an affine map: all forces inside vanish on it, and it is what is found."""
+    forces = ElementForces(Scene(soft(element, law, poisson)).finalize())
+    rest = forces.model.rest_positions.numpy()[0]
+    f = np.array([[1.06, 0.08, -0.03], [0.02, 0.97, 0.05], [-0.06, 0.04, 1.02]])
+    if law is MaterialModel.ST_VENANT_KIRCHHOFF:
+        f = np.eye(3) + 0.2 * (f - np.eye(3))  # it is not stable under strong compression
+    exact = rest @ f.T + [1e-3, -2e-3, 5e-4]
+    gradient = forces.gradient(exact[None])[0]
+    scale = np.abs(gradient).max()
+    assert scale > 1e-3
+    # Rounding of F, by 1e-16 of position over size of an element, and stress grows with lambda.
+    lam = forces.model.elastic[0].lam.numpy()[0]
+    assert np.abs(gradient[forces.free]).max() < 1e-12 * max(scale, lam * 1e-6)
+
+    start = exact.copy()
+    inner = forces.free
+    assert len(inner) > (7 if element is Element.LINEAR else 100)
+    start[inner] += np.random.default_rng(0).uniform(-3e-5, 3e-5, (len(inner), 3))
+    found, _ = forces.equilibrium(
+        np.zeros_like(rest), start=start, tolerance_n=1e-12 * max(scale, lam * 1e-6)
+    )
+    np.testing.assert_allclose(found, exact, atol=1e-12 * np.ptp(exact))
+
+
+@pytest.mark.parametrize("element", KINDS)
+@pytest.mark.parametrize("poisson", [0.3, 0.499])
+def test_thick_beam_in_bending(element: Element, poisson: float) -> None:
+    """Cantilever 8 : 1 : 1, two cells high, against Timoshenko's beam; linear tets are no use."""
+    length, height = 8e-3, 1e-3
+    cells = (16, 2, 2) if element is Element.LINEAR else (8, 1, 1)
+    mesh = block_mesh(cells, (length, height, height))
+    # Held at one end; the tip carries an even shear.
+    left = np.flatnonzero(mesh.nodes_m[:, 0] < -length / 2 + 1e-12)
+    body = SoftBody(mesh, Material(YOUNG, poisson), left, element=element)
+    forces = ElementForces(Scene(body).finalize())
+    full = body.nodal_mesh
+    faces = whole_faces(full)
+    tip = (full.nodes_m[faces[:, :3], 0] > length / 2 - 1e-12).all(axis=1)
+    load = surface_load(full, faces[tip], lambda x: np.tile([0, 0, 1.0], (len(x), 1)))
+    assert load.sum(axis=0)[2] == pytest.approx(height**2, rel=1e-12)
+    move = forces.linear_response(load)
+    end = np.unique(faces[tip])
+    found = move[end, 2].mean()
+    force, inertia = height**2, height**4 / 12
+    shear = YOUNG / (2 * (1 + poisson))
+    factor = 10 * (1 + poisson) / (12 + 11 * poisson)  # Cowper 1966, rectangle
+    beam = force * length**3 / (3 * YOUNG * inertia) + force * length / (factor * shear * height**2)
+    if element is Element.QUADRATIC:
+        assert found == pytest.approx(beam, rel=0.025)
+    else:
+        assert found < (0.75 if poisson == 0.3 else 0.45) * beam
+
+
+def test_smooth_fields_converge_with_the_order_of_the_element() -> None:
+    """Displacement in L2: second order for linear tets, third for quadratic ones, near nu = 0.5
+    too: 0.2 and 2.7 there."""
+    for poisson, least in ((0.3, 2.5), (0.499, 2.4)):
+        cells = [2, 4, 6]
+        errors = [swirl_error(Element.QUADRATIC, n, poisson)[1] for n in cells]
+        assert rate(cells, errors) > least
+        assert errors[-1] < 0.06
+    assert swirl_error(Element.LINEAR, 8, 0.3)[1] < 0.25
+    assert swirl_error(Element.LINEAR, 8, 0.499)[1] > 0.9
+
+
+def test_cooks_membrane() -> None:
+    """With some 240 nodes quadratic tets are within 2 %; linear ones of 2,200 nodes lock."""
+    for poisson, close in ((0.3, 0.01), (0.49, 0.02), (0.499, 0.02)):
+        cells = [2, 4, 8]
+        errors = [cook_error(Element.QUADRATIC, n, poisson)[1] for n in cells]
+        assert errors[0] < errors[1] < errors[2] < 0
+        assert abs(errors[1]) < close
+        assert rate(cells, errors) > 1.7
+    # Referee by another programme: quadratic tets go to it.
+    assert abs(cook_error(Element.QUADRATIC, 16, 0.3)[1]) < 1.5e-3
+    assert cook_error(Element.LINEAR, 32, 0.3)[1] > -0.05
+    assert cook_error(Element.LINEAR, 32, 0.499)[1] < -0.5
+
+
+@pytest.mark.parametrize("poisson", [0.45, 0.499])
+def test_force_of_a_bonded_layer(poisson: float) -> None:
+    """Force over depth of a ball on a bonded layer: within 3 % on the coarsest quadratic mesh."""
+    coarse, fine = (press(Element.QUADRATIC, n, poisson) for n in (2, 3))
+    # The next mesh, of 12,969 nodes, moves the last force of ``fine`` by 0.4 %.
+    assert coarse.node_count < 2100
+    np.testing.assert_allclose(coarse.forces_n[1:], fine.forces_n[1:], rtol=0.03)
+    linear = press(Element.LINEAR, 4, poisson)
+    assert linear.node_count == pytest.approx(coarse.node_count, rel=0.1)
+    assert linear.forces_n[-1] > (1.15 if poisson == 0.45 else 5) * fine.forces_n[-1]
+
+
+def test_quadratic_faces_are_what_collides() -> None:
+    mesh = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
+    body = SoftBody(mesh, Material(YOUNG, 0.4), element=Element.QUADRATIC)
+    model = Scene(body).finalize()
+    first, last = model.bodies[0].faces
+    touchable = np.isin(mesh.face_regions, [int(Region.CONTACT), int(Region.SIDE)]).sum()
+    assert last - first == 4 * touchable
+    areas = model.surface.node_areas.numpy()[0]
+    faces = model.surface.faces.numpy()[first:last]
+    assert (areas[np.unique(faces)] > 0).all()
+    masses = model.masses.numpy()[0]
+    assert masses.min() > 0
+    assert masses.sum() == pytest.approx(1000 * 2e-3 * 2e-3 * 1e-3, rel=1e-12)

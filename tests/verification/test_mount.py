@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gels on moving mounts: bonded nodes follow exactly, and only relative motion matters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.scene import (
+    AffineBody,
+    Ball,
+    Element,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    box_mesh,
+)
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.state import initial_state
+from tests.verification.blocks import block_mesh, everywhere, pose
+
+GEL = Material(1e5, 0.45, 1000.0)
+MESH = block_mesh((5, 5, 2), (6e-3, 6e-3, 2e-3), jitter=0.15)
+RADIUS = 2e-3
+DHAT = 2e-5
+
+
+def carried(points: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return rotate(at[3:], points) + at[:3]
+
+
+@pytest.mark.parametrize("element", list(Element))
+def test_a_mount_carries_the_gel_without_strain(element: Element) -> None:
+    """Large turns and shifts in one step: the gel is where its frame puts it."""
+    soft = SoftBody(MESH, GEL, mount="hand", element=element)
+    model = Scene(soft, KinematicBody(None, name="hand")).finalize()
+    solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-10))
+    start = pose(1e-2, -2e-2, 3e-2, (1, 2, 3), 30)
+    state = initial_state(model, everywhere(1, start))
+    rest = model.rest_positions.numpy()[0]
+    np.testing.assert_allclose(state.positions.numpy()[0], carried(rest, start), atol=1e-16)
+    for target in (pose(1e-2, 1e-2, 0, (0, 1, 1), 75), pose(0, 0, 0, (1, 0, 0), -20)):
+        report = solver.step(state, everywhere(1, target))
+        assert report.converged.all(), report.summary()
+        x = state.positions.numpy()[0]
+        bonded = model.frame_nodes.numpy()
+        np.testing.assert_allclose(x[bonded], carried(rest, target)[bonded], atol=1e-16)
+        np.testing.assert_allclose(x, carried(rest, target), atol=1e-10)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.6])
+def test_moving_the_gel_or_the_ball_is_the_same_press(friction: float) -> None:
+    """Press, then shear by the same relative motion; compared in the frame of the gel."""
+    config = SolverConfig(dhat_m=DHAT, relative_tolerance=1e-7)
+    path = [(0.0, 0.2e-3), (0.0, 0.4e-3), (0.1e-3, 0.4e-3)]
+    fixed = Scene(SoftBody(MESH, GEL), KinematicBody(Ball(RADIUS), friction)).finalize()
+    moved = Scene(
+        SoftBody(MESH, GEL, mount="hand"),
+        [KinematicBody(Ball(RADIUS), friction), KinematicBody(None, name="hand")],
+    ).finalize()
+    solvers = [SolverIPC(model, config) for model in (fixed, moved)]
+    gap = RADIUS + 3 * DHAT
+    still = pose(0, 0, gap)
+    states = [
+        initial_state(fixed, everywhere(1, pose(0, 0, gap))),
+        initial_state(moved, everywhere(1, still, pose(0, 0, 0))),
+    ]
+    for side, depth in path:
+        down = depth + 3 * DHAT
+        targets = [
+            everywhere(1, pose(side, 0, gap - down)),
+            everywhere(1, still, pose(-side, 0, down)),
+        ]
+        forces = []
+        for solver, state, target in zip(solvers, states, targets, strict=True):
+            report = solver.step(state, target)
+            assert report.converged.all(), report.summary()
+            total = solver.contact_gradient.numpy() + solver.friction_gradient.numpy()
+            forces.append(total[0, : MESH.node_count])
+        shift = np.array([-side, 0, down])
+        gel = states[1].positions.numpy()[0, : MESH.node_count] - shift
+        scale = np.abs(forces[0]).max()
+        np.testing.assert_allclose(forces[1], forces[0], atol=1e-4 * scale)
+        np.testing.assert_allclose(
+            gel, states[0].positions.numpy()[0, : MESH.node_count], atol=2e-9
+        )
+    assert scale > 1e-2
+    assert (np.abs(solvers[1].friction_gradient.numpy()).max() > 1e-3) == (friction > 0)
+
+
+def test_the_mount_feels_the_mass_of_the_gel() -> None:
+    """Accelerated steadily, elastic forces at the bonded nodes carry the free mass: F = m a."""
+    a, dt = 5.0, 2e-3
+    damped = Material(3e5, 0.4, 1000.0, damping_time_s=5e-3)
+    soft = SoftBody(MESH, damped, mount="hand")
+    time = TimeStepping(quasi_static=False, dt_s=dt)
+    model = Scene(soft, KinematicBody(None, name="hand"), time=time).finalize()
+    solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-9))
+    state = initial_state(model, everywhere(1, pose(0, 0, 0)))
+    for step in range(1, 60):
+        # The second difference of the positions is a dt^2 from the second step on.
+        x = 0.5 * a * (step * dt) * ((step + 1) * dt)
+        assert solver.step(state, everywhere(1, pose(x, 0, 0))).converged.all()
+    solver.gradient.zero_()
+    solver.active.fill_(1)
+    for part in [*solver.elastic, *solver.viscosity]:
+        part.add_gradient(solver.active, state.positions, solver.gradient)
+    pull = solver.gradient.numpy()[0, model.frame_nodes.numpy()].sum(axis=0)
+    free = model.masses.numpy()[0, model.free_nodes.numpy()].sum()
+    np.testing.assert_allclose(pull, [free * a, 0, 0], atol=2e-3 * free * a)
+
+
+def test_two_mounted_gels_lift_a_peg() -> None:
+    """Friction alone carries the weight, and the peg keeps its place between the gels."""
+    side, dt, g = 6e-3, 0.02, 9.81
+    names = ("left", "right")
+    gels = [SoftBody(MESH, GEL, name=n, mount=f"{n} jaw", friction_coefficient=1.0) for n in names]
+    jaws = [KinematicBody(None, name=f"{n} jaw") for n in names]
+    peg = AffineBody(
+        box_mesh((side, 5e-3, 12e-3)), name="peg", friction_coefficient=1.0
+    )
+    time = TimeStepping(quasi_static=False, dt_s=dt, gravity_m_s2=(0, 0, -g))
+    model = Scene(gels, jaws, 1, time, affine_bodies=peg).finalize()
+    solver = SolverIPC(model, SolverConfig(dhat_m=1e-4))
+
+    def grip(squeeze: float, z: float) -> np.ndarray:
+        x = side / 2 + 1.5e-4 - squeeze
+        left, right = pose(-x, 0, z, (0, 1, 0), 90), pose(x, 0, z, (0, 1, 0), -90)
+        return everywhere(1, left, right)
+
+    state = initial_state(model, grip(0, 0))
+    heights = []
+    moves = [(1.5e-4, 0.0), (3e-4, 0.0), *((3e-4, 1e-3 * k) for k in range(1, 6))]
+    for squeeze, z in moves:
+        report = solver.step(state, grip(squeeze, z))
+        assert report.converged.all(), report.summary()
+        assert find_intersections(model, state) == [[]]
+        heights.append(state.positions.numpy()[0, model.affine.first_control, 2] - z)
+    # The lift begins with a jerk and goes on at constant speed.
+    assert np.ptp(heights[-3:]) < 3e-6
+    nodes = model.bodies[model.body_id("peg")].node_slice
+    friction = -solver.friction_gradient.numpy()[0, nodes].sum(axis=0)
+    normal = -solver.contact_gradient.numpy()[0, nodes].sum(axis=0)
+    weight = 1000 * side * 5e-3 * 12e-3 * g
+    assert (friction + normal)[2] == pytest.approx(weight, rel=0.03)
+    assert friction[2] > 0.9 * weight
