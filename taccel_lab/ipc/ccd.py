@@ -179,9 +179,7 @@ def _advance(
         step = (gap - enough) / speed
         kept = floor + enough
         n = pair.offset / distance
-        step = wp.max(
-            step, _separation(edge_edge, n, p0, p1, p2, p3, v0, v1, v2, v3, kept, t_max)
-        )
+        step = wp.max(step, _separation(edge_edge, n, p0, p1, p2, p3, v0, v1, v2, v3, kept, t_max))
         if pair.free_count > 0:
             n = _feature_normal(pair, n, p0, p1, p2, p3)
             step = wp.max(

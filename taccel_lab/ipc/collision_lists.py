@@ -2,8 +2,8 @@
 """What a collision is: its kind, its stencil of four nodes, its gap.
 
 The gap of two bodies is their distance less what both keep from others, the radius of a ball or the
-thickness of a surface [Li et al. 2021, Codimensional IPC]. A body keeps no distance from itself: the
-thickness is a layer on its surface, and the neighbours of a node are nearer than that.
+thickness of a surface [Li et al. 2021, Codimensional IPC]. A body keeps no distance from itself:
+the thickness is a layer on its surface, and the neighbours of a node are nearer than that.
 
 In a stencil node 0 belongs to the first primitive and node 3 to the second; entries that a kind
 does not need repeat the last one.

@@ -18,11 +18,16 @@ from enum import StrEnum
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.quadratic import TET_EDGES
 from taccel_lab.model import BodyKind, Model
+from taccel_lab.scene import SoftBody
 from taccel_lab.scene.crossings import crossing_pairs, self_crossings
 from taccel_lab.scene.mass_properties import winding_number
+from taccel_lab.scene.mesh_checks import first_of
 from taccel_lab.scene.primitives import Ball, unique_edges
 from taccel_lab.state import State
+
+_EDGES = [tuple(sorted(ends)) for ends in TET_EDGES]
 
 
 class IntersectionKind(StrEnum):
@@ -50,6 +55,8 @@ class Intersection:
     """Crossing pairs, components inside, nodes below the plane, or tets."""
     point_m: np.ndarray
     """One place where it happens [m], shape [3]."""
+    where: str = ""
+    """Numbers of an edge, face, node or tet there, each in its body's own mesh."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +80,22 @@ def find_intersections(model: Model, state: State) -> list[list[Intersection]]:
     return [_intersections(model, x, here) for x, here in zip(positions, present, strict=True)]
 
 
+def overlaps(model: Model, x: np.ndarray, present: np.ndarray) -> list[Intersection]:
+    """As ``find_intersections`` for one environment, without inverted tets.
+
+    ``x``: node positions [m], [node_count, 3]; ``present``: bool, [body_count].
+    """
+    found = _intersections(model, x, present)
+    return [item for item in found if item.kind is not IntersectionKind.INVERTED_TET]
+
+
 def require_separated(model: Model, state: State) -> None:
     """Raise InputError when bodies overlap or a tet is inverted."""
     for env, found in enumerate(find_intersections(model, state)):
         for item in found:
             x, y, z = item.point_m * 1e3
             where = f"in environment {env}, near x {x:.3f}, y {y:.3f}, z {z:.3f} mm"
+            where += f" ({item.where})" if item.where else ""
             if item.kind is IntersectionKind.INVERTED_TET:
                 raise InputError(f"{item.count} tets of {item.first!r} are inverted {where}")
             if item.kind is IntersectionKind.SELF_CROSSING:
@@ -93,7 +110,7 @@ def _bodies(model: Model, x: np.ndarray) -> list[_Body]:
     scene, normals = model.scene, model.surface.plane_normals.numpy()
     bodies = []
     for part, body in zip(model.bodies, scene.bodies, strict=True):
-        mesh = body.nodal_mesh if part.kind is BodyKind.SOFT else getattr(body, "shape", None)
+        mesh = body.nodal_mesh if isinstance(body, SoftBody) else getattr(body, "shape", None)
         is_ball = isinstance(mesh, Ball)
         bodies.append(
             _Body(
@@ -112,29 +129,40 @@ def _intersections(model: Model, x: np.ndarray, present: np.ndarray) -> list[Int
     """Overlaps of one environment; positions [node_count, 3], present [body_count]."""
     bodies = _bodies(model, x)
     found: list[Intersection] = []
-    for part, body in zip(model.bodies, model.scene.soft_bodies, strict=False):
-        corners = x[part.node_slice][body.mesh.tets]
-        found += _inverted_tets(part.name, corners)
+    for part, body in zip(model.bodies, model.scene.bodies, strict=True):
+        if isinstance(body, SoftBody):
+            found += _inverted_tets(part.name, x[part.node_slice][body.nodal_mesh.tets])
     for i, j in model.plan.pairs:
         if present[i] and present[j]:
             found += _itself(bodies[i]) if i == j else _overlaps(bodies[i], bodies[j])
     return found
 
 
-def _inverted_tets(name: str, corners: np.ndarray) -> list[Intersection]:
-    bad = np.flatnonzero(~(np.linalg.det(corners[:, 1:] - corners[:, :1]) > 0))
+def _inverted_tets(name: str, nodes: np.ndarray) -> list[Intersection]:
+    """Inverted tets [n, 4, 3], or of ten nodes [n, 10, 3], those at their corners."""
+    smallest = np.full(len(nodes), np.inf)
+    for corner in range(4):
+        others = [k for k in range(4) if k != corner]
+        tangents = nodes[:, others] - nodes[:, [corner]]
+        if nodes.shape[1] == 10:
+            middles = [4 + _EDGES.index(tuple(sorted((corner, k)))) for k in others]
+            # Slope of a parabola through both ends and the middle, at this end.
+            tangents = 4 * (nodes[:, middles] - nodes[:, [corner]]) - tangents
+        smallest = np.minimum(smallest, (-1) ** corner * np.linalg.det(tangents))
+    bad = np.flatnonzero(~(smallest > 0))
     if len(bad) == 0:
         return []
-    place = corners[bad[0]].mean(axis=0)
-    return [Intersection(IntersectionKind.INVERTED_TET, name, name, len(bad), place)]
+    place, where = nodes[bad[0]].mean(axis=0), f"tets {first_of(bad)}"
+    return [Intersection(IntersectionKind.INVERTED_TET, name, name, len(bad), place, where)]
 
 
 def _itself(body: _Body) -> list[Intersection]:
-    edges, _ = self_crossings(body.nodes, body.faces)
+    edges, faces = self_crossings(body.nodes, body.faces)
     if len(edges) == 0:
         return []
-    place = body.nodes[edges[0]].mean(axis=0)
-    return [Intersection(IntersectionKind.SELF_CROSSING, body.name, body.name, len(edges), place)]
+    place, kind = body.nodes[edges[0]].mean(axis=0), IntersectionKind.SELF_CROSSING
+    where = f"edges {first_of(edges)} through faces {first_of(faces)}"
+    return [Intersection(kind, body.name, body.name, len(edges), place, where)]
 
 
 def _overlaps(softer: _Body, stiffer: _Body) -> list[Intersection]:
@@ -146,8 +174,8 @@ def _overlaps(softer: _Body, stiffer: _Body) -> list[Intersection]:
         if len(below) == 0:
             return []
         place = softer.nodes[below[0]]
-        kind = IntersectionKind.BELOW_PLANE
-        return [Intersection(kind, softer.name, stiffer.name, len(below), place)]
+        kind, where = IntersectionKind.BELOW_PLANE, f"nodes {first_of(below)}"
+        return [Intersection(kind, softer.name, stiffer.name, len(below), place, where)]
     if stiffer.radius_m > 0:
         return _ball_overlaps(softer, stiffer)
     return list(_surface_overlaps(softer, stiffer))
@@ -159,8 +187,8 @@ def _ball_overlaps(body: _Body, ball: _Body) -> list[Intersection]:
     near = distance <= ball.radius_m
     if near.any():
         place = triangles[int(np.argmin(distance))].mean(axis=0)
-        kind = IntersectionKind.CROSSING
-        return [Intersection(kind, ball.name, body.name, int(near.sum()), place)]
+        kind, where = IntersectionKind.CROSSING, f"faces {first_of(np.flatnonzero(near))}"
+        return [Intersection(kind, ball.name, body.name, int(near.sum()), place, where)]
     if _is_inside(centre, triangles):
         return [Intersection(IntersectionKind.INSIDE, ball.name, body.name, 1, centre)]
     return []
@@ -168,16 +196,20 @@ def _ball_overlaps(body: _Body, ball: _Body) -> list[Intersection]:
 
 def _surface_overlaps(softer: _Body, stiffer: _Body) -> Iterator[Intersection]:
     """Crossings, or else containment: without a crossing a component is inside as a whole."""
-    crossings = 0
+    crossings, where = 0, ""
     place = np.zeros(3)
     for edged, faced in ((softer, stiffer), (stiffer, softer)):
-        segments = edged.nodes[unique_edges(edged.faces)]
-        edge, _ = crossing_pairs(segments, faced.nodes[faced.faces])
+        edges = unique_edges(edged.faces)
+        segments = edged.nodes[edges]
+        edge, face = crossing_pairs(segments, faced.nodes[faced.faces])
         crossings += len(edge)
-        place = segments[edge[0]].mean(axis=0) if len(edge) else place
+        if len(edge):
+            place = segments[edge[0]].mean(axis=0)
+            where = f"edges {first_of(edges[edge])} of {edged.name!r} through faces "
+            where += f"{first_of(face)} of {faced.name!r}"
     if crossings:
         kind = IntersectionKind.CROSSING
-        yield Intersection(kind, stiffer.name, softer.name, crossings, place)
+        yield Intersection(kind, stiffer.name, softer.name, crossings, place, where)
         return
     for inner, outer in ((stiffer, softer), (softer, stiffer)):
         if not _is_closed(outer.faces):

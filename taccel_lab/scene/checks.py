@@ -72,6 +72,27 @@ def check_start(model: Model, state: State, dhat_m: float) -> None:
     check_gaps(model, state, LEAST_GAP_OVER_DHAT * dhat_m)
 
 
+def overlapping(model: Model, state: State, who: np.ndarray) -> np.ndarray:
+    """Environments of ``who`` (bool, [env_count]) in which bodies that may touch overlap.
+
+    Those that are not finite are none of them. Equal environments are looked at once.
+    """
+    from taccel_lab.ipc.intersection import overlaps
+
+    positions = state.positions.numpy()
+    present = model.present.numpy() != 0
+    found = np.zeros(model.env_count, dtype=bool)
+    if not model.plan.pairs:
+        return found
+    known: dict[tuple[bytes, bytes], bool] = {}
+    for env in np.flatnonzero(who & np.isfinite(positions).all(axis=(1, 2))):
+        key = (positions[env].tobytes(), present[env].tobytes())
+        if key not in known:
+            known[key] = bool(overlaps(model, positions[env], present[env]))
+        found[env] = known[key]
+    return found
+
+
 def check_state(model: Model, state: State) -> None:
     """Refuse a state with NaN or infinite values, naming environment, body and node."""
     bodies = model.surface.node_bodies.numpy()

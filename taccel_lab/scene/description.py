@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -62,7 +62,7 @@ class TimeStepping:
             )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Scene:
     """Bodies and how they meet, in ``env_count`` copies.
 
@@ -70,28 +70,45 @@ class Scene:
     affine and kinematic bodies are present.
     """
 
-    soft_bodies: SoftBody | Sequence[SoftBody] = ()
-    kinematic_bodies: KinematicBody | Sequence[KinematicBody] = ()
-    env_count: int = 1
-    time: TimeStepping = field(default_factory=TimeStepping)
-    affine_bodies: AffineBody | Sequence[AffineBody] = ()
-    planes: Plane | Sequence[Plane] = ()
-    joints: Joint | Sequence[Joint] = ()
-    pair_friction: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    soft_bodies: tuple[SoftBody, ...]
+    kinematic_bodies: tuple[KinematicBody, ...]
+    env_count: int
+    time: TimeStepping
+    affine_bodies: tuple[AffineBody, ...]
+    planes: tuple[Plane, ...]
+    joints: tuple[Joint, ...]
+    pair_friction: Mapping[tuple[str, str], float]
     """Coefficient of a pair of bodies by name. Other pairs take the harmonic mean of the bodies'
     own coefficients; a body whose own is None takes the other's."""
 
-    def __post_init__(self) -> None:
-        for name, kinds in (
-            ("soft_bodies", SoftBody),
-            ("kinematic_bodies", KinematicBody),
-            ("affine_bodies", AffineBody),
-            ("planes", Plane),
-            ("joints", Joint),
-        ):
-            value = getattr(self, name)
-            items = (value,) if isinstance(value, kinds) else tuple(value)
+    def __init__(
+        self,
+        soft_bodies: SoftBody | Sequence[SoftBody] = (),
+        kinematic_bodies: KinematicBody | Sequence[KinematicBody] = (),
+        env_count: int = 1,
+        time: TimeStepping | None = None,
+        affine_bodies: AffineBody | Sequence[AffineBody] = (),
+        planes: Plane | Sequence[Plane] = (),
+        joints: Joint | Sequence[Joint] = (),
+        pair_friction: Mapping[tuple[str, str], float] | None = None,
+    ) -> None:
+        """One body may be given without a list around it; see the fields."""
+        lists = {
+            "soft_bodies": (soft_bodies, SoftBody),
+            "kinematic_bodies": (kinematic_bodies, KinematicBody),
+            "affine_bodies": (affine_bodies, AffineBody),
+            "planes": (planes, Plane),
+            "joints": (joints, Joint),
+        }
+        for name, (value, kind) in lists.items():
+            items = (value,) if isinstance(value, kind) else tuple(value)
+            for item in items:
+                if not isinstance(item, kind):
+                    raise InputError(f"{name} must hold {kind.__name__} objects, got {item!r}")
             object.__setattr__(self, name, items)
+        object.__setattr__(self, "env_count", env_count)
+        object.__setattr__(self, "time", time or TimeStepping())
+        object.__setattr__(self, "pair_friction", dict(pair_friction or {}))
         if self.env_count < 1:
             raise InputError(f"env_count must be at least 1, got {self.env_count}")
         if not self.soft_bodies and not self.affine_bodies:

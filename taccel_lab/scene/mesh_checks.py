@@ -164,10 +164,10 @@ def _check_faces(vertices: np.ndarray, faces: np.ndarray, what: str) -> None:
 
 
 def _check_duplicates(points: np.ndarray, what: str) -> None:
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
-    pairs = cKDTree(points).query_pairs(COINCIDENT * extent, output_type="ndarray")
+    pairs = KDTree(points).query_pairs(COINCIDENT * extent, output_type="ndarray")
     if len(pairs):
         raise InputError(
             f"{what}: {len(pairs)} pairs of vertices lie at the same place: "

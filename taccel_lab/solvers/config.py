@@ -48,6 +48,8 @@ class SolverConfig:
     """How often Newton may be repeated until the joints are closed."""
     max_collisions: int = 1 << 20
     """Contacts, and candidates for them, beyond which an environment is given up."""
+    check_start: bool = True
+    """Whether environments are searched for bodies that overlap before their first step."""
     element_projection: ElementProjection = ElementProjection.CLAMP
     contact_hessian_mode: int = 1
     """1: projected to positive semidefinite; 2: only the Gauss-Newton term."""

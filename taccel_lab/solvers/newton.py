@@ -228,7 +228,8 @@ class StepRun:
 
     def _tolerance(self) -> np.ndarray:
         c = self.s.config
-        return np.maximum(c.absolute_tolerance_n, c.relative_tolerance * self.contact_force)
+        force = np.maximum(c.absolute_tolerance_n, c.relative_tolerance * self.contact_force)
+        return np.maximum(force, self.s.rounding_n)
 
     def _judge(self) -> None:
         """Freeze environments that have converged or cannot go on."""
@@ -351,14 +352,13 @@ class StepRun:
         place_kinematic_nodes(self.model, s.target_poses, s.frame_targets)
 
     def _largest_turn(self) -> np.ndarray:
-        """Part of the step whose arcs leave their chords by at most a twentieth of the gap.
+        """Part of the step in which no arc leaves its chord by more than dhat.
 
-        CCD checks the chords and leaves a tenth of the gap; without this bound a body that turns
-        by a large angle would pass through what lies between chord and arc.
+        CCD clears the chords. Over a large angle they leave the arcs far behind, and the body would
+        pass what lies between.
         """
-        gap = np.minimum(self.min_distance, self.s.config.dhat_m)
         radii = np.maximum(self.model.kinematic_radii_m, 1e-300)
-        angle = 2 * np.arccos(np.clip(1 - 0.05 * gap[:, None] / radii, -1, 1))
+        angle = 2 * np.arccos(np.clip(1 - self.s.config.dhat_m / radii, -1, 1))
         return (angle / np.maximum(self.turns, 1e-300)).min(axis=1, initial=np.inf)
 
     def _forcing_terms(self) -> np.ndarray:

@@ -32,6 +32,8 @@ class EnvStatus(IntEnum):
     """Two surfaces touched or crossed before the step: no motion is free of collisions."""
     SKIPPED = 10
     """The environment was not asked for."""
+    OVERLAP = 11
+    """Bodies overlapped before the first step, see ``SolverIPC.step``."""
 
 
 @dataclass(frozen=True)

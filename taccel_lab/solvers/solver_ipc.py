@@ -94,7 +94,8 @@ class SolverIPC:
             if model.rubs
             else None
         )
-        stiff = bool(scene.affine_bodies)
+        # Where gels make up most of the unknowns CG is quicker, stiff bodies or not.
+        stiff = 8 * model.affine.count >= model.free_count
         self.linear = LinearSystem(model.pattern, model.env_count, model.device, stiff)
         shape, device = (model.env_count, model.node_count), model.device
 
@@ -114,6 +115,8 @@ class SolverIPC:
         """Gradient of the total energy by the unknowns [N]."""
         self.active, self.alphas = per_env(wp.int32), per_env(wp.float64)
         self.min_distance, self.dts = per_env(wp.float64), per_env(wp.float64)
+        self._separate = np.zeros(model.env_count, dtype=bool)
+        """Environments known to have started without overlaps."""
         poses = (model.env_count, len(model.kinematic))
         self.trial_poses = wp.zeros(poses, dtype=wp.transformd, device=device)
         self.target_poses = wp.zeros_like(self.trial_poses)
@@ -148,20 +151,29 @@ class SolverIPC:
         }
         return {name: term for name, term in terms.items() if term is not None}
 
+    @property
+    def rounding_n(self) -> np.ndarray:
+        """Residual below which the stiffest terms are rounding [N], shape [env_count]."""
+        terms = [term for term in (self.affine, self.joints) if term is not None]
+        return sum((term.rounding_n for term in terms), np.zeros(self.model.env_count))
+
     def step(self, state: State, target_poses: np.ndarray | None = None) -> StepReport:
         """Advance ``state`` in place by dt; kinematic bodies end at ``target_poses``.
 
         ``target_poses``: [env_count, kinematic_count, 7]; where they are when None. Environments
         that fail are tried in halves of the step, up to ``max_substep_halvings`` times; one that
-        fails even so is rolled back to the start of the whole step and flagged.
+        fails even so is rolled back to the start of the whole step and flagged. Before their first
+        step, environments are searched for bodies that overlap: these are flagged and not stepped
+        (``scene.checks.check_start`` says what is wrong).
         """
         started = time.perf_counter()
         model = self.model
         start = state.poses.numpy().reshape(model.env_count, -1, 7).copy()
         end = start if target_poses is None else as_poses(model, target_poses)
-        everyone = np.ones(model.env_count, dtype=bool)
+        self._check_starts(state)
         dt = model.scene.time.dt_s
-        report = self._attempt(state, end, everyone, dt)
+        report = self._attempt(state, end, self._separate, dt)
+        report.status[~self._separate] = EnvStatus.OVERLAP
         if not report.converged.all() and self.config.max_substep_halvings > 0:
             report = self._in_halves(state, start, end, report, dt, 1)
         return self._finish(state, report, time.perf_counter() - started)
@@ -176,8 +188,18 @@ class SolverIPC:
         if poses is None:
             poses = state.poses.numpy().reshape(self.model.env_count, -1, 7)
         state.restore(initial_state(self.model, poses), mask)
+        self._separate[mask] = False
         if self.joints is not None:
             self.joints.reset(mask)
+
+    def _check_starts(self, state: State) -> None:
+        """Look for overlaps where no step has been taken yet."""
+        if not self.config.check_start:
+            self._separate[:] = True
+        elif not self._separate.all():
+            from taccel_lab.scene.checks import overlapping
+
+            self._separate |= ~overlapping(self.model, state, ~self._separate)
 
     # Parts of a step -----------------------------------------------------------------------------
 

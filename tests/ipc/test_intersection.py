@@ -22,6 +22,7 @@ from taccel_lab.ipc.intersection import (
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -199,7 +200,9 @@ def test_any_two_bodies() -> None:
     assert in_scene(made, far | {"cube": [0, 0, -1.6e-3]}) == {("below a plane", "cube", "floor")}
     assert in_scene(made, far | {"left": [0, 0, -1.1e-3]}) == {("below a plane", "left", "floor")}
     assert in_scene(made, {"ball": [0, 5e-3, 0.9e-3]}) == {("crossing", "ball", "cube")}
-    apart = replace(made, affine_bodies=[replace(b, surface=Surface(2, 2)) for b in made.affine_bodies])
+    apart = replace(
+        made, affine_bodies=[replace(b, surface=Surface(2, 2)) for b in made.affine_bodies]
+    )
     assert in_scene(apart, far | {"cube": [0, -3.8e-3, 0]}) == set(), "layers that never touch"
     gone = Surface(environments=())
     absent = replace(made, affine_bodies=[replace(b, surface=gone) for b in made.affine_bodies])
@@ -220,3 +223,16 @@ def test_a_body_that_crosses_itself() -> None:
         )
         found = names(find_intersections(model, state)[0])
         assert {item for item in found if item[0] != "inverted tet"} == expected
+
+
+def test_a_quadratic_tet_can_turn_inside_out_at_a_corner() -> None:
+    soft = SoftBody(MESH, SOFT, element=Element.QUADRATIC)
+    model = Scene(soft).finalize()
+    state = initial_state(model)
+    assert find_intersections(model, state) == [[]]
+    x = state.positions.numpy()
+    middle = MESH.node_count + 40
+    ends = soft.nodal_mesh.edges[40]
+    x[0, middle] = x[0, ends[0]] + 0.2 * (x[0, ends[1]] - x[0, ends[0]])
+    state.positions.assign(x)
+    assert kinds(find_intersections(model, state)[0]) == [IntersectionKind.INVERTED_TET]

@@ -402,3 +402,43 @@ def test_absent_bodies_have_no_joint() -> None:
     forces = dense.gradient(np.repeat(dense.base[dense.free][None] + 1e-3, 2, axis=0))
     np.testing.assert_array_equal(forces[0], 0)
     assert np.abs(forces[1]).max() > 1
+
+
+def test_each_environment_has_its_own_initial_configuration() -> None:
+    """Bodies placed elsewhere in environment 1, and the joint with them."""
+    shift = np.array([0.3, -0.2, 0.1])
+    turn = quaternion(np.array([1.0, 2.0, 3.0]), 1.2)
+    poses = np.stack([POSE_A, np.concatenate([rotate(turn, POSE_A[:3]) + shift, turn])])
+    joint = RevoluteJoint(
+        "a",
+        None,
+        np.stack([ANCHOR, rotate(turn, ANCHOR) + shift]),
+        np.stack([AXIS, rotate(turn, AXIS)]),
+    )
+    scene = Scene(
+        affine_bodies=[AffineBody(box_mesh((0.1, 0.02, 0.03)), name="a", initial_pose=poses)],
+        joints=[joint],
+        env_count=2,
+        time=TimeStepping(quasi_static=False, dt_s=DT),
+    )
+    model = scene.finalize()
+    state = initial_state(model)
+    joints = JointPotential(model)
+    active = wp.full(2, 1, dtype=wp.int32)
+    joints.begin_step(state.positions, state.poses)
+    assert joints.update_multipliers(active, state.positions).max() < 1e-15
+    # The same swing in both has the same angle and the same forces in their own frames.
+    x = state.positions.numpy().copy()
+    swing = quaternion(AXIS, 0.4)
+    x[0, 0] = rotate(swing, x[0, 0] - ANCHOR) + ANCHOR + 1e-6
+    x[0, 1:4] = rotate(swing, x[0, 1:4])
+    x[1, 0] = rotate(turn, x[0, 0]) + shift
+    x[1, 1:4] = rotate(turn, x[0, 1:4])
+    moved = wp.array(x, dtype=wp.vec3d)
+    gradient = wp.zeros_like(moved)
+    joints.add_gradient(active, moved, gradient)
+    forces = gradient.numpy()[:, :4]
+    assert np.abs(forces).max() > 0.1
+    np.testing.assert_allclose(forces[1], rotate(turn, forces[0]), atol=1e-7 * np.abs(forces).max())
+    joints.end_step(active, moved)
+    np.testing.assert_allclose(joints.coordinates.numpy()[:, 0], 0.4, atol=1e-12)

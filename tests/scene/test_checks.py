@@ -175,6 +175,6 @@ def test_gaps_of_large_meshes_are_quick() -> None:
     ]
     model, state = started(*bodies, env_count=64, ball_z=1.0)
     check_gaps(model, state, 1e-9)
-    begun = time.perf_counter()
+    begun = time.process_time()
     check_gaps(model, state, 1e-9)
-    assert time.perf_counter() - begun < 1.0
+    assert time.process_time() - begun < 1.0

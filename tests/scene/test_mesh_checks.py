@@ -192,6 +192,6 @@ def test_eight_thousand_faces_in_a_third_of_a_second() -> None:
     mesh = sphere_mesh(1e-2, 4e-4)
     assert len(mesh.faces) > 8000 and len(unique_edges(mesh.faces)) > 12000
     check(BALL.vertices_m, BALL.faces)
-    started = time.perf_counter()
+    started = time.process_time()
     check(mesh.vertices_m, mesh.faces)
-    assert time.perf_counter() - started < 0.3
+    assert time.process_time() - started < 0.3

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from taccel_lab.errors import InputError
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
@@ -21,6 +22,7 @@ from taccel_lab.scene import (
     TimeStepping,
     box_mesh,
 )
+from taccel_lab.scene.checks import check_start
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -170,3 +172,39 @@ def test_a_reset_environment_starts_anew_and_the_others_go_on(
             solver.friction_gradient.numpy()[1], alone_solver.friction_gradient.numpy()[0]
         )
     assert fresh_solver.model.env_count == 3
+
+
+def test_bodies_that_start_inside_each_other_are_flagged_and_refused() -> None:
+    """Environment 1 starts with the cube in the gel, 2 with the ball in the cube."""
+    model = model_of([0, 1, 2])
+    solver = SolverIPC(model, SolverConfig(relative_tolerance=1e-6))
+    balls = ball_at([0, 1, 2], 0)
+    state = initial_state(model, balls)
+    check_start(model, state, solver.config.dhat_m)
+    first = model.affine.first_control
+    cube = [first, *range(*model.bodies[1].nodes)]
+    x = state.positions.numpy().copy()
+    x[1, cube, 2] -= 0.3e-3
+    state.positions.assign(x)
+    with pytest.raises(InputError, match=r"'cube'.*in environment 1.*edges \(.*through faces"):
+        check_start(model, state, solver.config.dhat_m)
+    before = state.positions.numpy()[1].copy()
+    report = solver.step(state, ball_at([0, 1, 2], 1))
+    expected = [EnvStatus.CONVERGED, EnvStatus.OVERLAP, EnvStatus.CONVERGED]
+    assert report.status.tolist() == expected
+    assert report.failures() == {"OVERLAP": [1]}
+    np.testing.assert_array_equal(state.positions.numpy()[1], before)
+    # Not once and then forgotten; and a reset puts it right.
+    assert solver.step(state, ball_at([0, 1, 2], 2)).status.tolist() == expected
+    solver.reset(state, np.array([False, True, False]), balls)
+    targets = ball_at([0, 1, 2], 3)
+    targets[1] = ball_at([1], 1)[0]
+    assert solver.step(state, targets).converged.all()
+
+
+def test_a_ball_that_starts_inside_a_body_is_named() -> None:
+    model = model_of([0, 1])
+    balls = ball_at([0, 1], 0)
+    balls[1, 0, 2] -= 0.5e-3
+    with pytest.raises(InputError, match=r"'ball' starts inside 'cube' in environment 1.*faces"):
+        check_start(model, initial_state(model, balls), 2e-5)

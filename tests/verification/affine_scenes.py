@@ -7,12 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.model import BodyKind, Model
 from taccel_lab.scene import AffineBody, Joint, KinematicBody, Plane, Scene, TimeStepping
-from taccel_lab.scene.crossings import crossing_pairs
-from taccel_lab.scene.mass_properties import winding_number
-from taccel_lab.scene.primitives import TriangleMesh, box_mesh
+from taccel_lab.scene.primitives import box_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import State, initial_state
 
@@ -133,36 +131,6 @@ class Run:
         return np.cross(self.y, self.masses * self.v).sum(axis=(0, 1))
 
     def overlaps(self) -> list[str]:
-        """Bodies that cross, contain one another, or lie below a plane."""
-        x = self.state.positions.numpy()[0]
-        affine = [
-            (body, x[body.node_slice], scene_body.shape)
-            for body, scene_body in zip(
-                [b for b in self.model.bodies if b.kind is BodyKind.AFFINE],
-                self.model.scene.affine_bodies,
-                strict=True,
-            )
-        ]
-        found = []
-        for plane in self.model.scene.planes:
-            for body, points, _ in affine:
-                if ((points - np.array(plane.point_m)) @ np.array(plane.normal)).min() <= 0:
-                    found.append(f"{body.name} below {plane.name}")
-        for i, (first, p, mesh) in enumerate(affine):
-            for second, q, other in affine[i + 1 :]:
-                apart = (p.min(axis=0) > q.max(axis=0)) | (q.min(axis=0) > p.max(axis=0))
-                if not apart.any() and _overlap(p, mesh, q, other):
-                    found.append(f"{first.name} in {second.name}")
-        return found
-
-
-def _overlap(p: np.ndarray, first: TriangleMesh, q: np.ndarray, second: TriangleMesh) -> bool:
-    crossings = len(crossing_pairs(p[first.edges()], q[second.faces])[0])
-    crossings += len(crossing_pairs(q[second.edges()], p[first.faces])[0])
-    inside = winding_number(p[0], q[second.faces]) > 0.5
-    return bool(crossings or inside or winding_number(q[0], p[first.faces]) > 0.5)
-
-
-def placed(mesh: TriangleMesh, pose: np.ndarray) -> np.ndarray:
-    """Vertices of a mesh at a pose [7]."""
-    return rotate(pose[3:], mesh.vertices_m) + pose[:3]
+        """Bodies that cross or contain one another, or lie below a plane."""
+        found = find_intersections(self.model, self.state)[0]
+        return [f"{item.first} and {item.second}: {item.kind} {item.where}" for item in found]

@@ -42,9 +42,7 @@ class Assembly:
     # Energies [J], shape [env_count] ---------------------------------------------------------
 
     def elastic_energy(self, positions: np.ndarray) -> np.ndarray:
-        return sum(
-            part.energy(self.active, self.nodal(positions)) for part in self.solver.elastic
-        )
+        return sum(part.energy(self.active, self.nodal(positions)) for part in self.solver.elastic)
 
     def contact_energy(self, positions: np.ndarray) -> np.ndarray:
         self.collide(positions)

@@ -37,30 +37,29 @@ def test_patch(element: Element, law: MaterialModel, poisson: float) -> None:
     f = np.array([[1.06, 0.08, -0.03], [0.02, 0.97, 0.05], [-0.06, 0.04, 1.02]])
     if law is MaterialModel.ST_VENANT_KIRCHHOFF:
         f = np.eye(3) + 0.2 * (f - np.eye(3))  # it is not stable under strong compression
+    # A pressure of a third of Young's modulus, also where the solid is all but incompressible.
+    f *= (1 + 3 * (1 - 2 * poisson) * 0.3) ** (1 / 3) / np.linalg.det(f) ** (1 / 3)
     exact = rest @ f.T + [1e-3, -2e-3, 5e-4]
     gradient = forces.gradient(exact[None])[0]
     scale = np.abs(gradient).max()
     assert scale > 1e-3
-    # Rounding of F, by 1e-16 of position over size of an element, and stress grows with lambda.
-    lam = forces.model.elastic[0].lam.numpy()[0]
-    assert np.abs(gradient[forces.free]).max() < 1e-12 * max(scale, lam * 1e-6)
+    assert np.abs(gradient[forces.free]).max() < 1e-12 * scale
 
     start = exact.copy()
     inner = forces.free
     assert len(inner) > (7 if element is Element.LINEAR else 100)
     start[inner] += np.random.default_rng(0).uniform(-3e-5, 3e-5, (len(inner), 3))
-    found, _ = forces.equilibrium(
-        np.zeros_like(rest), start=start, tolerance_n=1e-12 * max(scale, lam * 1e-6)
-    )
+    found, _ = forces.equilibrium(np.zeros_like(rest), start=start, tolerance_n=1e-11 * scale)
     np.testing.assert_allclose(found, exact, atol=1e-12 * np.ptp(exact))
 
 
 @pytest.mark.parametrize("element", KINDS)
 @pytest.mark.parametrize("poisson", [0.3, 0.499])
 def test_thick_beam_in_bending(element: Element, poisson: float) -> None:
-    """Cantilever 8 : 1 : 1, two cells high, against Timoshenko's beam; linear tets are no use."""
+    """Cantilever 8 : 1 : 1 against Timoshenko's beam: two cells of quadratic tets in the height are
+    enough (one alone is 10 % too soft), four of linear ones are not."""
     length, height = 8e-3, 1e-3
-    cells = (16, 2, 2) if element is Element.LINEAR else (8, 1, 1)
+    cells = (32, 4, 4) if element is Element.LINEAR else (16, 2, 2)
     mesh = block_mesh(cells, (length, height, height))
     # Held at one end; the tip carries an even shear.
     left = np.flatnonzero(mesh.nodes_m[:, 0] < -length / 2 + 1e-12)
@@ -81,7 +80,7 @@ def test_thick_beam_in_bending(element: Element, poisson: float) -> None:
     if element is Element.QUADRATIC:
         assert found == pytest.approx(beam, rel=0.025)
     else:
-        assert found < (0.75 if poisson == 0.3 else 0.45) * beam
+        assert found < (0.85 if poisson == 0.3 else 0.5) * beam
 
 
 def test_smooth_fields_converge_with_the_order_of_the_element() -> None:

@@ -120,9 +120,7 @@ def test_two_mounted_gels_lift_a_peg() -> None:
     names = ("left", "right")
     gels = [SoftBody(MESH, GEL, name=n, mount=f"{n} jaw", friction_coefficient=1.0) for n in names]
     jaws = [KinematicBody(None, name=f"{n} jaw") for n in names]
-    peg = AffineBody(
-        box_mesh((side, 5e-3, 12e-3)), name="peg", friction_coefficient=1.0
-    )
+    peg = AffineBody(box_mesh((side, 5e-3, 12e-3)), name="peg", friction_coefficient=1.0)
     time = TimeStepping(quasi_static=False, dt_s=dt, gravity_m_s2=(0, 0, -g))
     model = Scene(gels, jaws, 1, time, affine_bodies=peg).finalize()
     solver = SolverIPC(model, SolverConfig(dhat_m=1e-4))

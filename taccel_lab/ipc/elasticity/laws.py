@@ -81,17 +81,6 @@ _STRAIN = _Volumetric(
 )
 
 
-@wp.func
-def _neo_hookean_pressed(
-    f: wp.mat33d,
-    mu: wp.float64,
-    lam: wp.float64,
-    pressure: wp.float64,
-    mode: int,
-) -> PrincipalHessian:
-    return neo_hookean.neo_hookean_pressed_hessian(f, mu, pressure, mode)
-
-
 def _of_lame(
     model: MaterialModel,
     energy: Any,
@@ -198,7 +187,7 @@ LAWS = {
             MaterialModel.NEO_HOOKEAN,
             neo_hookean.neo_hookean_energy,
             neo_hookean.neo_hookean_piola,
-            _neo_hookean_pressed,
+            neo_hookean.neo_hookean_pressed_hessian,
             _LOGARITHM,
             hessian=neo_hookean.neo_hookean_hessian,
         ),

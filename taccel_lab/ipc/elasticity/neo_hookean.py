@@ -145,14 +145,16 @@ def neo_hookean_hessian(
 
 @wp.func
 def neo_hookean_pressed_hessian(
-    f: wp.mat33d, mu: wp.float64, pressure: wp.float64, mode: int
+    f: wp.mat33d, mu: wp.float64, lam: wp.float64, pressure: wp.float64, mode: int
 ) -> PrincipalHessian:
-    """Hessian of psi with lambda = 0, plus pressure J; negative eigenvalues treated as ``mode``
-    says (PSD_*)."""
+    """Hessian of psi + pressure J, with its negative eigenvalues treated as ``mode`` says
+    (PSD_*)."""
     squares, v = symmetric_eigen_3x3(wp.transpose(f) * f)
     s = wp.vec3d(wp.sqrt(squares[0]), wp.sqrt(squares[1]), wp.sqrt(squares[2]))
     u = f * v * wp.diag(wp.cw_div(wp.vec3d(wp.float64(1.0)), s))
     zero = wp.float64(0.0)
     j = s[0] * s[1] * s[2]
-    slopes = wp.vec3d(wp.float64(0.5) * mu, zero, pressure - mu / j)
-    return hessian_of_slopes(u, s, v, slopes, wp.vec3d(zero, zero, mu / (j * j)), mode)
+    pull = mu - lam * wp.log(j)
+    slopes = wp.vec3d(wp.float64(0.5) * mu, zero, pressure - pull / j)
+    curvatures = wp.vec3d(zero, zero, (pull + lam) / (j * j))
+    return hessian_of_slopes(u, s, v, slopes, curvatures, mode)

@@ -88,23 +88,25 @@ def add_block(env: int, node_i: int, node_j: int, block: wp.mat33d, system: Newt
     column = system.free_index[node_j]
     parent_i = system.parents[node_i]
     parent_j = system.parents[node_j]
+    # Held in a variable: unrolled, these loops take minutes to compile for a GPU.
+    count = int(4)
     if row >= 0:
         if column >= 0:
             add_entry(env, row, column, block, system)
         elif parent_j >= 0:
-            for k in range(4):
+            for k in range(count):
                 w = system.weights[node_j][k]
                 add_entry(env, row, system.free_index[parent_j + k], w * block, system)
         else:
             wp.atomic_sub(system.rhs, env, row, block * system.displacements[env, node_j])
     elif parent_i >= 0:
-        for k in range(4):
+        for k in range(count):
             scaled = system.weights[node_i][k] * block
             row_k = system.free_index[parent_i + k]
             if column >= 0:
                 add_entry(env, row_k, column, scaled, system)
             elif parent_j >= 0:
-                for m in range(4):
+                for m in range(count):
                     w = system.weights[node_j][m]
                     add_entry(env, row_k, system.free_index[parent_j + m], w * scaled, system)
             else:

@@ -24,7 +24,7 @@ class LinearSystem:
     def __init__(
         self, pattern: BlockPattern, env_count: int, device: wp.Device, stiff: bool = False
     ) -> None:
-        """``stiff``: whether affine bodies are among the unknowns."""
+        """``stiff``: whether most of the unknowns are those of affine bodies."""
         self.values = wp.zeros((env_count, pattern.block_count), dtype=wp.mat33d, device=device)
         """Blocks of the lower triangle [N/m], shape [env_count, block_count]."""
         self.extra = ExtraBlocks(env_count, device)

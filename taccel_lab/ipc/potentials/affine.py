@@ -104,6 +104,9 @@ class AffinePotential:
             (model.env_count, a.control_starts.shape[0]), dtype=wp.float64, device=model.device
         )
         """Energy of each affine body [J], shape [env_count, affine_count]."""
+        noise = np.finfo(float).eps * a.stiffness.numpy() / a.lengths.numpy()
+        self.rounding_n = np.full(model.env_count, 4 * np.linalg.norm(noise))
+        """Residual that rounding of the positions alone causes [N], shape [env_count]."""
 
     def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
         wp.launch(

@@ -194,8 +194,10 @@ def _hessian_kernel(
     n = normals[env, slot]
     u = sliding(env, nodes, w, n, motion)
     core = friction_hessian(n, u, mu_lambdas[env, slot], eps_u)
-    for i in range(4):
-        for j in range(4):
+    # Held in a variable: sixteen inlined copies would only take longer to compile.
+    count = int(4)
+    for i in range(count):
+        for j in range(count):
             if w[i] != wp.float64(0.0) and w[j] != wp.float64(0.0):
                 add_block(env, nodes[i], nodes[j], w[i] * w[j] * core, system)
 

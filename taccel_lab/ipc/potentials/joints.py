@@ -67,6 +67,8 @@ class JointPotential:
         self.torques = wp.zeros(shape, dtype=wp.vec3d, device=device)
         """Torque on the first body about the anchor [N m], drives and limits included, world
         axes, shape [env_count, joint_count]."""
+        self.rounding_n = np.zeros(model.env_count)
+        """Residual that rounding of the positions alone causes [N], shape [env_count]."""
         self._values = wp.zeros((*shape, ROW_COUNT), dtype=wp.float64, device=device)
         self._derivatives = wp.zeros((*shape, ROW_COUNT, 8), dtype=wp.vec3d, device=device)
         self._violations = scalars()
@@ -100,6 +102,7 @@ class JointPotential:
         else:
             wp.copy(self._step.dts, dts)
         self.set_frames(poses)
+        self.rounding_n = self._rounding(positions)
         self._mask.fill_(1)
         # The state may have been set anew since: coordinates follow it, by whole turns nearest.
         self._evaluate(self._mask, positions, self.coordinates, derivatives=False)
@@ -196,6 +199,15 @@ class JointPotential:
             outputs=[self._values, self._derivatives if derivatives else None],
             device=self.model.device,
         )
+
+    def _rounding(self, positions: wp.array) -> np.ndarray:
+        affine = self.model.affine
+        nodes = slice(affine.first_control, affine.first_control + 4 * affine.count)
+        reach = np.abs(positions.numpy()[:, nodes]).max(axis=(1, 2))
+        penalties, sizes = self._table.penalties.numpy(), self._table.sizes.numpy()
+        forces = penalties[:, 0] * reach[:, None] + penalties[:, 1] * sizes
+        dts = self._step.dts.numpy()
+        return np.finfo(float).eps * np.linalg.norm(forces, axis=1) / dts**2
 
     def _absorb(self, which: wp.array) -> None:
         wp.launch(

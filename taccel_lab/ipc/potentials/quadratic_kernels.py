@@ -11,6 +11,10 @@ F is linear in the element: with F_c the gradient at corner c and barycentric co
 point, F = sum_c l_c F_c, and grad N of corner i is (4 l_i - 1) b_i, of the middle of edge ij
 4 (l_j b_i + l_i b_j), where b_i are the gradients of the barycentric coordinates.
 
+An element may turn inside out near a corner while all its points are in order. In materials that do
+not bear inversion a guard on the volume ratio at the corners (corner_guard.py) keeps it from that;
+it is zero above a ratio of 0.2.
+
 Negative eigenvalues of the matrix are lifted at each point, for the shape energy plus pressure
 times dilatation; what the mean adds is lambda V u'' g g^T, of a single eigenvalue. The sum bounds
 the exact matrix from above.
@@ -23,6 +27,7 @@ from typing import Any
 
 import warp as wp
 
+from taccel_lab.ipc.elasticity.invariants import cofactor
 from taccel_lab.ipc.elasticity.principal import lifted
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
 
@@ -33,6 +38,9 @@ POINT_COUNT = 4
 (5 -+ sqrt(5)) / 20, exact for quadratic integrands [Zienkiewicz and Taylor 2000, table 9.2]."""
 OTHER = wp.constant(wp.float64((5.0 - 5.0**0.5) / 20.0))
 OWN_LESS_OTHER = wp.constant(wp.float64(5.0**0.5 / 5.0))
+
+GUARD_WEIGHT = wp.constant(wp.float64(1.0 / 40.0))
+"""Part of the volume that a corner stands for: as in the cubic rule with corners [ibid.]."""
 
 mat44i = wp.types.matrix(shape=(4, 4), dtype=wp.int32)
 mat103d = wp.types.matrix(shape=(10, 3), dtype=wp.float64)
@@ -77,6 +85,10 @@ class PointLaw:
     hessian: Any
     """``(f, start, d, i, pressure, psd_mode)``: a PointHessian, with ``pressure`` times the
     dilatation."""
+    guard: Any
+    """``(j)``: guard of a corner and its first two derivatives, over mu / 40 [1]."""
+    guard_hessian: Any
+    """``(f, slope, curvature, psd_mode)``: a PointHessian of the guard."""
 
 
 @wp.func
@@ -133,22 +145,31 @@ def quadratic_deformation(
 
 
 @wp.func
-def shape_gradients(env: int, tet: int, q: int, turn: wp.mat33d, d: ElementData) -> mat103d:
-    """Rest gradients of the ten shape functions at a point [1/m], rows turned by ``turn``."""
+def shape_gradients(
+    env: int,
+    tet: int,
+    q: int,
+    other: wp.float64,
+    own_less_other: wp.float64,
+    turn: wp.mat33d,
+    d: ElementData,
+) -> mat103d:
+    """Rest gradients of the ten shape functions [1/m], rows turned by ``turn``, at the point on the
+    way from the centre to corner q whose other barycentric coordinates are ``other``."""
     rest = env % d.volumes.shape[0]
     four = wp.float64(4.0)
     result = mat103d()
     for i in range(4):
         b_i = turn * d.gradients[rest, tet, i]
-        l_i = OTHER
+        l_i = wp.float64(other)
         if i == q:
-            l_i += OWN_LESS_OTHER
+            l_i += own_less_other
         for k in range(3):
             result[i, k] = (four * l_i - wp.float64(1.0)) * b_i[k]
         for j in range(i + 1, 4):
-            l_j = OTHER
+            l_j = wp.float64(other)
             if j == q:
-                l_j += OWN_LESS_OTHER
+                l_j += own_less_other
             b_j = turn * d.gradients[rest, tet, j]
             for k in range(3):
                 result[MIDDLES[i, j], k] = four * (l_j * b_i[k] + l_i * b_j[k])
@@ -198,6 +219,8 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
     volumetric = law.volumetric
     scale = law.scale
     hessian = law.hessian
+    guard = law.guard
+    guard_hessian = law.guard_hessian
     module = wp.get_module(f"{__name__}.{law.name}")
     wp.set_module_options({"enable_backward": False}, module=module)
 
@@ -222,11 +245,21 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
             shape += quarter * energy(f, start, d, tet)
             mean += quarter * dilatation(f, start)
             q += 1
+        guarded = wp.float64(0.0)
+        q = int(0)
+        while q < 4:
+            corner = corner_deformation(env, tet, q, positions, d)
+            guarded += guard(wp.determinant(corner))[0]
+            q += 1
         volume_part = volumetric(mean)
         energies[env, tet] = (
             d.volumes[env % d.volumes.shape[0], tet]
             * scale(env, tet, d)
-            * (shape + d.moduli.lam[tet] * volume_part[0])
+            * (
+                shape
+                + d.moduli.lam[tet] * volume_part[0]
+                + GUARD_WEIGHT * d.moduli.mu[tet] * guarded
+            )
         )
 
     @wp.func
@@ -300,6 +333,16 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         local_gradients[env, tet, 7] = m_3 * b_0 + m_0 * b_3
         local_gradients[env, tet, 8] = m_3 * b_1 + m_1 * b_3
         local_gradients[env, tet, 9] = m_3 * b_2 + m_2 * b_3
+        q = int(0)
+        while q < 4:
+            corner = corner_deformation(env, tet, q, positions, d)
+            push = guard(wp.determinant(corner))[1]
+            if push != wp.float64(0.0):
+                stress = (factor * GUARD_WEIGHT * d.moduli.mu[tet] * push) * cofactor(corner)
+                rows = shape_gradients(env, tet, q, wp.float64(0.0), wp.float64(1.0), stress, d)
+                for a in range(d.nodes.shape[1]):
+                    local_gradients[env, tet, a] = local_gradients[env, tet, a] + row_of(rows, a)
+            q += 1
 
     @wp.kernel(module=module)
     def _quadratic_hessian_kernel(
@@ -316,7 +359,6 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         # Held in a variable so that Warp keeps the loops rolled.
         node_count = d.nodes.shape[1]
         common = common_deformation(env, tet, positions, d)
-        eye = wp.identity(n=3, dtype=wp.float64)
         # The mean dilatation and its derivative in the nodes.
         mean = wp.float64(0.0)
         slope = mat103d()
@@ -324,7 +366,9 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         while q < 4:
             f = point_deformation(env, tet, q, common, positions, d)
             mean += wp.float64(0.25) * dilatation(f, start_of(env, tet, q, d))
-            slope += wp.float64(0.25) * shape_gradients(env, tet, q, dilatation_slope(f), d)
+            slope += wp.float64(0.25) * shape_gradients(
+                env, tet, q, OTHER, OWN_LESS_OTHER, dilatation_slope(f), d
+            )
             q += 1
         volume_part = volumetric(mean)
         factor = d.volumes[rest, tet] * scale(env, tet, d)
@@ -340,8 +384,20 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         while q < 4:
             f = point_deformation(env, tet, q, common, positions, d)
             h = hessian(f, start_of(env, tet, q, d), d, tet, pressure, psd_mode)
-            shapes = shape_gradients(env, tet, q, wp.transpose(h.frame), d)
+            shapes = shape_gradients(env, tet, q, OTHER, OWN_LESS_OTHER, wp.transpose(h.frame), d)
             add_point_blocks(env, tet, wp.float64(0.25) * factor, h, shapes, node_count, blocks)
+            q += 1
+        guard_weight = factor * GUARD_WEIGHT * d.moduli.mu[tet]
+        q = int(0)
+        while q < 4:
+            corner = corner_deformation(env, tet, q, positions, d)
+            guarded = guard(wp.determinant(corner))
+            if guarded[1] != wp.float64(0.0):
+                h = guard_hessian(corner, guarded[1], guarded[2], psd_mode)
+                shapes = shape_gradients(
+                    env, tet, q, wp.float64(0.0), wp.float64(1.0), wp.transpose(h.frame), d
+                )
+                add_point_blocks(env, tet, guard_weight, h, shapes, node_count, blocks)
             q += 1
 
     return ElementKernels(

@@ -7,6 +7,7 @@ from functools import cache
 
 import warp as wp
 
+from taccel_lab.ipc.elasticity.corner_guard import corner_guard, no_guard, volume_hessian
 from taccel_lab.ipc.elasticity.laws import LAWS
 from taccel_lab.ipc.elasticity.principal import PrincipalHessian
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
@@ -19,6 +20,9 @@ from taccel_lab.ipc.svd import matrix_column
 from taccel_lab.scene.material import MaterialModel
 
 wp.set_module_options({"enable_backward": False})
+
+BEARS_INVERSION = (MaterialModel.STABLE_NEO_HOOKEAN, MaterialModel.ST_VENANT_KIRCHHOFF)
+"""Laws whose energy stays finite there."""
 
 
 @wp.func
@@ -56,6 +60,13 @@ def point_hessian(p: PrincipalHessian) -> PointHessian:
     h.k_02 = _coupling_block(p, 0, 2)
     h.k_12 = _coupling_block(p, 1, 2)
     return h
+
+
+@wp.func
+def _guard_hessian(
+    f: wp.mat33d, slope: wp.float64, curvature: wp.float64, mode: int
+) -> PointHessian:
+    return point_hessian(volume_hessian(f, slope, curvature, mode))
 
 
 @cache
@@ -96,5 +107,7 @@ def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
             volumetric=law.volumetric,
             scale=_one,
             hessian=hessian,
+            guard=no_guard if model in BEARS_INVERSION else corner_guard,
+            guard_hessian=_guard_hessian,
         )
     )

@@ -18,6 +18,7 @@ from functools import cache
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.elasticity.corner_guard import no_guard
 from taccel_lab.ipc.elasticity.dilatation import half_square, strain_trace_slope
 from taccel_lab.ipc.elasticity.principal import lifted_matrix
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
@@ -39,18 +40,11 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def viscous_stress(gained: wp.mat33d, d: ElementData, i: int) -> wp.mat33d:
-    """Second Piola-Kirchhoff stress times dt [Pa s] of a strain gained in this step, less its
-    volumetric part."""
-    return wp.float64(2.0) * d.moduli.mu[i] * gained
-
-
-@wp.func
 def _linear_stress(gained: wp.mat33d, d: ElementData, env: int, tet: int) -> wp.mat33d:
-    """Second Piola-Kirchhoff stress [Pa]."""
+    """Second Piola-Kirchhoff stress [Pa] of a strain gained in this step."""
     volumetric = d.moduli.lam[tet] * wp.trace(gained)
     eye = wp.identity(n=3, dtype=wp.float64)
-    return d.rates[env] * (viscous_stress(gained, d, tet) + volumetric * eye)
+    return d.rates[env] * (wp.float64(2.0) * d.moduli.mu[tet] * gained + volumetric * eye)
 
 
 @wp.kernel
@@ -153,7 +147,7 @@ def _point_energy(f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int) -> wp.
 
 @wp.func
 def _point_piola(f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int) -> wp.mat33d:
-    return f * viscous_stress(green_strain(f) - start, d, i)
+    return f * (wp.float64(2.0) * d.moduli.mu[i] * (green_strain(f) - start))
 
 
 @wp.func
@@ -166,8 +160,9 @@ def _point_hessian(
     f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int, pressure: wp.float64, mode: int
 ) -> PointHessian:
     eye = wp.identity(n=3, dtype=wp.float64)
-    stress = lifted_matrix(viscous_stress(green_strain(f) - start, d, i) + pressure * eye, mode)
     mu = d.moduli.mu[i]
+    gained = green_strain(f) - start
+    stress = lifted_matrix(wp.float64(2.0) * mu * gained + pressure * eye, mode)
     left = mu * (f * wp.transpose(f))
     f_0 = matrix_column(f, 0)
     f_1 = matrix_column(f, 1)
@@ -183,6 +178,13 @@ def _point_hessian(
     return h
 
 
+@wp.func
+def _no_guard_hessian(
+    f: wp.mat33d, slope: wp.float64, curvature: wp.float64, mode: int
+) -> PointHessian:
+    return PointHessian()
+
+
 @cache
 def _quadratic_kernels() -> ElementKernels:
     return create_quadratic_kernels(
@@ -196,6 +198,8 @@ def _quadratic_kernels() -> ElementKernels:
             volumetric=half_square,
             scale=_point_rate,
             hessian=_point_hessian,
+            guard=no_guard,
+            guard_hessian=_no_guard_hessian,
         )
     )
 

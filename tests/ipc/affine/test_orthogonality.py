@@ -117,7 +117,7 @@ def test_rotations_cost_nothing(seed: int) -> None:
 @given(seed=st.integers(0, 2**31))
 def test_turning_a_strained_body_turns_its_forces(seed: int) -> None:
     found = assembly()
-    maps, nodes = strained(seed, 0.3)
+    nodes = strained(seed, 0.3)[1]
     turn = rotations(np.random.default_rng(seed + 1))[0]
     forces, turned = found.gradient(np.stack([nodes, nodes @ turn.T]))
     scale = np.abs(forces).max()

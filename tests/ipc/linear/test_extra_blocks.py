@@ -176,6 +176,4 @@ def test_blocks_of_all_kinds_of_nodes_are_j_transposed_h_j() -> None:
     expected = expected.reshape(full.shape)
     np.testing.assert_allclose(full, expected, atol=1e-12 * np.abs(expected).max())
     pushed = -np.einsum("nr,naMb,Mb->ra", jacobian, hessian, motion)
-    np.testing.assert_allclose(
-        linear.rhs.numpy()[0], pushed, atol=1e-12 * np.abs(pushed).max()
-    )
+    np.testing.assert_allclose(linear.rhs.numpy()[0], pushed, atol=1e-12 * np.abs(pushed).max())

@@ -235,3 +235,47 @@ def test_motion_of_the_mount_pulls_on_the_free_nodes(element: Element) -> None:
     np.testing.assert_allclose(rhs[0], expected, atol=1e-6 * np.abs(expected).max())
     # A gel without a mount has nothing to gather.
     assert len(forces(gel(mesh, element)).model.elastic[0].rim_rows) == 0
+
+
+def squeezed_corner(law: MaterialModel, ratio: float, count: int = 1) -> tuple:
+    """One tet whose middle nodes are moved so that J at corner 0 is ``ratio``, and its forces."""
+    tet = TetMesh(
+        np.array([[0, 0, 0], [1e-3, 0, 0], [2e-4, 1e-3, 0], [3e-4, 2e-4, 1e-3]]),
+        np.array([[0, 1, 2, 3]]),
+        np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
+        np.zeros(4),
+    )
+    body = gel(tet, Element.QUADRATIC, law, bonded=np.zeros(0, dtype=int))
+    made = ElementForces(Scene(body, (), count, TimeStepping(quasi_static=False)).finalize())
+    x = rest_of(made).copy()
+    middle = body.nodal_mesh.tets[0, 7]
+    # dx/dl at the corner is 4 (middle - corner) - (end - corner): along one edge, times the ratio.
+    x[middle] = x[0] + (x[3] - x[0]) * (1 + ratio) / 4
+    return made, x
+
+
+def test_guard_of_the_corners_and_its_derivatives() -> None:
+    law = MaterialModel.NEO_HOOKEAN
+    energies = []
+    for ratio in (0.5, 0.1, 1e-3, 1e-6):
+        made, x = squeezed_corner(law, ratio)
+        energies.append(made.energy(x[None])[0])
+    assert energies[0] < energies[1] < energies[2] < energies[3] < np.inf
+    made, x = squeezed_corner(law, -1e-6)
+    assert np.isposinf(made.energy(x[None])[0])
+    # Laws that bear inversion have no guard.
+    made, x = squeezed_corner(MaterialModel.STABLE_NEO_HOOKEAN, -0.2)
+    assert np.isfinite(made.energy(x[None])[0])
+
+    made, x = squeezed_corner(law, 0.08, 60)
+    same = np.repeat(x[None], 60, axis=0)
+    probes = coordinate_probe(x, np.arange(10), STEP)
+    gradient = made.gradient(same)[0]
+    slope = central_difference(made.energy(probes), STEP).reshape(-1, 3)
+    np.testing.assert_allclose(gradient, slope, atol=2e-6 * np.abs(gradient).max())
+    hessian = made.hessian(same, PSD_NONE)[0]
+    change = central_difference(made.gradient(probes), STEP).reshape(30, 30)
+    np.testing.assert_allclose(hessian, change, atol=2e-6 * np.abs(hessian).max())
+    lifted = made.hessian(same, PSD_ABS)[0]
+    assert np.linalg.eigvalsh(lifted)[0] > -1e-12 * np.abs(lifted).max()
+    assert np.linalg.eigvalsh(lifted - hessian)[0] > -1e-11 * np.abs(lifted).max()

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Free flight of rigid bodies: the Procrustes rotation, closed joints, and what it saves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.ipc.affine.prediction import predict_affine
+from taccel_lab.scene import FixedJoint, KinematicBody, PrismaticJoint, RevoluteJoint
+from taccel_lab.solvers import newton
+from tests.verification.affine_scenes import Run, affine_scene, box, turned
+
+SIZES = [(0.1, 0.02, 0.03), (0.04, 0.05, 0.06), (0.03, 0.03, 0.08)]
+CENTERS = [(0.05, 0, 0), (0.12, 0.01, 0.0), (0.16, 0, 0.05)]
+
+
+def three_bodies(joints: list, kinematic: list | None = None) -> Run:
+    bodies = [
+        box(name, size, center, turned((1, 2, i), 0.3 * i))
+        for i, (name, size, center) in enumerate(zip("abc", SIZES, CENTERS, strict=True))
+    ]
+    return Run(affine_scene(bodies, joints, kinematic=kinematic or [], gravity=(0.0, 0.0, 0.0)))
+
+
+FREE = three_bodies([])
+TREE = three_bodies(
+    [
+        # Of mixed direction: the first body of a joint is not always the one nearer to the world.
+        PrismaticJoint("c", "b", (0.14, 0, 0.02), (0, 0.3, 1), name="slide"),
+        RevoluteJoint("a", None, (0.01, 0, 0), (0, 1, 0.2), name="root"),
+        FixedJoint("a", "b", (0.1, 0, 0), name="weld"),
+    ]
+)
+FLOATING = three_bodies(
+    [
+        RevoluteJoint("a", "b", (0.1, 0, 0), (0, 1, 0), name="1"),
+        RevoluteJoint("c", "b", (0.14, 0, 0.02), (1, 1, 0), name="2"),
+    ]
+)
+
+
+def strained(run: Run, seed: int, amount: float) -> wp.array:
+    """Positions with random control nodes."""
+    x = run.state.positions.numpy().copy()
+    y = x[0, run.control]
+    y += (
+        amount
+        * np.random.default_rng(seed).uniform(-1, 1, y.shape)
+        * run.lengths.repeat(4)[:, None]
+    )
+    return wp.array(x, dtype=wp.vec3d)
+
+
+def active(run: Run) -> wp.array:
+    return wp.full(run.model.env_count, 1, dtype=wp.int32)
+
+
+@given(seed=st.integers(0, 2**31), amount=st.floats(0, 0.5))
+def test_free_flight_is_the_nearest_rigid_placement(seed: int, amount: float) -> None:
+    inertial = strained(FREE, seed, amount)
+    found = wp.clone(FREE.state.positions)
+    bends = predict_affine(FREE.model, active(FREE), inertial, found)
+    y = inertial.numpy()[0, FREE.control].reshape(3, 4, 3)
+    z = found.numpy()[0, FREE.control].reshape(3, 4, 3)
+    np.testing.assert_array_equal(z[:, 0], y[:, 0])
+    for body in range(3):
+        weighted = (FREE.masses[body, 1:] * y[body, 1:]).T
+        u, _, vt = np.linalg.svd(weighted)
+        expected = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+        np.testing.assert_allclose(z[body, 1:].T / FREE.lengths[body], expected, atol=1e-11)
+    off = np.linalg.norm(z[:, 1:] - y[:, 1:], axis=2).max(axis=1) / FREE.lengths
+    assert bends[0] == pytest.approx(off.max(), rel=1e-12, abs=1e-15)
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 2**31), amount=st.floats(0, 0.3))
+@pytest.mark.parametrize("run", [TREE, FLOATING], ids=["rooted", "floating"])
+def test_joints_of_a_prediction_are_closed(run: Run, seed: int, amount: float) -> None:
+    joints = run.solver.joints
+    assert joints is not None
+    predicted = wp.clone(run.state.positions)
+    predict_affine(run.model, active(run), strained(run, seed, amount), predicted)
+    joints.begin_step(predicted, run.state.poses)
+    loose = joints.update_multipliers(active(run), predicted)[0]
+    joints.close_predicted(active(run), predicted)
+    closed = joints.update_multipliers(active(run), predicted)[0]
+    assert closed < 1e-14
+    assert loose > 1e-3 * amount
+    # Closing turns and shifts; it does not strain.
+    maps = predicted.numpy()[0, run.control].reshape(3, 4, 3)[:, 1:] / run.lengths[:, None, None]
+    np.testing.assert_allclose(
+        maps @ maps.transpose(0, 2, 1), np.eye(3)[None].repeat(3, 0), atol=1e-13
+    )
+    joints.reset(np.ones(1, dtype=bool))
+
+
+def test_joints_to_a_moving_frame_are_closed_there() -> None:
+    run = three_bodies(
+        [RevoluteJoint("a", "hand", (0, 0, 0), name="j")], [KinematicBody(None, name="hand")]
+    )
+    joints = run.solver.joints
+    assert joints is not None
+    pose = np.array([0.1, 0.2, 0.3, *turned((1, 0, 1), 0.4)])
+    joints.set_frames(wp.array(pose[None, None], dtype=wp.transformd))
+    x = wp.clone(run.state.positions)
+    joints.close_predicted(active(run), x)
+    y = x.numpy()[0, run.control][:4]
+    anchor = y[0] + (y[1:].T / run.lengths[0]) @ [-0.05, 0, 0]
+    np.testing.assert_allclose(anchor, pose[:3], atol=1e-15)
+
+
+def test_it_saves_newton_iterations_and_changes_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    def spin() -> tuple[np.ndarray, int]:
+        body = box("b", SIZES[0], initial_spin_rad_s=(1.0, 2.0, 3.0))
+        run = Run(affine_scene([body]))
+        iterations = sum(int(run.step().newton_iterations[0]) for _ in range(5))
+        return run.y, iterations
+
+    y, few = spin()
+    monkeypatch.setattr(newton, "start_in_free_flight", lambda run: None)
+    straight, many = spin()
+    np.testing.assert_allclose(y, straight, atol=1e-9)
+    assert few <= 10 < 40 < many

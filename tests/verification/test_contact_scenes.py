@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Soft bodies against themselves and others, edges on edges: nothing ever intersects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.ipc.collisions import EDGE_EDGE
+from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.model import Model
+from taccel_lab.scene import (
+    AffineBody,
+    KinematicBody,
+    Material,
+    Plane,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    TriangleMesh,
+    box_mesh,
+)
+from taccel_lab.scene.bodies import Surface
+from taccel_lab.scene.crossings import self_crossings
+from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.report import StepReport
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import State, initial_state
+from tests.verification.blocks import block_mesh, everywhere, pose
+
+DHAT = 2e-5
+GEL = Material(1e5, 0.4, 1000.0)
+FREE = np.zeros(0, dtype=np.int64)
+
+
+@dataclass
+class Watched:
+    """A scene whose every step has to converge without intersections or inversions."""
+
+    scene: Scene
+    start: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        self.model: Model = self.scene.finalize()
+        self.solver = SolverIPC(self.model, SolverConfig(dhat_m=DHAT))
+        self.state: State = initial_state(self.model, self.start)
+
+    def step(self, poses: np.ndarray | None = None) -> StepReport:
+        report = self.solver.step(self.state, poses)
+        assert report.converged.all(), report.summary()
+        assert find_intersections(self.model, self.state) == [[]]
+        assert report.min_distance_m[0] > 0
+        return report
+
+    def walk(self, path: Iterable[np.ndarray]) -> None:
+        for poses in path:
+            self.step(poses)
+
+    def force(self, body: int) -> np.ndarray:
+        """Contact force on a body [N]."""
+        gradient = self.solver.contact_gradient.numpy()[0]
+        return -gradient[self.model.bodies[body].node_slice].sum(axis=0)
+
+    def self_contacts(self) -> int:
+        """Collisions of a body with itself."""
+        found = self.solver.collisions.snapshot(0)["stencils"]
+        bodies = self.model.surface.node_bodies.numpy()
+        return int((bodies[found[:, 0]] == bodies[found[:, 3]]).sum())
+
+    def positions(self, body: int = 0) -> np.ndarray:
+        return self.state.positions.numpy()[0, self.model.bodies[body].node_slice]
+
+
+def touchable(mesh: TetMesh) -> TetMesh:
+    """The mesh with nothing glued to anything."""
+    return replace(mesh, face_regions=np.full(len(mesh.faces), int(Region.SIDE)))
+
+
+# Gel on gel ----------------------------------------------------------------------------------
+
+
+def gel_on_gel(
+    lower_cells: int, upper_cells: int, upper_size: float = 4e-3, **options: float
+) -> Scene:
+    """A gel that faces another one, held upside down by a hand."""
+    lower = block_mesh((lower_cells, lower_cells, 3), (4e-3, 4e-3, 2e-3), jitter=0.2, seed=1)
+    cells = (upper_cells, upper_cells, 3)
+    upper = block_mesh(cells, (upper_size, upper_size, 2e-3), jitter=0.2, seed=2)
+    surface = Surface(**options)
+    return Scene(
+        [
+            SoftBody(lower, GEL, name="lower", surface=surface),
+            SoftBody(upper, GEL, name="upper", mount="hand", surface=surface),
+        ],
+        KinematicBody(None, name="hand"),
+    )
+
+
+def upside_down(x: float, z: float, deg: float = 0.0) -> np.ndarray:
+    turn = np.deg2rad(deg) / 2
+    # Half a turn about x, then ``deg`` about z.
+    return everywhere(1, np.array([x, 0, z, np.cos(turn), np.sin(turn), 0, 0]))
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(6, 8), (8, 6), (7, 7)])
+def test_a_gel_pressed_and_dragged_over_another(lower: int, upper: int) -> None:
+    run = Watched(gel_on_gel(lower, upper), upside_down(0, 3e-5))
+    for x, z, deg in ((0, -1e-4, 0), (0, -3e-4, 0), (1e-4, -3e-4, 0), (3e-4, -4e-4, 3)):
+        run.step(upside_down(x, z, deg))
+        below, above = run.force(0), run.force(1)
+        np.testing.assert_allclose(below, -above, atol=1e-12 * np.abs(below).max())
+        assert below[2] < 0
+    # Two gels as springs in series: half the strain in each, with the sides free to bulge.
+    assert 0.15 < -run.force(0)[2] < 0.3
+
+
+def test_a_small_flat_gel_hardly_leans_on_a_large_one() -> None:
+    """At a uniform gap; nodes of the large gel beside the rim of the small one push it aside."""
+    for lower, upper, worst in ((8, 10, 1e-12), (20, 4, 2e-3)):
+        run = Watched(gel_on_gel(lower, upper, 2e-3), upside_down(1e-4, 0.5 * DHAT))
+        solver, state = run.solver, run.state
+        solver.active.fill_(1)
+        solver.displacements.zero_()
+        solver.candidates.update(
+            solver.active, state.positions, solver.displacements, state.poses, state.poses, DHAT
+        )
+        solver.collisions.update(solver.active, state.positions, solver.candidates)
+        solver.contact_gradient.zero_()
+        solver.contact.add_gradient(
+            solver.active, state.positions, solver.contact_gradient, solver.min_distance
+        )
+        force = run.force(0)
+        assert force[2] < 0
+        assert np.linalg.norm(force[:2]) <= worst * abs(force[2])
+
+
+def test_thick_gels_keep_their_distance() -> None:
+    thickness = 5e-5
+    run = Watched(
+        gel_on_gel(6, 8, thickness_m=thickness), upside_down(0, 2 * thickness + 1.5 * DHAT)
+    )
+    for z in (5e-5, -1e-4):
+        run.step(upside_down(0, z))
+    from taccel_lab.scene.gaps import SurfacePairs
+
+    gaps = SurfacePairs(run.model).nearer_than(
+        run.state.positions.numpy()[0], np.ones(3, dtype=bool), DHAT
+    )
+    assert 0 < gaps.gaps_m.min() < DHAT
+    top, bottom = run.positions(0)[:, 2], run.positions(1)[:, 2]
+    assert np.median(bottom[bottom < 0.2e-3]) - np.median(top[top > -0.2e-3]) > 2 * thickness
+
+
+# A body with itself ----------------------------------------------------------------------------
+
+
+def hairpin(self_contact: bool) -> Scene:
+    """A strip bent to a U on its side, its lower arm held, under a tilted plate."""
+    radius, length = 0.5e-3, 7e-3
+    straight = block_mesh((14, 2, 1), (length, 1e-3, 0.4e-3))
+    along, depth = straight.nodes_m[:, 0] + length / 2, straight.nodes_m[:, 2]
+    arc = np.pi * radius
+    arm = (length - arc) / 2
+    angle = np.clip((along - arm) / radius, 0, np.pi)
+    away = radius - depth
+    x = -away * np.sin(angle) + np.where(along < arm, arm - along, 0)
+    x += np.where(along > arm + arc, along - arm - arc, 0)
+    nodes = np.column_stack([x, -straight.nodes_m[:, 1], -away * np.cos(angle)])
+    mesh = touchable(replace(straight, nodes_m=nodes))
+    strip = SoftBody(mesh, GEL, np.flatnonzero(along < 0.3 * arm), self_contact=self_contact)
+    return Scene(strip, KinematicBody(box_mesh((4e-3, 3e-3, 0.5e-3)), name="plate"))
+
+
+def plate_down(top: float) -> list[np.ndarray]:
+    return [
+        everywhere(1, pose(1.5e-3, 0, top + 0.4e-3 - d, (0, 1, 0), 3))
+        for d in np.linspace(0, 1.4e-3, 15)
+    ]
+
+
+def test_a_folding_strip_meets_itself() -> None:
+    made = hairpin(True)
+    path = plate_down(made.soft_bodies[0].mesh.nodes_m[:, 2].max())
+    run = Watched(made, path[0])
+    before = 0.0
+    for number, poses in enumerate(path[1:]):
+        run.step(poses)
+        if number == 8:
+            before = -run.force(0)[2]
+    assert run.self_contacts() > 0
+    assert -run.force(0)[2] > 4 * before, "the arms support each other"
+    total = run.solver.contact_gradient.numpy()[0]
+    np.testing.assert_allclose(total.sum(axis=0), 0, atol=1e-12 * np.abs(total).sum())
+
+
+def test_without_self_contact_the_strip_passes_through_itself() -> None:
+    made = hairpin(False)
+    path = plate_down(made.soft_bodies[0].mesh.nodes_m[:, 2].max())
+    run = Watched(made, path[0])
+    run.walk(path[1:])
+    assert len(self_crossings(run.positions(), made.soft_bodies[0].mesh.faces)[0]) > 0
+
+
+@pytest.mark.slow
+def test_a_mat_twisted_by_two_turns() -> None:
+    """One end held, the other gripped by friction between two jaws that turn about the mat."""
+    length, width, height = 8e-3, 4e-3, 0.3e-3
+    mesh = touchable(block_mesh((16, 8, 1), (length, width, height)))
+    mesh = replace(mesh, nodes_m=mesh.nodes_m + [0, 0, height / 2])
+    held = np.flatnonzero(mesh.nodes_m[:, 0] < -length / 2 + 1e-9)
+    jaw = box_mesh((1.2e-3, 1.2 * width, 0.5e-3))
+    jaws = [KinematicBody(jaw, 5.0, name=name) for name in ("upper jaw", "lower jaw")]
+    made = Scene(SoftBody(mesh, GEL, held, self_contact=True), jaws)
+
+    def gripped(gap: float, deg: float) -> np.ndarray:
+        angle = np.deg2rad(deg)
+        normal = np.array([0, -np.sin(angle), np.cos(angle)]) * (0.25e-3 + height / 2 + gap)
+        middle = np.array([length / 2 - 0.6e-3, 0, 0])
+        turned = [pose(*(middle + side * normal), (1, 0, 0), deg) for side in (1, -1)]
+        return everywhere(1, *turned)
+
+    run = Watched(made, gripped(3e-5, 0))
+    run.walk(gripped(gap, 0) for gap in (-1e-5, -4e-5, -6e-5))
+    run.walk(gripped(-6e-5, deg) for deg in np.arange(12, 721, 12))
+    assert run.self_contacts() > 20
+    # The gripped end has turned with the jaws.
+    end = run.positions()[mesh.nodes_m[:, 0] > length / 2 - 1e-9]
+    across = end[:, 1].max() - end[:, 1].min()
+    assert across > 0.9 * width
+
+
+# Squeezing -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("friction", "lowest"), [(0.0, 0.5e-3), (0.5, 0.4e-3)])
+def test_a_cube_squeezed_to_a_fifth_of_its_height(friction: float, lowest: float) -> None:
+    side = 2e-3
+    mesh = touchable(block_mesh((5, 5, 5), (side, side, side), jitter=0.1))
+    cube = SoftBody(mesh, GEL, FREE, self_contact=True, initial_pose=pose(0, 0, side + 3e-5))
+    made = Scene(
+        cube,
+        KinematicBody(box_mesh((8e-3, 8e-3, 0.5e-3)), friction, name="plate"),
+        planes=Plane(friction_coefficient=friction),
+        time=TimeStepping(quasi_static=False, dt_s=0.02),
+    )
+    heights = [*np.arange(2.0e-3, 0.55e-3, -0.2e-3), 0.5e-3, lowest]
+    run = Watched(made, everywhere(1, pose(0, 0, 2.1e-3 + 0.25e-3)))
+    run.walk(everywhere(1, pose(0, 0, h + 0.25e-3)) for h in heights)
+    size = np.ptp(run.positions(), axis=0)
+    assert size[2] < lowest
+    assert size[:2].min() > 1.6 * side
+    plate, plane = run.force(1), run.force(2)
+    assert plate[2] > 0.1
+    assert plate[2] == pytest.approx(-plane[2], rel=1e-2), "all of it goes into the plane"
+
+
+# Edges on edges --------------------------------------------------------------------------------
+
+
+def wedge(half_width: float, height: float, length: float) -> TriangleMesh:
+    """A roof with its ridge along x at the origin."""
+    x, y = length / 2, half_width
+    vertices = np.array(
+        [
+            [-x, 0, 0],
+            [x, 0, 0],
+            [-x, -y, -height],
+            [x, -y, -height],
+            [-x, y, -height],
+            [x, y, -height],
+        ]
+    )
+    faces = np.array(
+        [[0, 2, 3], [0, 3, 1], [0, 1, 5], [0, 5, 4], [2, 4, 5], [2, 5, 3], [0, 4, 2], [1, 3, 5]]
+    )
+    return TriangleMesh(vertices, faces)
+
+
+@pytest.mark.parametrize("turn", [90.0, 20.0, 2.0])
+def test_a_ridge_dropped_on_a_ridge(turn: float) -> None:
+    """Only two edges face each other: the guard alone has to stop them."""
+    shape = wedge(1e-3, 1e-3, 4e-3)
+    half = np.deg2rad(turn) / 2
+    upper = AffineBody(
+        shape,
+        name="upper",
+        # Half a turn about x, then ``turn`` about z.
+        initial_pose=np.array([0, 0, 2e-4, np.cos(half), np.sin(half), 0, 0]),
+        initial_velocity_m_s=(0.0, 0.0, -0.1),
+    )
+    made = Scene(
+        affine_bodies=upper,
+        kinematic_bodies=KinematicBody(shape, name="lower"),
+        time=TimeStepping(quasi_static=False, dt_s=1e-3, gravity_m_s2=(0.0, 0.0, -9.81)),
+    )
+    run = Watched(made, everywhere(1, pose(0, 0, 0)))
+    seen = False
+    for _ in range(8):
+        report = run.step()
+        seen |= bool((run.solver.collisions.snapshot(0)["kinds"] == EDGE_EDGE).any())
+        assert report.newton_iterations[0] < 60
+    assert seen
+    velocity = run.state.velocities.numpy()[0, run.model.affine.first_control, 2]
+    assert velocity > -0.05, "it was stopped"
+
+
+def test_a_knife_between_the_nodes_of_a_gel() -> None:
+    """Its edge crosses edges of the gel and its ends lie outside: no node of either is near."""
+    mesh = block_mesh((5, 5, 3), (4e-3, 4e-3, 2e-3), jitter=0.1, seed=3)
+    knife = KinematicBody(wedge(0.3e-3, 2e-3, 6e-3), friction_coefficient=0.3)
+
+    def placed(z: float, x: float = 0.0) -> np.ndarray:
+        return everywhere(1, pose(x, 0, z, (1, 0.1, 0), 180))
+
+    run = Watched(Scene(SoftBody(mesh, GEL), knife), placed(3e-5 + 4e-4))
+    forces = []
+    for z in (1e-4, -1e-4, -3e-4, -5e-4):
+        run.step(placed(z))
+        forces.append(run.force(1)[2])
+    assert np.all(np.diff(forces) > 0)
+    assert forces[-1] > 0.02
+    run.step(placed(-5e-4, 2e-4))
+    assert (run.solver.collisions.snapshot(0)["kinds"] == EDGE_EDGE).any()

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rigid ball pressed into a half-space and then moved along it: partial slip with friction.
+
+For a normal force F on a contact of radius a and a tangential force Q below mu F the ball moves by
+
+    dx = 3 mu F (2 - nu) / (16 a G) [1 - (1 - Q / (mu F))^(2/3)]
+
+and the nodes within c = a (1 - Q / (mu F))^(1/3) stick [Cattaneo 1938; Mindlin 1949; Johnson 1985,
+Contact Mechanics, section 7.2; for two equal bodies each moves by this much].
+
+The theory takes normal and tangential displacements for independent, which between a rigid and an
+elastic body holds at nu = 0.5 only; the factor of the coupling, (1 - 2 nu) / (2 (1 - nu)), is 2 %
+at the 0.49 used here (quadratic tets do not lock). The normal force is applied without friction, as
+in the theory, by a first solver in which friction sets in at sliding of a metre only.
+
+Sliding, averaged around the axis: with the tractions mu p(a) - (c / a) mu p(c) of [Johnson 1985] and
+the displacements that an elliptic pressure makes inside and outside of its circle (section 3.4),
+
+    s(r) / dx_0 = r^2 / (2 a^2) - c^2 / a^2 + [(2 c^2 - r^2) asin(c / r) + r c sqrt(1 - c^2 / r^2)]
+                  / (pi a^2)   for r > c,   dx_0 = dx at Q = mu F;
+
+what is left out goes with cos(2 phi) around the axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from taccel_lab.scene import Ball
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from tests.verification.half_space import HalfSpace
+
+BALL, DEPTH, YOUNG, POISSON = 1e-2, 2.5e-5, 1e5, 0.49
+DHAT, EPS = 0.01 * DEPTH, 2e-8
+SHEAR = YOUNG / (2 * (1 + POISSON))
+RADIUS = float(np.sqrt(BALL * (DEPTH + DHAT)))
+"""Hertz's, for contact that begins at a gap of dhat [m]."""
+MU = 0.3
+
+
+@dataclass(frozen=True)
+class Slid:
+    """One point of the tangential loading curve."""
+
+    shift: float
+    """dx over that at full slip."""
+    ratio: float
+    """Q over mu F."""
+    lost: float
+    """Change of the normal force since there was no Q, over it."""
+    across: float
+    """Tangential force across the motion, over mu F."""
+    radii: np.ndarray
+    """Distance of the loaded nodes from the ball's axis over the contact radius."""
+    slip: np.ndarray
+    """How far they lag behind the ball, over dx at full slip."""
+    friction: np.ndarray
+    """Their tangential force over mu times their normal force."""
+    weight: np.ndarray
+    """Their part of the normal force."""
+
+    @property
+    def expected_ratio(self) -> float:
+        """Q / (mu F) by Mindlin at this dx."""
+        return 1 - max(0.0, 1 - self.shift) ** 1.5
+
+    @property
+    def stick_radius(self) -> float:
+        """c / a by Mindlin at this Q."""
+        return max(0.0, 1 - self.ratio) ** (1 / 3)
+
+    @property
+    def measured_stick_radius(self) -> float:
+        """c / a whose sliding is nearest to that of the nodes, by least squares."""
+        tried = np.linspace(0.01, 1.0, 397)
+        loss = [(self.weight * (self.slip - sliding(self.radii, c)) ** 2).sum() for c in tried]
+        return float(tried[np.argmin(loss)])
+
+
+def sliding(radii: np.ndarray, stick: float) -> np.ndarray:
+    """Mean sliding around the axis over dx at full slip; ``radii`` and ``stick`` over a."""
+    r = np.maximum(radii, stick)
+    q = stick / r
+    outside = (2 * stick**2 - r**2) * np.arcsin(q) + r * stick * np.sqrt(1 - q**2)
+    return r**2 / 2 - stick**2 + outside / np.pi
+
+
+@lru_cache
+def slid(cells: int, *shifts: float) -> list[Slid]:
+    """Press the ball in, then move it to each of ``shifts``, parts of dx at full slip."""
+
+    def config(eps_m: float) -> SolverConfig:
+        return SolverConfig(
+            dhat_m=DHAT,
+            relative_tolerance=1e-5,
+            absolute_tolerance_n=1e-12,
+            friction_eps_m=eps_m,
+        )
+
+    block = HalfSpace(
+        Ball(BALL),
+        RADIUS,
+        cells,
+        young_pa=YOUNG,
+        poisson=POISSON,
+        friction=MU,
+        roundness=0.5,
+        start_m=BALL + 2 * DHAT,
+        config=config(1e-2),
+    )
+    block.move(0.0, BALL - DEPTH)
+    load, before = -float(block.normal_n[:, 2].sum()), block.positions_m.copy()
+    full = 3 * MU * load * (2 - POISSON) / (16 * RADIUS * SHEAR)
+    block.solver = SolverIPC(block.model, config(EPS))
+    points = []
+    for shift in shifts:
+        dx = shift * full
+        block.move(dx, BALL - DEPTH)
+        normal, friction, x = block.normal_n, block.friction_n, block.positions_m
+        size = np.linalg.norm(normal, axis=1)
+        # Corners of quadratic faces carry nearly nothing, and slide with what is around them.
+        loaded = size > 0.1 * size.max()
+        total = friction.sum(axis=0) / (MU * load)
+        points.append(
+            Slid(
+                shift=shift,
+                ratio=float(total[0]),
+                lost=-float(normal[:, 2].sum()) / load - 1,
+                across=float(total[1]),
+                radii=np.hypot(x[loaded, 0] - dx, x[loaded, 1]) / RADIUS,
+                slip=(dx - (x - before)[loaded, 0]) / full,
+                friction=np.linalg.norm(friction[loaded], axis=1) / (MU * size[loaded]),
+                weight=size[loaded] / load,
+            )
+        )
+    return points
+
+
+def check(point: Slid, tolerance: float, spacing: float) -> None:
+    assert point.ratio == pytest.approx(point.expected_ratio, rel=tolerance)
+    assert abs(point.lost) < 2e-3, "no coupling with the normal force"
+    assert abs(point.across) < 2e-3
+    stick = point.stick_radius
+    assert point.measured_stick_radius == pytest.approx(stick, abs=0.5 * spacing)
+    # Nodes within the radius stick, nodes beyond it slide at the friction limit.
+    stuck = point.slip < 0.01
+    assert stuck[point.radii < stick - spacing].all()
+    assert not stuck[point.radii > stick + spacing].any()
+    assert point.friction[point.radii < stick - spacing].max(initial=0) < 0.99
+    assert point.friction[point.radii > stick + spacing].min() > 0.99
+
+
+def test_partial_slip_and_full_slip() -> None:
+    """Two elements along the contact radius, with nodes 0.25 a apart."""
+    partial, full = slid(2, 0.6, 1.3)
+    check(partial, tolerance=0.05, spacing=0.25)
+    assert partial.friction.max() < 1.01, "nowhere above the limit"
+    assert full.ratio == pytest.approx(1.0, abs=2e-3)
+    assert full.slip.min() > 0.2
+
+
+@pytest.mark.slow
+def test_tangential_loading_curve() -> None:
+    """Four elements along the contact radius, with nodes 0.125 a apart."""
+    points = slid(4, 0.15, 0.3, 0.5, 0.7, 0.9, 1.1)
+    for point in points[:-1]:
+        check(point, tolerance=0.03, spacing=0.125)
+    assert points[-1].ratio == pytest.approx(1.0, abs=2e-3)
+    assert (np.diff([p.ratio for p in points]) > 0).all()
+
+
+@pytest.mark.slow
+def test_the_way_there_does_not_matter() -> None:
+    """Coulomb friction forgets how a growing load was cut into steps, but for eps a step."""
+    at_once, in_parts = slid(2, 0.6)[-1], slid(2, 0.2, 0.4, 0.6)[-1]
+    assert in_parts.ratio == pytest.approx(at_once.ratio, rel=3e-3)

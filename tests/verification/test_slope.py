@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A block on an inclined floor under gravity that points down, for all kinds of blocks and floors.
+
+It sticks if and only if tan(angle) <= mu. Below that it creeps: friction is mu N (2 y - y^2) at
+sliding of y eps a step, hence at y = 1 - sqrt(1 - tan / mu), never faster than eps_v = eps / dt.
+Beyond it slides at g (sin - mu cos). (``test_dynamics`` and ``test_affine`` lean gravity instead;
+``test_slope_wrench`` has the torques.)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    KinematicBody,
+    Material,
+    Plane,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    box_mesh,
+)
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.state import initial_state
+from tests.verification.blocks import block_mesh, everywhere, free_block
+
+G, SIDE, DENSITY, MU = 9.81, 2e-2, 1000.0, 0.4
+MASS = DENSITY * SIDE**3
+DHAT = 2e-5
+TIGHT = {"dhat_m": DHAT, "relative_tolerance": 1e-7, "absolute_tolerance_n": 1e-10}
+AZIMUTH = 0.5
+"""Direction of the slope [rad]: along no edge of the block or of the floor."""
+
+
+class Slope:
+    """A block of 8 g at rest, half of dhat above a floor whose tangent is ``tangent``."""
+
+    def __init__(
+        self, block: str, floor: str, tangent: float, dt: float = 0.01, **config: float
+    ) -> None:
+        angle = float(np.arctan(tangent))
+        self.down = np.array([np.cos(AZIMUTH), np.sin(AZIMUTH), 0]) * np.cos(angle)
+        self.down[2] = -np.sin(angle)
+        """Unit vector down the slope."""
+        axis = np.array([-np.sin(AZIMUTH), np.cos(AZIMUTH), 0])
+        turn = np.append(axis * np.sin(angle / 2), np.cos(angle / 2))
+        self.normal = np.cross(self.down, axis)
+        self.weight, self.dt = MASS * G, dt
+        self.sin, self.cos = np.sin(angle), np.cos(angle)
+        placed = np.append((SIDE / 2 + 0.5 * DHAT) * self.normal, turn)
+        bodies: dict = {}
+        if block == "affine":
+            bodies["affine_bodies"] = AffineBody(
+                box_mesh((SIDE, SIDE, SIDE)), DENSITY, initial_pose=placed
+            )
+        else:
+            mesh = free_block((2, 2, 2), SIDE)
+            # The mesh has its origin in its upper face.
+            placed[:3] += SIDE / 2 * self.normal
+            bodies["soft_bodies"] = SoftBody(
+                mesh, Material(1e6, 0.3, DENSITY), initial_pose=placed, element=Element(block)
+            )
+        poses = np.zeros((1, 0, 7))
+        if floor == "plane":
+            up = (float(self.normal[0]), float(self.normal[1]), float(self.normal[2]))
+            bodies["planes"] = Plane(normal=up, friction_coefficient=MU)
+        elif floor == "box":
+            bodies["kinematic_bodies"] = KinematicBody(box_mesh((0.2, 0.2, 0.02)), MU)
+            poses = everywhere(1, np.append(-0.01 * self.normal, turn))
+        else:
+            # A gel glued to a tilted back plate.
+            mesh = block_mesh((8, 8, 2), (2 * SIDE, 2 * SIDE, SIDE / 2))
+            bodies["soft_bodies"] = SoftBody(
+                mesh, Material(2e5, 0.45, DENSITY), friction_coefficient=MU, mount="back"
+            )
+            bodies["kinematic_bodies"] = KinematicBody(None, name="back")
+            poses = everywhere(1, np.append(np.zeros(3), turn))
+        stepping = TimeStepping(quasi_static=False, dt_s=dt, gravity_m_s2=(0, 0, -G))
+        self.model = Scene(time=stepping, **bodies).finalize()
+        self.block = 1 if floor == "gel" else 0
+        self.solver = SolverIPC(self.model, SolverConfig(**{**TIGHT, **config}))  # type: ignore[arg-type]
+        self.state = initial_state(self.model, poses)
+
+    def run(self, steps: int) -> None:
+        for _ in range(steps):
+            report = self.solver.step(self.state)
+            assert report.converged.all(), report.summary()
+
+    def _on_block(self, values: np.ndarray) -> np.ndarray:
+        return values[0, self.model.bodies[self.block].node_slice]
+
+    @property
+    def place(self) -> np.ndarray:
+        """Middle of the block's vertices [m], shape [3]."""
+        return self._on_block(self.state.positions.numpy()).mean(axis=0)
+
+    def force(self, which: str) -> np.ndarray:
+        """Contact or friction force on the block over its weight: down the slope, across, up."""
+        gradient = getattr(self.solver, f"{which}_gradient").numpy()
+        total = -self._on_block(gradient).sum(axis=0) / self.weight
+        frame = np.stack([self.down, np.cross(self.normal, self.down), self.normal])
+        return frame @ total
+
+    def creep(self, steps: int) -> np.ndarray:
+        """Displacement in so many steps [m]: down the slope, across, up."""
+        start = self.place
+        self.run(steps)
+        frame = np.stack([self.down, np.cross(self.normal, self.down), self.normal])
+        return frame @ (self.place - start)
+
+
+BLOCKS = ["affine", *Element]
+FLOORS = ["plane", "box"]
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+@pytest.mark.parametrize("block", BLOCKS)
+def test_it_sticks_just_below_the_friction_angle(block: str, floor: str) -> None:
+    eps, part = 1e-6, 0.99
+    slope = Slope(block, floor, part * MU, friction_eps_m=eps)
+    slope.run(30)
+    along, across, up = slope.creep(10)
+    assert along < 1.1 * 10 * eps
+    assert along == pytest.approx(10 * eps * (1 - np.sqrt(1 - part)), rel=1e-2)
+    assert max(abs(across), abs(up)) < 0.01 * eps
+    friction, normal = slope.force("friction"), slope.force("contact")
+    assert friction[0] == pytest.approx(-slope.sin, rel=1e-3)
+    assert normal[2] == pytest.approx(slope.cos, rel=1e-3)
+    assert np.abs([*friction[1:], *normal[:2]]).max() < 1e-4
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+@pytest.mark.parametrize("block", BLOCKS)
+def test_it_slides_just_beyond_the_friction_angle(block: str, floor: str) -> None:
+    slope = Slope(block, floor, 1.01 * MU)
+    slope.run(30)
+    places = [slope.place]
+    for _ in range(2):
+        slope.run(10)
+        places.append(slope.place)
+    # Positions of implicit Euler n steps apart differ twice by a (n dt)^2.
+    found = slope.down @ np.diff(places, n=2, axis=0)[0] / (10 * slope.dt) ** 2
+    assert found == pytest.approx(G * (slope.sin - MU * slope.cos), rel=1e-3)
+    assert slope.force("friction")[0] == pytest.approx(-MU * slope.cos, rel=1e-4)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_three_seconds_of_creep_with_default_settings(block: str) -> None:
+    """150 frames: 0.15 mm are allowed, where creep by an unconverged solver can be millimetres."""
+    defaults = SolverConfig()
+    slope = Slope(
+        block,
+        "plane",
+        0.5 * MU,
+        dt=0.02,
+        relative_tolerance=defaults.relative_tolerance,
+        absolute_tolerance_n=defaults.absolute_tolerance_n,
+    )
+    speed = defaults.friction_eps_m / slope.dt
+    along, across, _ = slope.creep(150)
+    assert 0 < along < 1.1 * speed * 150 * slope.dt
+    assert along == pytest.approx((1 - np.sqrt(0.5)) * speed * 150 * slope.dt, rel=0.1)
+    assert abs(across) < 1e-2 * along
+
+
+@pytest.mark.parametrize("dt", [2e-3, 2e-2])
+@pytest.mark.parametrize("eps", [1e-7, 1e-5])
+def test_creep_goes_by_the_step_and_its_eps(dt: float, eps: float) -> None:
+    slope = Slope("affine", "box", 0.8 * MU, dt=dt, friction_eps_m=eps)
+    slope.run(30)
+    along, *_ = slope.creep(10)
+    assert along == pytest.approx(10 * eps * (1 - np.sqrt(1 - 0.8)), rel=1e-2)
+
+
+def test_a_gel_holds_a_block() -> None:
+    """Both move; what the gel's friction carries at rest is the block's weight along the slope."""
+    slope = Slope("affine", "gel", 0.8 * MU)
+    slope.run(60)
+    along, across, _ = slope.creep(10)
+    assert 0 < along < 1.1 * 10 * slope.solver.config.friction_eps_m
+    assert abs(across) < 0.1 * along
+    # The gel's face is not exactly flat: its tangents lean with it.
+    total = slope.force("friction") + slope.force("contact")
+    assert total[0] == pytest.approx(-slope.sin, rel=1e-3)
+    assert total[2] == pytest.approx(slope.cos, rel=1e-3)
+    assert slope.force("friction")[0] == pytest.approx(-slope.sin, rel=2e-2)
+
+
+def test_a_gel_lets_a_block_go() -> None:
+    slope = Slope("affine", "gel", 1.25 * MU)
+    slope.run(40)
+    start = slope.place
+    slope.run(10)
+    middle = slope.place
+    slope.run(10)
+    found = slope.down @ (slope.place - 2 * middle + start) / (10 * slope.dt) ** 2
+    assert found == pytest.approx(G * (slope.sin - MU * slope.cos), rel=0.1)
