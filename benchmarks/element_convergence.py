@@ -141,7 +141,7 @@ def rate(cells: list[int], errors: list[float]) -> float:
 
 
 def referee(poisson: float, levels: tuple[int, ...] = (3, 4, 5, 6)) -> float:
-    """Cook's energy by scikit-fem, extrapolated; scikit-fem is no dependency of the project."""
+    """Cook's energy by scikit-fem, extrapolated."""
     import skfem  # pyright: ignore[reportMissingImports]
     from skfem.models.elasticity import (  # pyright: ignore[reportMissingImports]
         linear_elasticity,

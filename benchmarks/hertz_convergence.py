@@ -22,7 +22,7 @@ from benchmarks.half_space_mesh import half_space_mesh
 from benchmarks.machine import describe_run
 from taccel_lab.geometry import Region
 from taccel_lab.output import atomic_file, write_json
-from taccel_lab.scene import Ball, KinematicBody, Material, Scene, SoftBody
+from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
@@ -34,6 +34,7 @@ class HertzCase:
 
     cells: int = 6
     """Elements side by side from the axis to the contact radius."""
+    element: Element = Element.LINEAR
     dhat_over_depth: float = 0.002
     domain_over_radius: float = 300.0
     """Radius of the block over the contact radius; its outside is fixed."""
@@ -55,8 +56,12 @@ class HertzCase:
 
     @property
     def growth(self) -> float:
-        """Ratio of neighbouring shells: about as long as wide, and finer with ``cells``."""
-        return float(np.exp(0.8 / self.cells))
+        """Ratio of neighbouring shells: about as long as wide, and finer with ``cells``.
+
+        Quadratic tets follow the field far away in larger steps.
+        """
+        step = 1.2 if self.element is Element.QUADRATIC else 0.8
+        return float(np.exp(step / self.cells))
 
 
 @dataclass(frozen=True)
@@ -91,10 +96,8 @@ def press(case: HertzCase) -> HertzResult:
         case.domain_over_radius * case.contact_radius_m,
         case.growth,
     )
-    scene = Scene(
-        SoftBody(mesh, Material(case.young_pa, case.poisson_ratio)),
-        (KinematicBody(Ball(case.ball_radius_m)),),
-    )
+    body = SoftBody(mesh, Material(case.young_pa, case.poisson_ratio), element=case.element)
+    scene = Scene(body, (KinematicBody(Ball(case.ball_radius_m)),))
     model = scene.finalize()
     dhat = case.dhat_over_depth * case.depth_m
     solver = SolverIPC(model, SolverConfig(dhat_m=dhat, absolute_tolerance_n=1e-12))
@@ -112,7 +115,7 @@ def press(case: HertzCase) -> HertzResult:
     size = np.linalg.norm(force, axis=1)
     loaded = np.flatnonzero(size > 1e-3 * size.max())
     radii = np.hypot(positions[:, 0], positions[:, 1])
-    top = mesh.region_faces(Region.CONTACT)
+    top = body.nodal_mesh.region_faces(Region.CONTACT)
     corners = positions[top[np.isin(top, loaded).any(axis=1)]]
     area = model.surface.node_areas.numpy()[0, : model.soft_count]
     total = -float(force[:, 2].sum())
@@ -122,7 +125,7 @@ def press(case: HertzCase) -> HertzResult:
         radius_m=float(np.sqrt(2.5 * (size * radii**2).sum() / size.sum())),
         outermost_m=float(radii[loaded].max()),
         element_m=float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()),
-        node_count=mesh.node_count,
+        node_count=model.soft_count,
         newton_iterations=int(report.newton_iterations[0]),
         residual_n=float(report.residual_n[0]),
         min_distance_m=float(report.min_distance_m[0]),
@@ -133,12 +136,18 @@ def press(case: HertzCase) -> HertzResult:
 
 
 def studies(cells: tuple[int, ...]) -> dict[str, list[HertzCase]]:
-    """Cases of each series; mesh series for two Poisson's ratios, dhat and domain at one mesh."""
+    """Cases of each series: linear and quadratic meshes, each for two Poisson's ratios; dhat and
+    domain at one mesh."""
     base = HertzCase(cells=5)
     locking = [n for n in cells if n <= 8]
+    quadratic = [n for n in (2, 3, 4) if 2 * n <= max(cells)]
     return {
         "mesh, nu 0.3": [HertzCase(cells=n) for n in cells],
         "mesh, nu 0.45": [HertzCase(cells=n, poisson_ratio=0.45) for n in locking],
+        "quadratic, nu 0.3": [HertzCase(n, Element.QUADRATIC) for n in quadratic],
+        "quadratic, nu 0.499": [
+            HertzCase(n, Element.QUADRATIC, poisson_ratio=0.499) for n in quadratic[:-1]
+        ],
         "dhat": [
             replace(base, dhat_over_depth=d) for d in (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
         ],
@@ -163,17 +172,24 @@ def plot(series: dict[str, list[tuple[HertzCase, HertzResult]]], path: Path) -> 
 
     fig, axes = plt.subplots(2, 2, figsize=(10, 8), layout="constrained")
     mesh_axis, pressure_axis, dhat_axis, domain_axis = axes.ravel()
-    for name, marker in (("mesh, nu 0.3", "o"), ("mesh, nu 0.45", "s")):
-        size = np.array([1 / case.cells for case, _ in series[name]])
+    for name, marker in (
+        ("mesh, nu 0.3", "o"),
+        ("mesh, nu 0.45", "s"),
+        ("quadratic, nu 0.3", "v"),
+        ("quadratic, nu 0.499", "^"),
+    ):
+        # By the distance of nodes: quadratic elements have some in the middle of their edges.
+        halves = 2 if name.startswith("quadratic") else 1
+        size = np.array([1 / (halves * case.cells) for case, _ in series[name]])
         error = np.array([100 * result.force_error for _, result in series[name]])
-        mesh_axis.loglog(size, error, marker + "-", label=name.removeprefix("mesh, "))
+        mesh_axis.loglog(size, error, marker + "-", label=name.replace("mesh", "linear"))
     first = series["mesh, nu 0.3"][0]
     guide = np.array([1 / first[0].cells, 1 / 10])
     mesh_axis.loglog(
         guide, 60 * first[1].force_error * (guide / guide[0]) ** 2, "k:", label="slope 2"
     )
     mesh_axis.axhline(3, color="grey", lw=0.8)
-    mesh_axis.set(xlabel="element size / contact radius", ylabel="force over Hertz [%]")
+    mesh_axis.set(xlabel="distance of nodes / contact radius", ylabel="force over Hertz [%]")
     mesh_axis.set_title("mesh (grey: 3 %)")
     mesh_axis.set_xticks([0.1, 0.15, 0.2, 0.3], ["0.1", "0.15", "0.2", "0.3"])
     mesh_axis.set_yticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
@@ -220,7 +236,7 @@ def main() -> None:
             result = press(case)
             series[name].append((case, result))
             print(
-                f"{name:14s} cells {case.cells:2d}  dhat/d {case.dhat_over_depth:g}  "
+                f"{name:19s} cells {case.cells:2d}  dhat/d {case.dhat_over_depth:g}  "
                 f"domain {case.domain_over_radius:g} a  nodes {result.node_count:6d}  "
                 f"force {100 * result.force_error:+.2f} %  "
                 f"a {result.radius_m / case.contact_radius_m:.4f}  {result.seconds:.1f} s",

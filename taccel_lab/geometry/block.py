@@ -19,7 +19,8 @@ def grid_tets(nx: int, ny: int, nz: int) -> np.ndarray:
         path = [corner]
         for axis in order:
             path.append(path[-1] + np.eye(3, dtype=int)[axis])
-        if np.linalg.det(np.diff(np.stack([p[0] for p in path]), axis=0)) < 0:
+        steps = np.diff(np.stack([p[0] for p in path]).astype(np.float64), axis=0)
+        if np.linalg.det(steps) < 0:
             path[1], path[2] = path[2], path[1]
         tets.append(
             np.stack([(p[:, 0] * (ny + 1) + p[:, 1]) * (nz + 1) + p[:, 2] for p in path], 1)

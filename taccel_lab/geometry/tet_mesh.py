@@ -59,9 +59,13 @@ class TetMesh:
             raise InputError("TetMesh.tets refers to nodes that do not exist")
         if self.faces.min() < 0 or self.faces.max() >= len(self.nodes_m):
             raise InputError("TetMesh.faces refers to nodes that do not exist")
-        if not (self.volumes_m3() > 0).all():
-            bad = int((self.volumes_m3() <= 0).sum())
-            raise InputError(f"{bad} of {len(self.tets)} tets are inverted or flat")
+        bad = np.flatnonzero(~(self.volumes_m3() > 0))
+        if len(bad):
+            first = ", ".join(map(str, bad[:5])) + (", ..." if len(bad) > 5 else "")
+            raise InputError(
+                f"{len(bad)} of {len(self.tets)} tets are inverted or flat: tets {first}; "
+                "seen from outside, corners 1, 2, 3 of a tet must turn counter-clockwise"
+            )
 
     @property
     def node_count(self) -> int:

@@ -8,7 +8,8 @@ import warp as wp
 
 from taccel_lab.ipc.distance.point_triangle import point_triangle_distance_sq
 from taccel_lab.model import Model
-from taccel_lab.model.model import BodyKind
+from taccel_lab.scene import SoftBody
+from taccel_lab.scene.primitives import unique_edges
 
 wp.set_module_options({"enable_backward": False})
 
@@ -17,21 +18,21 @@ def body_ranks(model: Model) -> np.ndarray:
     """Rank of each body, int32, shape [body_count]: of two, the higher one measures the contact.
 
     Soft bodies rank above stiff ones, which all rank the same. Among soft bodies the finer mesh
-    ranks higher, by the mean length of its edges at rest; equal ones rank the same.
+    ranks higher, by the mean length of its surface edges; equal ones rank the same. The mesh of the
+    scene decides, not the rest shape of any environment, so that they stay independent.
     """
-    rest = model.rest_positions.numpy()[0]
-    edges = model.surface.edges.numpy()
-    lengths = []
-    for body in model.bodies:
-        ends = rest[edges[slice(*body.edges)]]
-        soft = body.kind is BodyKind.SOFT and len(ends) > 0
-        size = float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean()) if soft else np.inf
-        lengths.append(float(f"{size:.6g}"))
-    coarse_first = sorted({length for length in lengths if length < np.inf}, reverse=True)
-    return np.array(
-        [1 + coarse_first.index(length) if length < np.inf else 0 for length in lengths],
-        dtype=np.int32,
-    )
+    sizes = []
+    for body in model.scene.bodies:
+        if isinstance(body, SoftBody):
+            mesh = body.nodal_mesh
+            ends = mesh.nodes_m[unique_edges(mesh.faces)]
+            size = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean()
+            sizes.append(float(f"{size:.6g}"))
+        else:
+            sizes.append(np.inf)
+    coarse_first = sorted({size for size in sizes if size < np.inf}, reverse=True)
+    ranks = [1 + coarse_first.index(size) if size < np.inf else 0 for size in sizes]
+    return np.array(ranks, dtype=np.int32)
 
 
 @wp.kernel

@@ -111,7 +111,7 @@ class SoftDiscretization:
     """Lumped masses [kg], shape [rest_count, node_count]."""
 
 
-_CORNER_SHARE = 0.1
+_CORNER_SHARE = 0.05
 """Part of the area of a quadratic face's corners that they keep. The load of a uniform pressure on a
 straight-sided quadratic face is zero at its corners; the rest keeps them from getting through."""
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.potentials.external import pressure_forces, traction_forces
 from taccel_lab.outputs.momentum import MomentumReader
 from taccel_lab.outputs.surface_load import surface_load
@@ -21,7 +22,7 @@ from taccel_lab.scene import (
     box_mesh,
 )
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.verification.blocks import everywhere, pose
 
 DYNAMIC = TimeStepping(quasi_static=False)
 SIZE = (1e-2, 2e-2, 3e-2)

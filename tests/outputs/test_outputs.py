@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs, to_torch
 from taccel_lab.scene import (
@@ -27,7 +28,7 @@ from taccel_lab.signals import resultant_wrench
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, pose
+from tests.verification.blocks import pose
 
 DT, G = 5e-3, np.array([0.3, 0.0, -9.81])
 GEL, CUBE, BALL = 0, 1, 3

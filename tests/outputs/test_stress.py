@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model import Model
 from taccel_lab.outputs.stress import StressReader, peak_at, von_mises
 from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
-from tests.verification.blocks import block_mesh
 
 E, NU = 1e5, 0.4
 MU, LAM = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
@@ -30,7 +31,7 @@ from taccel_lab.scene import (
 from taccel_lab.scene.checks import check_gaps, check_scene, check_state
 from taccel_lab.scene.gaps import SurfacePairs, edge_edge_distances, point_triangle_distances
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.verification.blocks import everywhere, pose
 
 GEL = SoftBody(block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.2), Material(1e5, 0.45))
 DYNAMIC = TimeStepping(quasi_static=False)

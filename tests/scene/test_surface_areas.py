@@ -72,4 +72,4 @@ def test_shares_move_area_to_the_middles_of_quadratic_faces() -> None:
     on_top = np.isclose(nodes[:, 2], 0)
     corners = on_top & (np.arange(len(nodes)) < mesh.node_count)
     assert area[on_top].sum() == pytest.approx(1e-6)
-    assert 0 < area[corners].sum() == pytest.approx(0.1 * 0.25 * 1e-6)
+    assert 0 < area[corners].sum() == pytest.approx(0.05 * 0.25 * 1e-6)

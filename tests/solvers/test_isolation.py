@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
@@ -27,7 +28,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, pose
+from tests.verification.blocks import pose
 
 MESH = block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.15)
 SIDE = 1.2e-3

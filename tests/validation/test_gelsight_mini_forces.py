@@ -19,7 +19,7 @@ import pytest
 from cad.mesh.structured import structured_gel_mesh
 from cad.parts.gel_pad import GelPad
 from taccel_lab.envs import PressEnv, parse_indenter
-from taccel_lab.scene import Material
+from taccel_lab.scene import Element, Material
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
 MEASURED = DATA / "gsmini_feats_calib" / "force_indentation.json"
@@ -40,10 +40,10 @@ def simulated_forces(depths_mm: list[float], poisson_ratio: float) -> np.ndarray
         pad,
         focus_mm=(0.0, 0.0),
         focus_radius_mm=5.0,
-        focus_size_mm=0.3,
-        core=12,
-        rings=14,
-        layers=6,
+        focus_size_mm=0.9,
+        core=4,
+        rings=5,
+        layers=2,
         layer_ratio=1.15,
     )
     env = PressEnv(
@@ -51,7 +51,9 @@ def simulated_forces(depths_mm: list[float], poisson_ratio: float) -> np.ndarray
         Material(UNIT_MODULUS_PA, poisson_ratio),
         parse_indenter("sphere:7.5"),
         np.zeros((1, 2)),
+        element=Element.QUADRATIC,
     )
+    assert env.model.soft_count == 2005  # with 12,969 nodes forces are 1.2 % lower
     forces = []
     for depth in depths_mm:
         env.move_to(depth)
@@ -71,7 +73,7 @@ def test_one_modulus_explains_the_measured_forces() -> None:
     error = modulus_mpa * ratio - 1
     assert np.abs(error).max() < 0.03
     # 55 Shore 00 is about 10 to 12 Shore A, for which Gent's formula gives 0.41 to 0.47 MPa.
-    assert 0.3 < modulus_mpa < 0.5
+    assert 0.41 < modulus_mpa < 0.47
     # The half-space formula cannot do this.
     hertz = 4 / 3 * np.sqrt(7.5e-3) * (np.array(depth_mm) * 1e-3) ** 1.5 / (1 - 0.48**2)
     needed = measured / hertz

@@ -5,17 +5,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.geometry.block import block_mesh
+from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.block import block_mesh, free_block, grid_tets, labelled
 from taccel_lab.scene import KinematicBody, Material, Scene, SoftBody, TimeStepping
 from taccel_lab.scene.primitives import TriangleMesh, sphere_mesh
 
-
-def free_block(cells: tuple[int, int, int], size_m: float, jitter: float = 0.0) -> TetMesh:
-    """A cube all of whose faces can touch something."""
-    mesh = block_mesh(cells, (size_m, size_m, size_m), jitter)
-    side = np.full(len(mesh.faces), int(Region.SIDE))
-    return TetMesh(mesh.nodes_m, mesh.tets, mesh.faces, side)
+__all__ = [
+    "block_mesh",
+    "bumpy_body",
+    "everywhere",
+    "free_block",
+    "grid_tets",
+    "labelled",
+    "pose",
+    "scene",
+]
 
 
 def pose(

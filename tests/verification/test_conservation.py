@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from taccel_lab.geometry.block import free_block
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import (
     AffineBody,
@@ -28,7 +29,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import free_block, pose
+from tests.verification.blocks import pose
 
 SIDE = 4e-2
 SOFT = Material(1e4, 0.4)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.element_choice import press
-from benchmarks.element_convergence import cook_error, rate, swirl_error
+from benchmarks.element_convergence import COOK_ENERGY, cook_error, rate, referee, swirl_error
 from benchmarks.nodal_loads import surface_load, whole_faces
 from taccel_lab.geometry import Region
 from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
@@ -107,6 +107,13 @@ def test_cooks_membrane() -> None:
     assert abs(cook_error(Element.QUADRATIC, 16, 0.3)[1]) < 1.5e-3
     assert cook_error(Element.LINEAR, 32, 0.3)[1] > -0.05
     assert cook_error(Element.LINEAR, 32, 0.499)[1] < -0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("poisson", COOK_ENERGY)
+def test_the_referee_of_cooks_membrane(poisson: float) -> None:
+    pytest.importorskip("skfem")
+    assert referee(poisson) == pytest.approx(COOK_ENERGY[poisson], abs=2e-4)
 
 
 @pytest.mark.parametrize("poisson", [0.45, 0.499])

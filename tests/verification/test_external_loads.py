@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
+from taccel_lab.geometry.block import block_mesh, free_block
 from taccel_lab.ipc.potentials.external import traction_forces
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
@@ -24,7 +25,6 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, free_block
 
 DT = 2e-3
 TURN = np.array([0.2, -0.5, 0.3])

@@ -59,9 +59,7 @@ def punched(
         poisson=poisson,
         grading=1.5,
         start_m=height / 2 + 2 * dhat,
-        config=SolverConfig(
-            dhat_m=dhat, relative_tolerance=1e-5, absolute_tolerance_n=1e-12
-        ),
+        config=SolverConfig(dhat_m=dhat, relative_tolerance=1e-5, absolute_tolerance_n=1e-12),
     )
     stiffness = 2 * RADIUS * YOUNG / (1 - poisson**2)
     forces, errors = [], []

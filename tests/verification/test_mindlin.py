@@ -13,7 +13,7 @@ elastic body holds at nu = 0.5 only; the factor of the coupling, (1 - 2 nu) / (2
 at the 0.49 used here (quadratic tets do not lock). The normal force is applied without friction, as
 in the theory, by a first solver in which friction sets in at sliding of a metre only.
 
-Sliding, averaged around the axis: with the tractions mu p(a) - (c / a) mu p(c) of [Johnson 1985] and
+Sliding, averaged around the axis: with the tractions mu p(a) - (c / a) mu p(c) of [Johnson] and
 the displacements that an elliptic pressure makes inside and outside of its circle (section 3.4),
 
     s(r) / dx_0 = r^2 / (2 a^2) - c^2 / a^2 + [(2 c^2 - r^2) asin(c / r) + r c sqrt(1 - c^2 / r^2)]

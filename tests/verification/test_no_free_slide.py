@@ -46,7 +46,7 @@ def leaning(plate_cells: int, gel_cells: int, seed: int, gap: float) -> float:
     return float(np.linalg.norm(force[:2]) / -force[2])
 
 
-@pytest.mark.parametrize("gap", [0.3, 0.5, 0.9])
+@pytest.mark.parametrize("gap", [0.41, 0.5, 0.9])
 def test_a_flat_patch_does_not_lean(gap: float) -> None:
     cases = [(12, 10), (24, 10), (10, 20), (31, 20)]
     ratios = np.array([leaning(*case, seed, gap) for case in cases for seed in range(4)])
@@ -54,9 +54,9 @@ def test_a_flat_patch_does_not_lean(gap: float) -> None:
 
 
 def test_under_pressure_beyond_the_guard_it_leans_a_little() -> None:
-    """At a gap within the guard's range, above four kappa, edge pairs act too."""
-    ratios = np.array([leaning(24, 10, seed, 0.15) for seed in range(4)])
-    assert 0 < ratios.mean() < 1e-3
+    """At a gap within the guard's range, above two kappa, edge pairs act too."""
+    ratios = np.array([leaning(24, 10, seed, 0.2) for seed in range(4)])
+    assert 0 < ratios.mean() < 2e-3
 
 
 def contact_areas(mesh: TetMesh) -> np.ndarray:
@@ -108,4 +108,4 @@ def test_a_uniform_load_on_quadratic_tets() -> None:
     weight = model.surface.node_areas.numpy()[0, : model.soft_count]
     middles = (np.arange(len(force)) >= mesh.node_count) & (force > 0)
     pressure = force[middles] / weight[middles]
-    assert np.sqrt(np.mean((pressure / pressure.mean() - 1) ** 2)) < 0.02
+    assert np.sqrt(np.mean((pressure / pressure.mean() - 1) ** 2)) < 0.01

@@ -28,7 +28,6 @@ from tests.verification.test_stress import MAX_DEPTH, advance, next_pose, random
 
 DHAT = 2e-5
 MESH = block_mesh((4, 4, 2), (6e-3, 6e-3, 2.4e-3), jitter=0.15)
-QUIET = TimeStepping(quasi_static=False, dt_s=0.01)
 
 
 def gel(poisson: float = 0.45, **options) -> SoftBody:
@@ -138,7 +137,9 @@ def test_momentum_of_a_free_body() -> None:
     body = SoftBody(
         mesh, Material(1e5, 0.49), np.zeros(0, dtype=np.int64), element=Element.QUADRATIC
     )
-    model = Scene(body, time=QUIET).finalize()
+    # Short against the slowest vibration, or the first step would damp it all.
+    time = TimeStepping(quasi_static=False, dt_s=1e-4)
+    model = Scene(body, time=time).finalize()
     masses = model.masses.numpy()[0][:, None]
     solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-14))
     state = initial_state(model, np.zeros((1, 0, 7)))
@@ -153,10 +154,8 @@ def test_momentum_of_a_free_body() -> None:
         assert report.converged.all(), report.summary()
         gained = masses * (state.velocities.numpy()[0] - before)
         scale = np.abs(gained).sum()
-        assert scale > 1e-9
-        np.testing.assert_allclose(
-            gained.sum(axis=0), 0, atol=1e-10 * momentum
-        )
+        assert scale > 1e-4 * momentum
+        np.testing.assert_allclose(gained.sum(axis=0), 0, atol=1e-10 * momentum)
         # Central forces at the end of the step have no moment.
         moment = np.cross(state.positions.numpy()[0], gained).sum(axis=0)
         np.testing.assert_allclose(moment, 0, atol=1e-10 * momentum * np.abs(rest).max())

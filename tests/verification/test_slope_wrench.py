@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from taccel_lab.geometry.block import free_block
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import (
     AffineBody,
@@ -20,7 +21,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import everywhere, free_block, pose
+from tests.verification.blocks import everywhere, pose
 
 G, SIDE, DENSITY = 9.81, 2e-2, 1000.0
 MASS = DENSITY * SIDE**3

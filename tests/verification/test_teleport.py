@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -29,7 +30,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.verification.blocks import everywhere, pose
 
 GEL = SoftBody(block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.15), Material(1e5, 0.4))
 HASTY = SolverConfig(max_newton_iterations=60, max_substep_halvings=2)

@@ -166,6 +166,7 @@ def pressure_forces(
 def _spread_over_corners(shares: np.ndarray, faces: np.ndarray, node_count: int) -> np.ndarray:
     """Add shares [env, n, 3] to the three corners of their faces; result [env, node, 3]."""
     forces = np.zeros((len(shares), node_count, 3))
-    for corner in range(3):
-        np.add.at(forces, (slice(None), faces[:, corner]), shares)
+    for env, share in enumerate(shares):
+        for corner in range(3):
+            np.add.at(forces[env], faces[:, corner], share)
     return forces

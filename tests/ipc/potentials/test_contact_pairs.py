@@ -272,7 +272,7 @@ def test_thickness_counts_once_for_each_body() -> None:
     energies = []
     for thickness in (0.0, 3e-5):
         surface = Surface(thickness_m=thickness)
-        high = 0.5e-3 + 0.4 * DHAT + 2 * thickness
+        high = 0.5e-3 + 0.5 * DHAT + 2 * thickness
         upper = touchable(block_mesh((3, 3, 1), (0.5e-3, 0.5e-3, 0.5e-3), jitter=0.2))
         bodies = [
             block((2, 2, 1), 1, pose(0, 0, 0), name="below", surface=surface),
@@ -283,7 +283,7 @@ def test_thickness_counts_once_for_each_body() -> None:
         energies.append(
             Dense(model, Contact(model, x), x).energy(x[model.free_nodes.numpy()][None])[0]
         )
-    assert energies[0] > KAPPA * 0.25e-6 * log_barrier(0.4 * DHAT, DHAT) > 0
+    assert energies[0] > KAPPA * 0.25e-6 * log_barrier(0.5 * DHAT, DHAT) > 0
     assert energies[1] == pytest.approx(energies[0], rel=1e-9)
 
 

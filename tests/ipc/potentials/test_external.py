@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.potentials.external import ExternalLoad, pressure_forces, traction_forces
 from taccel_lab.model import Model
 from taccel_lab.scene import AffineBody, Scene, TimeStepping, box_mesh, sphere_mesh
-from tests.verification.blocks import block_mesh
 
 DYNAMIC = TimeStepping(quasi_static=False)
 RNG = np.random.default_rng(0)

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.potentials.inertia import InertiaPotential, StepHistory
 from taccel_lab.model import Model
 from taccel_lab.scene import TimeStepping
 from taccel_lab.solvers.config import SolverConfig
 from tests.verification.assembly import Assembly, central_difference, coordinate_probe
-from tests.verification.blocks import block_mesh, scene
+from tests.verification.blocks import scene
 
 DT, GRAVITY = 0.01, (0.0, 1.0, -9.81)
 SIZE = (2e-3, 3e-3, 1e-3)
