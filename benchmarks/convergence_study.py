@@ -8,7 +8,9 @@ quadratic mesh). Orders are those of limit + factor size^order, fitted by least 
 within a tenth of the finest of their own series; where the misfit is large there is none.
 
 The press is quasi-static, but for the time step: there the gel has mass and is pressed smoothly in
-4 ms, with sliding of eps_v dt in each step. Run from the repository root:
+8 ms, with sliding of eps_v dt in each step. It is damped: nodes that come into contact one by one
+set off waves of the shortest length, and without damping these hide any order of the time step.
+Run from the repository root:
 
     python -m benchmarks.convergence_study --out benchmarks/results
 """
@@ -43,7 +45,7 @@ from taccel_lab.state import initial_state
 
 BALL_M, DEPTH_M, SHEAR_M, FRICTION = 4e-3, 6e-4, 3e-4, 0.5
 YOUNG_PA, POISSON, DENSITY = 1.5e5, 0.45, 1000.0
-DURATION_S, EPS_V_M_S = 4e-3, 2e-3
+DURATION_S, EPS_V_M_S, DAMPING_TIME_S = 8e-3, 2e-3, 5e-4
 MARKERS_M = np.stack(np.meshgrid(*[1e-3 * np.linspace(-2.83, 3.17, 7)] * 2), axis=-1).reshape(-1, 2)
 """Points of the contact face at rest, on no node [m], shape [49, 2]."""
 
@@ -86,7 +88,10 @@ def run(press: Press) -> Outcome:
         dt_s=DURATION_S / press.steps if dynamic else 0.02,
         scheme=press.scheme,
     )
-    soft = SoftBody(mesh, Material(YOUNG_PA, POISSON, DENSITY), element=press.element)
+    material = Material(
+        YOUNG_PA, POISSON, DENSITY, damping_time_s=DAMPING_TIME_S if dynamic else 0.0
+    )
+    soft = SoftBody(mesh, material, element=press.element)
     model = Scene(soft, KinematicBody(Ball(BALL_M), FRICTION), time=stepping).finalize()
     solver = SolverIPC(
         model,
@@ -193,8 +198,8 @@ def all_series(quick: bool) -> list[Series]:
     base = Press()
     # The time step is studied on a coarse mesh, whose waves it can resolve.
     swing = replace(base, element=Element.LINEAR, dhat_m=2e-5, relative_tolerance=1e-7)
-    linear, quadratic = (2, 3, 4, 6, 8, 10), (2, 3, 4, 5)
-    steps = [8, 16, 32, 64, 128, 256, 512]
+    linear, quadratic = (2, 3, 4, 6, 8), (2, 3, 4, 5)
+    steps = [16, 32, 64, 128, 256, 512]
     dhats = [2e-4 * 0.5**k for k in range(9)]
     kappas = [0.01 * 4.0**k for k in range(8)]
     eps = [1e-4 * 0.25**k for k in range(9)]

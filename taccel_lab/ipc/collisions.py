@@ -8,13 +8,13 @@ The contact is the integral of a pressure kappa |g'(gap / dhat)| over *one* of t
 the nodes as quadrature points: over the soft one of a soft and a stiff body, over the finer one of
 two soft bodies. Two stiff bodies, and a body with itself, take the mean of both integrals, as in
 the convergent potential of Li, Kaufman and Jiang (2023), from which the area weights and the
-maximum over faces are. On one side, a flat face acts straight along its normal and with a uniform pressure
-whatever the two triangulations are; the sum of both sides, and above all its edge-edge terms, does
-neither. That alone would let the vertices and edges of the other surface through between the nodes.
-Hence the guard: the other side's nodes against faces, and all pairs of edges (mollified where
-nearly parallel [Li et al. 2020, sec. 4]). Every pair of primitives that approaches zero distance
-thus has an infinite energy, but flat contacts, whose gap is above the guard's range up to pressures
-of about two kappa, do not feel it.
+maximum over faces are. On one side, a flat face acts straight along its normal and with a uniform
+pressure whatever the two triangulations are; the sum of both sides, and above all its edge-edge
+terms, does neither. That alone would let the vertices and edges of the other surface through
+between the nodes. Hence the guard: the other side's nodes against faces, and all pairs of edges
+(mollified where nearly parallel [Li et al. 2020, sec. 4]). Every pair of primitives that approaches
+zero distance thus has an infinite energy, but flat contacts, whose gap is above the guard's range
+up to pressures of about two kappa, do not feel it.
 
 The maximum over faces is their inclusion-exclusion sum (the paper's "improved max"): each face
 counts +1, each edge between two faces -1, each inner vertex +1. Most of these terms are the same

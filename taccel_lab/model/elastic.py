@@ -112,8 +112,8 @@ class SoftDiscretization:
 
 
 _CORNER_SHARE = 0.05
-"""Part of the area of a quadratic face's corners that they keep. The load of a uniform pressure on a
-straight-sided quadratic face is zero at its corners; the rest keeps them from getting through."""
+"""Part of the area of a quadratic face's corners that they keep. The load of a uniform pressure on
+a straight-sided quadratic face is zero at its corners; the rest keeps them from getting through."""
 
 
 def _face_shares(faces: np.ndarray, corner_count: int) -> np.ndarray:

@@ -352,13 +352,14 @@ class StepRun:
         place_kinematic_nodes(self.model, s.target_poses, s.frame_targets)
 
     def _largest_turn(self) -> np.ndarray:
-        """Part of the step in which no arc leaves its chord by more than dhat.
+        """Part of the step in which no arc leaves its chord by more than half of the smallest gap.
 
         CCD clears the chords. Over a large angle they leave the arcs far behind, and the body would
-        pass what lies between.
+        pass what lies between; a chord that leaves its arc by a gap is cut in any case.
         """
         radii = np.maximum(self.model.kinematic_radii_m, 1e-300)
-        angle = 2 * np.arccos(np.clip(1 - self.s.config.dhat_m / radii, -1, 1))
+        gap = np.minimum(self.min_distance, self.s.config.dhat_m)[:, None]
+        angle = 2 * np.arccos(np.clip(1 - 0.5 * gap / radii, -1, 1))
         return (angle / np.maximum(self.turns, 1e-300)).min(axis=1, initial=np.inf)
 
     def _forcing_terms(self) -> np.ndarray:

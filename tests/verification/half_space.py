@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.half_space_mesh import half_space_mesh
+from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, TriangleMesh
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
 from tests.verification.blocks import everywhere, pose
 
 DOMAIN_OVER_RADIUS = 300.0
+GROWTH = 2.0
+"""Ratio of neighbouring shells of the block."""
 
 
 class HalfSpace:
@@ -24,29 +26,16 @@ class HalfSpace:
 
     def __init__(
         self,
+        mesh: TetMesh,
         shape: TriangleMesh | Ball,
-        contact_radius_m: float,
-        cells: int,
         *,
         young_pa: float,
         poisson: float,
         config: SolverConfig,
         start_m: float,
         friction: float = 0.0,
-        roundness: float = 1.0,
-        grading: float = 1.0,
-        growth: float = 2.0,
     ) -> None:
-        """``cells``: elements from the axis to the contact radius, two nodes each;
-        ``start_m``: height of the body's origin at first [m]."""
-        mesh = half_space_mesh(
-            contact_radius_m,
-            cells,
-            DOMAIN_OVER_RADIUS * contact_radius_m,
-            growth,
-            roundness,
-            grading,
-        )
+        """``start_m``: height of the body's origin at first [m]."""
         soft = SoftBody(mesh, Material(young_pa, poisson), element=Element.QUADRATIC)
         self.model = Scene(soft, KinematicBody(shape, friction)).finalize()
         self.solver = SolverIPC(self.model, config)

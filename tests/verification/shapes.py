@@ -114,9 +114,7 @@ def filled(surface: TriangleMesh) -> TetMesh:
     return touchable(np.concatenate([vertices, [vertices.mean(axis=0)]]), tets)
 
 
-def mapped_block(
-    cells: tuple[int, int, int], shape: Callable[[np.ndarray], np.ndarray]
-) -> TetMesh:
+def mapped_block(cells: tuple[int, int, int], shape: Callable[[np.ndarray], np.ndarray]) -> TetMesh:
     """The cube [-1, 1]^3 in cells, its nodes moved by ``shape`` ([n, 3] to [n, 3])."""
     axes = [np.linspace(-1, 1, n + 1) for n in cells]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

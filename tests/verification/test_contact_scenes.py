@@ -138,6 +138,20 @@ def test_a_small_flat_gel_hardly_leans_on_a_large_one() -> None:
         assert np.linalg.norm(force[:2]) <= worst * abs(force[2])
 
 
+def test_gels_do_not_feel_the_environments_beside_them() -> None:
+    alone = Watched(gel_on_gel(4, 5), upside_down(0, 3e-5))
+    three = replace(gel_on_gel(4, 5), env_count=3).finalize()
+    solver = SolverIPC(three, SolverConfig(dhat_m=DHAT))
+    others = [upside_down(2e-4, 5e-5, 10), upside_down(0, 3e-5), upside_down(-3e-4, 4e-5)]
+    state = initial_state(three, np.concatenate(others))
+    for z in (-1e-4, -2e-4):
+        alone.step(upside_down(0, z))
+        poses = [upside_down(3e-4, z, 12), upside_down(0, z), upside_down(-3e-4, 0.5 * z)]
+        assert solver.step(state, np.concatenate(poses)).converged.all()
+        mine = alone.state.positions.numpy()[0]
+        np.testing.assert_array_equal(state.positions.numpy()[1], mine)
+
+
 def test_thick_gels_keep_their_distance() -> None:
     thickness = 5e-5
     run = Watched(

@@ -53,6 +53,21 @@ def test_patch(element: Element, law: MaterialModel, poisson: float) -> None:
     np.testing.assert_allclose(found, exact, atol=1e-12 * np.ptp(exact))
 
 
+@pytest.mark.parametrize("growth", [-0.004, 0.04])
+def test_an_even_pressure_does_not_slow_newton(growth: float) -> None:
+    """At nu = 0.499 a volume change of 4 % is a pressure of 7 Young's moduli, 20 shear moduli."""
+    forces = ElementForces(
+        Scene(soft(Element.QUADRATIC, MaterialModel.NEO_HOOKEAN, 0.499)).finalize()
+    )
+    rest = forces.model.rest_positions.numpy()[0]
+    exact = rest * (1 + growth) ** (1 / 3)
+    start, inner = exact.copy(), forces.free
+    start[inner] += np.random.default_rng(0).uniform(-3e-5, 3e-5, (len(inner), 3))
+    found, iterations = forces.equilibrium(np.zeros_like(rest), start=start, tolerance_n=1e-10)
+    np.testing.assert_allclose(found, exact, atol=1e-11 * np.ptp(exact))
+    assert iterations <= 12
+
+
 @pytest.mark.parametrize("element", KINDS)
 @pytest.mark.parametrize("poisson", [0.3, 0.499])
 def test_thick_beam_in_bending(element: Element, poisson: float) -> None:

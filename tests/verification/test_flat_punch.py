@@ -5,8 +5,10 @@
 
 for radius a and depth d [Sneddon 1965; Johnson 1985, Contact Mechanics, section 3.4]. The pressure
 is singular at the sharp rim, where elements therefore become small, down to 0.19 a (3 elements
-along a) and 0.13 a (4). A circle of nodes lies on the rim; the punch is wider by 0.06 % than it,
-so that its corners do not run into the faces that rise beside it.
+along a) and 0.13 a (4). A circle of nodes lies on the rim; the punch is wider by 0.06 % than it.
+Between these nodes the faces that rise beside the punch reach under it, and where they come nearer
+to its corners than the guard's range, these press on them too: up to 1 % of the force, less with a
+finer mesh or a larger dhat.
 
 Contact acts at a gap, at most dhat. The slope dF/dd between two depths is free of it.
 """
@@ -19,9 +21,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from benchmarks.half_space_mesh import half_space_mesh
 from taccel_lab.scene.primitives import cylinder_mesh
 from taccel_lab.solvers import SolverConfig
-from tests.verification.half_space import HalfSpace
+from tests.verification.half_space import DOMAIN_OVER_RADIUS, GROWTH, HalfSpace
 
 RADIUS, DEPTH, YOUNG = 1e-3, 5e-6, 1e5
 SEGMENTS = 96
@@ -46,18 +49,16 @@ class Punched:
 
 
 @lru_cache
-def punched(
-    cells: int, poisson: float, dhat_over_depth: float = 0.05, wider: float = 1e-4
-) -> Punched:
+def punched(cells: int, poisson: float, dhat_over_depth: float = 0.1) -> Punched:
     height, dhat = RADIUS, dhat_over_depth * DEPTH
-    shape = cylinder_mesh(RADIUS * (1 + wider) / np.cos(np.pi / SEGMENTS), height, SEGMENTS)
+    total = DOMAIN_OVER_RADIUS * RADIUS
+    mesh = half_space_mesh(RADIUS, cells, total, GROWTH, roundness=1.0, grading=1.5)
+    radius = RADIUS * 1.0001 / np.cos(np.pi / SEGMENTS)
     block = HalfSpace(
-        shape,
-        RADIUS,
-        cells,
+        mesh,
+        cylinder_mesh(radius, height, SEGMENTS),
         young_pa=YOUNG,
         poisson=poisson,
-        grading=1.5,
         start_m=height / 2 + 2 * dhat,
         config=SolverConfig(dhat_m=dhat, relative_tolerance=1e-5, absolute_tolerance_n=1e-12),
     )
@@ -86,9 +87,9 @@ def check(punch: Punched, tolerance: float) -> None:
     """Elements are too stiff, and nothing else is off by as much."""
     assert 0 < punch.slope_error < tolerance
     assert 0 < punch.error < tolerance
-    assert punch.error == pytest.approx(punch.half_error, abs=3e-3), "F grows like d"
+    assert punch.error == pytest.approx(punch.half_error, abs=1e-3), "F grows like d"
     assert 0.9 < punch.gap < 1, "a small pressure is carried at nearly dhat"
-    assert punch.leaning < 2e-3
+    assert punch.leaning < 1e-9
     # A uniform pressure would have a spread of 0.87, that of a ball 0.77.
     assert punch.spread == pytest.approx(1.0, abs=0.02)
 
@@ -96,19 +97,19 @@ def check(punch: Punched, tolerance: float) -> None:
 def test_force_stiffness_and_pressure_are_the_formulas() -> None:
     fine, coarse = punched(3, 0.45), punched(2, 0.45)
     check(fine, tolerance=0.025)
-    assert fine.slope_error < 0.5 * coarse.slope_error < 0.05
+    assert fine.slope_error < 0.6 * coarse.slope_error < 0.03
 
 
 @pytest.mark.slow
 def test_the_modulus_is_that_of_plane_strain() -> None:
-    check(punched(3, 0.3), tolerance=0.03)
+    check(punched(3, 0.3), tolerance=0.025)
 
 
 @pytest.mark.slow
 def test_the_slope_does_not_depend_on_dhat() -> None:
-    near, far = punched(3, 0.45), punched(3, 0.45, dhat_over_depth=0.1)
-    assert far.slope_error == pytest.approx(near.slope_error, abs=2e-3)
-    assert far.error == pytest.approx(near.error, abs=2e-3)
+    near, far = punched(3, 0.45), punched(3, 0.45, dhat_over_depth=0.2)
+    assert far.slope_error == pytest.approx(near.slope_error, abs=4e-3)
+    assert far.error == pytest.approx(near.error, abs=3e-3)
 
 
 @pytest.mark.slow

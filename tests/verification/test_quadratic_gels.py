@@ -141,7 +141,7 @@ def test_momentum_of_a_free_body() -> None:
     time = TimeStepping(quasi_static=False, dt_s=1e-4)
     model = Scene(body, time=time).finalize()
     masses = model.masses.numpy()[0][:, None]
-    solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-14))
+    solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-13))
     state = initial_state(model, np.zeros((1, 0, 7)))
     rest = model.rest_positions.numpy()[0]
     velocity = 0.01 + np.cross([0.5, 0.2, -0.4], rest - rest.mean(axis=0)) + 0.3 * rest[:, ::-1]

@@ -83,6 +83,6 @@ def test_rough_presses_never_intersect(presses: int) -> None:
             target = next_pose(now, reach(body.shape) - MAX_DEPTH, rng)
             parts.append(advance(solver, state, target))
     counts = np.array(parts)
-    # Friction of 1 on sharp bodies at such steps is what may stay unsolved, and is reported.
-    assert (counts == 0).sum() <= 1 + 0.01 * len(counts)
-    assert (counts == 1).mean() > 0.96
+    assert (counts > 0).all(), "a step stayed unsolved"
+    # Friction of 1 on sharp bodies with a range of 5 um is what has to be halved: 19 in 1,000.
+    assert (counts == 1).mean() > (0.97 if presses > 100 else 0.9)

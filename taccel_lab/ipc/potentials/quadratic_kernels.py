@@ -15,9 +15,9 @@ An element may turn inside out near a corner while all its points are in order. 
 not bear inversion a guard on the volume ratio at the corners (corner_guard.py) keeps it from that;
 it is zero above a ratio of 0.2.
 
-Negative eigenvalues of the matrix are lifted at each point, for the shape energy plus pressure
-times dilatation; what the mean adds is lambda V u'' g g^T, of a single eigenvalue. The sum bounds
-the exact matrix from above.
+Negative eigenvalues of the matrix are lifted at each point, for the shape energy plus the pressure
+times the dilatation (of which only a bounded part counts, see quadratic_points.py); what the mean
+adds is lambda V u'' g g^T, of a single eigenvalue.
 """
 
 from __future__ import annotations

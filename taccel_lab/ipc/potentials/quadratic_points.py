@@ -8,6 +8,7 @@ from functools import cache
 import warp as wp
 
 from taccel_lab.ipc.elasticity.corner_guard import corner_guard, no_guard, volume_hessian
+from taccel_lab.ipc.elasticity.dilatation import volume_growth
 from taccel_lab.ipc.elasticity.laws import LAWS
 from taccel_lab.ipc.elasticity.principal import PrincipalHessian
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
@@ -63,6 +64,27 @@ def point_hessian(p: PrincipalHessian) -> PointHessian:
 
 
 @wp.func
+def _pressure_of_matrix(pressure: wp.float64, mu: wp.float64, mode: int) -> wp.float64:
+    """The pressure whose part of the exact matrix goes into a projected one.
+
+    The integral of an even pressure times J depends on the boundary alone: what it adds to one
+    element its neighbours take away again. Lifting eigenvalues of each for itself leaves the sum
+    far too stiff once the pressure exceeds the shear modulus, and Newton's steps far too short; a
+    pressure below zero (compression) makes every rotation's eigenvalue negative. Leaving such parts
+    out is exact where the pressure is even, and always positive.
+    """
+    if mode == 0:
+        return pressure
+    return wp.clamp(pressure, wp.float64(0.0), mu)
+
+
+@wp.func
+def _whole_pressure(pressure: wp.float64, mu: wp.float64, mode: int) -> wp.float64:
+    """For the trace of the strain, whose integral does depend on the inside."""
+    return pressure
+
+
+@wp.func
 def _guard_hessian(
     f: wp.mat33d, slope: wp.float64, curvature: wp.float64, mode: int
 ) -> PointHessian:
@@ -77,6 +99,8 @@ def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
     shape_piola = law.shape_piola
     pressed = law.pressed_hessian
     law_dilatation = law.dilatation
+    even = law.dilatation is volume_growth
+    pressure_of_matrix = _pressure_of_matrix if even else _whole_pressure
 
     @wp.func
     def energy(f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int) -> wp.float64:
@@ -94,7 +118,8 @@ def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
     def hessian(
         f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int, pressure: wp.float64, mode: int
     ) -> PointHessian:
-        return point_hessian(pressed(f, d.moduli, i, pressure, mode))
+        bounded = pressure_of_matrix(pressure, d.moduli.mu[i], mode)
+        return point_hessian(pressed(f, d.moduli, i, bounded, mode))
 
     return create_quadratic_kernels(
         PointLaw(
