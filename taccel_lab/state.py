@@ -45,9 +45,8 @@ class State:
                 wp.clone(history.positions), wp.clone(history.velocities), wp.clone(history.dts)
             )
         loads = [None if a is None else wp.clone(a) for a in (self.external_forces, self.wrenches)]
-        return State(
-            wp.clone(self.positions), wp.clone(self.velocities), wp.clone(self.poses), history, *loads
-        )
+        motion = [wp.clone(a) for a in (self.positions, self.velocities, self.poses)]
+        return State(*motion, history, *loads)
 
     def restore(self, other: State, mask: np.ndarray) -> None:
         """Take motion and poses of the environments of ``mask`` (bool, [env_count]) from another

@@ -11,8 +11,8 @@ import numpy as np
 
 from taccel_lab.envs.indenter import Indenter
 from taccel_lab.envs.press import PressEnv, PressPath
-from taccel_lab.geometry import PixelGrid, TetMesh
-from taccel_lab.scene import Ball, Material
+from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
+from taccel_lab.scene import Ball, Element, Material
 from taccel_lab.signals import (
     HeightFieldSurface,
     SignalFusedSurface,
@@ -41,7 +41,8 @@ class PressStep:
 class PressOutcome:
     """The steps of a press and the signals at its end."""
 
-    mesh: TetMesh
+    mesh: TetMesh | QuadraticMesh
+    """The gel with all its nodes: middles of edges too where its elements are quadratic."""
     path: PressPath
     steps: list[PressStep]
     positions_m: np.ndarray
@@ -122,6 +123,7 @@ def simulate_press(
     grid: PixelGrid,
     *,
     friction_coefficient: float = 0.0,
+    element: Element = Element.LINEAR,
     config: SolverConfig | None = None,
     device: str = "cpu",
     progress: Callable[[int, int, PressStep], None] | None = None,
@@ -136,6 +138,7 @@ def simulate_press(
         indenter,
         np.array([at_mm]),
         friction_coefficient=friction_coefficient,
+        element=element,
         config=config,
         device=device,
     )
@@ -155,14 +158,14 @@ def simulate_press(
     else:
         vertices = env.state.positions.numpy()[:, env.model.soft_count :].copy()
         surface = HeightFieldSurface.from_mesh(vertices, indenter.shape.faces, grid)
-    fused = SignalFusedSurface(mesh, grid, contact_gap_m=dhat, device=device)
+    fused = SignalFusedSurface(env.mesh, grid, contact_gap_m=dhat, device=device)
     fused.update(env.positions.copy(), surface)
-    rest = SignalHeightMap(mesh, grid, device=device)
-    rest.update(mesh.nodes_m[None])
+    rest = SignalHeightMap(env.mesh, grid, device=device)
+    rest.update(env.mesh.nodes_m[None])
     corners = env.positions[0][mesh.tets]
     volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
     return PressOutcome(
-        mesh=mesh,
+        mesh=env.mesh,
         path=path,
         steps=steps,
         positions_m=env.positions[0].copy(),

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.quadratic import QuadraticMesh
 from taccel_lab.geometry.tet_mesh import Region, TetMesh
 from taccel_lab.output import atomic_file
 
@@ -121,13 +122,16 @@ def write_vtu(
 
 def write_mesh_vtu(
     path: Path | str,
-    mesh: TetMesh,
+    mesh: TetMesh | QuadraticMesh,
     *,
     positions_m: np.ndarray | None = None,
     point_data: Mapping[str, np.ndarray] | None = None,
     cell_data: Mapping[str, np.ndarray] | None = None,
 ) -> None:
-    """Write a labelled mesh, at rest or at the deformed ``positions_m`` [m], shape [n, 3]."""
+    """Write a labelled mesh, at rest or at the deformed ``positions_m`` [m], shape [n, 3].
+
+    Of quadratic tets the volume cells have the corners only, the triangles all nodes.
+    """
     nodes = mesh.nodes_m if positions_m is None else np.asarray(positions_m, dtype=np.float64)
     if nodes.shape != mesh.nodes_m.shape:
         raise InputError(
@@ -136,7 +140,7 @@ def write_mesh_vtu(
     write_vtu(
         path,
         nodes,
-        mesh.tets,
+        mesh.tets[:, :4],
         point_data,
         cell_data,
         faces=mesh.faces,

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.errors import InputError
 from taccel_lab.ipc.linear.pattern import block_pattern
 from taccel_lab.model.contact_plan import BodySurface, contact_plan
 from taccel_lab.model.elastic import SoftDiscretization, build_element_groups, discretize
 from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
 from taccel_lab.model.surface import Put, surface_arrays, surface_trees
-from taccel_lab.scene.bodies import KinematicBody, Plane, SoftBody
+from taccel_lab.scene.bodies import KinematicBody, Plane
 from taccel_lab.scene.description import Scene
 from taccel_lab.scene.mass_properties import MassProperties, mass_properties
 from taccel_lab.scene.primitives import Ball, TriangleMesh
@@ -287,7 +286,8 @@ def build_model(scene: Scene, device: str) -> Model:
     free_index = np.full(layout.node_count, -1, dtype=np.int32)
     free_index[free_nodes] = np.arange(len(free_nodes))
 
-    face_parts = [part.faces + start for part, start in zip(layout.parts, layout.starts, strict=True)]
+    numbered = zip(layout.parts, layout.starts, strict=True)
+    face_parts = [part.faces + start for part, start in numbered]
     faces = np.concatenate(face_parts).astype(np.int32)
     face_starts = np.cumsum([0] + [len(part) for part in face_parts])
     shares = np.full(faces.shape, 1 / 3)

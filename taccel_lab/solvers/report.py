@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -116,3 +117,17 @@ class StepReport:
         if causes := self.failures():
             line += "; " + ", ".join(f"{name}: {envs}" for name, envs in causes.items())
         return line
+
+    def describe(self, environments: Sequence[int] | None = None) -> str:
+        """A table for people, one line an environment: all of them, or those given."""
+        columns = "env  status             Newton    CG  lags  parts   residual [N]  contact [N]"
+        lines = [columns + "  gap [um]  smallest step"]
+        for env in range(len(self.status)) if environments is None else environments:
+            lines.append(
+                f"{env:>3}  {EnvStatus(self.status[env]).name:<17}"
+                f"{self.newton_iterations[env]:>8}{self.cg_iterations[env]:>6}"
+                f"{self.friction_lags[env]:>6}{self.substeps[env]:>7}"
+                f"{self.residual_n[env]:>15.2e}{self.contact_force_n[env]:>13.4g}"
+                f"{self.min_distance_m[env] * 1e6:>10.3f}{self.smallest_step[env]:>15.3g}"
+            )
+        return "\n".join(lines)

@@ -14,8 +14,7 @@ from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.ipc.intersection import find_intersections, require_separated
 from taccel_lab.scene import Material
 from taccel_lab.solvers import EnvStatus, SolverConfig, StepReport
-from taccel_lab.state import State
-from taccel_lab.state import initial_state
+from taccel_lab.state import State, initial_state
 from tests.envs.pads import COARSE, FINER, GEL, pad
 
 CENTRE = np.array([[0.0, 0.0]])

@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from taccel_lab.envs import PressOutcome, PressPath, PressStep, parse_indenter, simulate_press
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region
+from taccel_lab.geometry.vtu import read_vtu, write_mesh_vtu
 from taccel_lab.output import to_jsonable
-from taccel_lab.scene import Ball
+from taccel_lab.scene import Ball, Element
 from taccel_lab.signals.forces import resultant_wrench
 from tests.envs.pads import FINER, GEL, pad
 
@@ -168,3 +170,30 @@ def test_a_depth_past_the_gel_is_refused_before_anything_is_read() -> None:
             progress=lambda *values: told.append(values),
         )
     assert not told
+
+
+def test_quadratic_gel(tmp_path: Path) -> None:
+    """The same on a coarser mesh of quadratic tets: all nodes are read and written."""
+    base = pad(AT_MM, 1.0)
+    outcome = simulate_press(
+        base,
+        GEL,
+        parse_indenter("sphere:2.0"),
+        AT_MM,
+        PressPath(0.4, step_mm=0.4),
+        GRID,
+        element=Element.QUADRATIC,
+    )
+    assert isinstance(outcome.mesh, QuadraticMesh)
+    assert len(outcome.positions_m) == outcome.mesh.node_count > base.node_count
+    on_gel = resultant_wrench(outcome.positions_m[None], outcome.contact_forces_n[None])[0]
+    assert outcome.steps[-1].wrench == pytest.approx(-on_gel, abs=1e-12)
+    # Middles of edges carry force too, and show in the height map.
+    assert np.abs(outcome.contact_forces_n[base.node_count :]).max() > 0
+    assert np.nanmin(outcome.height_m) == pytest.approx(-0.4e-3, abs=3e-5)
+    assert outcome.contact_mask.sum() > 50
+    write_mesh_vtu(tmp_path / "gel.vtu", outcome.mesh, positions_m=outcome.positions_m)
+    back = read_vtu(tmp_path / "gel.vtu")
+    np.testing.assert_array_equal(back.nodes_m, outcome.positions_m)
+    np.testing.assert_array_equal(back.faces, outcome.mesh.faces)
+    np.testing.assert_array_equal(back.tets, base.tets)

@@ -21,7 +21,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.verification.blocks import block_mesh, pose
 
 MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
 GEL = Material(1e5, 0.4)
@@ -56,7 +56,9 @@ CUBE = AffineBody(box_mesh((1e-3,) * 3), initial_pose=pose(0, 0, 6e-4))
         ),
         (
             Scene(
-                SoftBody(MESH, Material(1e5, 0.4, damping_time_s=0.01)), planes=Plane(), time=DYNAMIC
+                SoftBody(MESH, Material(1e5, 0.4, damping_time_s=0.01)),
+                planes=Plane(),
+                time=DYNAMIC,
             ),
             {"elasticity", "damping", "inertia", "planes"},
         ),

@@ -73,9 +73,7 @@ def test_layers_decide_who_meets() -> None:
     """Two cubes fall; the one on another layer falls through the floor that stops the first."""
     stopped = cube("stopped", pose(0, 0, 6e-4))
     ghost = cube("ghost", pose(2e-4, 0, 6e-4), surface=Surface(layer=2, collides_with=2))
-    solver, state = run(
-        Scene(affine_bodies=[stopped, ghost], planes=Plane(), time=dynamic()), 12
-    )
+    solver, state = run(Scene(affine_bodies=[stopped, ghost], planes=Plane(), time=dynamic()), 12)
     assert heights(solver, state, "stopped")[0] > 0.5 * SIDE
     assert heights(solver, state, "ghost")[0] < -SIDE
 
@@ -163,6 +161,11 @@ def test_too_many_contacts_are_flagged_in_their_environment() -> None:
     assert report.status.tolist() == [EnvStatus.CONVERGED, EnvStatus.CONTACT_OVERFLOW]
     assert report.failures() == {"CONTACT_OVERFLOW": [1]}
     assert "CONTACT_OVERFLOW: [1]" in report.summary()
+    header, first, second = report.describe().splitlines()
+    assert first.split()[:2] == ["0", "CONVERGED"] and second.split()[1] == "CONTACT_OVERFLOW"
+    assert len(header) == len(first) == len(second)
+    assert float(first.split()[6]) == pytest.approx(report.residual_n[0], rel=1e-2)
+    assert report.describe([1]).splitlines() == [header, second]
     np.testing.assert_array_equal(state.positions.numpy()[1], before[1])
     plenty = SolverIPC(model)
     assert plenty.step(state, target).converged.all()

@@ -69,16 +69,22 @@ def test_a_ball_on_a_slope(friction: float) -> None:
 # Wrecking ball ---------------------------------------------------------------------------------
 
 LINKS, LINK, BALL = 4, 25e-3, 15e-3
-CUBE, GAP = 15e-3, 2e-5
+CUBE, GAP = 15e-3, 4e-5
 
 
 def wrecking_ball(start: float) -> Run:
     """A chain held at the origin, straight, ``start`` from the vertical, with a ball of steel at
-    its end; at its lowest point the ball meets a wall of light cubes, two wide and two high."""
+    its end; at its lowest point the ball meets a pyramid of three light cubes."""
     along = np.array([-np.sin(start), 0, -np.cos(start)])
     rotation = turned((0, 1, 0), start)
     links = [
-        box(f"link {i}", (4e-3, 4e-3, LINK), (i + 0.5) * LINK * along, rotation)
+        box(
+            f"link {i}",
+            (4e-3, 4e-3, LINK),
+            (i + 0.5) * LINK * along,
+            rotation,
+            young_modulus_pa=1e10,
+        )
         for i in range(LINKS)
     ]
     reach = LINKS * LINK
@@ -94,26 +100,23 @@ def wrecking_ball(start: float) -> Run:
         RevoluteJoint(str(first), second, i * LINK * along, (0, 1, 0), name=f"hinge {i}")
         for i, (second, first) in enumerate(pairwise(names))
     ]
-    floor = -(reach + BALL) - CUBE
+    floor = -(reach + 2 * BALL) - 0.3 * CUBE
+    x = BALL + 2e-3 + CUBE / 2
+    places = [(x, -0.6 * CUBE, 0), (x, 0.6 * CUBE, 0), (x + 1e-3, 0, 1)]
     cubes = [
         box(
-            f"cube {j} {k}",
+            f"cube {k}",
             (CUBE, CUBE, CUBE),
-            (
-                BALL + 2e-3 + CUBE / 2,
-                (j - 0.5) * (CUBE + GAP),
-                floor + GAP + (k + 0.5) * CUBE + k * GAP,
-            ),
+            (x, y, floor + (level + 0.5) * CUBE + (level + 1) * GAP),
             density_kg_m3=200.0,
             friction_coefficient=0.5,
         )
-        for j in range(2)
-        for k in range(2)
+        for k, (x, y, level) in enumerate(places)
     ]
     ground = Plane((0, 0, floor), friction_coefficient=0.5)
     return Run(
         affine_scene([*links, ball, *cubes], joints, planes=[ground], dt=5e-3),
-        SolverConfig(dhat_m=5e-5),
+        SolverConfig(dhat_m=5e-5, kappa_pa=1e4),
     )
 
 
@@ -124,21 +127,18 @@ def test_a_wrecking_ball() -> None:
     def energy() -> float:
         return run.kinetic_energy + float((run.masses[:, 0, 0] * G * run.y[:, 0, 2]).sum())
 
-    before = first = energy()
+    before = energy()
     wall = run.y[LINKS + 1 :, 0].copy()
-    fastest, newton = 0.0, []
-    for k in range(42):
-        report = run.step()
-        newton.append(report.newton_iterations[0])
-        print(k, report.summary(), energy() - before, run.y[LINKS, 0], run.v[LINKS, 0])
+    fastest = 0.0
+    for _ in range(39):
+        run.step()
         assert run.overlaps() == []
         # Contacts and stiff bodies store next to nothing.
         assert energy() < before + 1e-9
         before = energy()
         fastest = max(fastest, run.v[LINKS, 0, 0])
-    # Implicit Euler loses some of the swing: its speed is below that of a pendulum.
+    # A little below the speed of a pendulum: implicit Euler loses some of the swing.
     drop = (LINKS * LINK + BALL) * (1 - np.cos(np.radians(30)))
-    print(sum(newton), fastest / np.sqrt(2 * G * drop), np.linalg.norm(run.y[LINKS + 1 :, 0] - wall, axis=1), before-first)
-    assert 0.8 < fastest / np.sqrt(2 * G * drop) < 1
-    assert np.linalg.norm(run.y[LINKS + 1 :, 0] - wall, axis=1).max() > CUBE / 3
+    assert 0.9 < fastest / np.sqrt(2 * G * drop) < 1
+    assert (run.y[LINKS + 1 :, 0] - wall)[:, 0].min() > 5e-3, "all cubes are pushed ahead"
     assert run.strain < 1e-4

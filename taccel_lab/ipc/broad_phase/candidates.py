@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Broad phase: which pairs may come within a margin while all nodes move along straight lines.
 
-Each kind of body has its own search (``stiff_targets``, ``soft_targets``, ``ball_targets``); what is
-searched against what is the model's contact plan, so a pair of bodies that can never touch costs
-nothing. Planes need no search: each node is checked. ``margin`` must include how far the arc of a turning kinematic body leaves the chord.
+Each kind of body has its own search (``stiff_targets``, ``soft_targets``, ``ball_targets``); planes
+need none, as each node is checked. What is searched against what is the model's contact plan, so a
+pair of bodies that can never touch costs nothing. ``margin`` must include how far the arc of a
+turning kinematic body leaves the chord.
 """
 
 from __future__ import annotations
@@ -148,7 +149,8 @@ class Candidates:
             for pair_list in lists:
                 pair_list.begin()
             self._search(active, positions, displacements, reach)
-            if not any([part.grew(self.limit, self.overflowed) for part in lists]):
+            grown = [part.grew(self.limit, self.overflowed) for part in lists]
+            if not any(grown):
                 return
 
     def _search(

@@ -13,7 +13,6 @@ from taccel_lab.ipc.linear.pcg import BlockJacobiCG
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.ssor_cg import SsorCG
 
-
 MAX_DIRECT_ROWS = 400
 """Rows up to which a stiff system is factored: 1,200 unknowns take about 30 ms on one core."""
 

@@ -34,8 +34,9 @@ from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
 wp.set_module_options({"enable_backward": False})
 
 POINT_COUNT = 4
-"""Quadrature points; point q has barycentric coordinate OWN at corner q and OTHER elsewhere:
-(5 -+ sqrt(5)) / 20, exact for quadratic integrands [Zienkiewicz and Taylor 2000, table 9.2]."""
+"""Quadrature points: point q has barycentric coordinate (5 + 3 sqrt(5)) / 20 at corner q and
+(5 - sqrt(5)) / 20 at the others, exact for quadratic integrands [Zienkiewicz and Taylor 2000, table
+9.2]."""
 OTHER = wp.constant(wp.float64((5.0 - 5.0**0.5) / 20.0))
 OWN_LESS_OTHER = wp.constant(wp.float64(5.0**0.5 / 5.0))
 
@@ -81,7 +82,7 @@ class PointLaw:
     volumetric: Any
     """``(e)``: u, u', u''."""
     scale: Any
-    """``(env, i, d)``: what the two other functions leave out [1, or 1/s]."""
+    """``(env, i, d)``: what the others leave out [1, or 1/s]."""
     hessian: Any
     """``(f, start, d, i, pressure, psd_mode)``: a PointHessian, with ``pressure`` times the
     dilatation."""
