@@ -275,7 +275,7 @@ class Fit:
 
 
 def fitted(sizes: np.ndarray, values: np.ndarray, scale: float) -> Fit | None:
-    """Fit the runs that are within a tenth of the finest; None without four of them.
+    """Fit the runs that are within a tenth of the finest; None without four of them or an order.
 
     ``values``: [run, n], of which only order and scale are common.
     """
@@ -291,7 +291,10 @@ def fitted(sizes: np.ndarray, values: np.ndarray, scale: float) -> Fit | None:
         return float(np.linalg.norm(y - matrix @ found)), found
 
     tried = np.arange(0.2, 5.0, 0.02)
-    order = float(tried[np.argmin([solve(o)[0] for o in tried])])
+    best = int(np.argmin([solve(o)[0] for o in tried]))
+    if best in (0, len(tried) - 1):
+        return None
+    order = float(tried[best])
     rest, found = solve(order)
     return Fit(
         order=round(order, 2),
@@ -367,7 +370,14 @@ def plot(results: dict[str, dict], path: Path) -> None:
                 axis.loglog(*zip(*points, strict=True), style, color=color, ms=4, label=label)
         axis.set(xlabel=results[names[0]]["what"], title=names[0].split(",")[0])
         axis.grid(True, lw=0.3)
-        axis.legend(fontsize=8)
+        axis.legend(fontsize=8, loc="upper left")
+        axis.xaxis.set_minor_formatter("")
+    mesh_axis = axes[0, 0]
+    mesh_axis.set_xticks([0.5, 1, 2], ["0.5", "1", "2"])
+    for axis in axes[0, :2]:
+        low, high = axis.get_ylim()
+        axis.set_ylim(low / 8, high)
+        axis.legend(fontsize=8, ncols=2, loc="lower center")
     for axis in axes[:, 0]:
         axis.set_ylabel("error against the finest [%]")
     with atomic_file(path) as target:

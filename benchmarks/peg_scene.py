@@ -97,7 +97,7 @@ class PegParts:
 
 
 def published_parts(folder: Path) -> PegParts:
-    """The meshes of the published example: ``pads/sensor.vtk``, ``peg/peg.stl``, ``peg/hole.stl``."""
+    """The meshes of the published example, of ``pads`` and ``peg`` in a folder."""
     import pyvista
 
     grid = pyvista.read(folder / "pads" / "sensor.vtk")

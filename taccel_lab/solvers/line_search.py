@@ -46,8 +46,10 @@ def search_line(run: StepRun) -> None:
         run.collide(s.trial)
         waiting &= run.active
         after = run.energy(s.trial, s.trial_poses)
-        # Sums of that many terms carry rounding of about 1e-14 of the energy.
-        enough = before + 1e-4 * alpha * np.minimum(slope, 0) + 1e-13 * np.abs(before)
+        # Sums of that many terms carry rounding of about 1e-14 of the energy, and each element's
+        # energy is a small difference of terms as large as its shear modulus times its volume.
+        rounding = 1e-13 * np.abs(before) + s.rounding_j
+        enough = before + 1e-4 * alpha * np.minimum(slope, 0) + rounding
         good = waiting & safe & np.isfinite(after) & (~settled | (after <= enough))
         waiting &= ~good
         if not waiting.any():

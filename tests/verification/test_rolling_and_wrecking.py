@@ -17,7 +17,7 @@ RADIUS, SLOPE = 20e-3, np.radians(10)
 
 
 def ball_on_slope(friction: float) -> tuple[Run, float]:
-    """2,562 vertices, and gravity that leans; also m r^2 over the moment of inertia, of the mesh."""
+    """2,562 vertices, and gravity that leans; also m r^2 over the mesh's moment of inertia."""
     mesh, dhat = sphere_mesh(RADIUS, 2e-3), 1e-4
     reach = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
     ball = AffineBody(

@@ -199,3 +199,14 @@ def test_a_gel_lets_a_block_go() -> None:
     slope.run(6)
     found = slope.acceleration(4)
     assert found == pytest.approx(G * (slope.sin - MU * slope.cos), rel=5e-3)
+
+
+@pytest.mark.parametrize("tangent", [0.99 * MU, 1.01 * MU])
+def test_tight_tolerances_are_met_where_energies_are_rounded(tangent: float) -> None:
+    """A turned block's elastic energy is a small difference of terms of 3 J: the line search must
+    not wait for a decrease that rounding hides (it used up all iterations)."""
+    slope = Slope("linear", "plane", tangent, relative_tolerance=1e-7, max_substep_halvings=0)
+    for _ in range(30):
+        report = slope.solver.step(slope.state)
+        assert report.converged.all(), report.summary()
+        assert report.newton_iterations[0] < 60
