@@ -44,9 +44,15 @@ class State:
             history = StepHistory(
                 wp.clone(history.positions), wp.clone(history.velocities), wp.clone(history.dts)
             )
-        loads = [None if a is None else wp.clone(a) for a in (self.external_forces, self.wrenches)]
-        motion = [wp.clone(a) for a in (self.positions, self.velocities, self.poses)]
-        return State(*motion, history, *loads)
+        forces, wrenches = self.external_forces, self.wrenches
+        return State(
+            positions=wp.clone(self.positions),
+            velocities=wp.clone(self.velocities),
+            poses=wp.clone(self.poses),
+            history=history,
+            external_forces=None if forces is None else wp.clone(forces),
+            wrenches=None if wrenches is None else wp.clone(wrenches),
+        )
 
     def restore(self, other: State, mask: np.ndarray) -> None:
         """Take motion and poses of the environments of ``mask`` (bool, [env_count]) from another

@@ -47,9 +47,7 @@ class _Layout:
         self.rest_count = max([len(part.rest_m) for part in self.soft], default=1)
         parts = [_Part(BodyKind.SOFT, part.rest_m, part.faces) for part in self.soft]
         for body in scene.affine_bodies:
-            parts.append(
-                _Part(BodyKind.AFFINE, body.shape.vertices_m[None], body.shape.faces)
-            )
+            parts.append(_Part(BodyKind.AFFINE, body.shape.vertices_m[None], body.shape.faces))
         for body in scene.kinematic_bodies:
             vertices, faces = _vertices_and_faces(body.shape)
             parts.append(_Part(BodyKind.KINEMATIC, vertices[None], faces))
@@ -169,9 +167,7 @@ def _surfaces(
         faces = np.arange(face_starts[body], face_starts[body + 1])
         surfaces.append(
             BodySurface(
-                nodes=(
-                    np.unique(topology.faces[faces]) if len(faces) else np.arange(first, last)
-                ),
+                nodes=(np.unique(topology.faces[faces]) if len(faces) else np.arange(first, last)),
                 faces=faces,
                 edges=np.arange(*np.searchsorted(lowest, [first, last])),
                 frame=body - len(layout.soft) if stiff else -1,
@@ -198,9 +194,7 @@ def _targets(layout: _Layout, device: wp.Device, put: Put) -> list[RigidTarget]:
             RigidTarget(
                 body=body,
                 local_positions=put(local, wp.vec3d),
-                trees=None
-                if edges is None
-                else surface_trees(local, part.faces, edges, device),
+                trees=None if edges is None else surface_trees(local, part.faces, edges, device),
                 radius_m=radius,
             )
         )

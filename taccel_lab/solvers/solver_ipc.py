@@ -123,7 +123,7 @@ class SolverIPC:
         self.start_poses = wp.zeros_like(self.trial_poses)
 
         self.rounding_j = self._energy_rounding()
-        """Rounding of the elastic energy of a body at rest, however small it is [J], [env_count]."""
+        """Rounding of the elastic energy, however small it is [J], shape [env_count]."""
 
     def _energy_rounding(self) -> np.ndarray:
         """2e-17 of the shear modulus times the volume: a block of 20 mm and 1 MPa, turned, shows
