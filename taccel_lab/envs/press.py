@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -131,7 +131,8 @@ class PressEnv:
         self.mesh = soft.nodal_mesh
         """The gel with all its nodes: what ``positions`` belong to."""
         self.model = Scene(soft, (body,), env_count).finalize(device)
-        self.solver = SolverIPC(self.model, config)
+        # Overlaps at the start are looked for below, with the place in the message.
+        self.solver = SolverIPC(self.model, replace(config or SolverConfig(), check_start=False))
         rest = self.model.rest_positions.numpy()[:, : self.model.soft_count]
         contact = self.mesh.region_faces(Region.CONTACT)
         self.touch_m = np.array(
