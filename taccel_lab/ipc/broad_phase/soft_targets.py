@@ -31,40 +31,19 @@ def _swept(
 
 
 @wp.kernel
-def _face_boxes_kernel(
-    items: wp.array(dtype=wp.int32),
-    faces: wp.array(dtype=wp.vec3i),
+def _boxes_kernel(
+    primitives: wp.array2d(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     lower: wp.array2d(dtype=wp.vec3),
     upper: wp.array2d(dtype=wp.vec3),
 ):
+    """Box of the path of each face or edge, given by its nodes."""
     env, i = wp.tid()
-    nodes = faces[items[i]]
-    low = positions[env, nodes[0]]
+    low = positions[env, primitives[i, 0]]
     high = low
-    for k in range(3):
-        low, high = _swept(low, high, env, nodes[k], positions, displacements)
-    box = rounded_out(low, high, wp.float64(0.0))
-    lower[env, i] = box.lower
-    upper[env, i] = box.upper
-
-
-@wp.kernel
-def _edge_boxes_kernel(
-    items: wp.array(dtype=wp.int32),
-    edges: wp.array(dtype=wp.vec2i),
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    lower: wp.array2d(dtype=wp.vec3),
-    upper: wp.array2d(dtype=wp.vec3),
-):
-    env, i = wp.tid()
-    nodes = edges[items[i]]
-    low = positions[env, nodes[0]]
-    high = low
-    for k in range(2):
-        low, high = _swept(low, high, env, nodes[k], positions, displacements)
+    for k in range(primitives.shape[1]):
+        low, high = _swept(low, high, env, primitives[i, k], positions, displacements)
     box = rounded_out(low, high, wp.float64(0.0))
     lower[env, i] = box.lower
     upper[env, i] = box.upper
@@ -145,16 +124,16 @@ class SoftTrees:
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        device, envs = model.device, model.env_count
-        plan = model.plan
-        self._face_boxes = self._boxes(len(plan.soft_faces))
-        self._edge_boxes = self._boxes(len(plan.soft_edges))
-
-        def groups(count: int) -> wp.array:
-            return wp.array(np.repeat(np.arange(envs), count), dtype=wp.int32, device=device)
-
-        self._groups = (groups(len(plan.soft_faces)), groups(len(plan.soft_edges)))
+        self._faces = self._nodes_of(model.surface.faces, model.plan.soft_faces)
+        self._edges = self._nodes_of(model.surface.edges, model.plan.soft_edges)
+        self._face_boxes = self._boxes(len(model.plan.soft_faces))
+        self._edge_boxes = self._boxes(len(model.plan.soft_edges))
         self._trees: list[wp.Bvh] = []
+
+    def _nodes_of(self, primitives: wp.array, items: wp.array) -> wp.array:
+        """Nodes of the primitives that are searched, int32, shape [count, 3 or 2]."""
+        nodes = primitives.numpy()[items.numpy()]
+        return wp.array(nodes, dtype=wp.int32, device=self.model.device)
 
     def _boxes(self, count: int) -> tuple[wp.array, wp.array]:
         shape, device = (self.model.env_count, count), self.model.device
@@ -164,25 +143,24 @@ class SoftTrees:
         )
 
     def _refit(self, positions: wp.array, displacements: wp.array) -> None:
-        plan, surface = self.model.plan, self.model.surface
-        for kernel, items, primitives, boxes in (
-            (_face_boxes_kernel, plan.soft_faces, surface.faces, self._face_boxes),
-            (_edge_boxes_kernel, plan.soft_edges, surface.edges, self._edge_boxes),
-        ):
+        device = self.model.device
+        for primitives, boxes in ((self._faces, self._face_boxes), (self._edges, self._edge_boxes)):
             wp.launch(
-                kernel,
+                _boxes_kernel,
                 dim=boxes[0].shape,
-                inputs=[items, primitives, positions, displacements],
+                inputs=[primitives, positions, displacements],
                 outputs=list(boxes),
-                device=self.model.device,
+                device=device,
             )
         if self._trees:
             for tree in self._trees:
                 tree.refit()
             return
         # The first boxes decide the shape of the trees.
-        for boxes, groups in zip((self._face_boxes, self._edge_boxes), self._groups, strict=True):
-            self._trees.append(wp.Bvh(boxes[0].flatten(), boxes[1].flatten(), groups=groups))
+        for lower, upper in (self._face_boxes, self._edge_boxes):
+            envs = np.repeat(np.arange(lower.shape[0]), lower.shape[1])
+            groups = wp.array(envs, dtype=wp.int32, device=device)
+            self._trees.append(wp.Bvh(lower.flatten(), upper.flatten(), groups=groups))
 
     def search(
         self,
