@@ -6,7 +6,8 @@ over the rim of the hole, and push it down; clearance 2 mm. Settings are the pub
 gels move 3.7 mm further than the hole lets the peg go, so they must slip and shear.
 
 ``published_parts`` reads the meshes of the example from a data folder, ``generated_parts`` makes
-others of the same dimensions. ``python -m benchmarks.peg_scene`` runs it and prints every step.
+others of the same dimensions. ``python -m benchmarks.peg_scene`` runs it, prints every
+step and writes ``benchmarks/results/peg_scene.json``.
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ import argparse
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from benchmarks.machine import describe_run
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
+from taccel_lab.output import write_json
 from taccel_lab.scene import (
     AffineBody,
     FixedJoint,
@@ -34,6 +38,7 @@ from taccel_lab.scene import (
 from taccel_lab.scene.mass_properties import mass_properties
 from taccel_lab.solvers import SolverConfig
 
+RESULT = Path(__file__).parent / "results" / "peg_scene.json"
 DT_S = 1 / 50
 STEPS = 200
 DHAT_M = 1e-4
@@ -230,25 +235,21 @@ def data_folder() -> Path:
     return Path(root) / "taccel_assets"
 
 
-def main() -> None:
-    """Run the scene and print every step."""
+def run_scene(
+    parts: PegParts, steps: int, hole_is_affine: bool, friction_eps_m: float
+) -> dict[str, Any]:
+    """Run the scene, print every step and return its figures, a list over the steps each."""
     from taccel_lab.ipc.intersection import find_intersections
     from taccel_lab.solvers import SolverIPC
     from taccel_lab.state import initial_state
 
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--steps", type=int, default=STEPS)
-    parser.add_argument("--generated", action="store_true", help="meshes of ours")
-    parser.add_argument("--affine-hole", action="store_true")
-    parser.add_argument("--friction-eps-m", type=float, default=FRICTION_SPEED_M_S * DT_S)
-    args = parser.parse_args()
-    parts = generated_parts() if args.generated else published_parts(data_folder())
-    scene = peg_scene(parts, hole_is_affine=args.affine_hole)
+    scene = peg_scene(parts, hole_is_affine=hole_is_affine)
     model = scene.finalize()
-    solver = SolverIPC(model, peg_config(friction_eps_m=args.friction_eps_m))
+    solver = SolverIPC(model, peg_config(friction_eps_m=friction_eps_m))
     state = initial_state(model, targets(scene, 0))
     peg = model.bodies[model.body_id("peg")].node_slice
-    for step in range(args.steps):
+    rows: list[dict[str, Any]] = []
+    for step in range(steps):
         report = solver.step(state, targets(scene, step))
         normal, friction = (
             -gradient.numpy()[0, peg].sum(axis=0)
@@ -263,6 +264,54 @@ def main() -> None:
             + (f", INTERSECTS {crossed}" if crossed else ""),
             flush=True,
         )
+        rows.append(
+            {
+                "converged": bool(report.converged[0]),
+                "substeps": int(report.substeps[0]),
+                "newton_iterations": int(report.newton_iterations[0]),
+                "residual_n": float(report.residual_n[0]),
+                "contact_force_n": float(report.contact_force_n[0]),
+                "min_distance_um": float(report.min_distance_m[0] * 1e6),
+                "intersections": len(crossed),
+                "peg_z_mm": float(place[2]),
+                "seconds": report.seconds,
+            }
+        )
+    return {key: [row[key] for row in rows] for key in rows[0]}
+
+
+def main() -> None:
+    """Run the scene with the published meshes, where the data is, and with ours.
+
+    Prints every step; figures go to benchmarks/results/peg_scene.json.
+    """
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--generated", action="store_true", help="meshes of ours only")
+    parser.add_argument("--affine-hole", action="store_true")
+    parser.add_argument("--friction-eps-m", type=float, default=FRICTION_SPEED_M_S * DT_S)
+    parser.add_argument("--out", type=Path, default=RESULT)
+    args = parser.parse_args()
+    if args.steps < 1:
+        raise InputError(f"--steps must be at least 1, got {args.steps}")
+    variants = {"generated": generated_parts()}
+    if not args.generated:
+        variants["published"] = published_parts(data_folder())
+    options = (args.steps, args.affine_hole, args.friction_eps_m)
+    record = {
+        "what": "Taccel's peg scene, step by step: a peg between two gels is lowered into a hole.",
+        "run": describe_run(),
+        "settings": {
+            "dt_s": DT_S,
+            "dhat_m": DHAT_M,
+            "relative_tolerance": peg_config().relative_tolerance,
+            "friction_eps_m": args.friction_eps_m,
+            "affine_hole": args.affine_hole,
+        },
+        **{name: run_scene(parts, *options) for name, parts in variants.items()},
+    }
+    write_json(args.out, record)
+    print(f"wrote {args.out}")
 
 
 if __name__ == "__main__":
