@@ -17,7 +17,7 @@ from cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 
-_LIMITS = {"core": (2, 64), "rings": (3, 128), "layers": (1, 64)}
+_LIMITS = {"core": (4, 64), "rings": (3, 128), "layers": (1, 64)}
 MIN_FOCUS_EDGE_MM = 1.5
 """Least distance between a focus centre and the pad's outline [mm]."""
 

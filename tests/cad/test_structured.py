@@ -113,6 +113,7 @@ def test_same_input_gives_the_same_bytes() -> None:
     ("options", "word"),
     [
         ({"core": 7}, "core = 7"),
+        ({"core": 2}, "core = 2 is not allowed"),
         ({"core": 8.0}, "core"),
         ({"rings": 2}, "rings = 2"),
         ({"layers": 0}, "layers = 0"),
