@@ -22,6 +22,7 @@ from taccel_lab.geometry.quadratic import TET_EDGES
 from taccel_lab.model import BodyKind, Model
 from taccel_lab.scene import SoftBody
 from taccel_lab.scene.crossings import crossing_pairs, self_crossings
+from taccel_lab.scene.gaps import point_triangle_distances
 from taccel_lab.scene.mass_properties import winding_number
 from taccel_lab.scene.mesh_checks import first_of
 from taccel_lab.scene.primitives import Ball, unique_edges
@@ -183,7 +184,7 @@ def _overlaps(softer: _Body, stiffer: _Body) -> list[Intersection]:
 
 def _ball_overlaps(body: _Body, ball: _Body) -> list[Intersection]:
     triangles, centre = body.nodes[body.faces], ball.nodes[0]
-    distance = point_face_distances(centre, triangles)
+    distance = point_triangle_distances(centre, triangles)
     near = distance <= ball.radius_m
     if near.any():
         place = triangles[int(np.argmin(distance))].mean(axis=0)
@@ -246,19 +247,3 @@ def _is_closed(faces: np.ndarray) -> bool:
 def _is_inside(point: np.ndarray, triangles: np.ndarray) -> bool:
     """Inside of a closed surface [n, 3, 3] of either orientation."""
     return abs(winding_number(point, triangles)) > 0.5
-
-
-def point_face_distances(point: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Distance of one point [3] from triangles [n, 3, 3] [m], shape [n]."""
-    corners = np.moveaxis(triangles - point, 1, 0)
-    best = np.full(len(triangles), np.inf)
-    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    over = np.ones(len(triangles), dtype=bool)
-    for k in range(3):
-        a, b = corners[k], corners[(k + 1) % 3]
-        edge = b - a
-        t = np.clip(-(a * edge).sum(1) / (edge * edge).sum(1), 0, 1)
-        best = np.minimum(best, np.linalg.norm(a + t[:, None] * edge, axis=1))
-        over &= (np.cross(edge, -a) * normal).sum(1) >= 0
-    height = np.abs((corners[0] * normal).sum(1)) / np.linalg.norm(normal, axis=1)
-    return np.where(over, np.minimum(best, height), best)

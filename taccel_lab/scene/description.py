@@ -207,8 +207,7 @@ class Scene:
         for body, other in ((first, second), (second, first)):
             if isinstance(body, SoftBody) and body.mount == other.name:
                 return False
-        names = {first.name, second.name}
-        if any({j.first, j.second} == names and not j.bodies_touch for j in self.joints):
+        if any(j.joins(first.name, second.name) and not j.bodies_touch for j in self.joints):
             return False
         if any(isinstance(body, KinematicBody) and body.shape is None for body in (first, second)):
             return False

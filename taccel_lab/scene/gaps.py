@@ -117,11 +117,11 @@ class SurfacePairs:
 
 
 def point_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Distance of each point [n, 3] from its triangle [n, 3, 3] [m], shape [n]."""
-    corners = np.moveaxis(triangles - points[:, None], 1, 0)
+    """Distance of points [n, 3], or of one [3], from triangles [n, 3, 3] [m], shape [n]."""
+    corners = np.moveaxis(triangles - points[..., None, :], 1, 0)
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    best = np.full(len(points), np.inf)
-    over = np.ones(len(points), dtype=bool)
+    best = np.full(len(triangles), np.inf)
+    over = np.ones(len(triangles), dtype=bool)
     for k in range(3):
         a, edge = corners[k], corners[(k + 1) % 3] - corners[k]
         t = np.clip(-(a * edge).sum(1) / (edge * edge).sum(1), 0, 1)

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from taccel_lab.envs import parse_indenter
 from taccel_lab.envs.touch import first_touch_m
-from taccel_lab.ipc.intersection import point_face_distances
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
+from taccel_lab.scene.gaps import point_triangle_distances
 
 DOME_M = 50e-3
 
@@ -137,11 +137,11 @@ def test_ball_at_first_touch_is_one_radius_away(
     if touch == -np.inf:
         # Beside the surface: even as seen from above, every face is out of reach.
         flat = nodes * [1, 1, 0]
-        assert point_face_distances(np.array([x, y, 0.0]), flat[faces]).min() > radius - 1e-9
+        assert point_triangle_distances(np.array([x, y, 0.0]), flat[faces]).min() > radius - 1e-9
         return
-    distance = point_face_distances(np.array([x, y, touch]), nodes[faces]).min()
+    distance = point_triangle_distances(np.array([x, y, touch]), nodes[faces]).min()
     assert distance == pytest.approx(radius, abs=1e-9)
-    higher = point_face_distances(np.array([x, y, touch + 1e-5]), nodes[faces]).min()
+    higher = point_triangle_distances(np.array([x, y, touch + 1e-5]), nodes[faces]).min()
     assert higher > radius
 
 

@@ -16,7 +16,6 @@ from taccel_lab.ipc.intersection import (
     Intersection,
     IntersectionKind,
     find_intersections,
-    point_face_distances,
     require_separated,
 )
 from taccel_lab.scene import (
@@ -34,6 +33,7 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from taccel_lab.scene.bodies import Surface
+from taccel_lab.scene.gaps import point_triangle_distances
 from taccel_lab.state import initial_state
 from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
@@ -130,7 +130,7 @@ def test_distances_of_a_point_from_triangles_agree_with_ipctk() -> None:
     rng = np.random.default_rng(0)
     point, triangles = rng.normal(size=3), rng.normal(size=(500, 3, 3))
     expected = [ipctk.point_triangle_distance(point, *t) ** 0.5 for t in triangles]
-    np.testing.assert_allclose(point_face_distances(point, triangles), expected, rtol=1e-9)
+    np.testing.assert_allclose(point_triangle_distances(point, triangles), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("shape", [Ball(1e-3), box_mesh((2e-3, 2e-3, 2e-3))])

@@ -16,13 +16,7 @@ import warp as wp
 
 from taccel_lab.ipc.broad_phase.ball_targets import BALL_JOBS
 from taccel_lab.ipc.broad_phase.soft_targets import SoftTrees
-from taccel_lab.ipc.broad_phase.stiff_targets import (
-    EDGE_JOBS,
-    FACE_JOBS,
-    NODE_JOBS,
-    target_trees,
-    update_frames,
-)
+from taccel_lab.ipc.broad_phase.stiff_targets import run_search, searches, update_frames
 from taccel_lab.ipc.broad_phase.swept_box import Frames
 from taccel_lab.model import Model
 
@@ -86,7 +80,7 @@ class Candidates:
         self._edge_edge = pair_list(len(plan.edge_target) > 0 or soft)
         self._soft = SoftTrees(model) if soft else None
         self._needs_frames = faces > len(plan.ball_face) or len(plan.edge_target) > 0
-        self._trees = target_trees(model)
+        self._searches = searches(model)
         self._start, self._end = self._frames(), self._frames()
         self._rest = wp.zeros(
             (model.env_count, model.node_count), dtype=wp.vec3d, device=model.device
@@ -156,40 +150,21 @@ class Candidates:
     def _search(
         self, active: wp.array, positions: wp.array, displacements: wp.array, margin: float
     ) -> None:
-        model, plan, surface = self.model, self.model.plan, self.model.surface
+        model, surface = self.model, self.model.surface
         node_face = [self._node_face.counts, self._node_face.pairs]
         edge_edge = [self._edge_edge.counts, self._edge_edge.pairs]
-        who = [surface.node_bodies, model.present]
-        path = [margin, positions, displacements]
-        frames = [self._start, self._end]
-        for kernel, jobs, inputs, outputs in (
-            (NODE_JOBS, plan.node_target, [self._trees, *who, *path, *frames], node_face),
-            (
-                FACE_JOBS,
-                plan.face_target,
-                [self._trees, *who, surface.faces, *path, *frames],
-                node_face,
-            ),
-            (
-                EDGE_JOBS,
-                plan.edge_target,
-                [self._trees, *who, surface.edges, *path, *frames],
-                edge_edge,
-            ),
-            (
+        path, frames = [margin, positions, displacements], [self._start, self._end]
+        for name, outputs in (("node", node_face), ("face", node_face), ("edge", edge_edge)):
+            run_search(self._searches[name], model, active, path, frames, outputs)
+        balls = model.plan.ball_face
+        if len(balls):
+            wp.launch(
                 BALL_JOBS,
-                plan.ball_face,
-                [surface.node_bodies, surface.node_radii, model.present, surface.faces, *path],
-                node_face,
-            ),
-        ):
-            if len(jobs):
-                wp.launch(
-                    kernel,
-                    dim=(model.env_count, len(jobs)),
-                    inputs=[active, jobs, *inputs],
-                    outputs=outputs,
-                    device=model.device,
-                )
+                dim=(model.env_count, len(balls)),
+                inputs=[active, balls, surface.node_bodies, surface.node_radii, model.present]
+                + [surface.faces, *path],
+                outputs=node_face,
+                device=model.device,
+            )
         if self._soft is not None:
             self._soft.search(active, positions, displacements, margin, node_face, edge_edge)

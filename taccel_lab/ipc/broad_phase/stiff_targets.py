@@ -9,6 +9,10 @@ because the path is bent in its frame.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.swept_box import (
@@ -27,34 +31,57 @@ _BIG = wp.constant(wp.float64(1.0e30))
 
 @wp.struct
 class TargetTrees:
-    """Search trees by frame, and where their primitives start in the model's numbers."""
+    """Search trees over one kind of primitive of all stiff bodies, by frame.
 
-    faces: wp.array(dtype=wp.uint64)
-    edges: wp.array(dtype=wp.uint64)
-    vertices: wp.array(dtype=wp.uint64)
-    face_starts: wp.array(dtype=wp.int32)
-    edge_starts: wp.array(dtype=wp.int32)
-    node_starts: wp.array(dtype=wp.int32)
+    ids: of the trees, 0 for a frame without a surface; starts: number of the first primitive in the
+    model; bodies: id of the body; [frame_count] each.
+    """
+
+    ids: wp.array(dtype=wp.uint64)
+    starts: wp.array(dtype=wp.int32)
     bodies: wp.array(dtype=wp.int32)
 
 
-def target_trees(model: Model) -> TargetTrees:
-    """Gather the trees of a model's stiff bodies; frames without a surface have none."""
-    trees = TargetTrees()
+@dataclass(frozen=True)
+class Search:
+    """Primitives against trees; not launched when there are no jobs."""
 
-    def put(values: list[int], dtype: type) -> wp.array:
+    jobs: wp.array
+    """(primitive, frame), vec2i, shape [job_count]."""
+    primitives: wp.array
+    """Nodes of each primitive that jobs may name, int32, shape [count, nodes_per_primitive]."""
+    trees: TargetTrees
+    hit_first: bool
+    """Whether the body's primitive comes first in a pair."""
+
+
+def searches(model: Model) -> dict[str, Search]:
+    """The searches by kind: nodes and faces against faces and vertices, edges against edges."""
+    plan, surface = model.plan, model.surface
+    bodies = [model.bodies[target.body] for target in model.targets]
+
+    def put(values: Sequence[int] | np.ndarray, dtype: type) -> wp.array:
         return wp.array(values, dtype=dtype, device=model.device)
 
-    targets = model.targets
-    bodies = [model.bodies[t.body] for t in targets]
-    for name in ("faces", "edges", "vertices"):
-        ids = [getattr(t.trees, name).id if t.trees else 0 for t in targets]
-        setattr(trees, name, put(ids, wp.uint64))
-    trees.face_starts = put([b.faces[0] for b in bodies], wp.int32)
-    trees.edge_starts = put([b.edges[0] for b in bodies], wp.int32)
-    trees.node_starts = put([b.nodes[0] for b in bodies], wp.int32)
-    trees.bodies = put([t.body for t in targets], wp.int32)
-    return trees
+    def trees(name: str, starts: list[int]) -> TargetTrees:
+        found = TargetTrees()
+        ids = [getattr(t.trees, name).id if t.trees else 0 for t in model.targets]
+        found.ids, found.starts = put(ids, wp.uint64), put(starts, wp.int32)
+        found.bodies = put([t.body for t in model.targets], wp.int32)
+        return found
+
+    def search(jobs: wp.array, primitives: np.ndarray, into: TargetTrees, first: bool) -> Search:
+        return Search(jobs, put(primitives, wp.int32), into, first)
+
+    every_node = np.arange(model.node_count)[:, None]
+    faces = trees("faces", [body.faces[0] for body in bodies])
+    vertices = trees("vertices", [body.nodes[0] for body in bodies])
+    edges = trees("edges", [body.edges[0] for body in bodies])
+    return {
+        "node": search(plan.node_target, every_node, faces, False),
+        "face": search(plan.face_target, surface.faces.numpy(), vertices, True),
+        "edge": search(plan.edge_target, surface.edges.numpy(), edges, False),
+    }
 
 
 @wp.kernel
@@ -111,10 +138,12 @@ def is_absent(
 
 
 @wp.kernel
-def _node_kernel(
+def _search_kernel(
     active: wp.array(dtype=wp.int32),
     jobs: wp.array(dtype=wp.vec2i),
+    primitives: wp.array2d(dtype=wp.int32),
     trees: TargetTrees,
+    hit_first: int,
     node_bodies: wp.array(dtype=wp.int32),
     present: wp.array2d(dtype=wp.int32),
     margin: wp.float64,
@@ -125,97 +154,47 @@ def _node_kernel(
     counts: wp.array(dtype=wp.int32),
     pairs: wp.array2d(dtype=wp.vec2i),
 ):
-    """A node against the faces of a body."""
+    """The path of a node, face or edge against the primitives of a body."""
     env, i = wp.tid()
-    node = jobs[i][0]
+    item = jobs[i][0]
     frame = jobs[i][1]
-    if active[env] == 0 or is_absent(env, node, trees.bodies[frame], node_bodies, present):
+    if active[env] == 0:
+        return
+    if is_absent(env, primitives[item, 0], trees.bodies[frame], node_bodies, present):
         return
     low = wp.vec3d(_BIG, _BIG, _BIG)
     high = -low
     travel = wp.float64(0.0)
-    low, high, travel = include(
-        low, high, travel, env, frame, node, positions, displacements, start, end
-    )
-    box = rounded_out(low, high, widened_margin(margin, travel, env, frame, start, end))
-    query = wp.bvh_query_aabb(trees.faces[frame], box.lower, box.upper)
-    hit = int(0)
-    while wp.bvh_query_next(query, hit):
-        append(env, node, trees.face_starts[frame] + hit, counts, pairs)
-
-
-@wp.kernel
-def _face_kernel(
-    active: wp.array(dtype=wp.int32),
-    jobs: wp.array(dtype=wp.vec2i),
-    trees: TargetTrees,
-    node_bodies: wp.array(dtype=wp.int32),
-    present: wp.array2d(dtype=wp.int32),
-    faces: wp.array(dtype=wp.vec3i),
-    margin: wp.float64,
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    start: Frames,
-    end: Frames,
-    counts: wp.array(dtype=wp.int32),
-    pairs: wp.array2d(dtype=wp.vec2i),
-):
-    """The vertices of a body against a face."""
-    env, i = wp.tid()
-    face = faces[jobs[i][0]]
-    frame = jobs[i][1]
-    if active[env] == 0 or is_absent(env, face[0], trees.bodies[frame], node_bodies, present):
-        return
-    low = wp.vec3d(_BIG, _BIG, _BIG)
-    high = -low
-    travel = wp.float64(0.0)
-    for k in range(3):
+    for k in range(primitives.shape[1]):
         low, high, travel = include(
-            low, high, travel, env, frame, face[k], positions, displacements, start, end
+            low, high, travel, env, frame, primitives[item, k], positions, displacements, start, end
         )
     box = rounded_out(low, high, widened_margin(margin, travel, env, frame, start, end))
-    query = wp.bvh_query_aabb(trees.vertices[frame], box.lower, box.upper)
+    query = wp.bvh_query_aabb(trees.ids[frame], box.lower, box.upper)
     hit = int(0)
     while wp.bvh_query_next(query, hit):
-        append(env, trees.node_starts[frame] + hit, jobs[i][0], counts, pairs)
+        found = trees.starts[frame] + hit
+        if hit_first != 0:
+            append(env, found, item, counts, pairs)
+        else:
+            append(env, item, found, counts, pairs)
 
 
-@wp.kernel
-def _edge_kernel(
-    active: wp.array(dtype=wp.int32),
-    jobs: wp.array(dtype=wp.vec2i),
-    trees: TargetTrees,
-    node_bodies: wp.array(dtype=wp.int32),
-    present: wp.array2d(dtype=wp.int32),
-    edges: wp.array(dtype=wp.vec2i),
-    margin: wp.float64,
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    start: Frames,
-    end: Frames,
-    counts: wp.array(dtype=wp.int32),
-    pairs: wp.array2d(dtype=wp.vec2i),
-):
-    """The edges of a body against an edge."""
-    env, i = wp.tid()
-    edge = edges[jobs[i][0]]
-    frame = jobs[i][1]
-    if active[env] == 0 or is_absent(env, edge[0], trees.bodies[frame], node_bodies, present):
-        return
-    low = wp.vec3d(_BIG, _BIG, _BIG)
-    high = -low
-    travel = wp.float64(0.0)
-    for k in range(2):
-        low, high, travel = include(
-            low, high, travel, env, frame, edge[k], positions, displacements, start, end
+def run_search(
+    search: Search,
+    model: Model,
+    active: wp.array,
+    path: list,
+    frames: list[Frames],
+    outputs: list[wp.array],
+) -> None:
+    """Append pairs to ``outputs`` (counts, pairs); ``path``: margin, positions, displacements."""
+    if len(search.jobs):
+        wp.launch(
+            _search_kernel,
+            dim=(model.env_count, len(search.jobs)),
+            inputs=[active, search.jobs, search.primitives, search.trees, int(search.hit_first)]
+            + [model.surface.node_bodies, model.present, *path, *frames],
+            outputs=outputs,
+            device=model.device,
         )
-    box = rounded_out(low, high, widened_margin(margin, travel, env, frame, start, end))
-    query = wp.bvh_query_aabb(trees.edges[frame], box.lower, box.upper)
-    hit = int(0)
-    while wp.bvh_query_next(query, hit):
-        append(env, jobs[i][0], trees.edge_starts[frame] + hit, counts, pairs)
-
-
-NODE_JOBS = _node_kernel
-FACE_JOBS = _face_kernel
-EDGE_JOBS = _edge_kernel
