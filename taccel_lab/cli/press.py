@@ -58,7 +58,8 @@ class Press:
     """focused: graded around the contact (sensors of the catalogue). profile: the stored mesh."""
     element: Literal["linear", "quadratic"] = "linear"
     """quadratic: ten-node tets on the same mesh: eight times the nodes, and forces that are right
-    also near nu 0.5, where those of linear tets are tens of per cent too large."""
+    also near nu 0.5, where those of linear tets are tens of per cent too large. The picture of the
+    pressure alternates between nodes then."""
     device: str = "cpu"
     """Device of the solver: cpu or cuda:0."""
 

@@ -66,7 +66,8 @@ class SurfaceLoad:
     tractions: wp.array
     """Force per area [Pa], vec3d."""
     pressures: wp.array
-    """Contact pressure [Pa], float64."""
+    """Contact pressure [Pa], float64. On quadratic tets it alternates between corners and middles
+    of edges, as their shares in the load of a face do: sums of forces are right, these are not."""
 
 
 def surface_load(
