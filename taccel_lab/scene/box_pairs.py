@@ -36,7 +36,8 @@ def box_pairs(
     """Indices of the boxes of two sets that overlap, each box pair once.
 
     ``first``, ``second``: lower and upper corners, each [n, 3]. Boxes are rounded outwards to FP32,
-    so pairs may lie apart by a rounding error, but none that overlaps is missed.
+    so pairs may lie apart by a rounding error, but none that overlaps is missed. Runs on Warp's
+    default device: the GPU where there is one.
     """
     empty = np.zeros(0, dtype=np.int64)
     if len(first[0]) == 0 or len(second[0]) == 0:
@@ -46,11 +47,11 @@ def box_pairs(
     lower_a, upper_a = _outward(first, origin)
     lower_b, upper_b = _outward(second, origin)
     tree = wp.Bvh(lower_b, upper_b)
-    counts = wp.zeros(len(first[0]), dtype=wp.int32, device="cpu")
+    counts = wp.zeros(len(first[0]), dtype=wp.int32)
     _launch(tree, lower_a, upper_a, None, counts, None)
     found = counts.numpy()
-    starts = wp.array(np.cumsum(found) - found, dtype=wp.int32, device="cpu")
-    pairs = wp.zeros(max(int(found.sum()), 1), dtype=wp.vec2i, device="cpu")
+    starts = wp.array(np.cumsum(found) - found, dtype=wp.int32)
+    pairs = wp.zeros(max(int(found.sum()), 1), dtype=wp.vec2i)
     _launch(tree, lower_a, upper_a, starts, None, pairs)
     result = pairs.numpy()[: int(found.sum())].astype(np.int64)
     return result[:, 0], result[:, 1]
@@ -60,8 +61,8 @@ def _outward(boxes: tuple[np.ndarray, np.ndarray], origin: np.ndarray) -> tuple[
     lower = np.nextafter((boxes[0] - origin).astype(np.float32), np.float32(-np.inf))
     upper = np.nextafter((boxes[1] - origin).astype(np.float32), np.float32(np.inf))
     return (
-        wp.array(lower, dtype=wp.vec3, device="cpu"),
-        wp.array(upper, dtype=wp.vec3, device="cpu"),
+        wp.array(lower, dtype=wp.vec3),
+        wp.array(upper, dtype=wp.vec3),
     )
 
 
@@ -78,5 +79,4 @@ def _launch(
         dim=lower.shape,
         inputs=[tree.id, lower, upper, starts],
         outputs=[counts, pairs],
-        device="cpu",
     )

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -213,10 +214,14 @@ class Scene:
             return False
         return first.surface.meets(second.surface)
 
-    def finalize(self, device: str = "cpu") -> Model:
-        """Build the device arrays; raises InputError for meshes that cannot be used."""
+    def finalize(self, device: str | None = None) -> Model:
+        """Build the device arrays; raises InputError for meshes that cannot be used.
+
+        ``device``: "cpu" or "cuda:0", "cuda:1", ...; when None what the environment variable
+        TACCEL_LAB_DEVICE says, else the CPU.
+        """
         from taccel_lab.model import build_model
         from taccel_lab.scene.checks import check_scene
 
         check_scene(self)
-        return build_model(self, device)
+        return build_model(self, device or os.environ.get("TACCEL_LAB_DEVICE", "cpu"))

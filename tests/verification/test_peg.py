@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.peg_scene import (
+from benchmarks.assets import data_folder
+from benchmarks.scenes.peg import (
     CENTRED,
     DT_S,
     GRAVITY,
@@ -14,7 +15,6 @@ from benchmarks.peg_scene import (
     PUBLISHED,
     PegParts,
     PegPath,
-    data_folder,
     generated_parts,
     peg_config,
     peg_scene,

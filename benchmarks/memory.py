@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a scene allocates on its device, from Warp's own record of allocations.
+
+The record is the text of ``wp.ScopedMemoryTracker``, which is the public way to its figures. On a
+GPU the memory pool's own figures stand beside it: they count what kernels of a captured graph
+allocate, too.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+_UNITS = {"B": 1, "KB": 2**10, "MB": 2**20, "GB": 2**30, "TB": 2**40}
+_LINE = re.compile(r"^\s+(\S+)\s+(?:(\d+) \()?([\d.]+) (B|KB|MB|GB|TB)\)?$")
+
+
+@dataclass(frozen=True)
+class Allocations:
+    """On one device."""
+
+    count: int
+    """Allocations made, freed ones as well."""
+    live_bytes: float
+    peak_bytes: float
+
+
+class MemoryMeter:
+    """Use as a context around building and stepping; then read ``allocations(device)``."""
+
+    def __enter__(self) -> MemoryMeter:
+        self._text = ""
+        self._tracker = wp.ScopedMemoryTracker("benchmark", report_func=self._keep)
+        self._tracker.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._tracker.__exit__(*error)
+
+    def _keep(self, text: str) -> None:
+        self._text = text
+
+    def allocations(self, device: wp.Device) -> Allocations:
+        """What the report says; of the whole context so far."""
+        sections: dict[str, dict[str, tuple[int, float]]] = {}
+        section = ""
+        for line in self._text.splitlines():
+            title = line.strip().rstrip(":")
+            if title in ("Total allocations", "Peak usage", "Live allocations"):
+                section = title
+            elif found := _LINE.match(line):
+                name, number, size, unit = found.groups()
+                sections.setdefault(section, {})[name] = (
+                    int(number or 0),
+                    float(size) * _UNITS[unit],
+                )
+        name, none = str(device), (0, 0.0)
+        return Allocations(
+            sections.get("Total allocations", {}).get(name, none)[0],
+            sections.get("Live allocations", {}).get(name, none)[1],
+            sections.get("Peak usage", {}).get(name, none)[1],
+        )
+
+
+def pool_bytes(device: wp.Device) -> int | None:
+    """Bytes in use in the device's memory pool, None where there is no pool."""
+    if device.is_cuda and device.is_mempool_enabled:
+        return wp.get_mempool_used_mem_current(device)
+    return None

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Result files: one schema, written whole after every row, so that nothing finished is lost."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.machine import describe_run
+from taccel_lab.errors import InputError
+from taccel_lab.output import write_json
+
+SCHEMA = "taccel-lab benchmark 1"
+FOLDER = Path(__file__).parent / "results"
+REQUIRED = ("schema", "suite", "what", "run", "settings", "complete", "rows", "seconds")
+
+
+class ResultFile:
+    """Rows of one suite; every ``add`` writes the file anew, atomically."""
+
+    def __init__(
+        self, suite: str, what: str, out: Path, device: str, settings: dict[str, Any]
+    ) -> None:
+        self.path = result_path(suite, out)
+        self._started = time.perf_counter()
+        self._document: dict[str, Any] = {
+            "schema": SCHEMA,
+            "suite": suite,
+            "what": what,
+            "run": describe_run(device),
+            "settings": settings,
+            "complete": False,
+            "rows": [],
+            "seconds": 0.0,
+        }
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """What is finished."""
+        return self._document["rows"]
+
+    def add(self, row: dict[str, Any]) -> None:
+        """A finished row."""
+        self.rows.append(row)
+        self.write()
+
+    def put(self, name: str, value: Any) -> None:
+        """A figure beside the rows."""
+        self._document[name] = value
+        self.write()
+
+    def write(self) -> None:
+        self._document["seconds"] = round(time.perf_counter() - self._started, 1)
+        write_json(self.path, self._document)
+
+    @contextmanager
+    def finishing(self) -> Iterator[ResultFile]:
+        """Mark the file complete at the end; on Ctrl-C say what is kept."""
+        try:
+            yield self
+        except KeyboardInterrupt:
+            if self.rows:
+                self.write()
+            note(f"interrupted; {len(self.rows)} finished rows are in {self.path}")
+            raise
+        self._document["complete"] = True
+        self.write()
+        note(f"wrote {self.path}")
+
+
+def result_path(suite: str, out: Path) -> Path:
+    """``out`` when it names a JSON file, else a file of the suite in that folder."""
+    return out if out.suffix == ".json" else out / f"{suite}.json"
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """A result file, checked."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is no JSON file: {error}") from None
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        raise InputError(f"{path} is no result of this suite: its schema is not {SCHEMA!r}")
+    missing = [name for name in REQUIRED if name not in document]
+    if missing:
+        raise InputError(f"{path} lacks {', '.join(missing)}")
+    return document
+
+
+def spread(values: list[float]) -> dict[str, float]:
+    """Median, smallest and largest of repeated measurements, and how many there are."""
+    return {
+        "median": float(np.median(values)),
+        "min": float(min(values)),
+        "max": float(max(values)),
+        "count": len(values),
+    }
+
+
+def note(line: str) -> None:
+    """A line for the person who waits."""
+    sys.stderr.write(line + "\n")
+    sys.stderr.flush()
+
+
+class Ticker:
+    """A line on a terminal that says how far a row is; nothing where output goes to a file."""
+
+    def __init__(self, label: str) -> None:
+        self._label = label
+        self._last = 0.0
+        self._on = sys.stderr.isatty()
+
+    def __call__(self, done: int, total: int) -> None:
+        now = time.perf_counter()
+        if not self._on or (now - self._last < 0.2 and done < total):
+            return
+        self._last = now
+        end = "\r\033[K" if done == total else ""
+        sys.stderr.write(f"\r\033[K{self._label}: {done}/{total}{end}")
+        sys.stderr.flush()

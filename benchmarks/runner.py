@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Step a scene through its motion as a user would: set targets, step, read forces.
+
+The end-to-end time of a step is that of all three, until the forces on each gel are on the host.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
+from taccel_lab.model import Model
+from taccel_lab.solvers import EnvStatus, SolverIPC, StepReport
+from taccel_lab.state import initial_state
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _sum_forces_kernel(
+    contact: wp.array2d(dtype=wp.vec3d),
+    friction: wp.array2d(dtype=wp.vec3d),
+    starts: wp.array(dtype=wp.int32),
+    forces: wp.array2d(dtype=wp.vec3d),
+):
+    env, body = wp.tid()
+    total = wp.vec3d()
+    for node in range(starts[body], starts[body + 1]):
+        total -= contact[env, node] + friction[env, node]
+    forces[env, body] = total
+
+
+class ForceReader:
+    """Contact and friction force on each soft body [N], [env, soft body, 3], on the host."""
+
+    def __init__(self, solver: SolverIPC) -> None:
+        model = solver.model
+        self._solver = solver
+        soft = model.bodies[: len(model.scene.soft_bodies)]
+        starts = np.array([body.nodes[0] for body in soft] + [model.soft_count], dtype=np.int32)
+        self._starts = wp.array(starts, dtype=wp.int32, device=model.device)
+        shape = (model.env_count, len(soft))
+        self._forces = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
+
+    def read(self) -> np.ndarray:
+        """Of the last step."""
+        solver = self._solver
+        wp.launch(
+            _sum_forces_kernel,
+            dim=self._forces.shape,
+            inputs=[solver.contact_gradient, solver.friction_gradient, self._starts],
+            outputs=[self._forces],
+            device=solver.model.device,
+        )
+        return self._forces.numpy()
+
+
+@dataclass
+class Motion:
+    """Figures of a run, a list over its steps each unless said otherwise."""
+
+    env_count: int
+    seconds: list[float] = field(default_factory=list)
+    """End to end: targets set, stepped, forces read."""
+    solver_seconds: list[float] = field(default_factory=list)
+    newton: list[float] = field(default_factory=list)
+    """Mean over the environments."""
+    newton_max: list[int] = field(default_factory=list)
+    cg: list[float] = field(default_factory=list)
+    lags: list[float] = field(default_factory=list)
+    residual_n: list[float] = field(default_factory=list)
+    """Largest over the environments, as the next two."""
+    residual_over_contact: list[float] = field(default_factory=list)
+    residual_over_allowed: list[float] = field(default_factory=list)
+    """Residual over max(1e-4 contact force, 1e-5 N)."""
+    contact_force_n: list[float] = field(default_factory=list)
+    """Mean over the environments."""
+    min_distance_um: list[float] = field(default_factory=list)
+    unconverged: int = 0
+    """Steps of environments that did not converge."""
+    halved: int = 0
+    """Steps of environments that were taken in parts."""
+    causes: dict[str, int] = field(default_factory=dict)
+    forces_n: list[np.ndarray] = field(default_factory=list)
+    """Force on each soft body, [env, body, 3]."""
+
+    @property
+    def fps(self) -> float:
+        """Environments x steps / seconds, end to end."""
+        return self.env_count * len(self.seconds) / sum(self.seconds)
+
+    @property
+    def solver_fps(self) -> float:
+        """The same without setting targets and reading forces."""
+        return self.env_count * len(self.seconds) / sum(self.solver_seconds)
+
+    def add(self, report: StepReport, seconds: float, solver_seconds: float) -> None:
+        """One step."""
+        self.seconds.append(seconds)
+        self.solver_seconds.append(solver_seconds)
+        self.newton.append(float(report.newton_iterations.mean()))
+        self.newton_max.append(int(report.newton_iterations.max()))
+        self.cg.append(float(report.cg_iterations.mean()))
+        self.lags.append(float(report.friction_lags.mean()))
+        good = report.converged
+        residual = np.where(good, report.residual_n, 0.0)
+        contact = report.contact_force_n
+        allowed = np.maximum(RESIDUAL_RATIO * contact, RESIDUAL_N)
+        touching = contact > RESIDUAL_N / RESIDUAL_RATIO
+        ratio = residual / np.where(touching, contact, np.inf)
+        self.residual_n.append(float(residual.max()))
+        self.residual_over_contact.append(float(ratio.max()))
+        self.residual_over_allowed.append(float((residual / allowed).max()))
+        self.contact_force_n.append(float(contact.mean()))
+        self.min_distance_um.append(float(report.min_distance_m.min() * 1e6))
+        self.unconverged += int((~good).sum())
+        self.halved += int((good & (report.substeps > 1)).sum())
+        for status in report.status[~good]:
+            name = EnvStatus(status).name
+            self.causes[name] = self.causes.get(name, 0) + 1
+
+    def residual(self) -> dict[str, Any]:
+        """What the speed was reached at."""
+        return {
+            "worst_n": max(self.residual_n),
+            "worst_over_contact_force": max(self.residual_over_contact),
+            "worst_over_allowed": max(self.residual_over_allowed),
+            "allowed": f"max({RESIDUAL_RATIO:g} of the contact force, {RESIDUAL_N:g} N)",
+            "env_steps": self.env_count * len(self.seconds),
+            "unconverged": self.unconverged,
+            "taken_in_parts": self.halved,
+            "causes": self.causes,
+        }
+
+    def work(self) -> dict[str, Any]:
+        """Iterations a step."""
+        return {
+            "newton_mean": float(np.mean(self.newton)),
+            "newton_worst": max(self.newton_max),
+            "cg_mean": float(np.mean(self.cg)),
+            "friction_lags_mean": float(np.mean(self.lags)),
+            "contact_force_mean_n": float(np.mean(self.contact_force_n)),
+            "min_distance_um": min(self.min_distance_um),
+        }
+
+
+class Runner:
+    """Model, solver and state of a scene on a device, built once and run as often as wanted."""
+
+    def __init__(self, bench: BenchScene, device: str = "cpu") -> None:
+        self.bench = bench
+        self.model: Model = bench.scene.finalize(device)
+        self.solver = SolverIPC(self.model, bench.config)
+        self.state = initial_state(self.model, bench.targets(0))
+        self.forces = ForceReader(self.solver)
+
+    def reset(self) -> None:
+        """All environments back to the start of the motion."""
+        everyone = np.ones(self.model.env_count, dtype=bool)
+        self.solver.reset(self.state, everyone, self.bench.targets(0))
+
+    def run(
+        self,
+        steps: int | None = None,
+        *,
+        keep_forces: bool = False,
+        progress: Callable[[int, int], None] | None = None,
+        after_step: Callable[[int, StepReport], None] | None = None,
+    ) -> Motion:
+        """The first ``steps`` of the motion, all of it when None, from the start."""
+        count = self.bench.steps if steps is None else min(steps, self.bench.steps)
+        motion = Motion(self.model.env_count)
+        wp.synchronize_device(self.model.device)
+        for step in range(1, count + 1):
+            started = time.perf_counter()
+            targets = self.bench.targets(step)
+            before = time.perf_counter()
+            report = self.solver.step(self.state, targets)
+            after = time.perf_counter()
+            forces = self.forces.read()
+            motion.add(report, time.perf_counter() - started, after - before)
+            if keep_forces:
+                motion.forces_n.append(forces.copy())
+            if after_step is not None:
+                after_step(step, report)
+            if progress is not None:
+                progress(step, count)
+        return motion

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scenes by name; a module each, read when it is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from benchmarks.scenes.base import BenchScene, SceneOptions
+from taccel_lab.errors import InputError
+
+SCENES = {
+    "peg": "peg",
+    "press_239": "press",
+    "press_2005": "press",
+    "press_5215": "press",
+    "bolt": "bolt",
+    "hand": "hand",
+    "squeeze": "squeeze",
+}
+"""Module of each scene."""
+
+
+def build_scene(name: str, options: SceneOptions | None = None) -> BenchScene:
+    """The scene of a name; InputError says which there are."""
+    if name not in SCENES:
+        raise InputError(f"scene must be one of {', '.join(SCENES)}, got {name!r}")
+    module = import_module(f"benchmarks.scenes.{SCENES[name]}")
+    options = options or SceneOptions()
+    # Presses differ by their pad only.
+    return module.build(options, name) if name.startswith("press") else module.build(options)
+
+
+__all__ = ["SCENES", "BenchScene", "SceneOptions", "build_scene"]

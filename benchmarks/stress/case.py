@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a case of the stress is, and the list of families that make them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.stress.draw import Draw
+from taccel_lab.model import Model
+from taccel_lab.scene import Scene
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.state import State
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene, and what happens to it."""
+
+    scene: Scene
+    config: SolverConfig
+    steps: int
+    start: np.ndarray | None = None
+    """Poses of the kinematic bodies at the start, [env_count, kinematic_count, 7]."""
+    targets: Callable[[int], np.ndarray] | None = None
+    """Poses at the end of step 0, 1, ...; where they are when None."""
+    prepare: Callable[[SolverIPC, State, int], None] | None = None
+    """Called before each step: sets loads or the targets of drives."""
+    expect: Callable[[Model, State, int], str | None] | None = None
+    """A referee of the family itself: says what is wrong after step 0, 1, ..., or None."""
+    possible: bool = True
+    """Whether every step has an answer; where not, a step that fails with a cause is right."""
+    closed: bool = False
+    """Nothing does work on the bodies: their energy must not rise (implicit Euler)."""
+
+
+Make = Callable[[Draw], Case]
+
+FAMILIES: dict[str, Make] = {}
+"""Families by name; ``benchmarks.stress.families`` fills it."""
+
+
+def family(make: Make) -> Make:
+    """Add a function to the families under its own name."""
+    FAMILIES[make.__name__] = make
+    return make
+
+
+def make_case(name: str, seed: int) -> tuple[Case, dict]:
+    """The case of a family and seed, and the parameters that were drawn; KeyError names all."""
+    if name not in FAMILIES:
+        raise KeyError(f"no family {name!r}; there are {', '.join(FAMILIES)}")
+    draw = Draw(name, seed)
+    return FAMILIES[name](draw), draw.values
