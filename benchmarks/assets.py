@@ -37,7 +37,7 @@ def has_data(*parts: str) -> bool:
 
 
 def choose_source(source: str, *parts: str) -> str:
-    """"published" or "generated": what was asked for, or, for "auto", what there is."""
+    """ "published" or "generated": what was asked for, or, for "auto", what there is."""
     if source not in ("auto", "published", "generated"):
         raise InputError(f"source must be auto, published or generated, got {source!r}")
     there = has_data(*parts)

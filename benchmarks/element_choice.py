@@ -143,7 +143,7 @@ def plot(rows: list[dict], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--layers", type=int, default=12, help="finest linear mesh")
     options = parser.parse_args()
@@ -166,7 +166,7 @@ def main() -> None:
                 flush=True,
             )
     result = {
-        "what": __doc__.split("\n")[0],
+        "what": (__doc__ or "").split("\n")[0],
         "run": describe_run(),
         "settings": {"depths_mm": DEPTHS_MM, "young_pa": YOUNG_PA, "dhat_mm": 0.02},
         "presses": rows,

@@ -87,7 +87,7 @@ def _swirl(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def swirl_error(element: Element, cells: int, poisson: float) -> tuple[int, float]:
     """Nodes, and relative error of the displacement in the L2 norm."""
     unit, tets = _grid((cells, cells, cells))
-    inside = ((unit > 0) & (unit < 1)).all(axis=1)
+    inside = np.all((unit > 0) & (unit < 1), axis=1)
     moves = np.random.default_rng(0).uniform(-0.1, 0.1, unit.shape) / cells
     mesh = _mesh(CUBE_M * (unit + moves * inside[:, None]), tets)
     body = _body(mesh, np.flatnonzero(~inside), element, poisson)
@@ -191,7 +191,7 @@ def study(levels: dict[str, dict[Element, list[int]]]) -> list[dict]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--referee", action="store_true", help="compute Cook's energies again")
     options = parser.parse_args()
@@ -209,7 +209,7 @@ def main() -> None:
     )
     write_json(
         options.out / "element_convergence.json",
-        {"what": __doc__.split("\n")[0], "run": describe_run(), "rows": rows},
+        {"what": (__doc__ or "").split("\n")[0], "run": describe_run(), "rows": rows},
     )
 
 

@@ -223,7 +223,7 @@ def plot(series: dict[str, list[tuple[HertzCase, HertzResult]]], path: Path) -> 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--cells", type=int, nargs="+", default=[3, 4, 5, 6, 8, 10])
     options = parser.parse_args()

@@ -35,6 +35,8 @@ class MemoryMeter:
         self._text = ""
         self._tracker = wp.ScopedMemoryTracker("benchmark", report_func=self._keep)
         self._tracker.__enter__()
+        # The record is the process's: without this its peak would be that of an earlier scene.
+        self._tracker.clear()
         return self
 
     def __exit__(self, *error: Any) -> None:

@@ -152,7 +152,7 @@ def main() -> None:
                 f"{row['worst_step_s']:.3f} s, residual {max(row['residual_n']):.1e} N\n"
             )
     result = {
-        "what": __doc__.split("\n")[0],
+        "what": (__doc__ or "").split("\n")[0],
         "run": describe_run(DEVICE),
         "settings": {"step_mm": STEP_MM, "relative_tolerance": 1e-4, "dhat_mm": 0.02},
         "compilation": compilation,

@@ -56,6 +56,10 @@ class ResultFile:
         self._document[name] = value
         self.write()
 
+    def get(self, name: str, default: Any = None) -> Any:
+        """A figure that was put beside the rows."""
+        return self._document.get(name, default)
+
     def write(self) -> None:
         self._document["seconds"] = round(time.perf_counter() - self._started, 1)
         write_json(self.path, self._document)
@@ -110,6 +114,17 @@ def note(line: str) -> None:
     """A line for the person who waits."""
     sys.stderr.write(line + "\n")
     sys.stderr.flush()
+
+
+class Deadline:
+    """When to stop starting things."""
+
+    def __init__(self, budget_s: float | None) -> None:
+        self._end = None if budget_s is None else time.perf_counter() + budget_s
+
+    @property
+    def passed(self) -> bool:
+        return self._end is not None and time.perf_counter() > self._end
 
 
 class Ticker:

@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Step a scene through its motion as a user would: set targets, step, read forces.
 
-The end-to-end time of a step is that of all three, until the forces on each gel are on the host.
+The end-to-end time of a step is that of all three, until the forces on each gel are on the host;
+``benchmarks.clock`` says which clock.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from benchmarks.clock import clock_of
 from benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
 from taccel_lab.model import Model
+from taccel_lab.scene.checks import check_start
 from taccel_lab.solvers import EnvStatus, SolverIPC, StepReport
 from taccel_lab.state import initial_state
 
@@ -151,14 +153,23 @@ class Motion:
 
 
 class Runner:
-    """Model, solver and state of a scene on a device, built once and run as often as wanted."""
+    """Model, solver and state of a scene on a device, built once and run as often as wanted.
+
+    The start is searched for overlaps once, here, and not again at the first step of every run.
+    """
 
     def __init__(self, bench: BenchScene, device: str = "cpu") -> None:
         self.bench = bench
         self.model: Model = bench.scene.finalize(device)
-        self.solver = SolverIPC(self.model, bench.config)
+        self.solver = SolverIPC(self.model, replace(bench.config, check_start=False))
         self.state = initial_state(self.model, bench.targets(0))
+        check_start(self.model, self.state, bench.config.dhat_m)
         self.forces = ForceReader(self.solver)
+        self.clock = clock_of(self.model.device)
+
+    def contact_counts(self) -> np.ndarray:
+        """Contacts of each environment at the end of the last step, [env]."""
+        return self.solver.collisions.lists.counts.numpy()
 
     def reset(self) -> None:
         """All environments back to the start of the motion."""
@@ -178,13 +189,13 @@ class Runner:
         motion = Motion(self.model.env_count)
         wp.synchronize_device(self.model.device)
         for step in range(1, count + 1):
-            started = time.perf_counter()
+            started = self.clock()
             targets = self.bench.targets(step)
-            before = time.perf_counter()
+            before = self.clock()
             report = self.solver.step(self.state, targets)
-            after = time.perf_counter()
+            after = self.clock()
             forces = self.forces.read()
-            motion.add(report, time.perf_counter() - started, after - before)
+            motion.add(report, self.clock() - started, after - before)
             if keep_forces:
                 motion.forces_n.append(forces.copy())
             if after_step is not None:

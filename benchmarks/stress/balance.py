@@ -68,6 +68,7 @@ class Balance:
         self.parents, self.weights = model.parents.numpy(), model.weights.numpy()
         self.lengths = model.affine.lengths.numpy()
         self.stiffness = model.affine.stiffness.numpy()
+        self.present, self.bodies = model.present.numpy() != 0, model.surface.node_bodies.numpy()
         self.judged = self._judged_rows()
 
     def _judged_rows(self) -> np.ndarray:
@@ -111,13 +112,14 @@ class Balance:
             if body.damping_time_s > 0:
                 total[nodes] += body.viscous_gradient(x[nodes], before.positions[env, nodes], dt)
             share = 1 + body.damping_time_s / dt
-            noise += body.stiffest_pa * share * np.abs(x[nodes]).max() * body.size_m
+            noise += share * body.stiffness_n_m * np.abs(x[nodes]).max()
         if not self.scene.time.quasi_static:
             total += self._inertia(env, before, x)
         total, stiff = self._reduced(total, x)
         noise += stiff
-        left = float(np.linalg.norm(total[self.judged]))
-        return left, 64 * np.finfo(float).eps * noise
+        here = self.present[env][self.bodies[self.judged]]
+        left = float(np.linalg.norm(total[self.judged[here]]))
+        return left, 8 * np.finfo(float).eps * noise
 
     def _inertia(self, env: int, before: Snapshot, x: np.ndarray) -> np.ndarray:
         """Mass times acceleration, less the weight [N]."""

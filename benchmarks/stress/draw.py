@@ -48,17 +48,17 @@ class Draw:
         return self._keep(name, bool(self._random.uniform() < probability))
 
     def direction(self, name: str) -> np.ndarray:
-        """A unit vector, shape [3]."""
+        """A unit vector, shape [3]; kept as rounded text, as what the seed gives is long."""
         vector = self._random.normal(size=3)
         vector /= np.linalg.norm(vector)
-        self._keep(name, vector.tolist())
+        self._keep(name, " ".join(f"{value:.3f}" for value in vector))
         return vector
 
     def rotation(self, name: str) -> np.ndarray:
         """A unit quaternion x, y, z, w."""
         vector = self._random.normal(size=4)
         vector /= np.linalg.norm(vector)
-        self._keep(name, vector.tolist())
+        self._keep(name, " ".join(f"{value:.3f}" for value in vector))
         return vector
 
     def seed(self, name: str) -> int:

@@ -3,7 +3,7 @@
 
 Stresses P = d psi / dF of the four materials by their textbook formulas (sources in
 ``taccel_lab/ipc/elasticity``). A linear tet has one F; a quadratic one takes the shape part at four
-points, the volumetric part of their mean, and a guard at its corners (``docs/solver.md``, Elements).
+points, the volumetric part of their mean, and a guard at its corners (see ``docs/solver.md``).
 """
 
 from __future__ import annotations
@@ -101,7 +101,9 @@ class SoftForces:
         self.volumes = np.linalg.det(edges) / 6
         slopes = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
         """Gradients of the barycentric coordinates [tet, 4, 3]."""
-        self.gradients = _quadratic_gradients(slopes, _POINTS) if self.quadratic else slopes[:, None]
+        self.gradients = (
+            _quadratic_gradients(slopes, _POINTS) if self.quadratic else slopes[:, None]
+        )
         """Gradients of the shape functions at the points [tet, point, node, 3]."""
         self.corner_gradients = _quadratic_gradients(slopes, np.eye(4)) if self.quadratic else None
         count = len(self.tets)
@@ -113,8 +115,9 @@ class SoftForces:
         ratio = np.broadcast_to(material.mooney_ratio, count)
         self.law = Law(material.model, mu[:, None], lam[:, None], ratio[:, None])
         self.damping_time_s = material.damping_time_s
-        self.stiffest_pa = float((lam + 2 * mu).max())
-        self.size_m = float(self.volumes.max() ** (1 / 3))
+        steepest = np.linalg.norm(slopes, axis=-1).max(axis=1)
+        self.stiffness_n_m = float(np.linalg.norm((lam + 2 * mu) * self.volumes * steepest**2))
+        """Times the rounding of a coordinate: the rounding of the forces. Slivers have the most."""
 
     def deformations(self, x: np.ndarray) -> np.ndarray:
         """F at the points [tet, point, 3, 3] of nodes [node, 3]."""
@@ -169,7 +172,11 @@ def _quadratic_gradients(slopes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Gradients of the ten shape functions at barycentric points [q, 4]: [tet, q, 10, 3]."""
     corners = (4 * points - 1)[None, :, :, None] * slopes[:, None]
     middles = [
-        4 * (points[None, :, [j], None] * slopes[:, None, [i]] + points[None, :, [i], None] * slopes[:, None, [j]])
+        4
+        * (
+            points[None, :, [j], None] * slopes[:, None, [i]]
+            + points[None, :, [i], None] * slopes[:, None, [j]]
+        )
         for i, j in TET_EDGES
     ]
     return np.concatenate([corners, *middles], axis=2)

@@ -82,7 +82,8 @@ def torus(radius: float, tube: float, around: int = 12, across: int = 6) -> Tria
     i, j = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
     up, right = (i + 1) % around, (j + 1) % across
     a, b, c, d = (
-        (first * across + second).ravel() for first, second in ((i, j), (up, j), (up, right), (i, right))
+        (first * across + second).ravel()
+        for first, second in ((i, j), (up, j), (up, right), (i, right))
     )
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     return TriangleMesh(vertices, faces)
@@ -125,7 +126,10 @@ def touchable(nodes: np.ndarray, tets: np.ndarray) -> TetMesh:
 
 
 def soft_box(
-    cells: tuple[int, int, int], size: tuple[float, float, float], jitter: float = 0.0, seed: int = 0
+    cells: tuple[int, int, int],
+    size: tuple[float, float, float],
+    jitter: float = 0.0,
+    seed: int = 0,
 ) -> TetMesh:
     """A free block about its middle."""
     mesh = block_mesh(cells, size, jitter, seed)
@@ -162,8 +166,15 @@ def with_slivers(mesh: TetMesh, left: float, share: float, seed: int) -> TetMesh
         moved[node] += way * np.linalg.norm(high - low)
         before, beyond = _volumes(here[star]), _volumes(moved[star])
         shrinking = beyond < before
-        furthest = (before / (before - beyond))[shrinking].min()
-        nodes[node] += (1 - left) * furthest * way * np.linalg.norm(high - low)
+        furthest = (before[shrinking] / (before - beyond)[shrinking]).min()
+        goal = here.copy()
+        goal[node] += (1 - left) * furthest * way * np.linalg.norm(high - low)
+        # Tets that are flat for the checks of a scene would only test those.
+        if (
+            6 * _volumes(goal[star]).min()
+            > 1e-8 * np.linalg.norm(high - low) ** 3 * len(tets) ** -1
+        ):
+            nodes = goal
     return TetMesh(nodes, tets, mesh.faces, mesh.face_regions)
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
-Exit codes: 0 done, 1 ``doctor`` found something broken, 2 unusable input or usage, 3 a simulation
+Exit codes: 0 done, 1 ``doctor`` or ``bench quick`` found something broken, 2 unusable input or usage, 3 a simulation
 that did not converge, 130 interrupted. Anything else that goes wrong is a bug and keeps its
 traceback. Command modules import heavy libraries inside ``run()`` only, so that help is fast.
 """
@@ -32,6 +32,8 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     import tyro
     from tyro.extras import SubcommandApp
 
+    from taccel_lab.cli.bench import HELP as BENCH_HELP
+    from taccel_lab.cli.bench import bench_commands
     from taccel_lab.cli.calibrate import CalibrateColor
     from taccel_lab.cli.demo import Demo
     from taccel_lab.cli.design import Design
@@ -56,6 +58,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(calibrate, name="calibrate", help="Fit a block of a profile to real captures.")
     app.command(profile, name="profile", help="Show or check an exported sensor profile.")
     app.command(sensors, name="sensors", help="List the sensors of the catalogue.")
+    app.command(bench_commands(), name="bench", help=BENCH_HELP)
     app.command(name="doctor")(Doctor)
     return app.cli(
         prog="taccel-lab",

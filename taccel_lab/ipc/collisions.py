@@ -39,6 +39,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.capacity import GrowingList, initial_capacity
 from taccel_lab.ipc.collision_lists import (
     EDGE_EDGE,
     POINT_EDGE,
@@ -51,6 +52,7 @@ from taccel_lab.ipc.collision_lists import (
     contact_geometry,
 )
 from taccel_lab.ipc.contact_roles import body_ranks, self_ranges
+from taccel_lab.ipc.lanes import lane_count
 from taccel_lab.ipc.narrow_phase import (
     ContactSurface,
     edge_edge_kernel,
@@ -76,7 +78,7 @@ forces nearer to those of dhat = 0; larger takes fewer Newton iterations where e
 tenth more, 0.5: a tenth less)."""
 
 
-class Collisions:
+class Collisions(GrowingList):
     """The active collisions of each environment at one set of positions.
 
     Collisions are appended by an atomic counter. On the CPU, which runs threads in turn, their
@@ -85,24 +87,25 @@ class Collisions:
     """
 
     def __init__(
-        self, model: Model, kappa: float, dhat: float, capacity: int = 2048, limit: int = 1 << 20
+        self,
+        model: Model,
+        kappa: float,
+        dhat: float,
+        capacity: int | None = None,
+        limit: int = 1 << 20,
     ) -> None:
+        super().__init__(model.env_count, model.device, limit)
         self.model = model
-        self.limit = limit
-        """Collisions beyond which an environment is given up."""
-        self.overflowed = np.zeros(model.env_count, dtype=bool)
-        """Environments given up by the last update: their lists are empty, not right."""
         self.kappa = kappa
         """Barrier stiffness [Pa]: contact pressure at a gap of about half of dhat."""
         self.dhat = dhat
         """Gap at which contact begins [m]."""
         self.guard = GUARD_FRACTION * dhat
         """Gap at which the guard begins [m]."""
-        self.counts = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
-        self.max_count = 0
         self.geometry = contact_geometry(model)
         self._surface = self._contact_surface()
-        self._allocate(capacity)
+        room = initial_capacity(model.env_count) if capacity is None else capacity
+        self._allocate(min(room, limit))
 
     def _contact_surface(self) -> ContactSurface:
         model, source = self.model, self.model.surface
@@ -142,39 +145,31 @@ class Collisions:
         return self.kinds.shape[1]
 
     def update(self, active: wp.array, positions: wp.array, candidates: Candidates) -> None:
-        """Collect the collisions among ``candidates`` at ``positions``, for active environments."""
+        """``collect`` by a host that makes room where it is short."""
         while True:
-            self.counts.zero_()
-            self._launch(active, positions, candidates)
-            counts = self.counts.numpy()
-            self.overflowed = counts > self.limit
-            if self.overflowed.any():
-                counts = np.where(self.overflowed, 0, counts)
-                self.counts.assign(counts)
-            self.max_count = int(counts.max())
-            if self.max_count <= self.capacity:
+            self.collect(active, positions, candidates)
+            if not self.fit():
                 return
-            self._allocate(min(3 * self.max_count // 2, self.limit))
 
-    def _launch(self, active: wp.array, positions: wp.array, candidates: Candidates) -> None:
+    def collect(self, active: wp.array, positions: wp.array, candidates: Candidates) -> None:
+        """Collect the collisions among ``candidates`` at ``positions``, for active environments;
+        the lists of others stay as they are."""
         model, plan = self.model, self.model.plan
+        self.clear(active)
         common = [positions, self.geometry, self._surface]
-        if candidates.max_node_face:
-            wp.launch(
-                node_face_kernel,
-                dim=(model.env_count, candidates.max_node_face),
-                inputs=[active, candidates.node_face_counts, candidates.node_face, *common],
-                outputs=[self.lists],
-                device=model.device,
-            )
-        if candidates.max_edge_edge:
-            wp.launch(
-                edge_edge_kernel,
-                dim=(model.env_count, candidates.max_edge_edge),
-                inputs=[active, candidates.edge_edge_counts, candidates.edge_edge, *common],
-                outputs=[self.lists],
-                device=model.device,
-            )
+        for kernel, pairs in (
+            (node_face_kernel, candidates.node_faces),
+            (edge_edge_kernel, candidates.edge_edges),
+        ):
+            if pairs.capacity > 1:
+                lanes = lane_count(model.device, model.env_count, pairs.capacity)
+                wp.launch(
+                    kernel,
+                    dim=(model.env_count, lanes),
+                    inputs=[active, lanes, pairs.counts, pairs.pairs, *common],
+                    outputs=[self.lists],
+                    device=model.device,
+                )
         if len(plan.node_plane):
             wp.launch(
                 node_plane_kernel,

@@ -11,8 +11,102 @@ from taccel_lab.model import Model
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.func
+def turn_between(first: wp.quatd, second: wp.quatd) -> wp.float64:
+    """Angle between two rotations [rad], the short way round."""
+    # From the chord, not from the dot product: the arccosine of nearly 1 has only eight digits.
+    minus = wp.float64(0.0)
+    plus = wp.float64(0.0)
+    for k in range(4):
+        minus += (second[k] - first[k]) * (second[k] - first[k])
+        plus += (second[k] + first[k]) * (second[k] + first[k])
+    chord = wp.sqrt(wp.min(minus, plus))
+    return wp.float64(4.0) * wp.asin(wp.min(wp.float64(0.5) * chord, wp.float64(1.0)))
+
+
+@wp.func
+def pose_between(start: wp.transformd, end: wp.transformd, fraction: wp.float64) -> wp.transformd:
+    """A pose part of the way: linear in position, constant angular velocity the short way round."""
+    one = wp.float64(1.0)
+    p = wp.transform_get_translation(start)
+    p = p + fraction * (wp.transform_get_translation(end) - p)
+    qa = wp.transform_get_rotation(start)
+    qb = wp.transform_get_rotation(end)
+    cosine = qa[0] * qb[0] + qa[1] * qb[1] + qa[2] * qb[2] + qa[3] * qb[3]
+    side = one
+    if cosine < wp.float64(0.0):
+        side = -one
+    angle = wp.acos(wp.min(wp.abs(cosine), one))
+    sine = wp.sin(angle)
+    wa = one - fraction
+    wb = fraction
+    if sine >= wp.float64(1.0e-6):
+        wa = wp.sin((one - fraction) * angle) / sine
+        wb = wp.sin(fraction * angle) / sine
+    wb = side * wb
+    q = wp.quatd(
+        wa * qa[0] + wb * qb[0],
+        wa * qa[1] + wb * qb[1],
+        wa * qa[2] + wb * qb[2],
+        wa * qa[3] + wb * qb[3],
+    )
+    return wp.transformd(p, wp.normalize(q))
+
+
+@wp.func
+def chord_error(radius: wp.float64, angle: wp.float64) -> wp.float64:
+    """How far a vertex at ``radius`` [m] of a body that turns by ``angle`` may leave its chord."""
+    return radius * (wp.float64(1.0) - wp.cos(wp.float64(0.5) * angle))
+
+
+@wp.func
+def turn_within(radius: wp.float64, gap: wp.float64) -> wp.float64:
+    """Angle [rad] whose arc leaves its chord by half of ``gap`` at ``radius`` [m]."""
+    one = wp.float64(1.0)
+    bound = one - wp.float64(0.5) * gap / wp.max(radius, wp.float64(1.0e-300))
+    return wp.float64(2.0) * wp.acos(wp.clamp(bound, -one, one))
+
+
+@wp.kernel
+def _interpolate_kernel(
+    mask: wp.array(dtype=wp.int32),
+    start: wp.array2d(dtype=wp.transformd),
+    end: wp.array2d(dtype=wp.transformd),
+    fractions: wp.array(dtype=wp.float64),
+    result: wp.array2d(dtype=wp.transformd),
+):
+    env, body = wp.tid()
+    if mask[env] != 0:
+        result[env, body] = pose_between(start[env, body], end[env, body], fractions[env])
+
+
+def place_poses_between(
+    mask: wp.array, start: wp.array, end: wp.array, fractions: wp.array, result: wp.array
+) -> None:
+    """Poses part of the way (float64, [env_count]) in the environments of ``mask``; transformd,
+    [env_count, kinematic_count]."""
+    if result.size:
+        wp.launch(
+            _interpolate_kernel,
+            dim=result.shape,
+            inputs=[mask, start, end, fractions],
+            outputs=[result],
+            device=result.device,
+        )
+
+
+def interpolate_poses(start: np.ndarray, end: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """``place_poses_between`` for the host: ``start``, ``end`` [env, body, 7], ``fraction`` [env]."""
+    poses = [wp.array(np.ascontiguousarray(p), dtype=wp.transformd) for p in (start, end)]
+    result = wp.empty_like(poses[0])
+    mask = wp.full(len(fraction), 1, dtype=wp.int32)
+    place_poses_between(mask, *poses, wp.array(fraction, dtype=wp.float64), result)
+    return result.numpy().reshape(start.shape)
+
+
 @wp.kernel
 def _place_kernel(
+    mask: wp.array(dtype=wp.int32),
     nodes: wp.array(dtype=wp.int32),
     frames: wp.array(dtype=wp.int32),
     rest_positions: wp.array2d(dtype=wp.vec3d),
@@ -20,59 +114,27 @@ def _place_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
 ):
     env, i = wp.tid()
+    if mask:
+        if mask[env] == 0:
+            return
     node = nodes[i]
     rest = rest_positions[env % rest_positions.shape[0], node]
     positions[env, node] = wp.transform_point(poses[env, frames[i]], rest)
 
 
-def place_kinematic_nodes(model: Model, poses: wp.array, positions: wp.array) -> None:
+def place_kinematic_nodes(
+    model: Model, poses: wp.array, positions: wp.array, mask: wp.array | None = None
+) -> None:
     """Put the nodes that follow a frame where it carries them at ``poses``.
 
-    Those are the vertices of kinematic bodies, and the bonded nodes of mounted gels.
+    Those are the vertices of kinematic bodies, and the bonded nodes of mounted gels. ``mask``:
+    int32, [env_count]; all environments when None.
     """
     if len(model.frame_nodes):
         wp.launch(
             _place_kernel,
             dim=(model.env_count, len(model.frame_nodes)),
-            inputs=[model.frame_nodes, model.frame_ids, model.rest_positions, poses],
+            inputs=[mask, model.frame_nodes, model.frame_ids, model.rest_positions, poses],
             outputs=[positions],
             device=model.device,
         )
-
-
-def turn_angle(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Angle between the rotations of two sets of poses [rad]; both [..., 7]."""
-    qa, qb = start[..., 3:], end[..., 3:]
-    # From the chord, not from the dot product: the arccosine of nearly 1 has only eight digits.
-    chord = np.minimum(np.linalg.norm(qb - qa, axis=-1), np.linalg.norm(qb + qa, axis=-1))
-    return 4 * np.arcsin(np.clip(chord / 2, 0, 1))
-
-
-def chord_error(start: np.ndarray, end: np.ndarray, radii_m: np.ndarray) -> float:
-    """How far a vertex of a turning body may leave the chord of its arc [m].
-
-    ``start``, ``end``: [env, body, 7]; ``radii_m``: reach of each body from its origin, [body].
-    """
-    angle = turn_angle(start, end).max(axis=0, initial=0.0)
-    return float((radii_m * (1 - np.cos(angle / 2))).max(initial=0.0))
-
-
-def interpolate_poses(start: np.ndarray, end: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """Poses part of the way: linear in position, constant angular velocity in rotation.
-
-    ``start``, ``end``: [env, body, 7]; ``fraction``: [env]. Takes the short way round.
-    """
-    t = np.asarray(fraction)[:, None, None]
-    pose = start + t * (end - start)
-    qa, qb = start[..., 3:], end[..., 3:]
-    dot = np.einsum("ebi,ebi->eb", qa, qb)[..., None]
-    qb = np.where(dot < 0, -qb, qb)
-    angle = np.arccos(np.clip(np.abs(dot), 0, 1))
-    sine = np.sin(angle)
-    small = sine < 1e-6
-    safe = np.where(small, 1.0, sine)
-    wa = np.where(small, 1 - t, np.sin((1 - t) * angle) / safe)
-    wb = np.where(small, t, np.sin(t * angle) / safe)
-    q = wa * qa + wb * qb
-    pose[..., 3:] = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return pose

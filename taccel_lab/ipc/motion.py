@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.affine.embedding import embed_vertices, pulled_back
@@ -44,16 +43,24 @@ def _reduce_kernel(
 
 @wp.kernel
 def _aim_kernel(
+    active: wp.array(dtype=wp.int32),
     moving: wp.array(dtype=wp.int32),
     nodes: wp.array(dtype=wp.int32),
+    frames: wp.array(dtype=wp.int32),
+    rest_positions: wp.array2d(dtype=wp.vec3d),
+    targets: wp.array2d(dtype=wp.transformd),
     positions: wp.array2d(dtype=wp.vec3d),
-    targets: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
 ):
     env, i = wp.tid()
+    if active[env] == 0:
+        return
+    node = nodes[i]
+    way = wp.vec3d()
     if moving[env] != 0:
-        node = nodes[i]
-        displacements[env, node] = targets[env, node] - positions[env, node]
+        rest = rest_positions[env % rest_positions.shape[0], node]
+        way = wp.transform_point(targets[env, frames[i]], rest) - positions[env, node]
+    displacements[env, node] = way
 
 
 @wp.kernel
@@ -82,13 +89,35 @@ def _spread_kernel(
 
 @wp.kernel
 def _advance_kernel(
+    mask: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     fractions: wp.array(dtype=wp.float64),
     result: wp.array2d(dtype=wp.vec3d),
 ):
     env, node = wp.tid()
-    result[env, node] = positions[env, node] + fractions[env] * displacements[env, node]
+    if mask[env] != 0:
+        result[env, node] = positions[env, node] + fractions[env] * displacements[env, node]
+
+
+@wp.kernel
+def _subtract_rows_kernel(
+    mask: wp.array(dtype=wp.int32),
+    end: wp.array2d(dtype=wp.vec3d),
+    start: wp.array2d(dtype=wp.vec3d),
+    result: wp.array2d(dtype=wp.vec3d),
+):
+    env, node = wp.tid()
+    result[env, node] = wp.vec3d()
+    if mask[env] != 0:
+        result[env, node] = end[env, node] - start[env, node]
+
+
+@wp.kernel
+def _zero_rows_kernel(mask: wp.array(dtype=wp.int32), values: wp.array2d(dtype=wp.vec3d)):
+    env, node = wp.tid()
+    if mask[env] != 0:
+        values[env, node] = wp.vec3d()
 
 
 @wp.kernel
@@ -113,15 +142,20 @@ def copy_rows(mask: wp.array, source: wp.array, result: wp.array) -> None:
     )
 
 
-def adapted_stride(stride: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """Part of the remaining motion to ask for next, after ``fraction`` of the last was accepted.
+def zero_rows(mask: wp.array, values: wp.array) -> None:
+    """Nodal values of the environments in ``mask`` become zero."""
+    wp.launch(_zero_rows_kernel, dim=values.shape, inputs=[mask, values], device=values.device)
 
-    The gel's answer is linear in the motion asked for. Cutting the direction again and again
-    instead uses up a tenth of the gap each time, until the barrier is too stiff to recover.
-    """
-    shorter = np.maximum(0.25 * stride, 1e-9)
-    longer = np.minimum(2.0 * stride, 1.0)
-    return np.where(fraction < 0.1, shorter, np.where(fraction >= 0.5, longer, stride))
+
+def subtract_rows(mask: wp.array, end: wp.array, start: wp.array, result: wp.array) -> None:
+    """result = end - start in the environments of ``mask``, zero in others."""
+    wp.launch(
+        _subtract_rows_kernel,
+        dim=result.shape,
+        inputs=[mask, end, start],
+        outputs=[result],
+        device=result.device,
+    )
 
 
 def newton_system(model: Model, linear: LinearSystem, displacements: wp.array) -> NewtonSystem:
@@ -159,18 +193,24 @@ def reduce_gradient(
 
 
 def aim_prescribed(
-    model: Model, moving: wp.array, positions: wp.array, targets: wp.array, displacements: wp.array
+    model: Model,
+    active: wp.array,
+    moving: wp.array,
+    positions: wp.array,
+    targets: wp.array,
+    displacements: wp.array,
 ) -> None:
-    """Set ``displacements`` [m] to what is left of the prescribed motion, zero elsewhere.
+    """Set ``displacements`` [m] of nodes that follow a frame to what is left of their motion.
 
-    ``moving`` flags the environments whose frames are still on their way to ``targets``.
+    ``moving`` flags the environments whose frames are still on their way to the poses ``targets``
+    (transformd, [env_count, kinematic_count]); elsewhere these nodes stay.
     """
-    displacements.zero_()
     if len(model.frame_nodes):
         wp.launch(
             _aim_kernel,
             dim=(model.env_count, len(model.frame_nodes)),
-            inputs=[moving, model.frame_nodes, positions, targets],
+            inputs=[active, moving, model.frame_nodes, model.frame_ids, model.rest_positions]
+            + [targets, positions],
             outputs=[displacements],
             device=model.device,
         )
@@ -202,13 +242,17 @@ def spread_solution(
 
 
 def advance_positions(
-    positions: wp.array, displacements: wp.array, fractions: wp.array, result: wp.array
+    mask: wp.array,
+    positions: wp.array,
+    displacements: wp.array,
+    fractions: wp.array,
+    result: wp.array,
 ) -> None:
-    """result = positions + fraction[env] * displacements [m]."""
+    """result = positions + fraction[env] * displacements [m] in the environments of ``mask``."""
     wp.launch(
         _advance_kernel,
         dim=positions.shape,
-        inputs=[positions, displacements, fractions],
+        inputs=[mask, positions, displacements, fractions],
         outputs=[result],
         device=positions.device,
     )

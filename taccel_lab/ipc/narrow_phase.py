@@ -19,6 +19,7 @@ from taccel_lab.ipc.distance.edge_edge import closest_edge_edge, edge_edge_dista
 from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_mollifier_threshold
 from taccel_lab.ipc.distance.point_edge import closest_point_edge
 from taccel_lab.ipc.distance.point_triangle import PointTriangleRegion, closest_point_triangle
+from taccel_lab.ipc.lanes import listed
 
 wp.set_module_options({"enable_backward": False})
 
@@ -175,22 +176,18 @@ def node_range(
     return wp.vec2d(surface.dhat, one)
 
 
-@wp.kernel
-def node_face_kernel(
-    active: wp.array(dtype=wp.int32),
-    candidate_counts: wp.array(dtype=wp.int32),
-    candidates: wp.array2d(dtype=wp.vec2i),
+@wp.func
+def collect_node_face(
+    env: int,
+    candidate: wp.vec2i,
     positions: wp.array2d(dtype=wp.vec3d),
     geometry: ContactGeometry,
     surface: ContactSurface,
     lists: CollisionLists,
 ):
     """Merged features of faces near nodes, and faces near balls."""
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= candidate_counts[env]:
-        return
-    node = candidates[env, slot][0]
-    face_id = candidates[env, slot][1]
+    node = candidate[0]
+    face_id = candidate[1]
     face = surface.faces[face_id]
     if holds(face, node):
         return
@@ -244,23 +241,18 @@ def node_face_kernel(
                 add_collision(env, 2, nodes, stiffness * wp.float64(count), none, gap, lists)
 
 
-@wp.kernel
-def edge_edge_kernel(
-    active: wp.array(dtype=wp.int32),
-    candidate_counts: wp.array(dtype=wp.int32),
-    candidates: wp.array2d(dtype=wp.vec2i),
+@wp.func
+def collect_edge_edge(
+    env: int,
+    candidate: wp.vec2i,
     positions: wp.array2d(dtype=wp.vec3d),
     geometry: ContactGeometry,
     surface: ContactSurface,
     lists: CollisionLists,
 ):
     """Pairs of edges: they only guard."""
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= candidate_counts[env]:
-        return
-    ids = candidates[env, slot]
-    a = surface.edges[ids[0]]
-    b = surface.edges[ids[1]]
+    a = surface.edges[candidate[0]]
+    b = surface.edges[candidate[1]]
     if a[0] == b[0] or a[0] == b[1] or a[1] == b[0] or a[1] == b[1]:
         return
     rest = env % surface.edge_areas.shape[0]
@@ -284,11 +276,47 @@ def edge_edge_kernel(
             return
     # Only where both edges are is there a contact: the smaller area bounds it.
     area = wp.float64(0.5) * wp.min(
-        surface.edge_areas[rest, ids[0]], surface.edge_areas[rest, ids[1]]
+        surface.edge_areas[rest, candidate[0]], surface.edge_areas[rest, candidate[1]]
     )
     threshold = edge_edge_mollifier_threshold(ra0, ra1, rb0, rb1)
     nodes = wp.vec4i(a[0], a[1], b[0], b[1])
     add_collision(env, 3, nodes, surface.kappa * area, threshold, gap, lists)
+
+
+@wp.kernel
+def node_face_kernel(
+    active: wp.array(dtype=wp.int32),
+    lanes: int,
+    candidate_counts: wp.array(dtype=wp.int32),
+    candidates: wp.array2d(dtype=wp.vec2i),
+    positions: wp.array2d(dtype=wp.vec3d),
+    geometry: ContactGeometry,
+    surface: ContactSurface,
+    lists: CollisionLists,
+):
+    env, lane = wp.tid()
+    if active[env] == 0:
+        return
+    for slot in range(lane, listed(env, candidate_counts, candidates.shape[1]), lanes):
+        collect_node_face(env, candidates[env, slot], positions, geometry, surface, lists)
+
+
+@wp.kernel
+def edge_edge_kernel(
+    active: wp.array(dtype=wp.int32),
+    lanes: int,
+    candidate_counts: wp.array(dtype=wp.int32),
+    candidates: wp.array2d(dtype=wp.vec2i),
+    positions: wp.array2d(dtype=wp.vec3d),
+    geometry: ContactGeometry,
+    surface: ContactSurface,
+    lists: CollisionLists,
+):
+    env, lane = wp.tid()
+    if active[env] == 0:
+        return
+    for slot in range(lane, listed(env, candidate_counts, candidates.shape[1]), lanes):
+        collect_edge_edge(env, candidates[env, slot], positions, geometry, surface, lists)
 
 
 @wp.kernel

@@ -8,31 +8,28 @@ import warp as wp
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.ccd import edge_edge_ccd, point_plane_ccd, point_triangle_ccd
 from taccel_lab.ipc.collision_lists import ContactGeometry, contact_geometry, kept_distance
+from taccel_lab.ipc.lanes import lane_count, listed
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.kernel
-def _node_face_kernel(
-    active: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    candidates: wp.array2d(dtype=wp.vec2i),
+@wp.func
+def node_face_limit(
+    env: int,
+    candidate: wp.vec2i,
     faces: wp.array(dtype=wp.vec3i),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     geometry: ContactGeometry,
     slackness: wp.float64,
     max_iterations: int,
-    limits: wp.array(dtype=wp.float64),
-):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= counts[env]:
-        return
-    p = candidates[env, slot][0]
-    f = faces[candidates[env, slot][1]]
+) -> wp.float64:
+    """Collision-free fraction of a node against a face."""
+    p = candidate[0]
+    f = faces[candidate[1]]
     if f[0] == p or f[1] == p or f[2] == p:
-        return
+        return wp.float64(1.0)
     result = point_triangle_ccd(
         positions[env, p],
         positions[env, f[0]],
@@ -47,29 +44,25 @@ def _node_face_kernel(
         wp.float64(1.0),
         max_iterations,
     )
-    wp.atomic_min(limits, env, result.toi)
+    return result.toi
 
 
-@wp.kernel
-def _edge_edge_kernel(
-    active: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    candidates: wp.array2d(dtype=wp.vec2i),
+@wp.func
+def edge_edge_limit(
+    env: int,
+    candidate: wp.vec2i,
     edges: wp.array(dtype=wp.vec2i),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     geometry: ContactGeometry,
     slackness: wp.float64,
     max_iterations: int,
-    limits: wp.array(dtype=wp.float64),
-):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= counts[env]:
-        return
-    a = edges[candidates[env, slot][0]]
-    b = edges[candidates[env, slot][1]]
+) -> wp.float64:
+    """Collision-free fraction of two edges."""
+    a = edges[candidate[0]]
+    b = edges[candidate[1]]
     if a[0] == b[0] or a[0] == b[1] or a[1] == b[0] or a[1] == b[1]:
-        return
+        return wp.float64(1.0)
     result = edge_edge_ccd(
         positions[env, a[0]],
         positions[env, a[1]],
@@ -84,7 +77,75 @@ def _edge_edge_kernel(
         wp.float64(1.0),
         max_iterations,
     )
-    wp.atomic_min(limits, env, result.toi)
+    return result.toi
+
+
+@wp.kernel
+def _node_face_kernel(
+    active: wp.array(dtype=wp.int32),
+    lanes: int,
+    counts: wp.array(dtype=wp.int32),
+    candidates: wp.array2d(dtype=wp.vec2i),
+    faces: wp.array(dtype=wp.vec3i),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    geometry: ContactGeometry,
+    slackness: wp.float64,
+    max_iterations: int,
+    limits: wp.array(dtype=wp.float64),
+):
+    env, lane = wp.tid()
+    if active[env] == 0:
+        return
+    least = wp.float64(1.0)
+    for slot in range(lane, listed(env, counts, candidates.shape[1]), lanes):
+        limit = node_face_limit(
+            env,
+            candidates[env, slot],
+            faces,
+            positions,
+            displacements,
+            geometry,
+            slackness,
+            max_iterations,
+        )
+        least = wp.min(least, limit)
+    if least < wp.float64(1.0):
+        wp.atomic_min(limits, env, least)
+
+
+@wp.kernel
+def _edge_edge_kernel(
+    active: wp.array(dtype=wp.int32),
+    lanes: int,
+    counts: wp.array(dtype=wp.int32),
+    candidates: wp.array2d(dtype=wp.vec2i),
+    edges: wp.array(dtype=wp.vec2i),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    geometry: ContactGeometry,
+    slackness: wp.float64,
+    max_iterations: int,
+    limits: wp.array(dtype=wp.float64),
+):
+    env, lane = wp.tid()
+    if active[env] == 0:
+        return
+    least = wp.float64(1.0)
+    for slot in range(lane, listed(env, counts, candidates.shape[1]), lanes):
+        limit = edge_edge_limit(
+            env,
+            candidates[env, slot],
+            edges,
+            positions,
+            displacements,
+            geometry,
+            slackness,
+            max_iterations,
+        )
+        least = wp.min(least, limit)
+    if least < wp.float64(1.0):
+        wp.atomic_min(limits, env, least)
 
 
 @wp.kernel
@@ -135,28 +196,17 @@ def limit_step(
     """
     limits.fill_(1.0)
     geometry = contact_geometry(model)
-    for kernel, counts, pairs, most, primitives in (
-        (
-            _node_face_kernel,
-            candidates.node_face_counts,
-            candidates.node_face,
-            candidates.max_node_face,
-            model.surface.faces,
-        ),
-        (
-            _edge_edge_kernel,
-            candidates.edge_edge_counts,
-            candidates.edge_edge,
-            candidates.max_edge_edge,
-            model.surface.edges,
-        ),
+    for kernel, pairs, primitives in (
+        (_node_face_kernel, candidates.node_faces, model.surface.faces),
+        (_edge_edge_kernel, candidates.edge_edges, model.surface.edges),
     ):
-        if most:
+        if pairs.capacity > 1:
+            lanes = lane_count(model.device, model.env_count, pairs.capacity)
             wp.launch(
                 kernel,
-                dim=(model.env_count, most),
-                inputs=[active, counts, pairs, primitives, positions, displacements]
-                + [geometry, slackness, max_iterations],
+                dim=(model.env_count, lanes),
+                inputs=[active, lanes, pairs.counts, pairs.pairs, primitives, positions]
+                + [displacements, geometry, slackness, max_iterations],
                 outputs=[limits],
                 device=model.device,
             )

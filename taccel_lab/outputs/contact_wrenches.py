@@ -27,7 +27,7 @@ from taccel_lab.ipc.distance.derivatives import pair_normal
 from taccel_lab.ipc.friction import friction_gradient
 from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.potentials.contact import contact_rows, stencil_size
-from taccel_lab.ipc.potentials.friction import FrictionPotential, StepMotion, sliding
+from taccel_lab.ipc.potentials.friction import FrictionPotential, FrozenContacts, StepMotion, sliding
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -129,11 +129,7 @@ def _contact_kernel(
 
 @wp.kernel
 def _friction_kernel(
-    counts: wp.array(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    weights: wp.array2d(dtype=wp.vec4d),
-    normals: wp.array2d(dtype=wp.vec3d),
-    mu_lambdas: wp.array2d(dtype=wp.float64),
+    frozen: FrozenContacts,
     motion: StepMotion,
     eps_u: wp.float64,
     geometry: ContactGeometry,
@@ -141,13 +137,13 @@ def _friction_kernel(
     interactions: wp.array2d(dtype=Interaction),
 ):
     env, slot = wp.tid()
-    if slot >= counts[env]:
+    if slot >= frozen.counts[env]:
         return
-    nodes = stencils[env, slot]
-    normal = normals[env, slot]
-    w = weights[env, slot]
+    nodes = frozen.stencils[env, slot]
+    normal = frozen.normals[env, slot]
+    w = frozen.weights[env, slot]
     u = sliding(env, nodes, w, normal, motion)
-    force = friction_gradient(u, mu_lambdas[env, slot], eps_u)
+    force = friction_gradient(u, frozen.mu_lambdas[env, slot], eps_u)
     rows = mat43d()
     for i in range(4):
         for k in range(3):
@@ -228,6 +224,11 @@ class PairWrenches:
         return totals
 
 
+def _most(counts: wp.array) -> int:
+    """Length of the longest list, at least 1."""
+    return max(int(counts.numpy().max(initial=0)), 1)
+
+
 def _added(model: Model, counts: wp.array, interactions: wp.array) -> PairWrenches:
     result = PairWrenches.none(model)
     wp.launch(
@@ -247,7 +248,7 @@ def contact_wrenches(
     center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> PairWrenches:
     """Normal forces of a collision set at the positions [m] it was found at."""
-    shape = (model.env_count, max(collisions.max_count, 1))
+    shape = (model.env_count, _most(collisions.counts))
     interactions = wp.zeros(shape, dtype=Interaction, device=model.device)
     wp.launch(
         _contact_kernel,
@@ -267,13 +268,12 @@ def friction_wrenches(
     center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> PairWrenches:
     """Tangential forces of the frozen collisions of a step, at the end of ``motion``."""
-    shape = (model.env_count, max(friction.max_count, 1))
+    shape = (model.env_count, _most(friction.counts))
     interactions = wp.zeros(shape, dtype=Interaction, device=model.device)
     wp.launch(
         _friction_kernel,
         dim=shape,
-        inputs=[friction.counts, friction.stencils, friction.weights, friction.normals]
-        + [friction.mu_lambdas, motion, friction.eps_u_m, geometry, wp.vec3d(*center_m)],
+        inputs=[friction.frozen, motion, friction.eps_u_m, geometry, wp.vec3d(*center_m)],
         outputs=[interactions],
         device=model.device,
     )

@@ -1,23 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a tactile sensor reads off a simulated gel: height map, normals, contact, forces.
+"""What a tactile sensor reads off a simulated gel: images, markers, height map, normals, forces.
 
 Every signal is built once from static data, reads a state with ``update(...)`` and then exposes
-arrays whose first axis is the environment.
+arrays whose first axis is the environment. ``SignalTactile`` works on device arrays throughout,
+for many environments; the others give numpy arrays, in FP64.
 """
 
 from taccel_lab.signals.contact_surface import ContactSurface
 from taccel_lab.signals.forces import SignalWrench, resultant_wrench
 from taccel_lab.signals.height_map import SignalHeightMap, SurfaceMode
+from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.normals import normals_from_height, normals_from_slopes
 from taccel_lab.signals.rigid_surface import HeightFieldSurface, RigidSurface, SphereSurface
 from taccel_lab.signals.surface_fusion import SignalFusedSurface
+from taccel_lab.signals.tactile import SignalTactile
 
 __all__ = [
     "ContactSurface",
     "HeightFieldSurface",
+    "MarkerLayout",
     "RigidSurface",
     "SignalFusedSurface",
     "SignalHeightMap",
+    "SignalTactile",
     "SignalWrench",
     "SphereSurface",
     "SurfaceMode",

@@ -98,10 +98,13 @@ def control_points(
 
 
 @wp.func
-def evaluate_cubic(k: vec10d, p: wp.float64, q: wp.float64, r: wp.float64) -> wp.vec4d:
-    """Value and derivatives to (p, q, r) of a Bernstein cubic at barycentric (p, q, r)."""
-    three = wp.float64(3.0)
-    two = wp.float64(2.0)
+def evaluate_cubic(k: Any, p: Any, q: Any, r: Any) -> Any:
+    """Value and derivatives to (p, q, r) of a Bernstein cubic at barycentric (p, q, r).
+
+    ``k``: ten coefficients as of ``control_points``, FP64 or FP32 like the coordinates.
+    """
+    three = type(p)(3.0)
+    two = type(p)(2.0)
     # Quadratics left after one de Casteljau step: their values are the derivatives over three.
     dp = p * p * k[0] + two * p * q * k[1] + q * q * k[2]
     dp = dp + two * p * r * k[4] + two * q * r * k[5] + r * r * k[7]
@@ -109,7 +112,7 @@ def evaluate_cubic(k: vec10d, p: wp.float64, q: wp.float64, r: wp.float64) -> wp
     dq = dq + two * p * r * k[5] + two * q * r * k[6] + r * r * k[8]
     dr = p * p * k[4] + two * p * q * k[5] + q * q * k[6]
     dr = dr + two * p * r * k[7] + two * q * r * k[8] + r * r * k[9]
-    return wp.vec4d(p * dp + q * dq + r * dr, three * dp, three * dq, three * dr)
+    return wp.vector(p * dp + q * dq + r * dr, three * dp, three * dq, three * dr)
 
 
 @wp.func

@@ -51,6 +51,8 @@ class SolverConfig:
     check_start: bool = True
     """Whether environments are searched for bodies that overlap before their first step."""
     element_projection: ElementProjection = ElementProjection.CLAMP
+    capture: bool = True
+    """Whether steps are captured as graphs and launched as a whole."""
     contact_hessian_mode: int = 1
     """1: projected to positive semidefinite; 2: only the Gauss-Newton term."""
 

@@ -10,13 +10,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-import warp as wp
-
 from taccel_lab.ipc.affine.embedding import embed_vertices
 from taccel_lab.ipc.affine.prediction import predict_affine
-from taccel_lab.ipc.motion import advance_positions
+from taccel_lab.ipc.motion import advance_positions, copy_rows, subtract_rows
 from taccel_lab.ipc.step_limit import limit_step
+from taccel_lab.solvers import decisions
 
 if TYPE_CHECKING:
     from taccel_lab.solvers.newton import StepRun
@@ -27,35 +25,26 @@ _SMALL_TURN_SQ = 1e-6
 
 def start_in_free_flight(run: StepRun) -> None:
     """Move the state of the active environments to free flight where that is a better start."""
-    s, x, poses = run.s, run.state.positions, run.state.poses
+    s, p, x, poses = run.s, run.p, run.state.positions, run.state.poses
     if s.inertia is None or s.affine is None:
         return
-    wp.copy(s.trial, x)
-    bends = predict_affine(run.model, s.active, s.inertia.predictions, s.trial)
-    tried = run.active & (bends > _SMALL_TURN_SQ)
-    if not tried.any():
-        return
-    s.active.assign(tried.astype(np.int32))
+    copy_rows(p.active, x, s.trial)
+    predict_affine(run.model, p.active, s.inertia.predictions, s.trial, p.limit)
+    run.decide(decisions.choose_flight_kernel, p.limit, _SMALL_TURN_SQ, p)
     if s.joints is not None:
         s.joints.set_frames(poses)
-        s.joints.close_predicted(s.active, s.trial)
-    s.displacements.assign(np.where(tried[:, None, None], s.trial.numpy() - x.numpy(), 0.0))
+        s.joints.close_predicted(p.chosen, s.trial)
+    subtract_rows(p.chosen, s.trial, x, s.displacements)
     embed_vertices(run.model, s.displacements)
-    # Of all active environments: those that are not tried keep their list, too.
-    run.push_active()
-    run.find_candidates(poses, s.config.dhat_m)
-    s.active.assign(tried.astype(np.int32))
-    limit_step(run.model, s.active, s.candidates, x, s.displacements, s.alphas)
-    tried &= s.alphas.numpy() >= 1.0
-    s.active.assign(tried.astype(np.int32))
-    s.collisions.update(s.active, x, s.candidates)
-    before = run.energy(x, poses)
-    s.alphas.assign(tried.astype(np.float64))
-    advance_positions(x, s.displacements, s.alphas, s.trial)
-    s.collisions.update(s.active, s.trial, s.candidates)
-    after = run.energy(s.trial, poses)
-    tried &= np.isfinite(after) & (after < before)
-    s.alphas.assign(tried.astype(np.float64))
-    advance_positions(x, s.displacements, s.alphas, s.trial)
-    wp.copy(x, s.trial)
-    run.push_active()
+    # Of all active environments: those that are not chosen keep their list, too.
+    run.find_candidates(poses)
+    limit_step(run.model, p.chosen, s.candidates, x, s.displacements, p.limit)
+    run.decide(decisions.keep_free_flight_kernel, p)
+    run.energy(p.chosen, x, poses, p.base, p.before)
+    p.alpha.fill_(1.0)
+    advance_positions(p.chosen, x, s.displacements, p.alpha, s.trial)
+    run.collide(p.chosen, s.trial)
+    run.energy(p.chosen, s.trial, poses, p.base_after, p.after)
+    run.decide(decisions.accept_flight_kernel, p)
+    copy_rows(p.chosen, s.trial, x)
+    run.collide(p.active, x)

@@ -6,35 +6,33 @@ their remaining motion enters the right-hand side through the contact stiffness,
 nodes on a mount through the elastic stiffness, so that the gel moves along with them; the
 collision-free fraction of the common motion is taken, and the rest follows in the next iterations.
 Only then does the energy have to decrease, to a force residual in newtons.
+
+All of it is launches: what an environment does next is decided on the device (``decisions``), and
+loops and branches are conditional nodes, so that the whole step can be one captured graph.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.affine.embedding import embed_vertices
-from taccel_lab.ipc.kinematics import (
-    interpolate_poses,
-    place_kinematic_nodes,
-    turn_angle,
-)
+from taccel_lab.ipc.capacity import GrowingList
+from taccel_lab.ipc.kinematics import place_poses_between
 from taccel_lab.ipc.motion import (
     aim_prescribed,
     begin_rhs,
-    copy_rows,
     newton_system,
     reduce_gradient,
     spread_solution,
+    zero_rows,
 )
-from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import StepMotion
-from taccel_lab.ipc.reduce import dot_rows
+from taccel_lab.ipc.reduce import force_norms, sum_energies
+from taccel_lab.solvers import decisions
 from taccel_lab.solvers.free_flight import start_in_free_flight
 from taccel_lab.solvers.line_search import search_line
-from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.state import State
 
 if TYPE_CHECKING:
@@ -42,66 +40,54 @@ if TYPE_CHECKING:
 
 
 class StepRun:
-    """The host-side bookkeeping of one step: who is active, how far, with which result."""
+    """The launches of one step of the environments in ``progress.who``."""
 
-    def __init__(
-        self, solver: SolverIPC, state: State, end_poses: np.ndarray, who: np.ndarray
-    ) -> None:
+    def __init__(self, solver: SolverIPC, state: State) -> None:
         self.s = solver
         self.model = solver.model
         self.state = state
-        self.start_poses = state.poses.numpy().reshape(self.model.env_count, -1, 7).copy()
-        self.end_poses = end_poses
-        self.who = who.copy()
-        n = self.model.env_count
-        moved = np.abs(self.end_poses - self.start_poses).reshape(n, -1).max(1, initial=0.0)
-        self.progress = np.where(who & (moved > 0), 0.0, 1.0)
-        self.goal = np.ones(n)
-        """Progress that the next search direction aims at."""
-        self.stride = np.ones(n)
-        """Part of the remaining motion that it asks for, in each environment."""
-        self.turns = np.where(who[:, None], turn_angle(self.start_poses, self.end_poses), 0.0)
-        """Angle by which each kinematic body turns in this step [rad], [env_count, kinematic]."""
-        self.turning = (self.turns > 1e-9).any(axis=1)
-        self.active = who.copy()
-        self.status = np.where(who, EnvStatus.RUNNING, EnvStatus.SKIPPED).astype(np.int32)
-        self.newton = np.zeros(n, dtype=np.int64)
-        self.cg = np.zeros(n, dtype=np.int64)
-        self.lags = np.zeros(n, dtype=np.int64)
-        self.joint_rounds = np.zeros(n, dtype=np.int64)
-        self.lag_change = np.full(n, np.inf)
-        self.damping = np.ones(n)
-        self.residual = np.full(n, np.inf)
-        self.contact_force = np.zeros(n)
-        self.min_distance = np.full(n, np.inf)
-        self.violation = np.zeros(n)
-        self.smallest_step = np.ones(n)
+        self.p = solver.progress.data
+        self.rules = solver.rules
+
+    def run(self) -> None:
+        """From the state at the start of the step to that at its end."""
+        self.begin()
+        self.evaluate_gradient(self.p.active)
+        self.judge()
+        wp.capture_while(self.p.running, self._iterate)
+        self.finish()
+
+    def decide(self, kernel: wp.Kernel, *inputs: object) -> None:
+        """Launch one thread an environment."""
+        wp.launch(kernel, dim=self.model.env_count, inputs=list(inputs), device=self.model.device)
 
     # Parts of a step -----------------------------------------------------------------------
 
     def begin(self) -> None:
-        s, state = self.s, self.state
-        self.push_active()
-        copy_rows(s.active, state.positions, s.previous)
-        start = s.start_poses.numpy().reshape(self.start_poses.shape)
-        start[self.who] = self.start_poses[self.who]
-        s.start_poses.assign(start.reshape(s.start_poses.shape + (7,)))
+        s, state, p = self.s, self.state, self.p
+        p.any_turning.zero_()
+        self.decide(
+            decisions.begin_kernel, state.poses, s.end_poses, s.start_poses, p, self.rules
+        )
+        wp.launch(
+            decisions.begin_nodes_kernel,
+            dim=state.positions.shape,
+            inputs=[state.positions, state.velocities, s.previous, p],
+            device=self.model.device,
+        )
         self._begin_potentials()
-        finite = np.isfinite(state.positions.numpy()).all(axis=(1, 2))
-        finite &= np.isfinite(state.velocities.numpy()).all(axis=(1, 2))
-        self.stop(self.active & ~finite, EnvStatus.NOT_A_NUMBER)
-        self.push_active()
         for part in s.elastic:
-            inverted = np.isinf(part.energy(s.active, state.positions))
-            self.stop(self.active & inverted, EnvStatus.INVERSION)
-        self.push_active()
+            part.add_energy(p.active, state.positions, p.before)
+        if s.elastic:
+            self.decide(decisions.stop_inverted_kernel, p)
         s.displacements.zero_()
-        self.find_candidates(state.poses, s.config.dhat_m)
+        self.find_candidates(state.poses)
+        self.collide(p.active, state.positions)
         if s.friction is not None:
-            self.collide(state.positions)
-            s.friction.clear(self.who)
-            s.friction.lag(s.active, state.positions)
+            s.friction.clear(p.who)
+            s.friction.lag(p.active, state.positions)
         start_in_free_flight(self)
+        self.energy(p.active, state.positions, state.poses, p.base, p.before)
 
     def _begin_potentials(self) -> None:
         s, state = self.s, self.state
@@ -112,59 +98,67 @@ class StepRun:
             part.begin_step(x, s.dts)
         if s.joints is not None:
             s.joints.begin_step(x, state.poses, s.dts)
-        loaded = state.external_forces is not None or state.wrenches is not None
-        if loaded and s.load is None:
-            s.load = ExternalLoad(self.model)
+            wp.copy(self.p.rounding, s.joints.rounding_n)
         if s.load is not None:
             forces, wrenches = state.loads(self.model)
             s.load.begin_step(x, forces, wrenches)
 
-    def iterate(self) -> None:
-        self.push_active()
-        self._evaluate_gradient()
-        self._judge()
-        if not self.active.any():
-            return
-        self.push_active()
+    def _iterate(self) -> None:
         self._search_direction()
         search_line(self)
+        self.evaluate_gradient(self.p.active)
+        self.judge()
 
-    def finish(self) -> StepReport:
-        """Roll back what failed and report."""
-        s, state = self.s, self.state
-        failed = self.who & (self.status != EnvStatus.CONVERGED)
-        if failed.any():
-            s.active.assign(failed.astype(np.int32))
-            copy_rows(s.active, s.previous, state.positions)
-            poses = state.poses.numpy().reshape(self.start_poses.shape)
-            poses[failed] = self.start_poses[failed]
-            state.poses.assign(poses.reshape(state.poses.shape + (7,)))
-        done = self.who & ~failed
-        s.active.assign(done.astype(np.int32))
+    def finish(self) -> None:
+        """Roll back what failed; velocities and joints of what converged."""
+        s, state, p = self.s, self.state, self.p
+        self.decide(decisions.close_kernel, p)
+        self.commit(p.chosen, s.previous, s.start_poses)
         embed_vertices(self.model, state.positions)
         if s.joints is not None:
-            s.joints.end_step(s.active, state.positions)
+            s.joints.end_step(p.active, state.positions)
         if s.inertia is not None:
             s.inertia.end_step(
-                s.active, s.previous, state.positions, state.velocities, state.history
+                p.active, s.previous, state.positions, state.velocities, state.history
             )
-        return StepReport(
-            status=self.status,
-            newton_iterations=self.newton,
-            cg_iterations=self.cg,
-            friction_lags=self.lags,
-            residual_n=self.residual,
-            contact_force_n=self.contact_force,
-            min_distance_m=self.min_distance,
-            smallest_step=self.smallest_step,
-            joint_violation_m=self.violation,
-            substeps=done.astype(np.int64),
-            seconds=0.0,
+
+    def commit(self, mask: wp.array, positions: wp.array, poses: wp.array) -> None:
+        """Take over positions and poses in the environments of ``mask``."""
+        state = self.state
+        wp.launch(
+            decisions.commit_kernel,
+            dim=(self.model.env_count, max(positions.shape[1], poses.shape[1])),
+            inputs=[mask, positions, poses, state.positions, state.poses],
+            device=self.model.device,
         )
 
-    # Newton iteration ----------------------------------------------------------------------
+    # Contacts --------------------------------------------------------------------------------
 
-    def _motion(
+    def find_candidates(self, poses: wp.array) -> None:
+        """Pairs near the way of ``displacements`` and of the frames to ``poses``."""
+        s, state, p = self.s, self.state, self.p
+        s.candidates.search(
+            p.active, state.positions, s.displacements, state.poses, poses, p.margin
+        )
+        self._check_room(p.active, s.candidates.lists)
+
+    def collide(self, mask: wp.array, positions: wp.array) -> None:
+        """Collisions at ``positions`` in the environments of ``mask``."""
+        self.s.collisions.collect(mask, positions, self.s.candidates)
+        self._check_room(mask, [self.s.collisions])
+
+    def _check_room(self, mask: wp.array, lists: list) -> None:
+        """Stop environments whose contacts did not fit; the host makes room for the next try."""
+        some: list[GrowingList] = [part for part in lists if part.capacity > 1]
+        if some:
+            inputs: list = [mask]
+            for part in (some + [None])[:2]:
+                inputs += [part.counts, part.capacity, part.most] if part else [None, 0, None]
+            self.decide(decisions.stop_overflowed_kernel, *inputs, self.p)
+
+    # Has it converged? -----------------------------------------------------------------------
+
+    def motion(
         self, positions: wp.array | None = None, poses: wp.array | None = None
     ) -> StepMotion:
         """Motion since the start of the step, to the state or to a trial."""
@@ -177,208 +171,126 @@ class StepRun:
             s.start_poses,
         )
 
-    def push_active(self) -> None:
-        self.s.active.assign(self.active.astype(np.int32))
+    def evaluate_gradient(self, mask: wp.array) -> None:
+        """Gradient, residual, contact force and smallest gap in the environments of ``mask``.
 
-    def find_candidates(self, poses: wp.array, margin: float) -> None:
-        """Pairs near the way of ``displacements`` and of the frames to ``poses``."""
-        s, state = self.s, self.state
-        s.candidates.update(s.active, state.positions, s.displacements, state.poses, poses, margin)
-        self._drop(s.candidates.overflowed)
-
-    def collide(self, positions: wp.array) -> None:
-        """Collisions at ``positions``, for the environments flagged in the solver's ``active``."""
-        self.s.collisions.update(self.s.active, positions, self.s.candidates)
-        self._drop(self.s.collisions.overflowed)
-
-    def _drop(self, overflowed: np.ndarray) -> None:
-        """Give up environments with too many contacts."""
-        if (self.active & overflowed).any():
-            self.stop(self.active & overflowed, EnvStatus.CONTACT_OVERFLOW)
-            kept = self.s.active.numpy() * self.active
-            self.s.active.assign(kept.astype(np.int32))
-
-    def _evaluate_gradient(self) -> None:
-        """Gradient, residual, contact force and minimum distance of the active environments."""
+        Their collisions are those of the positions: of the start or of the trial that was taken.
+        """
         s, x = self.s, self.state.positions
-        self.collide(x)
-        s.gradient.zero_()
-        s.contact_gradient.zero_()
-        s.min_distance.fill_(np.inf)
+        wp.launch(
+            decisions.begin_gradient_kernel,
+            dim=s.gradient.shape,
+            inputs=[mask, s.gradient, s.contact_gradient, self.p],
+            device=self.model.device,
+        )
         if s.joints is not None:
             s.joints.set_frames(self.state.poses)
         for term in s.potentials.values():
-            term.add_gradient(s.active, x, s.gradient)
-        s.contact.add_gradient(s.active, x, s.contact_gradient, s.min_distance)
-        self._measure_residual()
+            term.add_gradient(mask, x, s.gradient)
+        s.contact.add_gradient(mask, x, s.contact_gradient, self.p.min_distance)
+        self._measure_residual(mask)
 
-    def _measure_residual(self) -> None:
-        s, a = self.s, self.active
-        s.friction_gradient.zero_()
+    def evaluate_forces(self, mask: wp.array) -> None:
+        """Contact and friction forces alone, from collisions and friction as they are."""
+        s, x = self.s, self.state.positions
+        for gradient in (s.contact_gradient, s.friction_gradient):
+            zero_rows(mask, gradient)
+        s.contact.add_gradient(mask, x, s.contact_gradient, self.p.min_distance)
         if s.friction is not None:
-            s.friction.add_gradient(s.active, self._motion(), s.friction_gradient)
+            s.friction.add_gradient(mask, self.motion(), s.friction_gradient)
+
+    def _measure_residual(self, mask: wp.array) -> None:
+        s, p = self.s, self.p
+        if s.friction is not None:
+            zero_rows(mask, s.friction_gradient)
+            s.friction.add_gradient(mask, self.motion(), s.friction_gradient)
         gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
-        reduce_gradient(self.model, s.active, gradients, s.reduced)
-        reduced = s.reduced.numpy()[a]
-        self.residual[a] = np.sqrt(dot_rows(reduced, reduced))
-        # Action and reaction: half of the sum over both sides of all contacts.
-        contact = np.linalg.norm(s.contact_gradient.numpy()[a], axis=-1)
-        self.contact_force[a] = 0.5 * contact.sum(axis=1)
-        self.min_distance[a] = s.min_distance.numpy()[a]
+        reduce_gradient(self.model, mask, gradients, s.reduced)
+        force_norms(mask, s.reduced, s.contact_gradient, p.residual, p.contact_force)
 
-    def _tolerance(self) -> np.ndarray:
-        c = self.s.config
-        force = np.maximum(c.absolute_tolerance_n, c.relative_tolerance * self.contact_force)
-        return np.maximum(force, self.s.rounding_n)
-
-    def _judge(self) -> None:
-        """Freeze environments that have converged or cannot go on."""
-        s = self.s
-        self.stop(self.active & ~(self.min_distance > 0), EnvStatus.TOUCHING)
-        self.stop(self.active & ~np.isfinite(self.residual), EnvStatus.NOT_A_NUMBER)
-        settled = self.active & (self.progress >= 1)
+    def judge(self) -> None:
+        """Stop environments that have converged or cannot go on."""
+        s, p = self.s, self.p
+        s.progress.flags.zero_()
+        self.decide(decisions.judge_kernel, p, self.rules)
         if s.joints is not None:
-            settled = self._close_joints(settled)
-        if s.friction is None:
-            self.stop(settled & (self.residual <= self._tolerance()), EnvStatus.CONVERGED)
-        else:
-            # While freezing anew still changes forces, solving in between to the last digit is
-            # wasted: a tenth of the last change is enough, and one step when damped.
-            good_enough = self.residual <= np.maximum(self._tolerance(), 0.1 * self.lag_change)
-            settled &= good_enough | (self.damping < 1)
-            if settled.any():
-                self._refreeze_friction(settled)
-        self.stop(
-            self.active & (self.newton >= s.config.max_newton_iterations),
-            EnvStatus.NO_CONVERGENCE,
-        )
+            wp.capture_if(p.closing, on_true=self._close_joints)
+        self.decide(decisions.settle_kernel, p, self.rules)
+        if s.friction is not None:
+            wp.capture_if(p.freezing, on_true=self._refreeze_friction)
+        self.decide(decisions.go_on_kernel, p, self.rules)
 
-    def _close_joints(self, settled: np.ndarray) -> np.ndarray:
-        """Where Newton has converged, correct the joint forces until the joints are closed.
-
-        Returns those of ``settled`` whose joints are.
-        """
-        s = self.s
+    def _close_joints(self) -> None:
+        """Where Newton has converged, correct the joint forces until the joints are closed."""
+        s, p = self.s, self.p
         assert s.joints is not None
-        solved = settled & (self.residual <= self._tolerance())
-        if not solved.any():
-            return settled
-        s.active.assign(solved.astype(np.int32))
-        violation = s.joints.update_multipliers(s.active, self.state.positions)
-        self.violation[solved] = violation[solved]
-        is_open = solved & (violation > s.joints.tolerance_m)
-        self.joint_rounds[is_open] += 1
-        self.stop(is_open & (self.joint_rounds > s.config.max_joint_rounds), EnvStatus.JOINT)
-        self.push_active()
-        if (is_open & self.active).any():
-            self._evaluate_gradient()
-        return settled & ~is_open
+        s.joints.update_multipliers(p.chosen, self.state.positions)
+        self.decide(decisions.judge_joints_kernel, s.joints.violations, p, self.rules)
+        wp.capture_if(p.reopened, on_true=self._evaluate_reopened)
 
-    def _refreeze_friction(self, who: np.ndarray) -> None:
-        """Freeze friction anew; only the residual with the new values counts as converged."""
-        s = self.s
+    def _evaluate_reopened(self) -> None:
+        self.evaluate_gradient(self.p.chosen)
+
+    def _refreeze_friction(self) -> None:
+        """Freeze friction anew in the chosen environments, and judge them by what it is then."""
+        s, p = self.s, self.p
         assert s.friction is not None
-        everyone, self.active = self.active, who
-        s.active.assign(who.astype(np.int32))
-        s.friction.lag(s.active, self.state.positions)
-        self.lags[who] += 1
-        self._measure_residual()
-        done = who & (self.residual <= self._tolerance())
-        # Freezing is a fixed-point iteration. Where it alternates instead of shrinking (a node
-        # leaning on two faces in turn) the steps between are damped until it shrinks again.
-        grows = who & (self.residual > (1.0 - 0.1 * self.damping) * self.lag_change)
-        shrinks = who & ~grows
-        self.damping[grows] = np.maximum(0.5 * self.damping[grows], 0.05)
-        self.damping[shrinks] = np.minimum(1.5 * self.damping[shrinks], 1.0)
-        self.lag_change[who] = self.residual[who]
-        self.active = everyone
-        self.stop(done, EnvStatus.CONVERGED)
-        self.stop(self.active & who & (self.lags >= s.config.max_friction_lags), EnvStatus.FRICTION)
-        # The measurement covered only those frozen anew: restore the gradient of all.
-        self.push_active()
-        self._measure_residual()
+        s.friction.lag(p.chosen, self.state.positions)
+        self._measure_residual(p.chosen)
+        self.decide(decisions.judge_friction_kernel, p, self.rules)
 
-    def stop(self, who: np.ndarray, status: EnvStatus) -> None:
-        """End the step of the environments ``who`` with a status."""
-        self.status[who] = status
-        self.active &= ~who
+    # The search direction --------------------------------------------------------------------
 
     def _search_direction(self) -> None:
         """Newton direction of bodies and remaining kinematic motion, in ``displacements``."""
-        s, x = self.s, self.state.positions
-        self._aim()
-        moving = wp.array(
-            (self.active & (self.progress < 1)).astype(np.int32), device=self.model.device
-        )
-        aim_prescribed(self.model, moving, x, s.frame_targets, s.displacements)
+        s, p, x = self.s, self.p, self.state.positions
+        self.decide(decisions.aim_kernel, p, self.rules, s.linear.tolerances)
+        place_poses_between(p.active, s.start_poses, s.end_poses, p.goal, s.target_poses)
+        aim_prescribed(self.model, p.active, p.moving, x, s.target_poses, s.displacements)
         self._assemble(x)
-        solved = s.linear.solve(s.active, self._forcing_terms(), s.config.max_cg_iterations)
-        self.cg += solved.iterations
-        self.newton[self.active] += 1
-        # After a breakdown the last iterate still descends, unless there is none.
-        self.stop(solved.breakdown & (solved.iterations == 0), EnvStatus.NOT_A_NUMBER)
-        spread_solution(self.model, s.active, s.linear.solution, s.displacements)
+        s.linear.solve(p.active, s.config.max_cg_iterations)
+        self.decide(
+            decisions.count_solve_kernel, s.linear.iterations, s.linear.breakdown, p
+        )
+        spread_solution(self.model, p.active, s.linear.solution, s.displacements)
 
     def _assemble(self, x: wp.array) -> None:
         """Matrix and right-hand side of all active environments."""
-        s = self.s
+        s, p = self.s, self.p
         mode = s.config.element_projection.code
         if s.joints is not None:
             s.joints.set_frames(self.state.poses, s.target_poses)
-        while True:
-            system = newton_system(self.model, s.linear, s.displacements)
-            s.linear.values.zero_()
-            s.linear.extra.clear()
-            begin_rhs(self.model, s.active, s.reduced, s.linear.rhs)
-            for term in s.potentials.values():
-                term.add_hessian(s.active, x, system, mode)
-            s.contact.add_hessian(s.active, x, system, s.config.contact_hessian_mode)
-            if s.friction is not None:
-                s.friction.add_hessian(s.active, self._motion(), system)
-            # When the list of extra blocks was too short, it has grown now.
-            if not s.linear.extra.overflowed():
-                return
+        system = newton_system(self.model, s.linear, s.displacements)
+        s.linear.values.zero_()
+        s.linear.extra.clear()
+        begin_rhs(self.model, p.active, s.reduced, s.linear.rhs)
+        for term in s.potentials.values():
+            term.add_hessian(p.active, x, system, mode)
+        s.contact.add_hessian(p.active, x, system, s.config.contact_hessian_mode)
+        if s.friction is not None:
+            s.friction.add_hessian(p.active, self.motion(), system)
+        self._check_room(p.active, [s.linear.extra])
 
-    def _aim(self) -> None:
-        """Where the kinematic bodies try to go next: a stride along the remaining motion."""
+    def energy(
+        self,
+        mask: wp.array,
+        positions: wp.array,
+        poses: wp.array,
+        base: wp.array,
+        totals: wp.array,
+        known: bool = False,
+    ) -> None:
+        """Total potential in the environments of ``mask`` [J]: without friction in ``base``, with
+        it in ``totals``. ``known``: the base is known already."""
         s = self.s
-        self.goal = np.where(
-            self.stride < 1, self.progress + self.stride * (1 - self.progress), 1.0
-        )
-        self.goal = np.minimum(self.goal, self.progress + self._largest_turn())
-        poses = interpolate_poses(self.start_poses, self.end_poses, self.goal)
-        s.target_poses.assign(poses.reshape(s.target_poses.shape + (7,)))
-        wp.copy(s.frame_targets, self.state.positions)
-        place_kinematic_nodes(self.model, s.target_poses, s.frame_targets)
-
-    def _largest_turn(self) -> np.ndarray:
-        """Part of the step in which no arc leaves its chord by more than half of the smallest gap.
-
-        CCD clears the chords. Over a large angle they leave the arcs far behind, and the body would
-        pass what lies between; a chord that leaves its arc by a gap is cut in any case.
-        """
-        radii = np.maximum(self.model.kinematic_radii_m, 1e-300)
-        gap = np.minimum(self.min_distance, self.s.config.dhat_m)[:, None]
-        angle = 2 * np.arccos(np.clip(1 - 0.5 * gap / radii, -1, 1))
-        return (angle / np.maximum(self.turns, 1e-300)).min(axis=1, initial=np.inf)
-
-    def _forcing_terms(self) -> np.ndarray:
-        """Relative CG tolerances: what it takes to converge with this very step, at most 0.01.
-
-        Looser solves far from the solution, as in [Eisenstat and Walker 1996], cost more in Newton
-        iterations than they save in CG, and at 0.1 the gel no longer follows the body.
-        """
-        ratios = self._tolerance() / np.maximum(self.residual, 1e-300)
-        return np.clip(0.3 * ratios, 1e-6, 1e-2)
-
-    def energy(self, positions: wp.array, poses: wp.array) -> np.ndarray:
-        """Total potential of the environments flagged in ``active`` [J], shape [env_count]."""
-        s = self.s
+        if s.friction is not None:
+            s.friction.write_energies(mask, self.motion(positions, poses))
+        if known:
+            sum_energies(mask, None, s.contact, s.friction, base, totals)
+            return
         if s.joints is not None:
             s.joints.set_frames(poses)
-        total = s.contact.energy(s.active, positions)
+        s.contact.write_energies(mask, positions)
         for term in s.potentials.values():
-            total = total + term.energy(s.active, positions)
-        if s.friction is not None:
-            total += s.friction.energy(s.active, self._motion(positions, poses))
-        return total
+            term.write_energies(mask, positions)
+        sum_energies(mask, s.energies, s.contact, s.friction, base, totals)

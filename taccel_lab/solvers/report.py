@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
 import numpy as np
@@ -67,6 +67,14 @@ class StepReport:
     def converged(self) -> np.ndarray:
         """Whether each environment reached its tolerance."""
         return self.status == EnvStatus.CONVERGED
+
+    def retaken(self, later: StepReport, who: np.ndarray) -> StepReport:
+        """The same step, but what ``later`` says of the environments ``who`` that took it again."""
+        names = [field.name for field in fields(self) if field.name != "seconds"]
+        return replace(
+            self,
+            **{name: np.where(who, getattr(later, name), getattr(self, name)) for name in names},
+        )
 
     def followed_by(self, later: StepReport) -> StepReport:
         """The end of ``later`` with the work of both; environments it skipped stay as they are."""

@@ -15,8 +15,9 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.capacity import GrowingList, grow_all, initial_capacity
 from taccel_lab.ipc.collisions import Collisions
-from taccel_lab.ipc.kinematics import interpolate_poses
+from taccel_lab.ipc.kinematics import place_poses_between
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.potentials.contact import ContactPotential
@@ -24,11 +25,14 @@ from taccel_lab.ipc.potentials.elastic import ElasticPotential
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
+from taccel_lab.ipc.reduce import EnergyTerm, share_buffer
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.newton import StepRun
 from taccel_lab.solvers.plan import Plan, make_plan
+from taccel_lab.solvers.progress import ProgressArrays, make_rules
 from taccel_lab.solvers.report import EnvStatus, StepReport
+from taccel_lab.solvers.step_graph import StepGraphs
 from taccel_lab.state import State, as_poses, initial_state
 
 STIFF_KAPPA_PA = 1e6
@@ -45,8 +49,10 @@ HALVING_HELPS = [
 class Potential(Protocol):
     """A term of the energy that depends on positions alone once a step has begun."""
 
-    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
-        """Energy [J], shape [env_count]; stale where not active."""
+    energies: wp.array
+
+    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+        """Fill ``energies`` [J] of the term's items, [env_count, item_count], where active."""
         ...
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
@@ -96,34 +102,56 @@ class SolverIPC:
         )
         # Where gels make up most of the unknowns CG is quicker, stiff bodies or not.
         stiff = 8 * model.affine.count >= model.free_count
-        self.linear = LinearSystem(model.pattern, model.env_count, model.device, stiff)
+        first = model.free_count - 4 * model.affine.count
+        # Contact of two free bodies is what does not fit the pattern.
+        coupled = model.affine.count > 0 or model.plan.soft_to_soft
+        self.linear = LinearSystem(
+            model.pattern,
+            model.env_count,
+            model.device,
+            stiff,
+            clusters=[(first + 4 * i, first + 4 * i + 4) for i in range(model.affine.count)],
+            extra_capacity=initial_capacity(model.env_count) if coupled else 1,
+        )
         shape, device = (model.env_count, model.node_count), model.device
 
         def nodal() -> wp.array:
             return wp.zeros(shape, dtype=wp.vec3d, device=device)
 
-        def per_env(dtype: type) -> wp.array:
-            return wp.zeros(model.env_count, dtype=dtype, device=device)
-
         self.gradient, self.trial, self.previous = nodal(), nodal(), nodal()
-        self.displacements, self.frame_targets = nodal(), nodal()
+        self.displacements = nodal()
         self.contact_gradient = nodal()
         """d(barrier)/dx at the end of the step [N]; the force on a node is its negative."""
         self.friction_gradient = nodal()
         """d(friction)/dx at the end of the step [N]; the force on a node is its negative."""
+        self.path = nodal() if model.kinematic else self.trial
+        """Way of a trial in which a frame turns [m]."""
         self.reduced = wp.zeros((model.env_count, model.free_count), dtype=wp.vec3d, device=device)
         """Gradient of the total energy by the unknowns [N]."""
-        self.active, self.alphas = per_env(wp.int32), per_env(wp.float64)
-        self.min_distance, self.dts = per_env(wp.float64), per_env(wp.float64)
+        self.dts = wp.zeros(model.env_count, dtype=wp.float64, device=device)
         self._separate = np.zeros(model.env_count, dtype=bool)
         """Environments known to have started without overlaps."""
         poses = (model.env_count, len(model.kinematic))
         self.trial_poses = wp.zeros(poses, dtype=wp.transformd, device=device)
         self.target_poses = wp.zeros_like(self.trial_poses)
         self.start_poses = wp.zeros_like(self.trial_poses)
+        self.end_poses = wp.zeros_like(self.trial_poses)
+        self.progress = ProgressArrays(
+            model.env_count, model.kinematic_radii_m, self._energy_rounding(), device
+        )
+        self.rules = make_rules(
+            self.config,
+            self.affine.rounding_n if self.affine else 0.0,
+            self.joints.tolerance_m if self.joints else None,
+            self.friction is not None,
+        )
+        self._graphs = StepGraphs(self)
+        self._share_energies()
 
-        self.rounding_j = self._energy_rounding()
-        """Rounding of the elastic energy, however small it is [J], shape [env_count]."""
+    @property
+    def active(self) -> wp.array:
+        """Mask of the environments that a step works on, int32, shape [env_count]."""
+        return self.progress.data.active
 
     def _energy_rounding(self) -> np.ndarray:
         """2e-17 of the shear modulus times the volume: a block of 20 mm and 1 MPa, turned, shows
@@ -133,6 +161,12 @@ class SolverIPC:
         for group in model.elastic:
             total += (group.volumes.numpy() * group.mu.numpy()).sum(axis=1)
         return 2e-17 * np.tile(total, model.env_count // model.rest_count)
+
+    def _share_energies(self) -> None:
+        model = self.model
+        self.energies = share_buffer(list(self.potentials.values()), model.env_count, model.device)
+        """Energies of all items of ``potentials`` [J], [env_count, all items]."""
+        self._graphs.clear()
 
     def _viscosity(self) -> list:
         groups = [group for group in self.model.elastic if group.damped]
@@ -163,32 +197,33 @@ class SolverIPC:
         }
         return {name: term for name, term in terms.items() if term is not None}
 
-    @property
-    def rounding_n(self) -> np.ndarray:
-        """Residual below which the stiffest terms are rounding [N], shape [env_count]."""
-        terms = [term for term in (self.affine, self.joints) if term is not None]
-        return sum((term.rounding_n for term in terms), np.zeros(self.model.env_count))
-
-    def step(self, state: State, target_poses: np.ndarray | None = None) -> StepReport:
+    def step(self, state: State, target_poses: np.ndarray | wp.array | None = None) -> StepReport:
         """Advance ``state`` in place by dt; kinematic bodies end at ``target_poses``.
 
-        ``target_poses``: [env_count, kinematic_count, 7]; where they are when None. Environments
-        that fail are tried in halves of the step, up to ``max_substep_halvings`` times; one that
-        fails even so is rolled back to the start of the whole step and flagged. Before their first
-        step, environments are searched for bodies that overlap: these are flagged and not stepped
-        (``scene.checks.check_start`` says what is wrong).
+        ``target_poses``: [env_count, kinematic_count, 7]; where they are when None. An array that
+        is on the solver's device already (transformd, [env_count, kinematic_count]) is not checked.
+        Environments that fail are tried in halves of the step, up to ``max_substep_halvings``
+        times; one that fails even so is rolled back to the start of the whole step and flagged.
+        Before their first step, environments are searched for bodies that overlap: these are
+        flagged and not stepped (``scene.checks.check_start`` says what is wrong).
         """
         started = time.perf_counter()
-        model = self.model
-        start = state.poses.numpy().reshape(model.env_count, -1, 7).copy()
-        end = start if target_poses is None else as_poses(model, target_poses)
+        if target_poses is None:
+            wp.copy(self.end_poses, state.poses)
+        elif isinstance(target_poses, wp.array):
+            wp.copy(self.end_poses, target_poses)
+        else:
+            end = as_poses(self.model, target_poses)
+            self.end_poses.assign(end.reshape(self.end_poses.shape + (7,)))
         self._check_starts(state)
-        dt = model.scene.time.dt_s
-        report = self._attempt(state, end, self._separate, dt)
+        dt = self.model.scene.time.dt_s
+        report = self._attempt(state, self._separate, dt)
         report.status[~self._separate] = EnvStatus.OVERLAP
         if not report.converged.all() and self.config.max_substep_halvings > 0:
-            report = self._in_halves(state, start, end, report, dt, 1)
-        return self._finish(state, report, time.perf_counter() - started)
+            report = self._in_halves(state, report, dt, 1)
+        if not report.converged.all():
+            self._refresh_forces(state, ~report.converged)
+        return replace(report, seconds=time.perf_counter() - started)
 
     def reset(self, state: State, mask: np.ndarray, poses: np.ndarray | None = None) -> None:
         """Put the environments of ``mask`` (bool, [env_count]) back to their initial state.
@@ -215,37 +250,63 @@ class SolverIPC:
 
     # Parts of a step -----------------------------------------------------------------------------
 
-    def _attempt(
-        self, state: State, end_poses: np.ndarray, who: np.ndarray, dt: float
-    ) -> StepReport:
-        """One undivided step of length dt in the environments ``who``."""
-        self.dts.fill_(dt)
-        run = StepRun(self, state, end_poses, who)
-        run.begin()
-        while run.active.any():
-            run.iterate()
-        return run.finish()
+    def _attempt(self, state: State, who: np.ndarray, dt: float) -> StepReport:
+        """One undivided step of length dt in the environments ``who``, to ``end_poses``.
 
-    def _in_halves(
-        self,
-        state: State,
-        start_poses: np.ndarray,
-        end_poses: np.ndarray,
-        failed: StepReport,
-        dt: float,
-        level: int,
-    ) -> StepReport:
-        """The step of length dt again, in two halves, where it failed."""
+        Where the lists of contacts are too short it is taken again when they have grown.
+        """
+        if (state.external_forces is not None or state.wrenches is not None) and self.load is None:
+            self.load = ExternalLoad(self.model)
+            self._share_energies()
+        self.dts.fill_(dt)
+        report: StepReport | None = None
+        while True:
+            self.progress.data.who.assign(who.astype(np.int32))
+            self._graphs.launch(state)
+            part = self._read_report(who)
+            report = part if report is None else report.retaken(part, who)
+            who = part.status == EnvStatus.CONTACT_OVERFLOW
+            if not who.any() or not grow_all(self._lists):
+                return report
+            self._graphs.clear()
+
+    @property
+    def _lists(self) -> list[GrowingList]:
+        return [*self.candidates.lists, self.collisions, self.linear.extra]
+
+    def _read_report(self, who: np.ndarray) -> StepReport:
+        found = self.progress.read()
+        converged = who & (found["status"] == EnvStatus.CONVERGED)
+        return StepReport(
+            status=found["status"],
+            newton_iterations=found["newton"].astype(np.int64),
+            cg_iterations=found["cg"].astype(np.int64),
+            friction_lags=found["lags"].astype(np.int64),
+            residual_n=found["residual"],
+            contact_force_n=found["contact_force"],
+            min_distance_m=found["min_distance"],
+            smallest_step=found["smallest_step"],
+            joint_violation_m=found["violation"],
+            substeps=converged.astype(np.int64),
+            seconds=0.0,
+        )
+
+    def _in_halves(self, state: State, failed: StepReport, dt: float, level: int) -> StepReport:
+        """The step of length dt to ``end_poses`` again, in two halves, where it failed."""
         who = np.isin(failed.status, HALVING_HELPS)
         if not who.any():
             return failed
         before = state.copy()
-        middle = interpolate_poses(start_poses, end_poses, np.full(len(who), 0.5))
+        end, middle = wp.clone(self.end_poses), wp.empty_like(self.end_poses)
+        ones = wp.full(len(who), 1, dtype=wp.int32, device=self.model.device)
+        half = wp.full(len(who), 0.5, dtype=wp.float64, device=self.model.device)
+        place_poses_between(ones, before.poses, end, half, middle)
         report = failed
-        for first, last in ((start_poses, middle), (middle, end_poses)):
-            part = self._attempt(state, last, who, dt / 2)
+        for target in (middle, end):
+            wp.copy(self.end_poses, target)
+            part = self._attempt(state, who, dt / 2)
             if (who & ~part.converged).any() and level < self.config.max_substep_halvings:
-                part = self._in_halves(state, first, last, part, dt / 2, level + 1)
+                part = self._in_halves(state, part, dt / 2, level + 1)
             report = report.followed_by(part)
             lost = who & ~part.converged
             if lost.any():
@@ -253,21 +314,17 @@ class SolverIPC:
             who = who & part.converged
             if not who.any():
                 break
+        wp.copy(self.end_poses, end)
         return report
 
-    def _finish(self, state: State, report: StepReport, seconds: float) -> StepReport:
-        """Forces at the end of the step in all environments."""
-        x = state.positions
-        self.active.fill_(1)
+    def _refresh_forces(self, state: State, who: np.ndarray) -> None:
+        """Forces where ``who`` was rolled back or never stepped."""
+        run = StepRun(self, state)
+        mask = run.p.active
+        mask.assign(who.astype(np.int32))
         self.displacements.zero_()
         self.candidates.update(
-            self.active, x, self.displacements, state.poses, state.poses, self.config.dhat_m
+            mask, state.positions, self.displacements, state.poses, state.poses, self.config.dhat_m
         )
-        self.collisions.update(self.active, x, self.candidates)
-        self.contact_gradient.zero_()
-        self.contact.add_gradient(self.active, x, self.contact_gradient, self.min_distance)
-        self.friction_gradient.zero_()
-        if self.friction is not None:
-            motion = self.friction.motion(x, self.previous, state.poses, self.start_poses)
-            self.friction.add_gradient(self.active, motion, self.friction_gradient)
-        return replace(report, seconds=seconds)
+        self.collisions.update(mask, state.positions, self.candidates)
+        run.evaluate_forces(mask)

@@ -151,8 +151,9 @@ class Steps:
         self.who: list[np.ndarray] = []
         attempt = env.solver._attempt
 
-        def noted(state: State, target: np.ndarray, who: np.ndarray, dt: float) -> StepReport:
-            report = attempt(state, target, who, dt)
+        def noted(state: State, who: np.ndarray, dt: float) -> StepReport:
+            report = attempt(state, who, dt)
+            target = env.solver.end_poses.numpy()
             self.targets.append(env.touch_m - target[:, 0, 2])
             self.converged.append(report.converged.copy())
             self.who.append(who.copy())

@@ -126,7 +126,7 @@ def test_lists_grow_and_nothing_is_dropped() -> None:
     collisions, candidates = assembly.solver.collisions, assembly.solver.candidates
     assert count > 3
     collisions._allocate(3)
-    for part in (candidates._node_face, candidates._edge_edge):
+    for part in candidates.lists:
         part.pairs = part.pairs[:, :2].contiguous()
     assert assembly.collide(x) == count
     assert collisions.capacity >= count

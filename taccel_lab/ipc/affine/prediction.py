@@ -11,7 +11,6 @@ many of them. Joints keep their points: bodies are placed from the root of each 
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.svd import signed_svd_3x3
@@ -33,7 +32,7 @@ def _predict_kernel(
     masses: wp.array2d(dtype=wp.float64),
     inertial: wp.array2d(dtype=wp.vec3d),
     predicted: wp.array2d(dtype=wp.vec3d),
-    bends: wp.array2d(dtype=wp.float64),
+    bends: wp.array(dtype=wp.float64),
 ):
     env, body = wp.tid()
     if active[env] == 0:
@@ -51,25 +50,24 @@ def _predict_kernel(
         y = lengths[body] * _column(r, k)
         bend = wp.max(bend, wp.length(inertial[env, start + 1 + k] - y) / lengths[body])
         predicted[env, start + 1 + k] = y
-    bends[env, body] = bend
+    wp.atomic_max(bends, env, bend)
 
 
 def predict_affine(
-    model: Model, active: wp.array, inertial: wp.array, predicted: wp.array
-) -> np.ndarray:
+    model: Model, active: wp.array, inertial: wp.array, predicted: wp.array, bends: wp.array
+) -> None:
     """Control nodes in free flight [m], written to ``predicted``, [env_count, node_count].
 
-    ``inertial``: x~ of the step [m], shape [env_count, node_count]. Returns how far off a rotation
-    the inertial positions are, about the square of the largest angle turned, shape [env_count].
+    ``inertial``: x~ of the step [m], shape [env_count, node_count]. ``bends``: how far off a
+    rotation the inertial positions are, about the square of the largest angle turned, float64,
+    shape [env_count]; zero where not active.
     """
     affine = model.affine
-    shape = (model.env_count, affine.count)
-    bends = wp.zeros(shape, dtype=wp.float64, device=model.device)
+    bends.zero_()
     wp.launch(
         _predict_kernel,
-        dim=shape,
+        dim=(model.env_count, affine.count),
         inputs=[active, affine.control_starts, affine.lengths, model.masses, inertial],
         outputs=[predicted, bends],
         device=model.device,
     )
-    return bends.numpy().max(axis=1, initial=0.0)

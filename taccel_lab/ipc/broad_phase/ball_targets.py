@@ -18,7 +18,7 @@ def _ball_face_kernel(
     node_radii: wp.array(dtype=wp.float64),
     present: wp.array2d(dtype=wp.int32),
     faces: wp.array(dtype=wp.vec3i),
-    margin: wp.float64,
+    margins: wp.array(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     counts: wp.array(dtype=wp.int32),
@@ -46,7 +46,7 @@ def _ball_face_kernel(
     for k in range(3):
         outside = wp.max(wp.max(low[k], -high[k]), wp.float64(0.0))
         gap_sq += outside * outside
-    reach = node_radii[ball] + margin
+    reach = node_radii[ball] + margins[env]
     if gap_sq < reach * reach:
         append(env, ball, jobs[i][1], counts, pairs)
 

@@ -3,121 +3,73 @@
 
 Each kind of body has its own search (``stiff_targets``, ``soft_targets``, ``ball_targets``); planes
 need none, as each node is checked. What is searched against what is the model's contact plan, so a
-pair of bodies that can never touch costs nothing. ``margin`` must include how far the arc of a
-turning kinematic body leaves the chord.
+pair of bodies that can never touch costs nothing. Margins must include how far the arc of a turning
+kinematic body leaves the chord.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.ball_targets import BALL_JOBS
 from taccel_lab.ipc.broad_phase.soft_targets import SoftTrees
-from taccel_lab.ipc.broad_phase.stiff_targets import run_search, searches, update_frames
-from taccel_lab.ipc.broad_phase.swept_box import Frames
+from taccel_lab.ipc.broad_phase.stiff_targets import (
+    make_frames,
+    run_search,
+    searches,
+    update_frames,
+)
+from taccel_lab.ipc.capacity import GrowingList, clear_all, initial_capacity
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
 
 
-@dataclass
-class PairList:
-    """Pairs of primitives per environment; grows when it overflows."""
+class PairList(GrowingList):
+    """Pairs of primitives per environment."""
 
-    counts: wp.array
-    """int32, shape [env_count]."""
-    pairs: wp.array
-    """vec2i, shape [env_count, capacity]."""
-    most: int = 0
-    """Largest count."""
+    def __init__(self, env_count: int, device: wp.Device, capacity: int, limit: int) -> None:
+        super().__init__(env_count, device, limit)
+        self._allocate(capacity)
 
-    def begin(self) -> None:
-        """Empty the list."""
-        self.counts.zero_()
+    @property
+    def capacity(self) -> int:
+        return self.pairs.shape[1]
 
-    def grew(self, limit: int, overflowed: np.ndarray) -> bool:
-        """Read the counts; when there was no room for all make it, and say so.
-
-        Environments with more than ``limit`` pairs are emptied and marked in ``overflowed``.
-        """
-        counts = self.counts.numpy()
-        if (counts > limit).any():
-            overflowed |= counts > limit
-            counts = np.where(counts > limit, 0, counts)
-            self.counts.assign(counts)
-        self.most = int(counts.max())
-        if self.most <= self.pairs.shape[1]:
-            return False
-        shape = (self.pairs.shape[0], min(3 * self.most // 2, limit))
-        self.pairs = wp.zeros(shape, dtype=wp.vec2i, device=self.pairs.device)
-        return True
+    def _allocate(self, capacity: int) -> None:
+        self.pairs = wp.zeros((len(self.counts), capacity), dtype=wp.vec2i, device=self.device)
+        """vec2i, shape [env_count, capacity]."""
 
 
 class Candidates:
     """Candidate pairs per environment."""
 
-    def __init__(self, model: Model, capacity: int = 4096, limit: int = 1 << 20) -> None:
+    def __init__(self, model: Model, capacity: int | None = None, limit: int = 1 << 20) -> None:
         self.model = model
-        self.limit = limit
-        """Pairs of one kind beyond which an environment is given up."""
-        self.overflowed = np.zeros(model.env_count, dtype=bool)
-        """Environments given up by the last update: their lists are empty, not right."""
-        plan = model.plan
-
-        def pair_list(needed: bool) -> PairList:
-            shape = (model.env_count, capacity if needed else 1)
-            return PairList(
-                wp.zeros(model.env_count, dtype=wp.int32, device=model.device),
-                wp.zeros(shape, dtype=wp.vec2i, device=model.device),
-            )
-
+        plan, device, env_count = model.plan, model.device, model.env_count
         soft = plan.soft_to_soft
         faces = len(plan.node_target) + len(plan.face_target) + len(plan.ball_face)
-        self._node_face = pair_list(faces > 0 or soft)
-        self._edge_edge = pair_list(len(plan.edge_target) > 0 or soft)
+        if capacity is None:
+            capacity = initial_capacity(env_count)
+        capacity = min(capacity, limit)
+
+        def pair_list(needed: bool) -> PairList:
+            return PairList(env_count, device, capacity if needed else 1, limit)
+
+        self.node_faces = pair_list(faces > 0 or soft)
+        """(node, face) pairs."""
+        self.edge_edges = pair_list(len(plan.edge_target) > 0 or soft)
+        """(edge, edge) pairs."""
         self._soft = SoftTrees(model) if soft else None
         self._needs_frames = faces > len(plan.ball_face) or len(plan.edge_target) > 0
         self._searches = searches(model)
-        self._start, self._end = self._frames(), self._frames()
-        self._rest = wp.zeros(
-            (model.env_count, model.node_count), dtype=wp.vec3d, device=model.device
-        )
-
-    def _frames(self) -> Frames:
-        frames = Frames()
-        shape, device = (self.model.env_count, len(self.model.targets)), self.model.device
-        frames.inverses = wp.zeros(shape, dtype=wp.mat33d, device=device)
-        frames.origins = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        return frames
+        self._frames = make_frames(model)
+        self._reach = wp.zeros(env_count, dtype=wp.float64, device=device)
 
     @property
-    def node_face(self) -> wp.array:
-        """(node, face) pairs, vec2i, shape [env_count, capacity]."""
-        return self._node_face.pairs
-
-    @property
-    def node_face_counts(self) -> wp.array:
-        return self._node_face.counts
-
-    @property
-    def max_node_face(self) -> int:
-        return self._node_face.most
-
-    @property
-    def edge_edge(self) -> wp.array:
-        """(edge, edge) pairs, vec2i, shape [env_count, capacity]."""
-        return self._edge_edge.pairs
-
-    @property
-    def edge_edge_counts(self) -> wp.array:
-        return self._edge_edge.counts
-
-    @property
-    def max_edge_edge(self) -> int:
-        return self._edge_edge.most
+    def lists(self) -> list[PairList]:
+        """Both lists."""
+        return [self.node_faces, self.edge_edges]
 
     def update(
         self,
@@ -128,34 +80,56 @@ class Candidates:
         poses_end: wp.array,
         margin: float,
     ) -> None:
-        """Find all pairs whose surfaces may come within ``margin`` [m] on the way.
+        """``search`` with one margin [m] for all, by a host that makes room where it is short.
 
-        The way is from ``positions`` straight to positions + ``displacements``, of all nodes. A
-        thickness of the bodies comes on top of the margin.
+        Environments with more pairs than the limit are left without any.
         """
-        lists = (self._node_face, self._edge_edge)
-        reach = margin + self.model.largest_thickness_m
-        if self._needs_frames:
-            update_frames(self.model, poses_start, positions, self._rest, self._start)
-            update_frames(self.model, poses_end, positions, displacements, self._end)
-        self.overflowed = np.zeros(self.model.env_count, dtype=bool)
+        margins = wp.full(len(active), margin, dtype=wp.float64, device=active.device)
         while True:
-            for pair_list in lists:
-                pair_list.begin()
-            self._search(active, positions, displacements, reach)
-            grown = [part.grew(self.limit, self.overflowed) for part in lists]
+            self.search(active, positions, displacements, poses_start, poses_end, margins)
+            grown = [part.fit() for part in self.lists]
             if not any(grown):
                 return
 
+    def search(
+        self,
+        active: wp.array,
+        positions: wp.array,
+        displacements: wp.array,
+        poses_start: wp.array,
+        poses_end: wp.array,
+        margins: wp.array,
+    ) -> None:
+        """Find all pairs whose surfaces may come within ``margins`` [m], [env_count], on the way.
+
+        The way is from ``positions`` straight to positions + ``displacements``, of all nodes. A
+        thickness of the bodies comes on top of the margin. Lists of environments that are not
+        active stay as they are.
+        """
+        if self._needs_frames:
+            poses = [poses_start, poses_end]
+            update_frames(self.model, active, poses, positions, displacements, self._frames)
+        reach = margins
+        if self.model.largest_thickness_m > 0:
+            reach = self._reach
+            wp.launch(
+                _widen_kernel,
+                dim=len(reach),
+                inputs=[margins, self.model.largest_thickness_m, reach],
+                device=self.model.device,
+            )
+        clear_all(active, self.lists)
+        self._search(active, positions, displacements, reach)
+
     def _search(
-        self, active: wp.array, positions: wp.array, displacements: wp.array, margin: float
+        self, active: wp.array, positions: wp.array, displacements: wp.array, margins: wp.array
     ) -> None:
         model, surface = self.model, self.model.surface
-        node_face = [self._node_face.counts, self._node_face.pairs]
-        edge_edge = [self._edge_edge.counts, self._edge_edge.pairs]
-        path, frames = [margin, positions, displacements], [self._start, self._end]
+        node_face = [self.node_faces.counts, self.node_faces.pairs]
+        edge_edge = [self.edge_edges.counts, self.edge_edges.pairs]
+        path = [margins, positions, displacements]
         for name, outputs in (("node", node_face), ("face", node_face), ("edge", edge_edge)):
-            run_search(self._searches[name], model, active, path, frames, outputs)
+            run_search(self._searches[name], model, active, path, self._frames, outputs)
         balls = model.plan.ball_face
         if len(balls):
             wp.launch(
@@ -167,4 +141,12 @@ class Candidates:
                 device=model.device,
             )
         if self._soft is not None:
-            self._soft.search(active, positions, displacements, margin, node_face, edge_edge)
+            self._soft.search(active, positions, displacements, margins, node_face, edge_edge)
+
+
+@wp.kernel
+def _widen_kernel(
+    margins: wp.array(dtype=wp.float64), thickness: wp.float64, reach: wp.array(dtype=wp.float64)
+):
+    env = wp.tid()
+    reach[env] = margins[env] + thickness

@@ -2,7 +2,9 @@
 """Search among soft bodies, a body against itself included.
 
 One tree over the swept boxes of all their faces and one over their edges, with a group for each
-environment; the trees keep their shape and are refitted, as connectivity does not change.
+environment; the trees keep their shape and are refitted, as connectivity does not change. Boxes
+around whole bodies come first: where none is near another, and none may touch itself, the trees are
+not even refitted.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.swept_box import append, rounded_out
+from taccel_lab.ipc.reduce import BLOCK_THREADS
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -49,29 +52,93 @@ def _boxes_kernel(
     upper[env, i] = box.upper
 
 
+@wp.func
+def _least(value: wp.float64) -> wp.float64:
+    return wp.tile_extract(wp.tile_min(wp.tile(value)), 0)
+
+
+@wp.func
+def _largest(value: wp.float64) -> wp.float64:
+    return wp.tile_extract(wp.tile_max(wp.tile(value)), 0)
+
+
+@wp.kernel
+def _body_boxes_kernel(
+    active: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    lower: wp.array2d(dtype=wp.vec3d),
+    upper: wp.array2d(dtype=wp.vec3d),
+    any_near: wp.array(dtype=wp.int32),
+):
+    """Box of the paths of all nodes of a body, by a thread block."""
+    env, body, lane = wp.tid()
+    if env == 0 and body == 0 and lane == 0:
+        any_near[0] = 0
+    if active[env] == 0:
+        return
+    big = wp.float64(1.0e30)
+    low = wp.vec3d(big, big, big)
+    high = -low
+    for node in range(starts[body] + lane, starts[body + 1], wp.block_dim()):
+        low, high = _swept(low, high, env, node, positions, displacements)
+    low = wp.vec3d(_least(low[0]), _least(low[1]), _least(low[2]))
+    high = wp.vec3d(_largest(high[0]), _largest(high[1]), _largest(high[2]))
+    if lane == 0:
+        lower[env, body] = low
+        upper[env, body] = high
+
+
+@wp.kernel
+def _near_kernel(
+    active: wp.array(dtype=wp.int32),
+    may_touch: wp.array2d(dtype=wp.int32),
+    margins: wp.array(dtype=wp.float64),
+    lower: wp.array2d(dtype=wp.vec3d),
+    upper: wp.array2d(dtype=wp.vec3d),
+    near: wp.array2d(dtype=wp.int32),
+    any_near: wp.array(dtype=wp.int32),
+):
+    """Whether a body comes near a soft body that it may touch, itself included."""
+    env, body = wp.tid()
+    near[env, body] = 0
+    if active[env] == 0:
+        return
+    for other in range(lower.shape[1]):
+        if may_touch[body, other] != 0:
+            gap = wp.max(
+                wp.max(lower[env, body] - upper[env, other]),
+                wp.max(lower[env, other] - upper[env, body]),
+            )
+            if gap <= margins[env]:
+                near[env, body] = 1
+                any_near[0] = 1
+
+
 @wp.kernel
 def _node_kernel(
-    active: wp.array(dtype=wp.int32),
+    near: wp.array2d(dtype=wp.int32),
     tree: wp.uint64,
     nodes: wp.array(dtype=wp.int32),
     items: wp.array(dtype=wp.int32),
     faces: wp.array(dtype=wp.vec3i),
     node_bodies: wp.array(dtype=wp.int32),
     may_touch: wp.array2d(dtype=wp.int32),
-    margin: wp.float64,
+    margins: wp.array(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     counts: wp.array(dtype=wp.int32),
     pairs: wp.array2d(dtype=wp.vec2i),
 ):
     env, i = wp.tid()
-    if active[env] == 0:
-        return
     node = nodes[i]
+    if near[env, node_bodies[node]] == 0:
+        return
     low = positions[env, node]
     high = low
     low, high = _swept(low, high, env, node, positions, displacements)
-    box = rounded_out(low, high, margin)
+    box = rounded_out(low, high, margins[env])
     root = wp.bvh_get_group_root(tree, env)
     query = wp.bvh_query_aabb(tree, box.lower, box.upper, root)
     hit = int(0)
@@ -85,28 +152,28 @@ def _node_kernel(
 
 @wp.kernel
 def _edge_kernel(
-    active: wp.array(dtype=wp.int32),
+    near: wp.array2d(dtype=wp.int32),
     tree: wp.uint64,
     items: wp.array(dtype=wp.int32),
     edges: wp.array(dtype=wp.vec2i),
     node_bodies: wp.array(dtype=wp.int32),
     may_touch: wp.array2d(dtype=wp.int32),
-    margin: wp.float64,
+    margins: wp.array(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     counts: wp.array(dtype=wp.int32),
     pairs: wp.array2d(dtype=wp.vec2i),
 ):
     env, i = wp.tid()
-    if active[env] == 0:
-        return
     mine = items[i]
     a = edges[mine]
+    if near[env, node_bodies[a[0]]] == 0:
+        return
     low = positions[env, a[0]]
     high = low
     for k in range(2):
         low, high = _swept(low, high, env, a[k], positions, displacements)
-    box = rounded_out(low, high, margin)
+    box = rounded_out(low, high, margins[env])
     root = wp.bvh_get_group_root(tree, env)
     query = wp.bvh_query_aabb(tree, box.lower, box.upper, root)
     hit = int(0)
@@ -129,6 +196,14 @@ class SoftTrees:
         self._face_boxes = self._boxes(len(model.plan.soft_faces))
         self._edge_boxes = self._boxes(len(model.plan.soft_edges))
         self._trees: list[wp.Bvh] = []
+        soft = [body.nodes for body in model.bodies[: len(model.scene.soft_bodies)]]
+        ends = [start for start, _ in soft] + [soft[-1][1]]
+        device, shape = model.device, (model.env_count, len(soft))
+        self._starts = wp.array(ends, dtype=wp.int32, device=device)
+        self._lower = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        self._upper = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        self._near = wp.zeros(shape, dtype=wp.int32, device=device)
+        self._any_near = wp.zeros(1, dtype=wp.int32, device=device)
 
     def _nodes_of(self, primitives: wp.array, items: wp.array) -> wp.array:
         """Nodes of the primitives that are searched, int32, shape [count, 3 or 2]."""
@@ -140,6 +215,26 @@ class SoftTrees:
         return (
             wp.zeros(shape, dtype=wp.vec3, device=device),
             wp.zeros(shape, dtype=wp.vec3, device=device),
+        )
+
+    def _find_near(
+        self, active: wp.array, positions: wp.array, displacements: wp.array, margins: wp.array
+    ) -> None:
+        device, shape = self.model.device, self._near.shape
+        wp.launch_tiled(
+            _body_boxes_kernel,
+            dim=list(shape),
+            inputs=[active, self._starts, positions, displacements],
+            outputs=[self._lower, self._upper, self._any_near],
+            block_dim=BLOCK_THREADS,
+            device=device,
+        )
+        wp.launch(
+            _near_kernel,
+            dim=shape,
+            inputs=[active, self.model.plan.may_touch, margins, self._lower, self._upper],
+            outputs=[self._near, self._any_near],
+            device=device,
         )
 
     def _refit(self, positions: wp.array, displacements: wp.array) -> None:
@@ -167,18 +262,35 @@ class SoftTrees:
         active: wp.array,
         positions: wp.array,
         displacements: wp.array,
-        margin: float,
+        margins: wp.array,
         node_face: list[wp.array],
         edge_edge: list[wp.array],
     ) -> None:
-        """Append to the lists (counts, pairs) what may come within ``margin`` [m]."""
+        """Append to the lists (counts, pairs) what may come within ``margins`` [m], [env_count]."""
+        if not self._trees:
+            self._refit(positions, displacements)
+        self._find_near(active, positions, displacements, margins)
+
+        def search_trees() -> None:
+            self._refit(positions, displacements)
+            self._search(positions, displacements, margins, node_face, edge_edge)
+
+        wp.capture_if(self._any_near, on_true=search_trees)
+
+    def _search(
+        self,
+        positions: wp.array,
+        displacements: wp.array,
+        margins: wp.array,
+        node_face: list[wp.array],
+        edge_edge: list[wp.array],
+    ) -> None:
         model, plan, surface = self.model, self.model.plan, self.model.surface
-        self._refit(positions, displacements)
-        rules = [surface.node_bodies, plan.may_touch, margin, positions, displacements]
+        rules = [surface.node_bodies, plan.may_touch, margins, positions, displacements]
         wp.launch(
             _node_kernel,
             dim=(model.env_count, len(plan.soft_nodes)),
-            inputs=[active, self._trees[0].id, plan.soft_nodes, plan.soft_faces, surface.faces]
+            inputs=[self._near, self._trees[0].id, plan.soft_nodes, plan.soft_faces, surface.faces]
             + rules,
             outputs=node_face,
             device=model.device,
@@ -186,7 +298,7 @@ class SoftTrees:
         wp.launch(
             _edge_kernel,
             dim=(model.env_count, len(plan.soft_edges)),
-            inputs=[active, self._trees[1].id, plan.soft_edges, surface.edges, *rules],
+            inputs=[self._near, self._trees[1].id, plan.soft_edges, surface.edges, *rules],
             outputs=edge_edge,
             device=model.device,
         )

@@ -16,8 +16,10 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.swept_box import (
+    BodyFrame,
     Frames,
     append,
+    bend_of,
     include,
     rounded_out,
     widened_margin,
@@ -84,42 +86,98 @@ def searches(model: Model) -> dict[str, Search]:
     }
 
 
-@wp.kernel
-def _frames_kernel(
+@wp.func
+def _frame_of(
+    env: int,
+    frame: int,
     affine_count: int,
     first_control: int,
     lengths: wp.array(dtype=wp.float64),
     poses: wp.array2d(dtype=wp.transformd),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
-    frames: Frames,
-):
-    env, frame = wp.tid()
+    part: wp.float64,
+) -> BodyFrame:
+    """Frame of an affine body after a part of its displacement, or of a kinematic one."""
+    found = BodyFrame()
     if frame < affine_count:
         y = first_control + 4 * frame
         linear = wp.matrix_from_cols(
-            positions[env, y + 1] + displacements[env, y + 1],
-            positions[env, y + 2] + displacements[env, y + 2],
-            positions[env, y + 3] + displacements[env, y + 3],
+            positions[env, y + 1] + part * displacements[env, y + 1],
+            positions[env, y + 2] + part * displacements[env, y + 2],
+            positions[env, y + 3] + part * displacements[env, y + 3],
         )
-        frames.inverses[env, frame] = lengths[frame] * wp.inverse(linear)
-        frames.origins[env, frame] = positions[env, y] + displacements[env, y]
+        found.inverse = lengths[frame] * wp.inverse(linear)
+        found.origin = positions[env, y] + part * displacements[env, y]
     else:
         pose = poses[env, frame - affine_count]
         turn = wp.quat_to_matrix(wp.transform_get_rotation(pose))
-        frames.inverses[env, frame] = wp.transpose(turn)
-        frames.origins[env, frame] = wp.transform_get_translation(pose)
+        found.inverse = wp.transpose(turn)
+        found.origin = wp.transform_get_translation(pose)
+    return found
+
+
+@wp.kernel
+def _frames_kernel(
+    active: wp.array(dtype=wp.int32),
+    affine_count: int,
+    first_control: int,
+    lengths: wp.array(dtype=wp.float64),
+    start_poses: wp.array2d(dtype=wp.transformd),
+    end_poses: wp.array2d(dtype=wp.transformd),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    frames: Frames,
+):
+    env, frame = wp.tid()
+    if active[env] == 0:
+        return
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    start = _frame_of(
+        env,
+        frame,
+        affine_count,
+        first_control,
+        lengths,
+        start_poses,
+        positions,
+        displacements,
+        zero,
+    )
+    end = _frame_of(
+        env, frame, affine_count, first_control, lengths, end_poses, positions, displacements, one
+    )
+    frames.starts[env, frame] = start
+    frames.ends[env, frame] = end
+    frames.bends[env, frame] = bend_of(start, end)
+
+
+def make_frames(model: Model) -> Frames:
+    """Room for the frames of all stiff bodies."""
+    frames = Frames()
+    shape, device = (model.env_count, len(model.targets)), model.device
+    frames.starts = wp.zeros(shape, dtype=BodyFrame, device=device)
+    frames.ends = wp.zeros(shape, dtype=BodyFrame, device=device)
+    frames.bends = wp.zeros(shape, dtype=wp.vec3d, device=device)
+    return frames
 
 
 def update_frames(
-    model: Model, poses: wp.array, positions: wp.array, displacements: wp.array, frames: Frames
+    model: Model,
+    active: wp.array,
+    poses: list[wp.array],
+    positions: wp.array,
+    displacements: wp.array,
+    frames: Frames,
 ) -> None:
-    """Frames of affine bodies at positions + displacements, of kinematic ones at ``poses``."""
+    """Frames of affine bodies before and after the displacements, of kinematic ones at ``poses``
+    (start and end)."""
     wp.launch(
         _frames_kernel,
         dim=(model.env_count, len(model.targets)),
-        inputs=[model.affine.count, model.affine.first_control, model.affine.lengths, poses]
-        + [positions, displacements],
+        inputs=[active, model.affine.count, model.affine.first_control, model.affine.lengths]
+        + [*poses, positions, displacements],
         outputs=[frames],
         device=model.device,
     )
@@ -146,11 +204,10 @@ def _search_kernel(
     hit_first: int,
     node_bodies: wp.array(dtype=wp.int32),
     present: wp.array2d(dtype=wp.int32),
-    margin: wp.float64,
+    margins: wp.array(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
-    start: Frames,
-    end: Frames,
+    frames: Frames,
     counts: wp.array(dtype=wp.int32),
     pairs: wp.array2d(dtype=wp.vec2i),
 ):
@@ -165,11 +222,16 @@ def _search_kernel(
     low = wp.vec3d(_BIG, _BIG, _BIG)
     high = -low
     travel = wp.float64(0.0)
+    start = frames.starts[env, frame]
+    end = frames.ends[env, frame]
     for k in range(primitives.shape[1]):
+        node = primitives[item, k]
+        x = positions[env, node]
         low, high, travel = include(
-            low, high, travel, env, frame, primitives[item, k], positions, displacements, start, end
+            low, high, travel, x, displacements[env, node], start, end
         )
-    box = rounded_out(low, high, widened_margin(margin, travel, env, frame, start, end))
+    margin = widened_margin(margins[env], travel, frames.bends[env, frame])
+    box = rounded_out(low, high, margin)
     query = wp.bvh_query_aabb(trees.ids[frame], box.lower, box.upper)
     hit = int(0)
     while wp.bvh_query_next(query, hit):
@@ -185,16 +247,16 @@ def run_search(
     model: Model,
     active: wp.array,
     path: list,
-    frames: list[Frames],
+    frames: Frames,
     outputs: list[wp.array],
 ) -> None:
-    """Append pairs to ``outputs`` (counts, pairs); ``path``: margin, positions, displacements."""
+    """Append pairs to ``outputs`` (counts, pairs); ``path``: margins, positions, displacements."""
     if len(search.jobs):
         wp.launch(
             _search_kernel,
             dim=(model.env_count, len(search.jobs)),
             inputs=[active, search.jobs, search.primitives, search.trees, int(search.hit_first)]
-            + [model.surface.node_bodies, model.present, *path, *frames],
+            + [model.surface.node_bodies, model.present, *path, frames],
             outputs=outputs,
             device=model.device,
         )

@@ -17,20 +17,29 @@ class SweptBox:
 
 
 @wp.struct
-class Frames:
-    """Affine maps body_from_world of all stiff bodies: x -> inverse (x - origin).
+class BodyFrame:
+    """An affine map body_from_world, x -> inverse (x - origin) [m]."""
 
-    inverses: mat33d, origins [m]: vec3d, [env_count, frame_count].
+    inverse: wp.mat33d
+    origin: wp.vec3d
+
+
+@wp.struct
+class Frames:
+    """Frames of all stiff bodies at both ends of a motion, [env_count, frame_count].
+
+    bends: what ``bend_of`` says of the way between.
     """
 
-    inverses: wp.array2d(dtype=wp.mat33d)
-    origins: wp.array2d(dtype=wp.vec3d)
+    starts: wp.array2d(dtype=BodyFrame)
+    ends: wp.array2d(dtype=BodyFrame)
+    bends: wp.array2d(dtype=wp.vec3d)
 
 
 @wp.func
-def into_frame(frames: Frames, env: int, frame: int, x: wp.vec3d) -> wp.vec3d:
+def into_frame(frame: BodyFrame, x: wp.vec3d) -> wp.vec3d:
     """A world point in the frame of a body [m]."""
-    return frames.inverses[env, frame] * (x - frames.origins[env, frame])
+    return frame.inverse * (x - frame.origin)
 
 
 @wp.func
@@ -38,18 +47,14 @@ def include(
     low: wp.vec3d,
     high: wp.vec3d,
     travel: wp.float64,
-    env: int,
-    frame: int,
-    node: int,
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    start: Frames,
-    end: Frames,
+    x: wp.vec3d,
+    way: wp.vec3d,
+    start: BodyFrame,
+    end: BodyFrame,
 ):
     """Grow a box by both ends of a node's path, in the body frame, and the longest way between."""
-    x = positions[env, node]
-    a = into_frame(start, env, frame, x)
-    b = into_frame(end, env, frame, x + displacements[env, node])
+    a = into_frame(start, x)
+    b = into_frame(end, x + way)
     low = wp.min(low, wp.min(a, b))
     high = wp.max(high, wp.max(a, b))
     return low, high, wp.max(travel, wp.length(b - a))
@@ -62,9 +67,18 @@ def frobenius(m: wp.mat33d) -> wp.float64:
 
 
 @wp.func
-def widened_margin(
-    margin: wp.float64, travel: wp.float64, env: int, frame: int, start: Frames, end: Frames
-) -> wp.float64:
+def bend_of(start: BodyFrame, end: BodyFrame) -> wp.vec3d:
+    """|A0^-1|, |E| and s of ``widened_margin``, of a body that moves from one frame to another."""
+    one = wp.float64(1.0)
+    unit = wp.identity(n=3, dtype=wp.float64)
+    stretch = wp.sqrt(one + frobenius(wp.transpose(start.inverse) * start.inverse - unit))
+    change = start.inverse * wp.inverse(end.inverse) - unit
+    least = one - frobenius(wp.float64(0.5) * (change + wp.transpose(change)))
+    return wp.vec3d(stretch, frobenius(change), least)
+
+
+@wp.func
+def widened_margin(margin: wp.float64, travel: wp.float64, bend: wp.vec3d) -> wp.float64:
     """Margin in the frame of a body that turns or stretches: straight paths are bent there.
 
     Let a node be at w0 at the start and at w1 at the end in the body frame, and its offset from a
@@ -74,17 +88,11 @@ def widened_margin(
     D = |w1 - w0| and s > 0 the least eigenvalue of M's symmetric part, |b| <= (m + D / 4) / s.
     The margin m itself grows by |A0^-1|. Own derivation.
     """
-    one = wp.float64(1.0)
-    unit = wp.identity(n=3, dtype=wp.float64)
-    inverse = start.inverses[env, frame]
-    stretch = wp.sqrt(one + frobenius(wp.transpose(inverse) * inverse - unit))
-    change = inverse * wp.inverse(end.inverses[env, frame]) - unit
-    least = one - frobenius(wp.float64(0.5) * (change + wp.transpose(change)))
-    if least < wp.float64(0.05):
+    if bend[2] < wp.float64(0.05):
         # A turn by more than 80 degrees: no bound, everything is a candidate.
         return wp.float64(1.0e20)
-    m = margin * stretch
-    return m + frobenius(change) * (m + wp.float64(0.25) * travel) / least
+    m = margin * bend[0]
+    return m + bend[1] * (m + wp.float64(0.25) * travel) / bend[2]
 
 
 @wp.func

@@ -32,6 +32,7 @@ wp.set_module_options({"enable_backward": False})
 
 _COORDINATE = wp.constant(COORDINATE_ROW)
 _ROWS = wp.constant(ROW_COUNT)
+_EPSILON = wp.constant(wp.float64(2.0**-52))
 
 
 @wp.struct
@@ -332,3 +333,58 @@ def joint_outputs_kernel(
         torque += wp.cross(arm, pull)
     forces[env, joint] = force
     torques[env, joint] = torque
+
+
+@wp.kernel
+def largest_violation_kernel(
+    active: wp.array(dtype=wp.int32),
+    joint_violations: wp.array2d(dtype=wp.float64),
+    tolerance: wp.float64,
+    violations: wp.array(dtype=wp.float64),
+    violated: wp.array(dtype=wp.int32),
+):
+    """Largest violation of an environment [m], and whether it is more than the tolerance."""
+    env = wp.tid()
+    violated[env] = 0
+    if active[env] == 0:
+        return
+    worst = wp.float64(0.0)
+    for joint in range(joint_violations.shape[1]):
+        worst = wp.max(worst, joint_violations[env, joint])
+    violations[env] = worst
+    if worst > tolerance:
+        violated[env] = 1
+
+
+@wp.kernel
+def restore_multipliers_kernel(
+    done: wp.array(dtype=wp.int32),
+    start: wp.array3d(dtype=wp.float64),
+    multipliers: wp.array3d(dtype=wp.float64),
+):
+    """Back to the start of the step where it failed."""
+    env, joint, i = wp.tid()
+    if done[env] == 0:
+        multipliers[env, joint, i] = start[env, joint, i]
+
+
+@wp.kernel
+def joint_rounding_kernel(
+    positions: wp.array2d(dtype=wp.vec3d),
+    first: int,
+    count: int,
+    t: JointTable,
+    dts: wp.array(dtype=wp.float64),
+    rounding: wp.array(dtype=wp.float64),
+):
+    """Force [N] that the last digit of the positions makes in the penalties."""
+    env = wp.tid()
+    reach = wp.float64(0.0)
+    for node in range(first, first + count):
+        x = positions[env, node]
+        reach = wp.max(reach, wp.max(wp.abs(x[0]), wp.max(wp.abs(x[1]), wp.abs(x[2]))))
+    square = wp.float64(0.0)
+    for joint in range(t.sizes.shape[0]):
+        force = t.penalties[joint][0] * reach + t.penalties[joint][1] * t.sizes[joint]
+        square += force * force
+    rounding[env] = _EPSILON * wp.sqrt(square) / (dts[env] * dts[env])

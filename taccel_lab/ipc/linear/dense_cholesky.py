@@ -10,41 +10,35 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
-from taccel_lab.ipc.linear.pattern import BlockPattern
-from taccel_lab.ipc.linear.report import LinearReport
+from taccel_lab.ipc.linear.problem import LinearProblem
 
 
 class DenseCholesky:
     """Solver of H p = rhs by a dense Cholesky factorisation with one step of refinement."""
 
-    def __init__(self, pattern: BlockPattern, env_count: int, device: wp.Device) -> None:
-        self._pattern = pattern
+    description = "dense Cholesky: stiff bodies and few rows"
+    capturable = False
 
-    def solve(
-        self,
-        values: wp.array,
-        extra: ExtraBlocks,
-        rhs: wp.array,
-        solution: wp.array,
-        active: wp.array,
-        tolerances: wp.array,
-        max_iterations: int,
-    ) -> LinearReport:
+    def __init__(self, problem: LinearProblem) -> None:
+        self._problem = problem
+
+    def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``; reports one iteration, whatever the tolerance."""
         from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+        problem = self._problem
+        extra = problem.extra
         running = active.numpy() != 0
-        b = rhs.numpy().reshape(len(running), -1)
+        b = problem.rhs.numpy().reshape(len(running), -1)
         x = np.zeros_like(b)
         ratio, broken = np.zeros(len(running)), np.zeros(len(running), dtype=bool)
-        blocks, places, extras = values.numpy(), extra.places.numpy(), extra.values.numpy()
-        counts = extra.counts.numpy()
+        blocks, places, extras = problem.values.numpy(), extra.places.numpy(), extra.values.numpy()
+        counts = np.minimum(extra.counts.numpy(), extra.capacity)
         for env in np.flatnonzero(running):
             size = np.linalg.norm(b[env])
             if size == 0:
                 continue
-            matrix = self._pattern.dense(blocks[env : env + 1])[0]
+            matrix = problem.pattern.dense(blocks[env : env + 1])[0]
             _add_extra(matrix, places[env, : counts[env]], extras[env, : counts[env]])
             if not (np.isfinite(matrix).all() and np.isfinite(size)):
                 broken[env] = True
@@ -57,12 +51,10 @@ class DenseCholesky:
             x[env] = cho_solve(factor, b[env])
             x[env] += cho_solve(factor, b[env] - matrix @ x[env])
             ratio[env] = np.linalg.norm(b[env] - matrix @ x[env]) / size
-        solution.assign(x.reshape(solution.shape + (3,)))
-        return LinearReport(
-            iterations=(running & ~broken).astype(np.int64),
-            relative_residual=ratio,
-            breakdown=broken,
-        )
+        problem.solution.assign(x.reshape((*problem.shape, 3)))
+        problem.iterations.assign((running & ~broken).astype(np.int32))
+        problem.residuals.assign(ratio)
+        problem.breakdown.assign(broken.astype(np.int32))
 
 
 def _add_extra(matrix: np.ndarray, places: np.ndarray, values: np.ndarray) -> None:

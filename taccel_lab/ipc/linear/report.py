@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a linear solve did, per environment."""
+"""What a linear solve did, per environment, read back to the host."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+
+from taccel_lab.ipc.linear.problem import LinearProblem
 
 
 @dataclass(frozen=True)
@@ -19,3 +21,12 @@ class LinearReport:
     breakdown: np.ndarray
     """Whether the solve stopped early because the matrix is not positive definite or a number is
     not finite; the solution is then the last good iterate, at worst zero. bool."""
+
+    @classmethod
+    def read(cls, problem: LinearProblem) -> LinearReport:
+        """Copy the figures of the last solve to the host; waits for the device."""
+        return cls(
+            iterations=problem.iterations.numpy().astype(np.int64),
+            relative_residual=problem.residuals.numpy().copy(),
+            breakdown=problem.breakdown.numpy() != 0,
+        )

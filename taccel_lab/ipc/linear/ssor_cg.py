@@ -15,12 +15,10 @@ product only: u gains B^-1 E t.
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks, add_extra_product
-from taccel_lab.ipc.linear.pattern import BlockPattern
-from taccel_lab.ipc.linear.report import LinearReport
+from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
+from taccel_lab.ipc.linear.problem import LinearProblem
 
 wp.set_module_options({"enable_backward": False})
 
@@ -81,6 +79,25 @@ def _backward_sweep(
 
 
 @wp.func
+def _add_extra_product(
+    count: int,
+    codes: wp.array(dtype=wp.int32),
+    places: wp.array(dtype=wp.vec2i),
+    blocks: wp.array(dtype=wp.mat33d),
+    x: wp.array(dtype=wp.vec3d),
+    y: wp.array(dtype=wp.vec3d),
+):
+    """y += E x of one environment; every block is listed for both triangles."""
+    for e in range(count):
+        k = codes[e] / 2
+        if codes[e] % 2 == 0:
+            y[places[k][0]] += blocks[k] * x[places[k][1]]
+        else:
+            # x * block = block^T x
+            y[places[k][1]] += x[places[k][0]] * blocks[k]
+
+
+@wp.func
 def _sum_sq(x: wp.array(dtype=wp.vec3d)) -> wp.float64:
     total = wp.float64(0.0)
     for i in range(x.shape[0]):
@@ -114,6 +131,7 @@ def _true_residual_sq(
     values: wp.array(dtype=wp.mat33d),
     b: wp.array(dtype=wp.vec3d),
     extra_count: int,
+    extra_codes: wp.array(dtype=wp.int32),
     extra_places: wp.array(dtype=wp.vec2i),
     extra_values: wp.array(dtype=wp.mat33d),
     x: wp.array(dtype=wp.vec3d),
@@ -126,7 +144,7 @@ def _true_residual_sq(
     if extra_count > 0:
         for i in range(b.shape[0]):
             work[i] = wp.vec3d()
-        add_extra_product(extra_count, extra_places, extra_values, x, work)
+        _add_extra_product(extra_count, extra_codes, extra_places, extra_values, x, work)
         for i in range(b.shape[0]):
             work[i] = b[i] - work[i]
     for i in range(b.shape[0]):
@@ -145,7 +163,7 @@ def _solve_kernel(
     row_starts: wp.array(dtype=wp.int32),
     columns: wp.array(dtype=wp.int32),
     all_values: wp.array2d(dtype=wp.mat33d),
-    extra_counts: wp.array(dtype=wp.int32),
+    extra_rows: ExtraRows,
     all_extra_places: wp.array2d(dtype=wp.vec2i),
     all_extra_values: wp.array2d(dtype=wp.mat33d),
     all_rhs: wp.array2d(dtype=wp.vec3d),
@@ -174,7 +192,8 @@ def _solve_kernel(
     t = all_t[env]
     u = all_u[env]
     e = all_e[env]
-    extra_count = extra_counts[env]
+    extra_count = extra_rows.totals[env, 0]
+    extra_codes = extra_rows.codes[env]
     extra_places = all_extra_places[env]
     extra_values = all_extra_values[env]
     x = solutions[env]
@@ -217,7 +236,7 @@ def _solve_kernel(
         if extra_count > 0:
             for i in range(n):
                 e[i] = wp.vec3d()
-            add_extra_product(extra_count, extra_places, extra_values, t, e)
+            _add_extra_product(extra_count, extra_codes, extra_places, extra_values, t, e)
         curvature = zero
         for i in range(n):
             total = keep * p[i] + turn * u[i]
@@ -255,48 +274,47 @@ def _solve_kernel(
                 ratio = r_sq / rho
     iterations[env] = count
     residual_sq = _true_residual_sq(
-        row_starts, columns, values, b, extra_count, extra_places, extra_values, x, e, r
+        row_starts,
+        columns,
+        values,
+        b,
+        extra_count,
+        extra_codes,
+        extra_places,
+        extra_values,
+        x,
+        e,
+        r,
     )
     residuals[env] = wp.sqrt(residual_sq / b_sq)
 
 
 class SsorCG:
-    """Solver of H p = rhs over the lower triangle of ``pattern``, on the CPU."""
+    """Solver of H p = rhs over the lower triangle of the pattern, on the CPU."""
 
-    def __init__(self, pattern: BlockPattern, env_count: int, device: wp.Device) -> None:
-        self._device = device
+    description = "CG with symmetric Gauss-Seidel, one kernel"
+    capturable = True
+
+    def __init__(self, problem: LinearProblem) -> None:
+        self._problem = problem
+        pattern, device = problem.pattern, problem.device
         self._row_starts = wp.array(pattern.row_starts, dtype=wp.int32, device=device)
         self._columns = wp.array(pattern.columns, dtype=wp.int32, device=device)
-        shape = (env_count, pattern.free_count)
-        self._inverses = wp.zeros(shape, dtype=wp.mat33d, device=device)
-        self._work = [wp.zeros(shape, dtype=wp.vec3d, device=device) for _ in range(5)]
-        self._iterations = wp.zeros(env_count, dtype=wp.int32, device=device)
-        self._residuals = wp.zeros(env_count, dtype=wp.float64, device=device)
-        self._breakdowns = wp.zeros(env_count, dtype=wp.int32, device=device)
+        self._extra = ExtraRowLists(problem)
+        self._inverses = wp.zeros(problem.shape, dtype=wp.mat33d, device=device)
+        self._work = [wp.zeros(problem.shape, dtype=wp.vec3d, device=device) for _ in range(5)]
 
-    def solve(
-        self,
-        values: wp.array,
-        extra: ExtraBlocks,
-        rhs: wp.array,
-        solution: wp.array,
-        active: wp.array,
-        tolerances: wp.array,
-        max_iterations: int,
-    ) -> LinearReport:
+    def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
+        p = self._problem
+        self._extra.update(active)
         wp.launch(
             _solve_kernel,
-            dim=len(self._iterations),
-            inputs=[self._row_starts, self._columns, values]
-            + [extra.counts, extra.places, extra.values, rhs, active, tolerances]
+            dim=p.env_count,
+            inputs=[self._row_starts, self._columns, p.values]
+            + [self._extra.rows, p.extra.places, p.extra.values, p.rhs, active, p.tolerances]
             + [max_iterations, wp.float64(RELAXATION), _CHECK_EVERY],
-            outputs=[self._inverses, *self._work, solution]
-            + [self._iterations, self._residuals, self._breakdowns],
-            device=self._device,
-        )
-        return LinearReport(
-            iterations=self._iterations.numpy().astype(np.int64),
-            relative_residual=self._residuals.numpy().copy(),
-            breakdown=self._breakdowns.numpy() != 0,
+            outputs=[self._inverses, *self._work, p.solution]
+            + [p.iterations, p.residuals, p.breakdown],
+            device=p.device,
         )

@@ -3,71 +3,89 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
+from typing import Protocol
+
 import warp as wp
 
+from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.dense_cholesky import DenseCholesky
-from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
 from taccel_lab.ipc.linear.pattern import BlockPattern
-from taccel_lab.ipc.linear.pcg import BlockJacobiCG
+from taccel_lab.ipc.linear.pipelined_cg import PipelinedCG
+from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.ssor_cg import SsorCG
+
+
+class Solver(Protocol):
+    """What ``LinearSystem`` needs of a method."""
+
+    description: str
+    capturable: bool
+
+    def solve(self, active: wp.array, max_iterations: int) -> None:
+        """See ``LinearSystem.solve``."""
+        ...
+
 
 MAX_DIRECT_ROWS = 400
 """Rows up to which a stiff system is factored: 1,200 unknowns take about 30 ms on one core."""
 
 
-class LinearSystem:
+class LinearSystem(LinearProblem):
     """Matrix blocks, right-hand sides and solutions, with their solver."""
 
     def __init__(
-        self, pattern: BlockPattern, env_count: int, device: wp.Device, stiff: bool = False
+        self,
+        pattern: BlockPattern,
+        env_count: int,
+        device: wp.Device,
+        stiff: bool = False,
+        clusters: list[tuple[int, int]] | None = None,
+        method: str = "auto",
+        extra_capacity: int = 1,
     ) -> None:
-        """``stiff``: whether most of the unknowns are those of affine bodies."""
-        self.values = wp.zeros((env_count, pattern.block_count), dtype=wp.mat33d, device=device)
-        """Blocks of the lower triangle [N/m], shape [env_count, block_count]."""
-        self.extra = ExtraBlocks(env_count, device)
-        """What does not fit the pattern."""
-        shape = (env_count, pattern.free_count)
-        self.rhs = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """Right-hand sides [N], shape [env_count, free_count]."""
-        self.solution = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """Solutions [m], shape [env_count, free_count]; zero where not active."""
-        self._tolerances = wp.zeros(env_count, dtype=wp.float64, device=device)
-        # Gauss-Seidel sweeps run along the rows: quick on one CPU thread, hopeless on thousands.
-        solver = SsorCG if device.is_cpu else BlockJacobiCG
-        if stiff and device.is_cpu and pattern.free_count <= MAX_DIRECT_ROWS:
-            solver = DenseCholesky
-        self._solver = solver(pattern, env_count, device)
-        self._pattern = pattern
+        """``stiff``: whether most of the unknowns are those of affine bodies. ``clusters``: ranges
+        (first, end) of rows that are stiff among themselves, as the control nodes of an affine
+        body. ``method``: "auto" or one of ``METHODS``. ``extra_capacity``: see ``ExtraBlocks``.
+        """
+        super().__init__(pattern, env_count, device, extra_capacity)
+        self.clusters = list(clusters or [])
+        if method == "auto":
+            method = _method(pattern, device, stiff)
+        self._solver = METHODS[method](self)
+        self.capturable: bool = self._solver.capturable
+        """Whether ``solve`` needs no host, so that a CUDA graph can hold it."""
 
     def describe(self) -> str:
         """Method, rows and stored blocks of one environment, for people."""
-        method = {
-            SsorCG: "CG with symmetric Gauss-Seidel, one kernel",
-            BlockJacobiCG: "CG with block Jacobi, all environments at once",
-            DenseCholesky: "dense Cholesky: stiff bodies and few rows",
-        }[type(self._solver)]
-        return f"{method}; {self._pattern.free_count:,} rows, {self._pattern.block_count:,} blocks"
+        p = self.pattern
+        return f"{self._solver.description}; {p.free_count:,} rows, {p.block_count:,} blocks"
 
-    def solve(
-        self, active: wp.array, relative_tolerance: float | np.ndarray, max_iterations: int
-    ) -> LinearReport:
-        """Solve to ||rhs - H p|| <= relative_tolerance ||rhs|| in each active environment.
+    def solve(self, active: wp.array, max_iterations: int) -> None:
+        """Solve to ||rhs - H p|| <= tolerances ||rhs|| in each active environment.
 
-        ``active``: int32, shape [env_count]. ``relative_tolerance``: one number or one an
-        environment. ``values`` and ``rhs`` are left as they are.
+        ``active``: int32, shape [env_count]. ``values``, ``extra`` and ``rhs`` are left as they
+        are; ``solution``, ``iterations``, ``breakdown`` and ``residuals`` are written.
         """
-        tolerances = np.broadcast_to(
-            np.asarray(relative_tolerance, dtype=np.float64), self._tolerances.shape
-        )
-        self._tolerances.assign(np.ascontiguousarray(tolerances))
-        return self._solver.solve(
-            self.values,
-            self.extra,
-            self.rhs,
-            self.solution,
-            active,
-            self._tolerances,
-            max_iterations,
-        )
+        self._solver.solve(active, max_iterations)
+
+    def report(self) -> LinearReport:
+        """Figures of the last solve on the host; waits for the device."""
+        return LinearReport.read(self)
+
+
+METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
+    "ssor": SsorCG,
+    "dense": DenseCholesky,
+    "cg": lambda system: BlockCG(system, system.clusters),
+    "pipelined": lambda system: PipelinedCG(system, system.clusters),
+}
+
+
+def _method(pattern: BlockPattern, device: wp.Device, stiff: bool) -> str:
+    """The solver that suits the device and the size."""
+    if not device.is_cpu:
+        return "cg"
+    # Gauss-Seidel sweeps run along the rows: quick on one CPU thread, hopeless on thousands.
+    return "dense" if stiff and pattern.free_count <= MAX_DIRECT_ROWS else "ssor"

@@ -17,7 +17,7 @@ from taccel_lab.ipc.affine.orthogonality import (
     orthogonality_hessian,
 )
 from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
-from taccel_lab.ipc.reduce import sum_rows
+from taccel_lab.ipc.reduce import EnergyTerm
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -93,7 +93,7 @@ def _affine_hessian_kernel(
             add_block(env, start + 1 + i, start + 1 + j, block, system)
 
 
-class AffinePotential:
+class AffinePotential(EnergyTerm):
     """Keeps affine bodies rigid; built only for a scene that has some."""
 
     def __init__(self, model: Model) -> None:
@@ -105,8 +105,8 @@ class AffinePotential:
         )
         """Energy of each affine body [J], shape [env_count, affine_count]."""
         noise = np.finfo(float).eps * a.stiffness.numpy() / a.lengths.numpy()
-        self.rounding_n = np.full(model.env_count, 4 * np.linalg.norm(noise))
-        """Residual that rounding of the positions alone causes [N], shape [env_count]."""
+        self.rounding_n = float(4 * np.linalg.norm(noise))
+        """Residual that rounding of the positions alone causes [N]."""
 
     def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
         wp.launch(
@@ -117,10 +117,9 @@ class AffinePotential:
             device=self.model.device,
         )
 
-    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
-        """Energy [J], shape [env_count]; stale where not active."""
+    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+        """Fill ``energies`` [J] of active environments."""
         self._launch(_affine_energy_kernel, [active, positions, *self._bodies], [self.energies])
-        return sum_rows(self.energies)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N], shape [env_count, node_count]."""

@@ -7,7 +7,6 @@ that of the guard (see ``collisions``); edge pairs carry the mollifier of [Li et
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.barrier import (
@@ -27,6 +26,7 @@ from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_cross_sq,
     edge_edge_mollifier,
 )
+from taccel_lab.ipc.lanes import lane_count, listed
 from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block, has_rows
 from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.mollified_edge_edge import (
@@ -38,9 +38,9 @@ from taccel_lab.ipc.pair_hessian import (
     HESSIAN_GAUSS_NEWTON,
     pair_gradient,
     pair_hessian,
-    pair_hessian_block,
 )
-from taccel_lab.ipc.reduce import sum_lists
+from taccel_lab.ipc.reduce import EnergyTerm
+from taccel_lab.ipc.stencil_rows import add_pair_hessian
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -101,17 +101,15 @@ def contact_rows(
     return rows
 
 
-@wp.kernel
-def _energy_kernel(
-    active: wp.array(dtype=wp.int32),
+@wp.func
+def contact_energy(
+    env: int,
+    slot: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
-    energies: wp.array2d(dtype=wp.float64),
-):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= lists.counts[env]:
-        return
+) -> wp.float64:
+    """Energy of one collision [J]."""
     nodes = lists.stencils[env, slot]
     pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
     gap = collision_gap(pair, nodes, geometry)
@@ -125,21 +123,36 @@ def _energy_kernel(
             positions[env, nodes[3]],
         )
         energy *= edge_edge_mollifier(cross_sq, threshold)
-    energies[env, slot] = energy
+    return energy
 
 
 @wp.kernel
-def _gradient_kernel(
+def _energy_kernel(
     active: wp.array(dtype=wp.int32),
+    lanes: int,
+    lists: CollisionLists,
+    geometry: ContactGeometry,
+    positions: wp.array2d(dtype=wp.vec3d),
+    energies: wp.array2d(dtype=wp.float64),
+):
+    env, lane = wp.tid()
+    if active[env] == 0:
+        return
+    for slot in range(lane, listed(env, lists.counts, energies.shape[1]), lanes):
+        energies[env, slot] = contact_energy(env, slot, lists, geometry, positions)
+
+
+@wp.func
+def add_contact_gradient(
+    env: int,
+    slot: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
     gradient: wp.array2d(dtype=wp.vec3d),
     min_distance: wp.array(dtype=wp.float64),
 ):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= lists.counts[env]:
-        return
+    """Add the gradient [N] of one collision and lower the smallest gap [m]."""
     kind = lists.kinds[env, slot]
     nodes = lists.stencils[env, slot]
     pair = closest_pair(env, kind, nodes, positions, geometry)
@@ -150,17 +163,33 @@ def _gradient_kernel(
 
 
 @wp.kernel
-def _hessian_kernel(
+def _gradient_kernel(
     active: wp.array(dtype=wp.int32),
+    lanes: int,
+    lists: CollisionLists,
+    geometry: ContactGeometry,
+    positions: wp.array2d(dtype=wp.vec3d),
+    gradient: wp.array2d(dtype=wp.vec3d),
+    min_distance: wp.array(dtype=wp.float64),
+):
+    env, lane = wp.tid()
+    if active[env] == 0:
+        return
+    for slot in range(lane, listed(env, lists.counts, lists.kinds.shape[1]), lanes):
+        add_contact_gradient(env, slot, lists, geometry, positions, gradient, min_distance)
+
+
+@wp.func
+def add_contact_hessian(
+    env: int,
+    slot: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
     mode: int,
     system: NewtonSystem,
 ):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= lists.counts[env]:
-        return
+    """Add the blocks [N/m] of one collision to the Newton system."""
     kind = lists.kinds[env, slot]
     nodes = lists.stencils[env, slot]
     k = lists.stiffnesses[env, slot]
@@ -189,62 +218,61 @@ def _hessian_kernel(
         # The height over a plane is linear: its first term is the whole, and it is positive.
         curvature = wp.static(int(HESSIAN_GAUSS_NEWTON))
     h = pair_hessian(pair, x0, x1, x2, x3, e1, e2, curvature)
-    for i in range(size):
-        if has_rows(nodes[i], system):
-            for j in range(size):
-                add_block(env, nodes[i], nodes[j], pair_hessian_block(h, i, j), system)
+    add_pair_hessian(env, nodes, h, system)
 
 
-class ContactPotential:
+@wp.kernel
+def _hessian_kernel(
+    active: wp.array(dtype=wp.int32),
+    lanes: int,
+    lists: CollisionLists,
+    geometry: ContactGeometry,
+    positions: wp.array2d(dtype=wp.vec3d),
+    mode: int,
+    system: NewtonSystem,
+):
+    env, lane = wp.tid()
+    if active[env] == 0:
+        return
+    for slot in range(lane, listed(env, lists.counts, lists.kinds.shape[1]), lanes):
+        add_contact_hessian(env, slot, lists, geometry, positions, mode, system)
+
+
+class ContactPotential(EnergyTerm):
     """Launches of the barrier energy over a collision set."""
 
     def __init__(self, model: Model, collisions: Collisions) -> None:
         self.model = model
         self.collisions = collisions
+        self.counts = collisions.counts
         self.energies = wp.zeros((model.env_count, 1), dtype=wp.float64, device=model.device)
         """Energy of each collision [J], shape [env_count, capacity]; valid up to ``counts``."""
 
-    def _inputs(self, active: wp.array, positions: wp.array) -> list:
-        return [active, self.collisions.lists, self.collisions.geometry, positions]
+    def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, rest: list) -> None:
+        c, m = self.collisions, self.model
+        lanes = lane_count(m.device, m.env_count, c.capacity)
+        wp.launch(
+            kernel,
+            dim=(m.env_count, lanes),
+            inputs=[active, lanes, c.lists, c.geometry, positions, *rest],
+            device=m.device,
+        )
 
-    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
-        """Barrier energy of the current collision set [J], shape [env_count]."""
+    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+        """Fill ``energies`` of the current collision set [J]."""
         c = self.collisions
         if self.energies.shape[1] < c.capacity:
             self.energies = wp.zeros(c.kinds.shape, dtype=wp.float64, device=self.model.device)
-        if c.max_count:
-            wp.launch(
-                _energy_kernel,
-                dim=(self.model.env_count, c.max_count),
-                inputs=self._inputs(active, positions),
-                outputs=[self.energies],
-                device=self.model.device,
-            )
-        return sum_lists(self.energies, c.counts)
+        self._launch(_energy_kernel, active, positions, [self.energies])
 
     def add_gradient(
         self, active: wp.array, positions: wp.array, gradient: wp.array, min_distance: wp.array
     ) -> None:
         """Add d energy / dx [N] of all nodes, soft and kinematic, and lower the minimum gap [m]."""
-        c = self.collisions
-        if c.max_count:
-            wp.launch(
-                _gradient_kernel,
-                dim=(self.model.env_count, c.max_count),
-                inputs=self._inputs(active, positions),
-                outputs=[gradient, min_distance],
-                device=self.model.device,
-            )
+        self._launch(_gradient_kernel, active, positions, [gradient, min_distance])
 
     def add_hessian(
         self, active: wp.array, positions: wp.array, system: NewtonSystem, mode: int
     ) -> None:
         """Add the Hessian of the collisions to the Newton system."""
-        c = self.collisions
-        if c.max_count:
-            wp.launch(
-                _hessian_kernel,
-                dim=(self.model.env_count, c.max_count),
-                inputs=[*self._inputs(active, positions), mode, system],
-                device=self.model.device,
-            )
+        self._launch(_hessian_kernel, active, positions, [mode, system])

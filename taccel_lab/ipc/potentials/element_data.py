@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import sum_rows
+from taccel_lab.ipc.reduce import EnergyTerm
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 
@@ -123,7 +122,7 @@ def _gather_rim_kernel(
     rhs[env, rows[i]] = total
 
 
-class ElementSum:
+class ElementSum(EnergyTerm):
     """Energy, gradient and matrix of one group of elements, from the kernels of its elements."""
 
     def __init__(self, model: Model, group: ElementArrays, kernels: ElementKernels) -> None:
@@ -154,10 +153,9 @@ class ElementSum:
             device=self.model.device,
         )
 
-    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
-        """Energy [J], shape [env_count]; stale where not active."""
+    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+        """Fill ``energies`` [J] of active environments."""
         self.launch(self.kernels.energy, [active, positions, self.data], [self.energies])
-        return sum_rows(self.energies)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N] to ``gradient``, shape [env_count, node_count]."""

@@ -19,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import sum_rows
+from taccel_lab.ipc.reduce import EnergyTerm
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -71,7 +71,7 @@ def _gradient_kernel(
         gradient[env, node] -= loads[env, node]
 
 
-class ExternalLoad:
+class ExternalLoad(EnergyTerm):
     """The loads of one step of all environments."""
 
     def __init__(self, model: Model) -> None:
@@ -102,8 +102,8 @@ class ExternalLoad:
                 device=m.device,
             )
 
-    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
-        """-f . (x - x_start) [J], shape [env_count]; stale where not active."""
+    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+        """Fill ``energies`` [J] of active environments."""
         wp.launch(
             _energy_kernel,
             dim=positions.shape,
@@ -111,7 +111,6 @@ class ExternalLoad:
             outputs=[self.energies],
             device=self.model.device,
         )
-        return sum_rows(self.energies)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add -f [N]."""

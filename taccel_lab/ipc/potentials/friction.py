@@ -6,9 +6,6 @@ until the force residual with the new values is small too.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.barrier import contact_potential_d1
@@ -28,11 +25,29 @@ from taccel_lab.ipc.friction import (
     relative_displacement,
     tangential,
 )
-from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
-from taccel_lab.ipc.reduce import sum_lists
+from taccel_lab.ipc.lanes import lane_count, listed
+from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.reduce import EnergyTerm
+from taccel_lab.ipc.stencil_rows import add_weighted_block
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class FrozenContacts:
+    """Collisions as they were when friction was frozen.
+
+    counts: [env_count]. stencils: nodes, [env_count, capacity] as all below. weights: of the nodes
+    in the relative motion of both sides. normals: unit. mu_lambdas: friction coefficient times
+    normal force [N], signed.
+    """
+
+    counts: wp.array(dtype=wp.int32)
+    stencils: wp.array2d(dtype=wp.vec4i)
+    weights: wp.array2d(dtype=wp.vec4d)
+    normals: wp.array2d(dtype=wp.vec3d)
+    mu_lambdas: wp.array2d(dtype=wp.float64)
 
 
 @wp.struct
@@ -55,26 +70,17 @@ class StepMotion:
     first_kinematic: wp.int32
 
 
-@wp.kernel
-def _lag_kernel(
-    active: wp.array(dtype=wp.int32),
+@wp.func
+def freeze_contact(
+    env: int,
+    slot: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
     pair_friction: wp.array2d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
-    counts: wp.array(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    weights: wp.array2d(dtype=wp.vec4d),
-    normals: wp.array2d(dtype=wp.vec3d),
-    mu_lambdas: wp.array2d(dtype=wp.float64),
+    frozen: FrozenContacts,
 ):
-    env, slot = wp.tid()
-    if active[env] == 0:
-        return
-    if slot == 0:
-        counts[env] = lists.counts[env]
-    if slot >= lists.counts[env]:
-        return
+    """Freeze normal force, weights and normal of one collision."""
     nodes = lists.stencils[env, slot]
     pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
     gap = collision_gap(pair, nodes, geometry)
@@ -89,12 +95,32 @@ def _lag_kernel(
         )
         force *= edge_edge_mollifier(cross_sq, threshold)
     mu = pair_friction[geometry.node_bodies[nodes[0]], geometry.node_bodies[nodes[3]]]
-    stencils[env, slot] = nodes
-    weights[env, slot] = pair.weights
-    normals[env, slot] = pair_normal(pair)
+    frozen.stencils[env, slot] = nodes
+    frozen.weights[env, slot] = pair.weights
+    frozen.normals[env, slot] = pair_normal(pair)
     # Signed: a subtracted duplicate takes back what was counted twice. Left out, friction would
     # jump where a second face begins to count, and freezing would never settle.
-    mu_lambdas[env, slot] = mu * force
+    frozen.mu_lambdas[env, slot] = mu * force
+
+
+@wp.kernel
+def _lag_kernel(
+    active: wp.array(dtype=wp.int32),
+    lanes: int,
+    lists: CollisionLists,
+    geometry: ContactGeometry,
+    pair_friction: wp.array2d(dtype=wp.float64),
+    positions: wp.array2d(dtype=wp.vec3d),
+    frozen: FrozenContacts,
+):
+    env, lane = wp.tid()
+    if active[env] == 0:
+        return
+    count = listed(env, lists.counts, lists.kinds.shape[1])
+    if lane == 0:
+        frozen.counts[env] = count
+    for slot in range(lane, count, lanes):
+        freeze_contact(env, slot, lists, geometry, pair_friction, positions, frozen)
 
 
 @wp.func
@@ -130,79 +156,80 @@ def sliding(
 @wp.kernel
 def _energy_kernel(
     active: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    weights: wp.array2d(dtype=wp.vec4d),
-    normals: wp.array2d(dtype=wp.vec3d),
-    mu_lambdas: wp.array2d(dtype=wp.float64),
+    lanes: int,
+    frozen: FrozenContacts,
     motion: StepMotion,
     eps_u: wp.float64,
     energies: wp.array2d(dtype=wp.float64),
 ):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= counts[env]:
+    env, lane = wp.tid()
+    if active[env] == 0:
         return
-    nodes = stencils[env, slot]
-    u = sliding(env, nodes, weights[env, slot], normals[env, slot], motion)
-    energies[env, slot] = friction_potential(u, mu_lambdas[env, slot], eps_u)
+    for slot in range(lane, frozen.counts[env], lanes):
+        u = sliding(
+            env,
+            frozen.stencils[env, slot],
+            frozen.weights[env, slot],
+            frozen.normals[env, slot],
+            motion,
+        )
+        energies[env, slot] = friction_potential(u, frozen.mu_lambdas[env, slot], eps_u)
 
 
 @wp.kernel
 def _gradient_kernel(
     active: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    weights: wp.array2d(dtype=wp.vec4d),
-    normals: wp.array2d(dtype=wp.vec3d),
-    mu_lambdas: wp.array2d(dtype=wp.float64),
+    lanes: int,
+    frozen: FrozenContacts,
     motion: StepMotion,
     eps_u: wp.float64,
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= counts[env]:
+    env, lane = wp.tid()
+    if active[env] == 0:
         return
-    nodes = stencils[env, slot]
-    w = weights[env, slot]
-    u = sliding(env, nodes, w, normals[env, slot], motion)
-    force = friction_gradient(u, mu_lambdas[env, slot], eps_u)
-    for i in range(4):
-        if w[i] != wp.float64(0.0):
-            wp.atomic_add(gradient, env, nodes[i], w[i] * force)
+    for slot in range(lane, frozen.counts[env], lanes):
+        nodes = frozen.stencils[env, slot]
+        w = frozen.weights[env, slot]
+        u = sliding(env, nodes, w, frozen.normals[env, slot], motion)
+        force = friction_gradient(u, frozen.mu_lambdas[env, slot], eps_u)
+        for i in range(4):
+            if w[i] != wp.float64(0.0):
+                wp.atomic_add(gradient, env, nodes[i], w[i] * force)
 
 
 @wp.kernel
 def _hessian_kernel(
     active: wp.array(dtype=wp.int32),
-    counts: wp.array(dtype=wp.int32),
-    stencils: wp.array2d(dtype=wp.vec4i),
-    weights: wp.array2d(dtype=wp.vec4d),
-    normals: wp.array2d(dtype=wp.vec3d),
-    mu_lambdas: wp.array2d(dtype=wp.float64),
+    lanes: int,
+    frozen: FrozenContacts,
     motion: StepMotion,
     eps_u: wp.float64,
     system: NewtonSystem,
 ):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= counts[env]:
+    env, lane = wp.tid()
+    if active[env] == 0:
         return
-    # Without the subtracted duplicates the matrix is too large, but surely positive.
-    if mu_lambdas[env, slot] <= wp.float64(0.0):
-        return
-    nodes = stencils[env, slot]
-    w = weights[env, slot]
-    n = normals[env, slot]
-    u = sliding(env, nodes, w, n, motion)
-    core = friction_hessian(n, u, mu_lambdas[env, slot], eps_u)
-    # Held in a variable: sixteen inlined copies would only take longer to compile.
-    count = int(4)
-    for i in range(count):
-        for j in range(count):
-            if w[i] != wp.float64(0.0) and w[j] != wp.float64(0.0):
-                add_block(env, nodes[i], nodes[j], w[i] * w[j] * core, system)
+    for slot in range(lane, frozen.counts[env], lanes):
+        mu_lambda = frozen.mu_lambdas[env, slot]
+        # Without the subtracted duplicates the matrix is too large, but surely positive.
+        if mu_lambda > wp.float64(0.0):
+            nodes = frozen.stencils[env, slot]
+            w = frozen.weights[env, slot]
+            n = frozen.normals[env, slot]
+            u = sliding(env, nodes, w, n, motion)
+            core = friction_hessian(n, u, mu_lambda, eps_u)
+            add_weighted_block(env, nodes, w, core, system)
 
 
-class FrictionPotential:
+@wp.kernel
+def _forget_kernel(who: wp.array(dtype=wp.int32), counts: wp.array(dtype=wp.int32)):
+    env = wp.tid()
+    if who[env] != 0:
+        counts[env] = 0
+
+
+class FrictionPotential(EnergyTerm):
     """Frozen friction of a collision set; built only for scenes with a friction coefficient."""
 
     def __init__(self, model: Model, collisions: Collisions, eps_u_m: float) -> None:
@@ -210,27 +237,32 @@ class FrictionPotential:
         self.collisions = collisions
         self.eps_u_m = eps_u_m
         """Sliding in one step below which friction is static [m]: eps_v * dt."""
-        self.counts = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
-        self.max_count = 0
+        self.frozen = FrozenContacts()
+        """The collisions as they were frozen."""
+        self.frozen.counts = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
+        self.counts = self.frozen.counts
+        """Frozen collisions, int32, shape [env_count]."""
         self._allocate(1)
+        self.fit()
 
     def _allocate(self, capacity: int) -> None:
-        """Make room; environments that are not re-frozen now keep their lists."""
-        shape, device = (self.model.env_count, capacity), self.model.device
-        old = self._lists() if hasattr(self, "stencils") else None
-        self.stencils = wp.zeros(shape, dtype=wp.vec4i, device=device)
-        self.weights = wp.zeros(shape, dtype=wp.vec4d, device=device)
-        self.normals = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        self.mu_lambdas = wp.zeros(shape, dtype=wp.float64, device=device)
-        """Friction coefficient times frozen normal force [N], signed, [env_count, capacity]."""
+        shape, device, frozen = (self.model.env_count, capacity), self.model.device, self.frozen
+        frozen.stencils = wp.zeros(shape, dtype=wp.vec4i, device=device)
+        frozen.weights = wp.zeros(shape, dtype=wp.vec4d, device=device)
+        frozen.normals = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        frozen.mu_lambdas = wp.zeros(shape, dtype=wp.float64, device=device)
         self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
         """Energy of each frozen collision [J], shape [env_count, capacity]."""
-        if old is not None:
-            for new, previous in zip(self._lists(), old, strict=True):
-                wp.copy(new[:, : previous.shape[1]], previous)
 
-    def _lists(self) -> list[wp.array]:
-        return [self.stencils, self.weights, self.normals, self.mu_lambdas]
+    def fit(self) -> None:
+        """Make room for as many as there may be collisions; what is frozen stays."""
+        if self.energies.shape[1] >= self.collisions.capacity:
+            return
+        names = ("stencils", "weights", "normals", "mu_lambdas")
+        old = [getattr(self.frozen, name) for name in names]
+        self._allocate(self.collisions.capacity)
+        for name, previous in zip(names, old, strict=True):
+            wp.copy(getattr(self.frozen, name)[:, : previous.shape[1]], previous)
 
     def motion(
         self, positions: wp.array, previous: wp.array, poses: wp.array, previous_poses: wp.array
@@ -248,41 +280,37 @@ class FrictionPotential:
     def lag(self, active: wp.array, positions: wp.array) -> None:
         """Freeze the current collisions of the active environments at ``positions``."""
         c = self.collisions
-        if self.stencils.shape[1] < c.capacity:
-            self._allocate(c.capacity)
-        wp.launch(
+        self.fit()
+        self._launch(
             _lag_kernel,
-            dim=(self.model.env_count, max(c.max_count, 1)),
-            inputs=[active, c.lists, c.geometry, self.model.pair_friction, positions],
-            outputs=[self.counts, *self._lists()],
+            active,
+            [c.lists, c.geometry, self.model.pair_friction, positions, self.frozen],
+        )
+
+    def clear(self, who: wp.array) -> None:
+        """Forget the frozen collisions of the environments ``who`` (int32, [env_count])."""
+        wp.launch(
+            _forget_kernel,
+            dim=self.model.env_count,
+            inputs=[who, self.counts],
             device=self.model.device,
         )
-        self.max_count = int(self.counts.numpy().max())
 
-    def clear(self, who: np.ndarray) -> None:
-        """Forget the frozen collisions of the environments ``who`` (bool, [env_count])."""
-        counts = np.where(who, 0, self.counts.numpy()).astype(np.int32)
-        self.counts.assign(counts)
-        self.max_count = int(counts.max())
+    def _launch(self, kernel: wp.Kernel, active: wp.array, rest: list) -> None:
+        m = self.model
+        lanes = lane_count(m.device, m.env_count, self.energies.shape[1])
+        wp.launch(
+            kernel, dim=(m.env_count, lanes), inputs=[active, lanes, *rest], device=m.device
+        )
 
-    def _launch(self, kernel: wp.Kernel, active: wp.array, motion: StepMotion, out: Any) -> None:
-        if self.max_count:
-            wp.launch(
-                kernel,
-                dim=(self.model.env_count, self.max_count),
-                inputs=[active, self.counts, *self._lists(), motion, self.eps_u_m, out],
-                device=self.model.device,
-            )
-
-    def energy(self, active: wp.array, motion: StepMotion) -> np.ndarray:
-        """Energy of this step's sliding [J], shape [env_count]."""
-        self._launch(_energy_kernel, active, motion, self.energies)
-        return sum_lists(self.energies, self.counts)
+    def write_energies(self, active: wp.array, motion: StepMotion) -> None:
+        """Fill ``energies`` of this step's sliding [J]."""
+        self._launch(_energy_kernel, active, [self.frozen, motion, self.eps_u_m, self.energies])
 
     def add_gradient(self, active: wp.array, motion: StepMotion, gradient: wp.array) -> None:
         """Add d energy / dx [N] of all nodes."""
-        self._launch(_gradient_kernel, active, motion, gradient)
+        self._launch(_gradient_kernel, active, [self.frozen, motion, self.eps_u_m, gradient])
 
     def add_hessian(self, active: wp.array, motion: StepMotion, system: NewtonSystem) -> None:
         """Add the positive part of the Hessian to the Newton system."""
-        self._launch(_hessian_kernel, active, motion, system)
+        self._launch(_hessian_kernel, active, [self.frozen, motion, self.eps_u_m, system])

@@ -18,11 +18,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import sum_rows
+from taccel_lab.ipc.reduce import EnergyTerm
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -205,7 +204,7 @@ def _remember_kernel(
         previous_dts[env] = dts[env]
 
 
-class InertiaPotential:
+class InertiaPotential(EnergyTerm):
     """Inertia and weight of the free nodes; not built for a quasi-static scene."""
 
     def __init__(self, model: Model) -> None:
@@ -293,10 +292,9 @@ class InertiaPotential:
             device=m.device,
         )
 
-    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
-        """Energy [J], shape [env_count]; stale where not active."""
+    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+        """Fill ``energies`` [J] of active environments."""
         self._launch(_energy_kernel, active, positions, self.energies)
-        return sum_rows(self.energies)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N]: mass times acceleration, less the weight."""

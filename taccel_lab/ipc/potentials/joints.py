@@ -23,17 +23,20 @@ from taccel_lab.ipc.joints.kernels import (
     joint_gradient_kernel,
     joint_hessian_kernel,
     joint_outputs_kernel,
+    joint_rounding_kernel,
     joint_violation_kernel,
+    largest_violation_kernel,
+    restore_multipliers_kernel,
 )
 from taccel_lab.ipc.joints.layout import joint_layout
 from taccel_lab.ipc.joints.prediction import close_joints_kernel
 from taccel_lab.ipc.joints.rows import ROW_COUNT
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import sum_rows
+from taccel_lab.ipc.reduce import EnergyTerm
 from taccel_lab.model import Model
 
 
-class JointPotential:
+class JointPotential(EnergyTerm):
     """Joints of a scene; built only when it has some."""
 
     def __init__(self, model: Model) -> None:
@@ -67,11 +70,13 @@ class JointPotential:
         self.torques = wp.zeros(shape, dtype=wp.vec3d, device=device)
         """Torque on the first body about the anchor [N m], drives and limits included, world
         axes, shape [env_count, joint_count]."""
-        self.rounding_n = np.zeros(model.env_count)
-        """Residual that rounding of the positions alone causes [N], shape [env_count]."""
+        self.rounding_n = wp.zeros(model.env_count, dtype=wp.float64, device=device)
+        """Residual that rounding of the positions alone causes [N], float64, [env_count]."""
+        self.violations = wp.zeros(model.env_count, dtype=wp.float64, device=device)
+        """Largest violation at the last ``update_multipliers`` [m], float64, [env_count]."""
         self._values = wp.zeros((*shape, ROW_COUNT), dtype=wp.float64, device=device)
         self._derivatives = wp.zeros((*shape, ROW_COUNT, 8), dtype=wp.vec3d, device=device)
-        self._violations = scalars()
+        self._joint_violations = scalars()
         self._mask = wp.zeros(model.env_count, dtype=wp.int32, device=device)
         self._step = JointStep()
         self._step.dts = wp.full(
@@ -102,7 +107,7 @@ class JointPotential:
         else:
             wp.copy(self._step.dts, dts)
         self.set_frames(poses)
-        self.rounding_n = self._rounding(positions)
+        self._bound_rounding(positions)
         self._mask.fill_(1)
         # The state may have been set anew since: coordinates follow it, by whole turns nearest.
         self._evaluate(self._mask, positions, self.coordinates, derivatives=False)
@@ -119,18 +124,22 @@ class JointPotential:
             device=self.model.device,
         )
 
-    def update_multipliers(self, active: wp.array, positions: wp.array) -> np.ndarray:
-        """Largest violation of a constraint or limit [m], shape [env_count], 0 where not active.
+    def update_multipliers(self, active: wp.array, positions: wp.array) -> None:
+        """Measure ``violations`` of constraints and limits [m] in active environments.
 
-        Where it exceeds ``tolerance_m``, the constraint forces become multipliers, and Newton has
+        Where they exceed ``tolerance_m``, the constraint forces become multipliers, and Newton has
         to converge once more; elsewhere nothing changes.
         """
         self._evaluate(active, positions, derivatives=False)
-        self._launch(joint_violation_kernel, [active, self._values], [self._violations])
-        violation = self._violations.numpy().max(axis=1, initial=0.0)
-        self._mask.assign((violation > self.tolerance_m).astype(np.int32))
+        self._launch(joint_violation_kernel, [active, self._values], [self._joint_violations])
+        wp.launch(
+            largest_violation_kernel,
+            dim=len(active),
+            inputs=[active, self._joint_violations, self.tolerance_m],
+            outputs=[self.violations, self._mask],
+            device=self.model.device,
+        )
         self._absorb(self._mask)
-        return violation
 
     def end_step(self, done: wp.array, positions: wp.array) -> None:
         """Read coordinates and reactions where ``done`` (int32, [env_count]) is set, and keep the
@@ -144,11 +153,13 @@ class JointPotential:
             device=self.model.device,
         )
         self._absorb(done)
-        failed = done.numpy() == 0
-        if failed.any():
-            multipliers = self._step.multipliers.numpy()
-            multipliers[failed] = self._start_multipliers.numpy()[failed]
-            self._step.multipliers.assign(multipliers)
+        wp.launch(
+            restore_multipliers_kernel,
+            dim=self._step.multipliers.shape,
+            inputs=[done, self._start_multipliers],
+            outputs=[self._step.multipliers],
+            device=self.model.device,
+        )
 
     def reset(self, mask: np.ndarray) -> None:
         """Forget forces and whole turns in the environments of ``mask`` (bool, [env_count])."""
@@ -160,11 +171,10 @@ class JointPotential:
 
     # A potential -------------------------------------------------------------------------------
 
-    def energy(self, active: wp.array, positions: wp.array) -> np.ndarray:
-        """Energy [J], shape [env_count]; stale where not active. Its zero has no meaning."""
+    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+        """Fill ``energies`` [J] of active environments. Its zero has no meaning."""
         self._evaluate(active, positions, derivatives=False)
         self._launch(joint_energy_kernel, [active, self._values], [self.energies])
-        return sum_rows(self.energies)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N], shape [env_count, node_count]."""
@@ -200,14 +210,15 @@ class JointPotential:
             device=self.model.device,
         )
 
-    def _rounding(self, positions: wp.array) -> np.ndarray:
+    def _bound_rounding(self, positions: wp.array) -> None:
         affine = self.model.affine
-        nodes = slice(affine.first_control, affine.first_control + 4 * affine.count)
-        reach = np.abs(positions.numpy()[:, nodes]).max(axis=(1, 2))
-        penalties, sizes = self._table.penalties.numpy(), self._table.sizes.numpy()
-        forces = penalties[:, 0] * reach[:, None] + penalties[:, 1] * sizes
-        dts = self._step.dts.numpy()
-        return np.finfo(float).eps * np.linalg.norm(forces, axis=1) / dts**2
+        wp.launch(
+            joint_rounding_kernel,
+            dim=self.model.env_count,
+            inputs=[positions, affine.first_control, 4 * affine.count, self._table, self._step.dts],
+            outputs=[self.rounding_n],
+            device=self.model.device,
+        )
 
     def _absorb(self, which: wp.array) -> None:
         wp.launch(

@@ -185,6 +185,12 @@ def _no_guard_hessian(
     return PointHessian()
 
 
+@wp.kernel
+def _reciprocal_kernel(dts: wp.array(dtype=wp.float64), rates: wp.array(dtype=wp.float64)):
+    env = wp.tid()
+    rates[env] = wp.float64(1.0) / dts[env]
+
+
 @cache
 def _quadratic_kernels() -> ElementKernels:
     return create_quadratic_kernels(
@@ -233,8 +239,12 @@ class ViscousPotential(ElementSum):
         ``dts``: length of the step [s], float64, shape [env_count]; the scene's when None.
         """
         m = self.model
-        lengths = np.full(m.env_count, m.scene.time.dt_s) if dts is None else dts.numpy()
-        self.data.rates.assign(1.0 / lengths)
+        if dts is None:
+            self.data.rates.fill_(1.0 / m.scene.time.dt_s)
+        else:
+            wp.launch(
+                _reciprocal_kernel, m.env_count, inputs=[dts, self.data.rates], device=m.device
+            )
         wp.launch(
             self._start,
             dim=self.data.start_strains.shape,

@@ -10,7 +10,7 @@ from taccel_lab.ipc.linear.pattern import BlockPattern, block_pattern
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.system import LinearSystem
 
-BACKENDS = ("ssor", "jacobi")
+BACKENDS = ("ssor", "cg", "pipelined")
 
 
 def delaunay_pattern(rng: np.random.Generator, node_count: int, bonded: int) -> BlockPattern:
@@ -50,18 +50,19 @@ def solve_batch(
     tolerance: float | np.ndarray,
     max_iterations: int = 2000,
     backend: str = "ssor",
+    clusters: list[tuple[int, int]] | None = None,
 ) -> tuple[np.ndarray, LinearReport]:
     """Solutions [env_count, free_count, 3] and the report."""
-    from taccel_lab.ipc.linear.pcg import BlockJacobiCG
-
     device = wp.get_device("cpu")
-    system = LinearSystem(pattern, len(values), device)
-    if backend == "jacobi":
-        system._solver = BlockJacobiCG(pattern, len(values), device)
+    system = LinearSystem(pattern, len(values), device, clusters=clusters, method=backend)
     system.values.assign(values)
     system.rhs.assign(rhs)
+    system.tolerances.assign(np.broadcast_to(np.asarray(tolerance, float), len(values)).copy())
     # What an earlier solve left behind must not matter.
     system.solution.fill_(wp.vec3d(7.0))
+    for array in (system.iterations, system.breakdown):
+        array.fill_(7)
+    system.residuals.fill_(np.nan)
     flags = wp.array(active.astype(np.int32), dtype=wp.int32, device=device)
-    report = system.solve(flags, tolerance, max_iterations)
-    return system.solution.numpy(), report
+    system.solve(flags, max_iterations)
+    return system.solution.numpy(), system.report()

@@ -46,7 +46,7 @@ class Rubbing:
         assert self.assembly.collide(self.start) > 0
         self.friction = self.assembly.solver.friction
         assert self.friction is not None
-        self.friction.clear(np.ones(count, dtype=bool))
+        self.friction.clear(wp.full(count, 1, dtype=wp.int32))
         self.friction.lag(self.assembly.active, self.assembly.nodal(self.start))
 
     def motion(self, positions: np.ndarray):
@@ -98,16 +98,16 @@ def test_gradient_and_hessian_are_the_derivatives(name: str, turn: float, size: 
     # The matrix leaves out subtracted duplicates, so that it stays positive.
     assembly, friction, free = case.assembly, case.friction, case.assembly.free
     assert friction is not None
-    signed = friction.mu_lambdas.numpy().copy()
+    signed = friction.frozen.mu_lambdas.numpy().copy()
     if name == "bumpy":
         assert (signed < 0).any()
-    friction.mu_lambdas.assign(np.maximum(signed, 0.0))
+    friction.frozen.mu_lambdas.assign(np.maximum(signed, 0.0))
     motion = np.zeros_like(x)
     motion[MESH.node_count :] = np.random.default_rng(1).normal(size=(len(x) - MESH.node_count, 3))
     system = assembly.system(case.same(motion))
     friction.add_hessian(assembly.active, case.motion(case.same(x)), system)
     change = central_difference(case.gradient(probes), STEP)
-    friction.mu_lambdas.assign(signed)
+    friction.frozen.mu_lambdas.assign(signed)
     change = change.reshape(len(x), 3, len(x), 3)[..., free, :]
     matrix = assembly.dense(system.values)[0]
     expected = change[free].reshape(matrix.shape)

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What changed between two results, beyond their spread."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, TypeGuard
+
+from benchmarks.options import Compare
+from benchmarks.results import read_result
+from taccel_lab.errors import InputError
+
+IDENTITY = {
+    "speed": ("scene", "source", "envs", "steps"),
+    "error": ("group", "value"),
+    "scaling": ("series", "size"),
+    "skips": ("skip",),
+    "peers": ("name", "envs"),
+}
+"""What makes a row of a suite the same row."""
+MACHINE = ("device", "cpu", "cores", "driver", "cuda_driver", "packages", "system")
+SILENT = (
+    "settings",
+    "notes",
+    "worst_n",
+    "worst_over_contact_force",
+    "worst_over_allowed",
+    "worst_step_ms",
+    "setup_s",
+    "build_s",
+)
+"""What is set, follows from the tolerance, or is a single moment of wall time."""
+UNSPREAD = 0.05
+"""Part by which a figure measured once must differ to count."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One figure of one row."""
+
+    row: str
+    figure: str
+    before: float
+    after: float
+
+    @property
+    def percent(self) -> float:
+        return 100 * (self.after / self.before - 1) if self.before else float("inf")
+
+    def describe(self) -> str:
+        return f"{self.row}: {self.figure} {self.before:.4g} -> {self.after:.4g}" + (
+            f" ({self.percent:+.1f} %)" if self.before else ""
+        )
+
+
+def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], list[Change]]:
+    """Remarks on what makes the two hard to compare, and the figures that changed.
+
+    A figure with a spread has changed when its ranges do not overlap, another one when it differs
+    by more than 5 %.
+    """
+    if first["suite"] != second["suite"]:
+        raise InputError(f"suites differ: {first['suite']} and {second['suite']}")
+    remarks = [
+        f"{name}: {first['run'].get(name)} -> {second['run'].get(name)}"
+        for name in MACHINE
+        if first["run"].get(name) != second["run"].get(name)
+    ]
+    remarks += [
+        f"setting {name}: {first['settings'].get(name)} -> {second['settings'].get(name)}"
+        for name in sorted({*first["settings"], *second["settings"]})
+        if first["settings"].get(name) != second["settings"].get(name)
+    ]
+    keys = IDENTITY.get(first["suite"], ("name",))
+    before, after = (
+        {tuple(row.get(key) for key in keys): row for row in document["rows"]}
+        for document in (first, second)
+    )
+    for title, one, other in (("only in the first", before, after), ("new", after, before)):
+        missing = [name_of(key) for key in one if key not in other]
+        if missing:
+            remarks.append(f"rows {title}: {'; '.join(missing)}")
+    changes = [
+        change
+        for key in before
+        if key in after
+        for change in _changes(name_of(key), before[key], after[key], "")
+    ]
+    return remarks, changes
+
+
+def name_of(key: tuple[Any, ...]) -> str:
+    """A row, for people."""
+    return ", ".join(str(part) for part in key)
+
+
+def _changes(row: str, before: Any, after: Any, path: str) -> Iterator[Change]:
+    if isinstance(before, dict) and isinstance(after, dict):
+        if {"median", "min", "max"} <= before.keys() & after.keys():
+            if before["max"] < after["min"] or after["max"] < before["min"]:
+                yield Change(row, path, before["median"], after["median"])
+            return
+        for name in before:
+            if name in after and name not in SILENT:
+                yield from _changes(row, before[name], after[name], f"{path}.{name}".lstrip("."))
+    elif _is_number(before) and _is_number(after):
+        scale = max(abs(before), abs(after))
+        if abs(after - before) > UNSPREAD * scale:
+            yield Change(row, path, float(before), float(after))
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def run_compare(options: Compare) -> None:
+    """Print what changed."""
+    remarks, changes = compare(read_result(options.first), read_result(options.second))
+    for remark in remarks:
+        print(f"note: {remark}")
+    for change in changes:
+        print(change.describe())
+    print(f"{len(changes)} figures changed beyond their spread")

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The suite ``error``: what each setting costs in time and in error, and which settings pay.
+
+The press with shear of ``benchmarks.shear_press``. Every row is compared with one converged run
+(quadratic tets, small dhat and tolerance): force, height of the contact face, markers. Beside that
+*total* error stands the error of the *settings* alone, against the converged run on the row's own
+mesh, since the mesh's error would hide it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from benchmarks.clock import clock_name
+from benchmarks.front import is_on_front
+from benchmarks.options import Error
+from benchmarks.results import Deadline, ResultFile, note, spread
+from benchmarks.shear_press import FRICTION, Outcome, Press, run
+from taccel_lab.errors import SimulationError
+from taccel_lab.scene import Element, TimeScheme
+from taccel_lab.solvers import SolverConfig
+
+DEFAULTS = SolverConfig()
+REFERENCE = Press(Element.QUADRATIC, 5, dhat_m=2e-6, friction_eps_m=1e-7, relative_tolerance=1e-6)
+QUICK_REFERENCE = replace(REFERENCE, layers=3)
+DEFAULT = Press(
+    Element.LINEAR,
+    4,
+    dhat_m=DEFAULTS.dhat_m,
+    friction_eps_m=DEFAULTS.friction_eps_m,
+    relative_tolerance=DEFAULTS.relative_tolerance,
+)
+"""The library's settings; the mesh has four layers, as the command line's."""
+SWING = replace(DEFAULT, layers=2, relative_tolerance=1e-6)
+"""For time steps: a coarse mesh, whose waves they can resolve."""
+_SETTLED = {"dhat_m": 2e-6, "friction_eps_m": 1e-7, "relative_tolerance": 1e-6}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run, and what it is compared with."""
+
+    group: str
+    """Setting that is varied, or "front" for combinations."""
+    value: str
+    press: Press
+    exact: Press
+
+
+def all_rows(quick: bool) -> Iterator[Row]:
+    """What is run, cheap groups first."""
+    reference = QUICK_REFERENCE if quick else REFERENCE
+    meshes = [(Element.LINEAR, n) for n in ((2, 3) if quick else (2, 3, 4, 6, 8))]
+    meshes += [(Element.QUADRATIC, n) for n in ((2,) if quick else (2, 3, 4))]
+    for element, layers in meshes:
+        press = replace(DEFAULT, element=element, layers=layers)
+        yield Row("mesh", f"{element}, {layers} layers", press, reference)
+    base = replace(DEFAULT, layers=2) if quick else DEFAULT
+    few = slice(0, 2) if quick else slice(None)
+    for dhat in (1e-4, 5e-5, 2e-5, 1e-5, 5e-6)[few]:
+        yield Row("dhat", f"{dhat * 1e6:g} um", replace(base, dhat_m=dhat), reference)
+    for tolerance in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)[few]:
+        press = replace(base, relative_tolerance=tolerance)
+        yield Row("tolerance", f"{tolerance:g}", press, reference)
+    for eps in (1e-4, 1e-5, 1e-6, 1e-7)[few]:
+        yield Row("friction eps", f"{eps * 1e6:g} um", replace(base, friction_eps_m=eps), reference)
+    for name, choice in solver_choices():
+        press = replace(base, solver=((name, choice),))
+        yield Row(name.replace("_", " "), str(choice), press, reference)
+    counts = (16, 32) if quick else (16, 32, 64, 128, 256)
+    finest = replace(SWING, steps=2 * counts[-1], scheme=TimeScheme.BDF2)
+    for scheme in TimeScheme:
+        for count in counts:
+            press = replace(SWING, steps=count, scheme=scheme)
+            yield Row("dt", f"{scheme}, {8 / count:g} ms", press, finest)
+    if quick:
+        return
+    for element, layers in (
+        (Element.LINEAR, 3),
+        (Element.LINEAR, 4),
+        (Element.LINEAR, 6),
+        (Element.QUADRATIC, 2),
+        (Element.QUADRATIC, 3),
+    ):
+        for dhat in (5e-5, 2e-5, 1e-5, 5e-6):
+            for tolerance in (1e-2, 1e-3, 1e-4, 1e-5):
+                press = replace(
+                    DEFAULT,
+                    element=element,
+                    layers=layers,
+                    dhat_m=dhat,
+                    relative_tolerance=tolerance,
+                )
+                yield Row("front", describe_press(press), press, reference)
+
+
+def solver_choices() -> Iterator[tuple[str, Any]]:
+    """Every value of every setting of the solver that is a choice: precision, linear solver, ..."""
+    for item in fields(SolverConfig):
+        default = getattr(DEFAULTS, item.name)
+        if isinstance(default, StrEnum):
+            yield from ((item.name, choice) for choice in type(default))
+        elif item.name == "contact_hessian_mode":
+            yield from ((item.name, mode) for mode in (1, 2))
+
+
+def describe_press(press: Press) -> str:
+    """The settings that the front varies."""
+    return (
+        f"{press.element}, {press.layers} layers, dhat {press.dhat_m * 1e6:g} um, "
+        f"tolerance {press.relative_tolerance:g}"
+    )
+
+
+def errors(outcome: Outcome, exact: Outcome) -> dict[str, float]:
+    """Of forces in per cent; of heights and markers in micrometres, rms and largest."""
+    heights = 1e6 * (outcome.heights_m - exact.heights_m)
+    markers = 1e6 * np.linalg.norm(outcome.markers_m - exact.markers_m, axis=1)
+    return {
+        "force_percent": 100 * abs(outcome.normal_n / exact.normal_n - 1),
+        "shear_force_percent": 100 * abs(outcome.tangential_n / exact.tangential_n - 1),
+        "height_rms_um": float(np.sqrt(np.mean(heights**2))),
+        "height_max_um": float(np.abs(heights).max()),
+        "marker_rms_um": float(np.sqrt(np.mean(markers**2))),
+        "marker_max_um": float(markers.max()),
+    }
+
+
+class Presses:
+    """Runs, each done once; the first of a kind of element compiles and is done twice."""
+
+    def __init__(self, device: str, repeats: int) -> None:
+        self._device, self._repeats = device, repeats
+        self._known: dict[Press, tuple[Outcome, list[float]]] = {}
+        self._warm: set[tuple[Any, ...]] = set()
+
+    def get(self, press: Press, repeats: int | None = None) -> tuple[Outcome, list[float]]:
+        """Outcome, and seconds a step of each repeat."""
+        if press not in self._known:
+            kind = (press.element, press.steps > 0, press.scheme, press.solver)
+            if kind not in self._warm:
+                self._warm.add(kind)
+                steps = min(press.steps, 16)
+                run(replace(press, layers=2, relative_tolerance=1e-2, steps=steps), self._device)
+            runs = [run(press, self._device) for _ in range(repeats or self._repeats)]
+            self._known[press] = (runs[0], [r.seconds / r.steps for r in runs])
+        return self._known[press]
+
+
+def run_error(options: Error) -> None:
+    """Run all rows, then say which lie on the front."""
+    wp.config.log_level = wp.LOG_WARNING
+    deadline = Deadline(options.budget_s)
+    presses = Presses(options.device, options.repeats)
+    what = "Time a step against error, of a press with shear; one setting at a time, then combined."
+    settings = {
+        "repeats": options.repeats,
+        "clock": clock_name(options.device),
+        "quick": options.quick,
+        "friction": FRICTION,
+        "default": asdict(DEFAULT),
+        "reference": asdict(QUICK_REFERENCE if options.quick else REFERENCE),
+    }
+    with ResultFile("error", what, options.out, options.device, settings).finishing() as result:
+        for row in all_rows(options.quick):
+            if deadline.passed:
+                note(f"{row.group}, {row.value}: not started, the budget is spent")
+                continue
+            try:
+                result.add(measure(row, presses))
+            except SimulationError as error:
+                note(f"{row.group}, {row.value}: {error}")
+                result.add({"group": row.group, "value": row.value, "failed": str(error)})
+                continue
+            note(describe(result.rows[-1]))
+        result.put("front", judge(result.rows))
+
+
+def measure(row: Row, presses: Presses) -> dict[str, Any]:
+    """One row."""
+    exact = presses.get(row.exact, 1)[0]
+    settled = exact
+    if row.group != "dt":
+        settled = presses.get(replace(row.press, **_SETTLED, solver=()), 1)[0]
+    outcome, seconds = presses.get(row.press)
+    return {
+        "group": row.group,
+        "value": row.value,
+        "is_default": row.press == DEFAULT,
+        "settings": asdict(row.press),
+        "nodes": outcome.node_count,
+        "ms_per_step": spread([1e3 * s for s in seconds]),
+        "newton_per_step": outcome.newton_iterations / outcome.steps,
+        "cg_per_step": outcome.cg_iterations / outcome.steps,
+        "residual": {"worst_over_contact_force": outcome.residual_ratio},
+        "error": errors(outcome, exact),
+        "settings_error": errors(outcome, settled),
+    }
+
+
+def describe(row: dict[str, Any]) -> str:
+    """A line for the person who waits."""
+    error, own = row["error"], row["settings_error"]
+    return (
+        f"{row['group']}, {row['value']}: {row['ms_per_step']['median']:.1f} ms a step, "
+        f"force {error['force_percent']:.2f} % (settings {own['force_percent']:.3f} %), "
+        f"height {error['height_rms_um']:.2f} um, markers {error['marker_rms_um']:.2f} um"
+    )
+
+
+def judge(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Which rows of the front are such that no other is both faster and better.
+
+    All meshes together by total error; then, on the default's own mesh, by the settings' error.
+    Times within the noise of 5 % count as equal.
+    """
+    front = [row for row in rows if row["group"] == "front" and "failed" not in row]
+    if not front:
+        return {}
+    times = np.array([row["ms_per_step"]["median"] for row in front])
+    total = np.array([row["error"]["force_percent"] for row in front])
+    best = is_on_front(times, total)
+    verdict: dict[str, Any] = {"by_total_force_error": _named(front, best)}
+    at = [i for i, row in enumerate(front) if row["is_default"]]
+    if not at:
+        return verdict
+    default = at[0]
+    own = [i for i, row in enumerate(front) if _mesh(row) == _mesh(front[default])]
+    alone = np.array([front[i]["settings_error"]["force_percent"] for i in own])
+    on_own = is_on_front(times[own], alone)
+    verdict |= {
+        "default": front[default]["value"],
+        "default_is_on_the_front": bool(best[default]),
+        "better_than_the_default": _named(
+            front, (times < 0.95 * times[default]) & (total < total[default])
+        ),
+        "by_settings_error_on_the_default_mesh": _named([front[i] for i in own], on_own),
+        "default_is_on_the_front_of_its_mesh": bool(on_own[own.index(default)]),
+    }
+    return verdict
+
+
+def _mesh(row: dict[str, Any]) -> tuple[Any, Any]:
+    return row["settings"]["element"], row["settings"]["layers"]
+
+
+def _named(rows: list[dict[str, Any]], chosen: np.ndarray) -> list[str]:
+    return [row["value"] for row, yes in zip(rows, chosen, strict=True) if yes]

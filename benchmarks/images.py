@@ -1,0 +1,330 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tactile images and markers a second, and their error against the one-image reference path.
+
+A pad of 20 x 15 mm with 1,271 nodes on its contact face, a colour network of the real architecture
+with seeded random weights, and a smooth press with shear that differs in each environment and moves
+every pixel: the most work an image can be. ``python -m benchmarks.images`` writes
+``benchmarks/results/images.json``. Each update is captured in a CUDA graph and timed by device
+events; on the CPU by the clock.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from benchmarks.results import ResultFile
+from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.signals import SignalHeightMap
+from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+from taccel_lab.signals.gradient_recovery import FEW_SWEEPS, recover_gradients
+from taccel_lab.signals.markers import MarkerLayout
+from taccel_lab.signals.tactile import SignalTactile
+
+WHAT = "Tactile images and markers a second, and their error in grey levels."
+RESULT = Path(__file__).parent / "results" / "images.json"
+PAD_M = (20e-3, 15e-3, 4e-3)
+WIDTH_MM = 19.36
+SIZES = ((320, 240), (640, 480))
+SENSORS = (1, 64, 1024)
+READS: dict[str, tuple[str, ...]] = {
+    "RGB": ("rgb",),
+    "markers": ("markers_px",),
+    "RGB and markers": ("rgb", "markers_px"),
+    "height": ("height_m",),
+    "height and normals": ("height_m", "normals"),
+}
+STILL_LEVELS = 0.1
+"""Limit of the rows that leave pixels alone which hardly change."""
+FLOOR_PER_S, AIM_PER_S = 25_000, 100_000
+
+
+def pad() -> TetMesh:
+    """The gel."""
+    return block_mesh((40, 30, 4), PAD_M, jitter=0.2)
+
+
+def pressed(mesh: TetMesh, env_count: int, reach_m: float | None = None) -> np.ndarray:
+    """Node positions [m] of presses with shear, shape [env, node, 3].
+
+    ``reach_m``: Distance from the press beyond which nothing moves; None for an unbounded press.
+    """
+    rng = np.random.default_rng(7)
+    positions = np.repeat(mesh.nodes_m[None], env_count, axis=0)
+    center = rng.uniform(-4e-3, 4e-3, (env_count, 1, 2))
+    width = rng.uniform(1e-3, 2.5e-3, (env_count, 1))
+    depth = rng.uniform(0.2e-3, 1.0e-3, (env_count, 1))
+    shear = rng.uniform(-0.4e-3, 0.4e-3, (env_count, 1, 2))
+    distance2 = ((positions[..., :2] - center) ** 2).sum(axis=-1)
+    share = np.exp(-distance2 / (2 * width**2)) * (1 + positions[..., 2] / PAD_M[2])
+    if reach_m is not None:
+        share = np.where(distance2 < reach_m**2, share, 0.0)
+    positions[..., 2] -= depth * share
+    positions[..., :2] += shear * share[..., None]
+    return positions
+
+
+def color_model(grid: PixelGrid) -> ColorModel:
+    """Random weights of the real architecture; a press of the benchmark changes tens of levels."""
+    rng = np.random.default_rng(3)
+    config = ColorModelConfig(
+        grid.width_px,
+        grid.height_px,
+        input_mean=(0.0, 0.0, 0.0, 0.0, 0.97, -0.2),
+        input_scale=(0.6, 0.6, 0.15, 0.15, 0.03, 0.25),
+    )
+    weights = {}
+    for name, shape in expected_shapes(config).items():
+        spread = 1.6 / np.sqrt(shape[-1]) if len(shape) == 2 else 0.2
+        weights[name] = rng.normal(0.0, spread, shape)
+    return ColorModel(config, weights)
+
+
+def background(grid: PixelGrid) -> np.ndarray:
+    """Levels of an untouched sensor, [height_px, width_px, 3]."""
+    u, v = np.meshgrid(np.linspace(0, 1, grid.width_px), np.linspace(0, 1, grid.height_px))
+    return np.round(np.stack([90 + 60 * u, 140 - 40 * v, 110 + 30 * u * v], axis=-1))
+
+
+def marker_points_mm() -> np.ndarray:
+    """A 9 x 7 grid of markers."""
+    x, y = np.meshgrid(np.linspace(-8, 8, 9), np.linspace(-6, 6, 7))
+    return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+def build(
+    mesh: TetMesh,
+    size: tuple[int, int],
+    env_count: int,
+    device: str,
+    still_levels: float = 0.0,
+) -> SignalTactile:
+    """The signal of the benchmark."""
+    grid = PixelGrid(*size, WIDTH_MM / size[0], WIDTH_MM / size[0])
+    return SignalTactile(
+        mesh,
+        grid,
+        env_count=env_count,
+        color_model=color_model(grid),
+        background_rgb=background(grid),
+        markers=MarkerLayout.from_points(mesh, marker_points_mm()),
+        still_levels=still_levels,
+        device=device,
+    )
+
+
+def timed(work: Callable[[], Any], device: wp.Device, repeats: int) -> dict[str, float]:
+    """Median, least and greatest time [s] of ``work``, warm; captured once on CUDA."""
+    work()
+    if not device.is_cuda:
+        seconds = []
+        for _ in range(repeats):
+            start = time.perf_counter()
+            work()
+            seconds.append(time.perf_counter() - start)
+    else:
+        with wp.ScopedCapture(device) as capture:
+            work()
+        events = [wp.Event(device, enable_timing=True) for _ in range(repeats + 1)]
+        for _ in range(3):
+            wp.capture_launch(capture.graph)
+        wp.record_event(events[0])
+        for event in events[1:]:
+            wp.capture_launch(capture.graph)
+            wp.record_event(event)
+        wp.synchronize_device(device)
+        pairs = itertools.pairwise(events)
+        seconds = [wp.get_event_elapsed_time(a, b) * 1e-3 for a, b in pairs]
+    return {
+        "median_s": float(np.median(seconds)),
+        "least_s": float(np.min(seconds)),
+        "greatest_s": float(np.max(seconds)),
+    }
+
+
+def errors(signal: SignalTactile, positions: np.ndarray, env_count: int) -> dict[str, Any]:
+    """Differences of the first environments from the reference path, on the CPU."""
+    grid, mesh = signal.grid, pad()
+    names = ("rgb", "rgb_levels", "markers_px", "height_m", "normals")
+    rgb, levels, markers, height, normals = (
+        array[:env_count].numpy() for array in signal.read(*names)
+    )
+    reference = SignalHeightMap(mesh, grid)
+    reference.update(np.concatenate([mesh.nodes_m[None], positions[:env_count]]))
+    rest_height, deformed = reference.height_m[0], reference.height_m[1:]
+    image = color_model(grid).render(
+        reference.normals[1:],
+        (deformed - rest_height) * 1e3,
+        reference.normals[0],
+        background(grid),
+    )
+    layout = MarkerLayout.from_points(mesh, marker_points_mm())
+    points = np.einsum("mk,emkc->emc", layout.weights, positions[:env_count][:, layout.nodes])
+    markers_px = grid.pixel_from_gel(points[..., :2] * 1e3)
+    error = np.abs(levels - image)
+    change = np.abs(image - background(grid))
+    return {
+        "environments": env_count,
+        "change_levels_mean": float(change.mean()),
+        "change_levels_max": float(change.max()),
+        "levels_mean": float(error.mean()),
+        "levels_p99": float(np.quantile(error, 0.99)),
+        "levels_max": float(error.max()),
+        "rgb_differing_share": float((rgb != np.rint(image)).mean()),
+        "rgb_max": float(np.abs(rgb - np.rint(image)).max()),
+        "markers_px_max": float(np.abs(markers - markers_px).max()),
+        "height_m_max": float(np.nanmax(np.abs(height - deformed))),
+        "normals_max": float(np.nanmax(np.abs(normals - reference.normals[1:]))),
+        "nan_pixels_agree": bool(np.array_equal(np.isnan(height), np.isnan(deformed))),
+    }
+
+
+def stages(signal: SignalTactile, positions: wp.array, repeats: int) -> dict[str, Any]:
+    """Times of the parts of one chunk [s]."""
+    signal.update(positions)
+    signal.read("rgb")
+    sampler, painter = signal._sampler, signal._painter
+    assert sampler is not None and painter is not None and sampler._network is not None
+    network = sampler._network
+    count = signal.chunk_envs
+    part = positions[:count]
+    frames = wp.empty(0, dtype=wp.transformd, device=signal.device)
+    image = signal.rgb[:count]
+    samples = sampler.sample(part, frames)
+    ring = (sampler._ring_start, sampler._ring_nodes)
+    work: dict[str, Callable[[], Any]] = {
+        "gradients": lambda: recover_gradients(
+            sampler._points, sampler._height, *ring, network, FEW_SWEEPS
+        ),
+        "all of the surface": lambda: sampler.sample(part, frames),
+        "colour": lambda: painter.render(samples, image),
+    }
+    times = {name: timed(each, signal.device, repeats) for name, each in work.items()}
+    return {"environments": count, **times}
+
+
+def measure(
+    mesh: TetMesh, size: tuple[int, int], env_count: int, device: str, repeats: int
+) -> dict[str, Any]:
+    """All figures of a row."""
+    wp_device = wp.get_device(device)
+    positions = pressed(mesh, env_count)
+    on_device = wp.array(positions, dtype=wp.vec3d, device=device)
+    before = time.perf_counter()
+    signal = build(mesh, size, env_count, device)
+    signal.update(on_device)
+    signal.read("rgb", "markers_px")
+    wp.synchronize_device(wp_device)
+    row: dict[str, Any] = {
+        "size": list(size),
+        "sensors": env_count,
+        "build_and_first_read_s": time.perf_counter() - before,
+        "environments_rasterized": signal.rasterized_count(),
+        "errors": errors(signal, positions, min(env_count, 2)),
+    }
+
+    def speed(signal: SignalTactile, on_device: wp.array, *reads: str) -> dict[str, float]:
+        def work() -> None:
+            signal.update(on_device)
+            signal.read(*reads)
+
+        figures = timed(work, wp_device, repeats)
+        return {**figures, "images_per_s": env_count / figures["median_s"]}
+
+    for name, reads in READS.items():
+        row[name] = speed(signal, on_device, *reads)
+    row["stages"] = stages(signal, on_device, repeats)
+    del signal
+    lazy = build(mesh, size, env_count, device, STILL_LEVELS)
+    row["still"] = {"still_levels": STILL_LEVELS}
+    for reach_m in (None, 4e-3):
+        positions = pressed(mesh, env_count, reach_m)
+        on_device = wp.array(positions, dtype=wp.vec3d, device=device)
+        name = "unbounded press" if reach_m is None else f"reach of {reach_m * 1e3:g} mm"
+        row["still"][name] = {
+            **speed(lazy, on_device, "rgb", "markers_px"),
+            "errors": errors(lazy, positions, min(env_count, 2)),
+        }
+    if wp_device.is_cuda:
+        row["device_memory_high_mib"] = wp.get_mempool_used_mem_high(wp_device) / 2**20
+    return row
+
+
+def show(row: dict[str, Any]) -> None:
+    """Print a row."""
+    print(f"{row['size'][0]}x{row['size'][1]}, {row['sensors']} sensors")
+    lines = {name: row[name] for name in READS}
+    lines |= {
+        f"RGB, still {STILL_LEVELS}, {name}": figures
+        for name, figures in row["still"].items()
+        if isinstance(figures, dict)
+    }
+    for name, figures in lines.items():
+        print(
+            f"  {name:34s} {figures['images_per_s']:12,.0f} /s {figures['median_s'] * 1e3:9.3f} ms"
+            f" ({figures['least_s'] * 1e3:.3f} to {figures['greatest_s'] * 1e3:.3f})"
+        )
+    error = row["errors"]
+    print(
+        f"  error: {describe_levels(error)}; bytes differing {error['rgb_differing_share']:.4f} "
+        f"by at most {error['rgb_max']:.0f}; markers {error['markers_px_max']:.1e} px; height "
+        f"{error['height_m_max']:.1e} m; normals {error['normals_max']:.1e}"
+    )
+    for name, figures in row["still"].items():
+        if isinstance(figures, dict):
+            print(f"  error, still {STILL_LEVELS}, {name}: {describe_levels(figures['errors'])}")
+    parts = {name: value for name, value in row["stages"].items() if isinstance(value, dict)}
+    print(
+        f"  a chunk of {row['stages']['environments']}: "
+        + ", ".join(f"{name} {value['median_s'] * 1e3:.3f} ms" for name, value in parts.items())
+        + f"; built and first read in {row['build_and_first_read_s']:.2f} s",
+        flush=True,
+    )
+
+
+def describe_levels(error: dict[str, Any]) -> str:
+    """Error in grey levels as text."""
+    return (
+        f"{error['levels_mean']:.4f} levels mean, {error['levels_p99']:.4f} p99, "
+        f"{error['levels_max']:.4f} max (change {error['change_levels_mean']:.1f} mean, "
+        f"{error['change_levels_max']:.0f} max)"
+    )
+
+
+def main() -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", default="cuda:0" if wp.is_cuda_available() else "cpu")
+    parser.add_argument("--sensors", type=int, nargs="+", default=list(SENSORS))
+    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--out", type=Path, default=RESULT)
+    options = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING
+    settings = {"sensors": options.sensors, "repeats": options.repeats, "sizes": SIZES}
+    result = ResultFile("images", WHAT, options.out, options.device, settings)
+    mesh = pad()
+    with result.finishing():
+        for size in SIZES:
+            for env_count in options.sensors:
+                row = measure(mesh, size, env_count, options.device, options.repeats)
+                result.add(row)
+                show(row)
+        rows = [row for row in result.rows if tuple(row["size"]) == SIZES[0]]
+        speed = max(rows, key=lambda row: row["sensors"])["RGB and markers"]["images_per_s"]
+        result.put(
+            "headline",
+            {"images_per_s": speed, "floor_per_s": FLOOR_PER_S, "aim_per_s": AIM_PER_S},
+        )
+    print(f"RGB and markers, 320x240: {speed:,.0f} images/s (floor {FLOOR_PER_S:,})")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Newton-like systems for timing linear solvers: elastic slabs in contact, and the peg's two gels.
+
+Linear elasticity and inertia on boxes of tets whose bottom is bonded, stiff contact springs at part
+of the top; for the peg, two such gels that touch one body of four control nodes, whose couplings
+come as a list with repeated places, as assembly writes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.ipc.linear.pattern import BlockPattern, block_pattern
+
+YOUNG_PA = 1.5e5
+POISSON = 0.46
+DENSITY = 1e3
+DT_S = 0.02
+
+
+@dataclass
+class System:
+    """One environment's H p = rhs."""
+
+    name: str
+    pattern: BlockPattern
+    values: np.ndarray
+    """[block_count, 3, 3]."""
+    rhs: np.ndarray
+    """[free_count, 3]."""
+    places: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
+    """(row, column) of extra blocks, [extra_count, 2]."""
+    blocks: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    """Extra blocks, [extra_count, 3, 3]."""
+    clusters: list[tuple[int, int]] = field(default_factory=list)
+
+    def matrix(self) -> Any:
+        """Both triangles with the extra blocks, a scipy CSR array."""
+        from scipy.sparse import csr_array
+
+        p = self.pattern
+        off = p.rows > p.columns
+        rows = np.concatenate([p.rows, p.columns[off], self.places[:, 0], self.places[:, 1]])
+        columns = np.concatenate([p.columns, p.rows[off], self.places[:, 1], self.places[:, 0]])
+        flip = (0, 2, 1)
+        blocks = np.concatenate(
+            [self.values, self.values[off].transpose(flip)]
+            + [self.blocks, self.blocks.transpose(flip)]
+        )
+        i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None], blocks.shape)
+        j = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), blocks.shape)
+        size = 3 * p.free_count
+        return csr_array((blocks.ravel(), (i.ravel(), j.ravel())), shape=(size, size))
+
+
+def box_tets(shape: tuple[int, int, int], size: tuple[float, float, float]) -> tuple[Any, Any]:
+    """Nodes [n, 3] of a grid of ``shape`` nodes, the bottom layer first, and its tets, six a
+    cell."""
+    axes = [np.linspace(0.0, length, count) for length, count in zip(size, shape, strict=True)]
+    z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
+    nodes = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
+    strides = np.array([1, shape[0], shape[0] * shape[1]])
+    cells = np.stack(np.meshgrid(*(np.arange(n - 1) for n in shape), indexing="ij"), -1)
+    corner = cells.reshape(-1, 3) @ strides
+    orders = [(0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0), (1, 0, 2)]
+    tets = [corner[:, None] + np.cumsum([0, *strides[list(order)]]) for order in orders]
+    return nodes, np.concatenate(tets)
+
+
+def elastic_blocks(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Stiffness [N/m] with inertia of each tet, [tet, 4, 4, 3, 3]."""
+    edges = nodes[tets[:, 1:]] - nodes[tets[:, :1]]
+    volume = np.abs(np.linalg.det(edges)) / 6
+    inner = np.linalg.inv(edges).transpose(0, 2, 1)
+    gradients = np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
+    shear = YOUNG_PA / (2 * (1 + POISSON))
+    lame = YOUNG_PA * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
+    outer = np.einsum("tai,tbj->tabij", gradients, gradients)
+    dots = np.einsum("tai,tbi->tab", gradients, gradients)
+    blocks = lame * outer + shear * outer.transpose(0, 1, 2, 4, 3)
+    blocks += shear * dots[..., None, None] * np.eye(3)
+    blocks *= volume[:, None, None, None, None]
+    mass = DENSITY * volume / 4 / DT_S**2
+    for a in range(4):
+        blocks[:, a, a] += mass[:, None, None] * np.eye(3)
+    return blocks
+
+
+def _assemble(
+    pattern: BlockPattern, tets: np.ndarray, free: np.ndarray, blocks: np.ndarray
+) -> np.ndarray:
+    keys = pattern.rows.astype(np.int64) * pattern.free_count + pattern.columns
+    values = np.zeros((pattern.block_count, 3, 3))
+    for a in range(4):
+        for b in range(4):
+            row, column = free[tets[:, a]], free[tets[:, b]]
+            keep = (row >= column) & (column >= 0)
+            key = row[keep].astype(np.int64) * pattern.free_count + column[keep]
+            np.add.at(values, np.searchsorted(keys, key), blocks[keep, a, b])
+    return values
+
+
+def slab(shape: tuple[int, int, int], seed: int = 0, name: str | None = None) -> System:
+    """A slab of ``shape`` nodes pressed by a ball: contact springs in a disc of its top."""
+    rng = np.random.default_rng(seed)
+    size = (20e-3, 25e-3, 4e-3)
+    nodes, tets = box_tets(shape, size)
+    bonded = shape[0] * shape[1]
+    free = np.arange(len(nodes)) - bonded
+    free = np.maximum(free, -1)
+    pattern, _ = block_pattern([tets], free)
+    values = _assemble(pattern, tets, free, elastic_blocks(nodes, tets))
+    centre = np.array([0.5 * size[0], 0.5 * size[1], size[2]])
+    touched = np.flatnonzero(np.linalg.norm(nodes - centre, axis=1) < 3e-3)
+    rhs = 1e-6 * rng.normal(size=(pattern.free_count, 3))
+    for node in touched[free[touched] >= 0]:
+        normal = nodes[node] - centre + [0, 0, 6e-3]
+        normal /= np.linalg.norm(normal)
+        stiffness = 10.0 ** rng.uniform(2, 5)
+        row = free[node]
+        values[pattern.diagonal[row]] += stiffness * np.outer(normal, normal)
+        rhs[row] -= 1e-3 * stiffness * 1e-4 * normal
+    return System(name or f"slab of {len(nodes):,} nodes", pattern, values, rhs)
+
+
+def peg(seed: int = 0, contacts: int = 160) -> System:
+    """Two gels of 160 nodes, half of them free, with a body of four control nodes between them."""
+    rng = np.random.default_rng(seed)
+    nodes, tets = box_tets((10, 8, 2), (20e-3, 25e-3, 4e-3))
+    count = len(nodes)
+    free = np.concatenate([np.maximum(np.arange(count) - 80, -1)] * 2)
+    free[count:][free[count:] >= 0] += 80
+    free = np.concatenate([free, 160 + np.arange(4)])
+    groups = [tets, tets + count, 2 * count + np.arange(4)[None]]
+    pattern, _ = block_pattern(groups, free)
+    elastic = elastic_blocks(nodes, tets)
+    values = _assemble(
+        pattern, np.concatenate([tets, tets + count]), free, np.concatenate([elastic, elastic])
+    )
+    keys = pattern.rows.astype(np.int64) * pattern.free_count + pattern.columns
+
+    def add(row: int, column: int, block: np.ndarray) -> None:
+        if row >= column:
+            values[np.searchsorted(keys, row * pattern.free_count + column)] += block
+
+    # 1e9 Pa of a cubic centimetre against a change of shape, a mass of 20 g against all motion.
+    root = rng.normal(size=(12, 6))
+    body = 1e5 * root @ root.T + np.kron(np.diag([1.0, 0.2, 0.2, 0.2]), 50 * np.eye(3))
+    for i in range(4):
+        for j in range(4):
+            add(160 + i, 160 + j, body[3 * i : 3 * i + 3, 3 * j : 3 * j + 3])
+    places, blocks = [], []
+    patch = np.concatenate([30 + np.arange(26), 110 + np.arange(26)])
+    for _ in range(contacts):
+        gel = rng.choice(patch, 3, replace=False)
+        shares = rng.dirichlet(np.ones(3))
+        weights = rng.dirichlet(np.ones(4))
+        normal = rng.normal(size=3) * [0.1, 0.1, 1.0]
+        normal /= np.linalg.norm(normal)
+        block = 10.0 ** rng.uniform(1, 4) * np.outer(normal, normal)
+        rows = [*gel, *(160 + np.arange(4))]
+        scales = [*shares, *(-weights)]
+        for i, s in zip(rows, scales, strict=True):
+            for j, t in zip(rows, scales, strict=True):
+                if i < j:
+                    continue
+                fits = np.searchsorted(keys, i * pattern.free_count + j)
+                if fits < len(keys) and keys[fits] == i * pattern.free_count + j:
+                    values[fits] += s * t * block
+                elif j < 160 <= i:
+                    places.append((i, j))
+                    blocks.append(s * t * block)
+                else:
+                    # Nodes of one face share an element: put what does not on the diagonal.
+                    values[pattern.diagonal[i]] += abs(s * t) * block
+                    values[pattern.diagonal[j]] += abs(s * t) * block
+    return System(
+        "peg between two gels",
+        pattern,
+        values,
+        1e-4 * rng.normal(size=(pattern.free_count, 3)),
+        np.array(places, dtype=np.int32),
+        np.array(blocks),
+        [(160, 164)],
+    )
+
+
+def dumped(path: Path, index: int) -> System:
+    """A Newton system that was written down: arrays ``{index}_values`` and so on of an .npz
+    file."""
+    data = np.load(path)
+
+    def take(key: str) -> np.ndarray:
+        return data[f"{index}_{key}"]
+
+    starts = take("row_starts")
+    diagonal = (starts[1:] - 1).astype(np.int32)
+    pattern = BlockPattern(starts, take("columns"), diagonal)
+    n = pattern.free_count
+    places = take("places")
+    clusters = [(n - 4, n)] if len(places) else []
+    values = (take("values"), take("rhs"), places, take("blocks"))
+    return System(f"{path.stem} {index}", pattern, *values, clusters)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page ``docs/benchmarks.md`` and its pictures, made from the result files.
+
+The page has text of its own; what stands between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``
+is replaced. Only files that follow the schema of ``benchmarks.results`` are read.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from benchmarks.report.sections import SECTIONS
+from benchmarks.results import FOLDER, SCHEMA
+from taccel_lab.errors import InputError
+from taccel_lab.output import atomic_file
+
+PAGE = Path(__file__).parents[2] / "docs" / "benchmarks.md"
+IMAGES = PAGE.parent / "images" / "benchmarks"
+Results = dict[str, list[dict[str, Any]]]
+
+
+def read_results(folder: Path = FOLDER) -> Results:
+    """Result documents by suite; each knows its file's name as ``file``."""
+    import json
+
+    found: Results = {}
+    for path in sorted(folder.glob("*.json")):
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(document, dict) and document.get("schema") == SCHEMA:
+            found.setdefault(document["suite"], []).append(document | {"file": path.name})
+    return found
+
+
+def render(text: str, results: Results) -> str:
+    """The page with its generated parts made anew."""
+    for name, section in SECTIONS.items():
+        begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
+        if text.count(begin) != 1 or text.count(end) != 1:
+            raise InputError(f"the page must have one {begin} and one {end}")
+        body = section(results)
+        pattern = re.escape(begin) + ".*?" + re.escape(end)
+        text = re.sub(pattern, lambda _, b=begin, e=end, t=body: f"{b}\n{t}\n{e}", text, flags=re.S)
+    return text
+
+
+def run_report(folder: Path, pictures: bool, scenes: bool = False) -> list[Path]:
+    """Write page and pictures; what was written."""
+    results = read_results(folder)
+    text = render(PAGE.read_text(encoding="utf-8"), results)
+    with atomic_file(PAGE) as target:
+        target.write_text(text, encoding="utf-8")
+        target.chmod(0o644)
+    written = [PAGE]
+    if pictures:
+        from benchmarks.report.plots import draw_all
+
+        written += draw_all(results, IMAGES)
+    if scenes:
+        from benchmarks.report.scene_picture import draw_scenes
+
+        written.append(draw_scenes(IMAGES / "scenes.png"))
+    return written

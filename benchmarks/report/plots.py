@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of the results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from benchmarks.front import is_on_front
+from benchmarks.peers import read_field
+from taccel_lab.output import atomic_file
+
+Results = dict[str, list[dict[str, Any]]]
+
+
+def draw_all(results: Results, folder: Path) -> list[Path]:
+    """Every picture that there is a result for."""
+    written = []
+    if any(row["envs"] > 1 for d in results.get("speed", []) for row in d["rows"]):
+        written.append(save(draw_speed(results), folder / "speed.png"))
+    for kind, draw in (("error", draw_error), ("scaling", draw_scaling)):
+        for document in results.get(kind, []):
+            name = Path(document["file"]).stem
+            written.append(save(draw(document), folder / f"{kind}_{name}.png"))
+    return written
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a picture, whole or not at all."""
+    with atomic_file(path) as target:
+        figure.savefig(target, dpi=110)
+        target.chmod(0o644)
+    plt.close(figure)
+    return path
+
+
+def make_logarithmic(axis: Axes) -> None:
+    """Both axes, with plain numbers at 1, 2, 5 where less than two decades are shown."""
+    axis.set(xscale="log", yscale="log")
+    for side in (axis.xaxis, axis.yaxis):
+        low, high = side.get_view_interval()
+        steps = (1.0,) if high > 100 * low else (1.0, 2.0, 5.0)
+        side.set_major_locator(LogLocator(subs=steps))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        side.set_minor_formatter(NullFormatter())
+    axis.grid(True, which="major", lw=0.3)
+
+
+def draw_speed(results: Results) -> Figure:
+    """FPS by environments; the field's figures on the peg scene as dashed lines."""
+    figure, axis = plt.subplots(figsize=(8.5, 6), layout="constrained")
+    for document in results.get("speed", []):
+        device = document["run"]["device"].replace("NVIDIA ", "")
+        for scene in dict.fromkeys(row["scene"] for row in document["rows"]):
+            rows = [row for row in document["rows"] if row["scene"] == scene]
+            if len(rows) < 2:
+                continue
+            x = [row["envs"] for row in rows]
+            y = np.array([row["fps"]["median"] for row in rows])
+            low = y - [row["fps"]["min"] for row in rows]
+            high = [row["fps"]["max"] for row in rows] - y
+            axis.errorbar(x, y, [low, high], marker="o", ms=4, label=f"{scene}, {device}")
+    for entry in read_field()["peg"]:
+        x = [int(count) for count in entry["fps"]]
+        label = f"{entry['name']}, {entry['device']} ({entry['stop'].split(';')[0]})"
+        axis.plot(x, list(entry["fps"].values()), "--", marker="x", lw=0.9, ms=5, label=label)
+    axis.set(xlabel="environments", ylabel="FPS, all environments")
+    axis.set_title("Environments x steps / seconds; dashed: peg scene, others")
+    make_logarithmic(axis)
+    axis.legend(fontsize=7)
+    return figure
+
+
+PANELS = (
+    ("force_percent", "error of the normal force [%]"),
+    ("height_rms_um", "error of heights, rms [um]"),
+    ("marker_rms_um", "error of markers, rms [um]"),
+)
+
+
+def draw_error(document: dict[str, Any]) -> Figure:
+    """Time against error: all meshes by total error above, the default's mesh by settings below."""
+    rows = [row for row in document["rows"] if "failed" not in row and row["group"] != "dt"]
+    figure, axes = plt.subplots(2, 3, figsize=(13, 8), layout="constrained")
+    default = next((row for row in rows if row["is_default"]), None)
+    for column, (key, label) in enumerate(PANELS):
+        _draw_front(axes[0, column], rows, "error", key, by_mesh=True)
+        axes[0, column].set(title="against the converged run", ylabel=label)
+        if default is not None:
+            own = [row for row in rows if mesh_of(row) == mesh_of(default)]
+            _draw_front(axes[1, column], own, "settings_error", key, by_mesh=False)
+        axes[1, column].set(title="settings alone, the default's mesh", ylabel=label)
+    for axis in axes.ravel():
+        axis.set(xlabel="ms a step")
+        make_logarithmic(axis)
+    axes[0, 0].legend(fontsize=7)
+    if default is not None:
+        axes[1, 0].legend(fontsize=7)
+    return figure
+
+
+def mesh_of(row: dict[str, Any]) -> tuple[str, int]:
+    """Element and layers."""
+    return row["settings"]["element"], row["settings"]["layers"]
+
+
+def _draw_front(
+    axis: Axes, rows: list[dict[str, Any]], kind: str, key: str, *, by_mesh: bool
+) -> None:
+    """Points by mesh or by what is varied, the front as a line, the default as a star."""
+    rows = [row for row in rows if row[kind][key] > 0]
+    if not rows:
+        return
+    times = np.array([row["ms_per_step"]["median"] for row in rows])
+    values = np.array([row[kind][key] for row in rows])
+    names = [
+        f"{row['settings']['element']}, {row['settings']['layers']} layers"
+        if by_mesh
+        else row["group"]
+        for row in rows
+    ]
+    for name in dict.fromkeys(names):
+        mine = np.array([n == name for n in names])
+        axis.plot(times[mine], values[mine], "o", ms=4, alpha=0.7, label=name)
+    best = is_on_front(times, values, noise=0.0)
+    order = np.argsort(times[best])
+    axis.step(times[best][order], values[best][order], "k-", lw=0.8, where="post", label="front")
+    chosen = np.array([row["is_default"] for row in rows])
+    if chosen.any():
+        axis.plot(times[chosen], values[chosen], "k*", ms=12, mfc="none", label="default")
+
+
+def draw_scaling(document: dict[str, Any]) -> Figure:
+    """Time a step and memory of each series."""
+    rows = document["rows"]
+    series = list(dict.fromkeys(row["series"] for row in rows))
+    figure, axes = plt.subplots(
+        2, len(series), figsize=(3.4 * len(series), 6.5), layout="constrained", squeeze=False
+    )
+    for column, name in enumerate(series):
+        mine = [row for row in rows if row["series"] == name]
+        x = [row["size"] for row in mine]
+        fit = document.get("fits", {}).get(name, {})
+        pairs = (
+            ("ms a step", [row["ms_per_step"]["median"] for row in mine], "time"),
+            ("MiB", [row["memory_mib"] for row in mine], "memory"),
+        )
+        for axis, (label, y, key) in zip(axes[:, column], pairs, strict=True):
+            axis.plot(x, y, "o-", ms=4)
+            if key in fit:
+                ends = np.array([fit["from"], fit["to"]])
+                used = [(a, b) for a, b in zip(x, y, strict=True) if a >= ends[0]]
+                middle, height = np.exp(np.log(used).mean(axis=0))
+                axis.plot(ends, height * (ends / middle) ** fit[key], "k--", lw=0.9)
+                axis.set_title(f"{label} ~ {name}^{fit[key]:.2f}", fontsize=10)
+            axis.set(xlabel=name, ylabel=label)
+            make_logarithmic(axis)
+    return figure

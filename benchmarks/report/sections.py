@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Generated parts of the page, in Markdown; every figure is read from a result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.peers import read_field
+
+Document = dict[str, Any]
+Results = dict[str, list[Document]]
+NOTHING = "No result yet."
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """A Markdown table."""
+    head = list(head)
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def origin(document: Document) -> str:
+    """Where a result is from, in a line."""
+    run = document["run"]
+    device = run["device"]
+    if device.startswith("CPU"):
+        device = f"one thread of an {run['cpu']}"
+    packages = ", ".join(f"{name} {v}" for name, v in run["packages"].items())
+    state = "" if document["complete"] else ", unfinished"
+    return (
+        f"**{device}** ({run['date'][:10]}, commit `{run['commit']}`, {packages}; "
+        f"`benchmarks/results/{document['file']}`{state})"
+    )
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Three digits that count, thousands grouped."""
+    if value is None:
+        return "-"
+    if value == 0:
+        return "0"
+    if abs(value) >= 1000:
+        return f"{round(value):,}"
+    if abs(value) < 1e-3:
+        return f"{value:.1e}"
+    return f"{value:.{digits}g}"
+
+
+def spread(value: dict[str, float]) -> str:
+    """Median and range."""
+    return f"{number(value['median'])} ({number(value['min'])} to {number(value['max'])})"
+
+
+def solved(residual: dict[str, Any]) -> str:
+    """Residual, and what did not converge."""
+    text = f"{residual['worst_over_contact_force']:.1e}"
+    if residual["unconverged"]:
+        text += f", {residual['unconverged']} of {residual['env_steps']} failed"
+    if residual["taken_in_parts"]:
+        text += f", {residual['taken_in_parts']} in parts"
+    return text
+
+
+def speed(results: Results) -> str:
+    """FPS, memory and time to start."""
+    parts = []
+    for document in results.get("speed", []):
+        rows = [
+            [
+                row["scene"],
+                f"{row['envs']:,}",
+                row["steps"],
+                spread(row["fps"]),
+                number(row["ms_per_step"]["median"]),
+                number(row["newton_mean"]),
+                solved(row["residual"]),
+                number(row["memory_mib_per_env"]),
+                number(row["launches_per_step"]),
+            ]
+            for row in document["rows"]
+        ]
+        head = ["scene", "environments", "steps", "FPS, median (range)", "ms a step"]
+        head += ["Newton a step", "residual over contact force", "MiB an environment"]
+        head += ["launches a step"]
+        parts += [origin(document), table(head, rows)]
+        if document.get("startup"):
+            starts = [
+                [
+                    scene,
+                    number(found["warm"]["import_to_first_step_s"]),
+                    number(found["cold"]["import_to_first_step_s"]),
+                    number(found["compilation_s"]),
+                ]
+                for scene, found in document["startup"].items()
+            ]
+            head = ["scene", "import to first step, warm [s]", "cold [s]", "compilation [s]"]
+            parts.append(table(head, starts))
+    return "\n\n".join(parts) or NOTHING
+
+
+def error(results: Results) -> str:
+    """One setting at a time, and the front."""
+    parts = []
+    for document in results.get("error", []):
+        rows = [row for row in document["rows"] if row["group"] != "front"]
+        lines = []
+        for row in rows:
+            if "failed" in row:
+                lines.append([row["group"], row["value"], "failed", *["-"] * 5])
+                continue
+            total, own = row["error"], row["settings_error"]
+            lines.append(
+                [
+                    row["group"],
+                    row["value"] + (" (default)" if row["is_default"] else ""),
+                    number(row["ms_per_step"]["median"]),
+                    number(total["force_percent"]),
+                    number(own["force_percent"]),
+                    f"{number(total['height_rms_um'])} ({number(total['height_max_um'])})",
+                    f"{number(total['marker_rms_um'])} ({number(total['marker_max_um'])})",
+                    number(own["marker_rms_um"]),
+                ]
+            )
+        head = ["varied", "value", "ms a step", "force error [%]", "of it by settings [%]"]
+        head += ["height rms (max) [um]", "markers rms (max) [um]", "markers by settings [um]"]
+        parts += [origin(document), table(head, lines)]
+        if document.get("front"):
+            parts.append(_front(document["front"]))
+        parts.append(picture(document, "error", "Time a step against error"))
+    return "\n\n".join(parts) or NOTHING
+
+
+def _front(verdict: dict[str, Any]) -> str:
+    """Whether the defaults pay."""
+    if "default" not in verdict:
+        return ""
+    lines = [f"Default: {verdict['default']}."]
+    if verdict["default_is_on_the_front_of_its_mesh"]:
+        lines.append("On its own mesh no other setting is both faster and better.")
+    else:
+        best = "; ".join(verdict["by_settings_error_on_the_default_mesh"])
+        lines.append(f"On its own mesh it is **not** on the front, which is: {best}.")
+    if verdict["default_is_on_the_front"]:
+        lines.append("Among all meshes and elements it lies on the front, too.")
+    else:
+        better = verdict["better_than_the_default"]
+        lines.append(
+            f"Among all meshes and elements it does **not** lie on the front: {len(better)} "
+            f"combinations are faster and have a smaller force error. On the front are: "
+            + "; ".join(verdict["by_total_force_error"])
+            + "."
+        )
+    return "\n".join(lines)
+
+
+def scaling(results: Results) -> str:
+    """Exponents."""
+    parts = []
+    for document in results.get("scaling", []):
+        rows = [
+            [
+                series,
+                f"{fit['from']:,.0f} to {fit['to']:,.0f}",
+                fit["time"],
+                fit["time_per_newton"],
+                fit["memory"],
+            ]
+            for series, fit in document.get("fits", {}).items()
+        ]
+        head = ["by", "fitted from", "time a step", "time a Newton iteration", "memory"]
+        parts += [origin(document), table(head, rows)]
+        parts.append(picture(document, "scaling", "Time and memory by size"))
+    return "\n\n".join(parts) or NOTHING
+
+
+def skips(results: Results) -> str:
+    """With and without."""
+    parts = []
+    for document in results.get("skips", []):
+        rows = [
+            [
+                row["skip"],
+                row["what"],
+                spread(row["on"]["ms_per_step"]),
+                spread(row["off"]["ms_per_step"]),
+                f"{row['saved_percent']:.0f} %",
+                f"{number(row['on']['newton_mean'])} / {number(row['off']['newton_mean'])}",
+            ]
+            for row in document["rows"]
+        ]
+        head = ["skip", "scene", "with [ms a step]", "without", "saved", "Newton with / without"]
+        parts += [origin(document), table(head, rows)]
+    return "\n\n".join(parts) or NOTHING
+
+
+def peers(results: Results) -> str:
+    """The field's table with ours beside it, each with its conditions."""
+    field = read_field()["peg"]
+    ours = []
+    for document in results.get("speed", []):
+        rows = [row for row in document["rows"] if row["scene"] == "peg"]
+        if not rows:
+            continue
+        worst = max(row["residual"]["worst_over_contact_force"] for row in rows)
+        ours.append(
+            {
+                "name": "**taccel-lab**",
+                "device": document["run"]["device"].replace("NVIDIA ", ""),
+                "kind": "measured",
+                "stop": f"force residual {worst:.0e} of the contact force or 1e-5 N, end to end",
+                "fps": {str(row["envs"]): row["fps"]["median"] for row in rows},
+            }
+        )
+    for document in results.get("peers", []):
+        names = dict.fromkeys(row["name"] for row in document["rows"])
+        ours += [
+            {
+                "name": f"{name}, run beside ours",
+                "device": document["run"]["device"].replace("NVIDIA ", ""),
+                "kind": "measured",
+                "stop": document["settings"]["stop"],
+                "fps": {str(r["envs"]): r["fps"] for r in document["rows"] if r["name"] == name},
+            }
+            for name in names
+        ]
+    entries = ours + field
+    counts = sorted({int(count) for entry in entries for count in entry["fps"]})
+    rows = [
+        [
+            entry["name"],
+            f"{entry['device']}, {entry['kind']}",
+            entry["stop"],
+            *(number(entry["fps"].get(str(count))) for count in counts),
+        ]
+        for entry in entries
+    ]
+    head = ["simulator", "device", "stop", *(f"{count:,}" for count in counts)]
+    others = table(
+        ["other figures", "device", "figure"],
+        [
+            [entry["name"], f"{entry['device']}, {entry['kind']}", entry["figure"]]
+            for entry in read_field()["others"]
+        ],
+    )
+    return table(head, rows) + "\n\n" + others
+
+
+def picture(document: Document, kind: str, title: str) -> str:
+    """Link to a picture of a result."""
+    name = Path(document["file"]).stem
+    return f"![{title}](images/benchmarks/{kind}_{name}.png)"
+
+
+def speed_pictures(results: Results) -> str:
+    """FPS by environments, all results in one picture."""
+    if not any(row["envs"] > 1 for d in results.get("speed", []) for row in d["rows"]):
+        return NOTHING
+    return "![Frames a second by environments](images/benchmarks/speed.png)"
+
+
+SECTIONS: dict[str, Callable[[Results], str]] = {
+    "speed": speed,
+    "speed picture": speed_pictures,
+    "peers": peers,
+    "error": error,
+    "scaling": scaling,
+    "skips": skips,
+}
+"""Parts of the page by the name in its markers."""

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The suite ``scaling``: time and memory by environments, nodes, contacts and sensors, with the
+exponents of power laws fitted to the larger half of each series."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from benchmarks.clock import clock_name
+from benchmarks.front import power_law
+from benchmarks.memory import MemoryMeter, pool_bytes
+from benchmarks.options import Scaling
+from benchmarks.results import Deadline, ResultFile, note, spread
+from benchmarks.runner import Motion, Runner
+from benchmarks.scenes import SceneOptions, build_scene
+from benchmarks.scenes.base import BenchScene, make_config, straight
+from benchmarks.scenes.peg import GEL
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.scene import Ball, KinematicBody, Scene, SoftBody, box_mesh
+
+SPACING_M = 40e-3
+"""Between the sensors of a row."""
+FRICTION = 0.5
+DHAT_M = 2e-5
+
+
+@dataclass(frozen=True)
+class Point:
+    """One scene of a series."""
+
+    series: str
+    size: int
+    """Environments, nodes, contacts wanted, or sensors."""
+    bench: BenchScene
+    steps: int | None = None
+
+
+def all_points(options: Scaling) -> Iterator[Point]:
+    """Every series, small sizes first."""
+    for count in options.envs:
+        bench = build_scene("peg", SceneOptions(count, options.source))
+        yield Point("environments", count, bench, options.steps)
+    for cells in options.cells:
+        bench = press_scene((2 * cells, 2 * cells, cells), ball_m=8e-3)
+        yield Point("nodes", _nodes(bench), bench)
+    for side_mm in options.punch_mm:
+        yield Point("contacts", 0, punch_scene(1e-3 * side_mm))
+    for count in options.sensors:
+        yield Point("sensors", count, row_of_sensors(count))
+
+
+def press_scene(cells: tuple[int, int, int], ball_m: float) -> BenchScene:
+    """A ball on a block of 24 x 24 x 6 mm."""
+    gel = SoftBody(block_mesh(cells, (24e-3, 24e-3, 6e-3), jitter=0.1, seed=1), GEL)
+    scene = Scene(gel, KinematicBody(Ball(ball_m), FRICTION, name="ball"))
+    path = _down(ball_m, 1e-3, 5)[:, None]
+    return BenchScene("press", "a ball on a block", scene, _config(), path, "generated")
+
+
+def punch_scene(side_m: float) -> BenchScene:
+    """A flat punch of a given side on a fine block: contacts grow with its area."""
+    cells, size = (24, 24, 3), (24e-3, 24e-3, 4e-3)
+    gel = SoftBody(block_mesh(cells, size, jitter=0.1, seed=1), GEL)
+    punch = box_mesh((side_m, side_m, 4e-3))
+    scene = Scene(gel, KinematicBody(punch, FRICTION, name="punch"))
+    path = _down(2e-3, 0.2e-3, 4)[:, None]
+    return BenchScene("punch", "a flat punch on a block", scene, _config(), path, "generated")
+
+
+def row_of_sensors(count: int) -> BenchScene:
+    """Gels side by side in one environment, a ball on each."""
+    mesh = block_mesh((8, 8, 3), (24e-3, 24e-3, 6e-3), jitter=0.1, seed=1)
+    places = SPACING_M * np.arange(count)
+    gels, bodies, paths = [], [], []
+    for i, x in enumerate(places):
+        frame = KinematicBody(None, name=f"mount {i}")
+        gels.append(SoftBody(mesh, GEL, name=f"gel {i}", mount=frame.name))
+        bodies += [frame, KinematicBody(Ball(8e-3), FRICTION, name=f"ball {i}")]
+        down = _down(8e-3, 1e-3, 5)
+        down[:, 0] += x
+        still = np.tile([x, 0, 0, 0, 0, 0, 1.0], (len(down), 1))
+        paths += [still, down]
+    scene = Scene(gels, bodies)
+    path = np.stack(paths, axis=1)
+    return BenchScene("sensors", f"{count} gels in a row", scene, _config(), path, "generated")
+
+
+def _down(reach_m: float, depth_m: float, steps: int) -> np.ndarray:
+    """Straight down from just above the gel, [steps + 1, 7]."""
+    start, end = reach_m + 5e-5, reach_m - depth_m
+    points = np.array([[3e-4, -2e-4, z, 0, 0, 0, 1.0] for z in (start, end)])
+    return straight(points, [steps])
+
+
+def _config() -> Any:
+    return make_config({"dhat_m": DHAT_M, "friction_eps_m": 1e-6}, {})
+
+
+def _nodes(bench: BenchScene) -> int:
+    return sum(body.mesh.node_count for body in bench.scene.soft_bodies)
+
+
+def run_scaling(options: Scaling) -> None:
+    """Measure all points, then fit."""
+    wp.config.log_level = wp.LOG_WARNING
+    deadline = Deadline(options.budget_s)
+    what = "Time and memory by environments, nodes, contacts and sensors."
+    settings = {
+        "clock": clock_name(options.device),
+        "repeats": options.repeats,
+        "steps": options.steps,
+        "source": options.source,
+    }
+    with ResultFile("scaling", what, options.out, options.device, settings).finishing() as result:
+        for point in all_points(options):
+            if deadline.passed:
+                note(f"{point.series}, {point.size}: not started, the budget is spent")
+                continue
+            result.add(measure(point, options.device, options.repeats))
+            row = result.rows[-1]
+            note(
+                f"{row['series']} {row['size']:,}: {row['ms_per_step']['median']:.2f} ms a step, "
+                f"{row['memory_mib']:.2f} MiB, Newton {row['newton_mean']:.1f}, "
+                f"{row['contacts']:.0f} contacts"
+            )
+        result.put("fits", fit(result.rows))
+
+
+def measure(point: Point, device: str, repeats: int) -> dict[str, Any]:
+    """One row."""
+    pool = pool_bytes(wp.get_device(device))
+    with MemoryMeter() as meter:
+        runner = Runner(point.bench, device)
+        runner.run(point.steps)
+    runs: list[Motion] = []
+    contacts: list[float] = []
+
+    def count(step: int, report: Any) -> None:
+        contacts.append(float(runner.contact_counts().mean()))
+
+    for repeat in range(repeats):
+        runner.reset()
+        runs.append(runner.run(point.steps, after_step=count if repeat == 0 else None))
+    after = pool_bytes(wp.get_device(device))
+    used = meter.allocations(wp.get_device(device)).peak_bytes
+    if pool is not None and after is not None:
+        used = max(used, float(after - pool))
+    median = sorted(runs, key=lambda run: run.fps)[len(runs) // 2]
+    seconds = [float(np.mean(run.solver_seconds)) for run in runs]
+    newton = float(np.sum(median.newton_max))
+    return {
+        "series": point.series,
+        "size": point.size or round(max(contacts)),
+        "scene": point.bench.name,
+        "envs": runner.model.env_count,
+        "nodes": runner.model.soft_count,
+        "contacts": max(contacts),
+        "steps": len(median.seconds),
+        "ms_per_step": spread([1e3 * s for s in seconds]),
+        "ms_per_newton": 1e3 * sum(median.solver_seconds) / max(newton, 1.0),
+        "memory_mib": used / 2**20,
+        "residual": median.residual(),
+        **median.work(),
+    }
+
+
+def fit(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    """Exponents of time a step, time a Newton iteration and memory, by series."""
+    fits = {}
+    for series in dict.fromkeys(row["series"] for row in rows):
+        mine = [row for row in rows if row["series"] == series]
+        mine = mine[min(len(mine) // 2, max(len(mine) - 3, 0)) :]
+        sizes = np.array([row["size"] for row in mine], dtype=np.float64)
+        if len(np.unique(sizes)) < 2:
+            continue
+        values = {
+            "time": [row["ms_per_step"]["median"] for row in mine],
+            "time_per_newton": [row["ms_per_newton"] for row in mine],
+            "memory": [row["memory_mib"] for row in mine],
+        }
+        fits[series] = {
+            name: round(power_law(sizes, np.array(value))[0], 3) for name, value in values.items()
+        } | {"from": float(sizes.min()), "to": float(sizes.max())}
+    return fits

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The 17 gels of a tactile hand close on a free ball, carry it up and turn it.
+
+The published gels come in the frames of their links, without the hand. Here each stands on a mount
+of its own, its contact face tangent to a ball of 45 mm radius: the two gels of the palm below, the
+four fingers of three gels each up one side, 18 degrees apart, the three gels of the thumb up the
+other. All mounts move along their normals until each gel is pressed in by 0.4 mm, then all
+together. Gels meet the ball only: in the hand they are on links that keep apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.assets import choose_source, data_folder, read_vtk
+from benchmarks.scenes.base import BenchScene, SceneOptions, make_config
+from benchmarks.scenes.frames import facing, pose, same_side
+from benchmarks.scenes.pads import label
+from benchmarks.scenes.peg import GEL, GEL_FRICTION, GRAVITY, STIFF_FRICTION
+from benchmarks.scenes.press import touching_height
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.scene import (
+    AffineBody,
+    KinematicBody,
+    Scene,
+    SoftBody,
+    Surface,
+    TimeStepping,
+    sphere_mesh,
+)
+
+DT_S = 1 / 50
+BALL_M, BALL_EDGE_M, BALL_DENSITY = 45e-3, 6e-3, 300.0
+GAP_M, SQUEEZE_M = 0.2e-3, 0.4e-3
+LIFT_M, TURN_RAD = 10e-3, np.pi / 6
+STEPS = (12, 38)
+"""Closing, carrying."""
+GEL_LAYER, BALL_LAYER = 1, 2
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a gel touches the ball and how it lies there."""
+
+    link: str
+    """Name of the published gel."""
+    polar_deg: float
+    """From straight below, over +y."""
+    lateral_deg: float = 0.0
+    """Towards +x."""
+    along: bool = True
+    """Whether its long side follows the polar direction."""
+
+
+def hand() -> list[Place]:
+    """The 17 places."""
+    palm = [Place("base_link_gel_0", -20, along=False), Place("base_link_gel_1", 25, along=False)]
+    fingers = [
+        Place(f"f_{joint}_gel", polar, lateral)
+        for lateral in (-27.0, -9.0, 9.0, 27.0)
+        for joint, polar in ((1, 62.0), (2, 91.0), (3, 115.0))
+    ]
+    thumb = [
+        Place("thumb_1_gel", -64, along=False),
+        Place("thumb_2_gel", -98),
+        Place("thumb_3_gel", -128),
+    ]
+    return palm + fingers + thumb
+
+
+_BLOCKS = {
+    "base_link_gel_0": ((24, 16, 1), (56.9e-3, 34.6e-3, 2.5e-3)),
+    "base_link_gel_1": ((18, 10, 1), (39.2e-3, 20.5e-3, 2.5e-3)),
+    "f_1_gel": ((10, 6, 1), (21.0e-3, 11.2e-3, 2.5e-3)),
+    "f_2_gel": ((6, 5, 1), (11.3e-3, 11.2e-3, 2.5e-3)),
+    "f_3_gel": ((8, 5, 1), (15.2e-3, 11.2e-3, 2.5e-3)),
+    "thumb_1_gel": ((12, 12, 1), (42.0e-3, 18.9e-3, 2.5e-3)),
+    "thumb_2_gel": ((10, 6, 1), (21.0e-3, 11.2e-3, 2.5e-3)),
+    "thumb_3_gel": ((7, 6, 1), (16.4e-3, 12.2e-3, 2.5e-3)),
+}
+"""Cells and size of blocks that are like the published gels [m]."""
+
+
+def gel_of(link: str, source: str) -> TetMesh:
+    """A gel, z out of its contact face, x along its long side."""
+    if source == "generated":
+        return block_mesh(*_BLOCKS[link], jitter=0.1, seed=3)
+    path = data_folder() / "pads" / f"f_tac_hand_description__{link}_maxv_1e-08.vtk"
+    nodes, tets = read_vtk(path)
+    masks = np.load(path.with_suffix(".npz"))
+    mesh = label(nodes, tets, masks["stick_mask"], masks["coat_mask"])
+    return TetMesh(to_gel_frame(mesh), mesh.tets, mesh.faces, mesh.face_regions)
+
+
+def to_gel_frame(mesh: TetMesh) -> np.ndarray:
+    """Nodes with the contact face's mean normal along z and its middle at the origin, the gel's
+    longest direction across that along x."""
+    corners = mesh.nodes_m[mesh.region_faces(Region.CONTACT)]
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    size = np.linalg.norm(areas, axis=1)
+    middle = (corners.mean(axis=1) * size[:, None]).sum(axis=0) / size.sum()
+    normal = areas.sum(axis=0) / np.linalg.norm(areas.sum(axis=0))
+    flat = mesh.nodes_m - middle
+    flat = flat - np.outer(flat @ normal, normal)
+    longest = np.linalg.eigh(flat.T @ flat)[1][:, -1]
+    return (mesh.nodes_m - middle) @ facing(normal, longest)
+
+
+def build(options: SceneOptions) -> BenchScene:
+    """The published gels where they are."""
+    places = hand()
+    files = [f"pads/f_tac_hand_description__{p.link}_maxv_1e-08.vtk" for p in places]
+    source = choose_source(options.source, *files)
+    meshes = {link: gel_of(link, source) for link in _BLOCKS}
+    names = [f"gel {i}" for i in range(len(places))]
+    ball = sphere_mesh(BALL_M, BALL_EDGE_M)
+    scene = Scene(
+        [
+            SoftBody(
+                meshes[place.link],
+                GEL,
+                name=name,
+                mount=f"mount of {name}",
+                friction_coefficient=GEL_FRICTION,
+                surface=Surface(layer=GEL_LAYER, collides_with=BALL_LAYER),
+            )
+            for name, place in zip(names, places, strict=True)
+        ],
+        [KinematicBody(None, name=f"mount of {name}") for name in names],
+        options.env_count,
+        TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY),
+        affine_bodies=AffineBody(
+            ball,
+            density_kg_m3=BALL_DENSITY,
+            young_modulus_pa=1e9,
+            name="ball",
+            friction_coefficient=STIFF_FRICTION,
+            surface=Surface(layer=BALL_LAYER),
+        ),
+    )
+    radius = float(np.linalg.norm(ball.vertices_m, axis=1).max())
+    return BenchScene(
+        "hand",
+        f"17 gels, {sum(meshes[p.link].node_count for p in places):,} nodes, close on a free ball "
+        "and carry it",
+        scene,
+        make_config({"dhat_m": 1e-4, "friction_eps_m": 1e-2 * DT_S}, options.config),
+        mount_path(places, meshes, radius),
+        source,
+    )
+
+
+def mount_path(places: list[Place], meshes: dict[str, TetMesh], radius_m: float) -> np.ndarray:
+    """Poses of the mounts about the ball's first place, [steps + 1, 17, 7]."""
+    close, carry = STEPS
+    moments = np.arange(close + carry + 1)
+    gaps = np.interp(moments, [0, close], [GAP_M, -SQUEEZE_M])
+    part = np.clip((moments - close) / carry, 0, 1)
+    part = part**2 * (3 - 2 * part)
+    rows = []
+    for gap, done in zip(gaps, part, strict=True):
+        c, s = np.cos(TURN_RAD * done), np.sin(TURN_RAD * done)
+        turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        lift = np.array([0.0, 0.0, LIFT_M * done])
+        row = []
+        for place in places:
+            direction, along = _touch(place)
+            height = touching_height(meshes[place.link], (0.0, 0.0), radius_m)
+            frame = turn @ facing(-direction, along)
+            row.append(pose(frame, turn @ (direction * (height + gap)) + lift))
+        rows.append(row)
+    return same_side(np.array(rows))
+
+
+def _touch(place: Place) -> tuple[np.ndarray, np.ndarray]:
+    """Direction of a place from the ball's centre, and of the gel's long side."""
+    polar, lateral = np.radians([place.polar_deg, place.lateral_deg])
+    down, out = -np.cos(polar), np.sin(polar)
+    direction = np.array([np.sin(lateral), np.cos(lateral) * out, np.cos(lateral) * down])
+    along = np.array([0.0, np.cos(polar), np.sin(polar)])
+    across = np.cross(along, direction)
+    return direction, along if place.along else across
+
+
+def overlapping_gels(bench: BenchScene) -> list[tuple[str, str]]:
+    """Pairs of gels whose meshes cross at the end of the motion, though they may not touch."""
+    from taccel_lab.scene.crossings import crossing_pairs
+    from taccel_lab.scene.primitives import unique_edges
+
+    poses = bench.path[-1]
+    placed = []
+    for body, at in zip(bench.scene.soft_bodies, poses, strict=True):
+        placed.append(_rotated(at[3:], body.mesh.nodes_m) + at[:3])
+    pairs = []
+    bodies = bench.scene.soft_bodies
+    for i, first in enumerate(bodies):
+        for j in range(i):
+            for a, b in ((i, j), (j, i)):
+                edges = unique_edges(bodies[a].mesh.faces)
+                if len(crossing_pairs(placed[a][edges], placed[b][bodies[b].mesh.faces])[0]):
+                    pairs.append((bodies[j].name, first.name))
+                    break
+    return pairs
+
+
+def _rotated(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
+    axis, scalar = quaternion[:3], quaternion[3]
+    cross = 2 * np.cross(axis, points)
+    return points + scalar * cross + np.cross(axis, cross)

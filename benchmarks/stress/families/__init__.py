@@ -1,0 +1,13 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All families of the stress; importing this registers them."""
+
+from benchmarks.stress.families import (
+    close_calls,
+    grasps,
+    impacts,
+    mechanisms,
+    presses,
+    strains,
+)
+
+__all__ = ["close_calls", "grasps", "impacts", "mechanisms", "presses", "strains"]

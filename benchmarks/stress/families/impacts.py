@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bodies that fly at one another and at what rests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.stress.case import Case, family
+from benchmarks.stress.draw import Draw
+from benchmarks.stress.families.common import (
+    ELEMENTS,
+    FREE,
+    WORLD,
+    bonded_block,
+    free_body,
+    friction,
+    in_time,
+    material,
+    settings,
+)
+from benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape, wedge
+from taccel_lab.scene import AffineBody, KinematicBody, Plane, Scene, SoftBody, TimeScheme
+
+FASTEST = 10.0
+"""Speed of an impact [m/s]."""
+
+
+def _fall(draw: Draw) -> tuple[float, float, float]:
+    """A velocity that points down."""
+    speed = draw.decades("speed", 0.1, FASTEST)
+    x, y = draw.between("velocity x", -0.5, 0.5), draw.between("velocity y", -0.5, 0.5)
+    down = np.array([x, y, -1.0])
+    vx, vy, vz = speed * down / np.linalg.norm(down)
+    return float(vx), float(vy), float(vz)
+
+
+def _spin(draw: Draw) -> tuple[float, float, float]:
+    x, y, z = draw.direction("axis of spin") * draw.decades("spin", 0.1, 300.0)
+    return float(x), float(y), float(z)
+
+
+def _steps(draw: Draw, gap: float, speed: float, dt: float) -> int:
+    """Enough for it to arrive, and some more."""
+    return min(int(np.ceil(gap / (speed * dt))) + 5, 12)
+
+
+@family
+def soft_impact(draw: Draw) -> Case:
+    """A soft body is thrown at the floor, at a ridge or at a point, with up to 10 m/s."""
+    config = settings(draw)
+    stepping = in_time(draw)
+    size, turn, velocity = 4e-3, draw.rotation("turn"), _fall(draw)
+    mesh = free_body(draw, "body", size)
+    gap = draw.decades("gap", 1e-5, 2e-3)
+    low, _ = reach(mesh, turn)
+    body = SoftBody(
+        mesh,
+        material(draw),
+        FREE,
+        name="body",
+        element=draw.choose("element", ELEMENTS),
+        friction_coefficient=friction(draw),
+        initial_pose=pose((0, 0, gap - low), turn),
+        initial_velocity_m_s=velocity,
+        self_contact=draw.chance("self-contact", 0.3),
+    )
+    onto = draw.choose("onto", ("floor", "ridge", "point"))
+    steps = _steps(draw, gap, -velocity[2], stepping.dt_s)
+    closed = stepping.scheme is TimeScheme.EULER
+    if onto == "floor":
+        scene = Scene(body, planes=Plane(), time=stepping)
+        return Case(scene, config, steps, closed=closed)
+    shape = wedge(2e-3, 4e-3, 8e-3) if onto == "ridge" else stiff_shape("needle", 4e-3)
+    upside = after(about((1, 0, 0), np.pi), about((0, 0, 1), draw.between("heading", 0, np.pi)))
+    _, high = reach(shape, upside)
+    rest = KinematicBody(shape, 0.5, name="rest")
+    start = pose((0, 0, -high), upside)[None, None]
+    return Case(Scene(body, rest, time=stepping), config, steps, start, closed=closed)
+
+
+def _stiff(draw: Draw, size: float, low_density: float = 100.0) -> AffineBody:
+    shape = stiff_shape(draw.choose("shape", STIFF_SHAPES), size, draw.seed("shape seed"))
+    return AffineBody(
+        shape,
+        draw.decades("density", low_density, 2e4),
+        draw.decades("young of body", 1e6, 1e11),
+        name="body",
+        friction_coefficient=friction(draw),
+        initial_velocity_m_s=_fall(draw),
+        initial_spin_rad_s=_spin(draw),
+    )
+
+
+def _placed(body: AffineBody, gap: float, turn: np.ndarray) -> AffineBody:
+    from dataclasses import replace
+
+    low, _ = reach(body.shape, turn)
+    return replace(body, initial_pose=pose((0, 0, gap - low), turn))
+
+
+@family
+def stiff_on_plane(draw: Draw) -> Case:
+    """A stiff body of any shape is thrown at the floor and spins."""
+    config, stepping = settings(draw), in_time(draw)
+    gap = draw.decades("gap", 1e-6, 2e-3)
+    body = _placed(_stiff(draw, 4e-3), gap, draw.rotation("turn"))
+    steps = _steps(draw, gap, -body.initial_velocity_m_s[2], stepping.dt_s)
+    scene = Scene(affine_bodies=body, planes=Plane(friction_coefficient=0.5), time=stepping)
+    return Case(scene, config, steps, closed=stepping.scheme is TimeScheme.EULER)
+
+
+@family
+def stiff_on_gel(draw: Draw) -> Case:
+    """A stiff body is thrown into a gel: tips and edges first, up to 10 m/s and ten times heavier
+    or a hundred times lighter than what it meets."""
+    config, stepping = settings(draw), in_time(draw)
+    gel = SoftBody(
+        bonded_block(draw, "gel", (8e-3, 8e-3, 3e-3)),
+        material(draw, "gel"),
+        element=draw.choose("element", ELEMENTS),
+        friction_coefficient=friction(draw, "friction of gel"),
+    )
+    gap = draw.decades("gap", 1e-6, 2e-3)
+    body = _placed(_stiff(draw, 3e-3, 10.0), gap, draw.rotation("turn"))
+    steps = _steps(draw, gap, -body.initial_velocity_m_s[2], stepping.dt_s)
+    scene = Scene(gel, affine_bodies=body, time=stepping)
+    return Case(scene, config, steps, closed=stepping.scheme is TimeScheme.EULER)
+
+
+@family
+def soft_on_soft(draw: Draw) -> Case:
+    """Two free bodies collide in the air, a million times unlike in stiffness and a hundred times
+    in density."""
+    config, stepping = settings(draw), in_time(draw, gravity=0.0)
+    speed, gap = draw.decades("speed", 0.1, FASTEST), draw.decades("gap", 1e-6, 1e-3)
+    bodies, size = [], 4e-3
+    shift = draw.between("offset", -1.5e-3, 1.5e-3)
+    for name, side in (("first", 1), ("second", -1)):
+        mesh, turn = free_body(draw, name, size), draw.rotation(f"turn of {name}")
+        low, high = reach(mesh, turn)
+        z = gap / 2 - low if side > 0 else -gap / 2 - high
+        bodies.append(
+            SoftBody(
+                mesh,
+                material(draw, name),
+                FREE,
+                name=name,
+                element=draw.choose(f"{name} element", ELEMENTS),
+                friction_coefficient=friction(draw, f"friction of {name}"),
+                initial_pose=pose((side * shift, 0, z), turn),
+                initial_velocity_m_s=(0.0, 0.0, -side * speed / 2),
+            )
+        )
+    steps = _steps(draw, gap, speed, stepping.dt_s)
+    scene = Scene(bodies, time=stepping)
+    return Case(scene, config, steps, closed=stepping.scheme is TimeScheme.EULER)
+
+
+@family
+def bullet_at_sheet(draw: Draw) -> Case:
+    """A small body flies many times its own size a step at a sheet without volume, or at a thin
+    gel: it must not be beyond."""
+    config = settings(draw)
+    stepping = in_time(draw, dt_s=(1e-3, 1e-1), gravity=0.0)
+    sheet_mesh = stiff_shape("box", 8e-3)
+    corners, faces = sheet_mesh.vertices_m[:4] + [0, 0, 4e-3], sheet_mesh.faces[:2]
+    body = _placed(_stiff(draw, 1e-3), draw.decades("gap", 1e-5, 5e-3), draw.rotation("turn"))
+    from dataclasses import replace
+
+    vx, vy, vz = body.initial_velocity_m_s
+    # Straight at it, so that it cannot miss.
+    body = replace(body, initial_velocity_m_s=(0.02 * vx, 0.02 * vy, vz))
+    from taccel_lab.scene import TriangleMesh
+
+    sheet = KinematicBody(TriangleMesh(corners, faces), 0.3, name="sheet")
+    scene = Scene((), sheet, time=stepping, affine_bodies=body)
+
+    def expect(model, state, step):
+        node = model.affine.first_control
+        z = float(state.positions.numpy()[0, node, 2])
+        return None if z > 0 else f"it is {-z:.3g} m beyond the sheet after step {step}"
+
+    start = WORLD[None, None]
+    closed = stepping.scheme is TimeScheme.EULER
+    return Case(scene, config, 4, start, expect=expect, closed=closed)

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Referees of a step: each looks at what the solver left behind and trusts none of what it says.
+
+They say nothing about environments that failed with a cause, except that these must be back where
+the step began. Whatever they find in an environment that claims to have converged is a *silent*
+failure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.stress.balance import Balance, Snapshot
+from benchmarks.stress.case import Case
+from benchmarks.stress.crossings import really_cross
+from taccel_lab.ipc.intersection import IntersectionKind, find_intersections
+from taccel_lab.model import Model
+from taccel_lab.outputs import Outputs
+from taccel_lab.scene import TimeScheme
+from taccel_lab.scene.gaps import SurfacePairs
+from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
+from taccel_lab.solvers.report import EnvStatus
+from taccel_lab.state import State
+
+REACH = 0.4
+"""Part of dhat within which every pair of primitives of two bodies has to repel."""
+ENERGY_SLACK = 1e-3
+"""Part of the energy by which it may rise in a step of implicit Euler on which nothing works."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a referee objects to."""
+
+    referee: str
+    env: int
+    says: str
+
+    def __str__(self) -> str:
+        return f"{self.referee} (environment {self.env}): {self.says}"
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A step that was taken, and all that is looked at."""
+
+    report: StepReport
+    before: Snapshot
+    now: Snapshot
+    target: np.ndarray
+    """Poses that were asked for, [env_count, kinematic_count, 7]."""
+    normal: np.ndarray
+    """Contact force on each node [N], [env_count, node_count, 3]."""
+    friction: np.ndarray
+    load: np.ndarray
+    """Force of the user on each node [N]."""
+    energies: dict[str, np.ndarray]
+    """Stored and kinetic energies by name [J], [env_count] each; empty when not watched."""
+    energies_before: dict[str, np.ndarray]
+    """Those after the step before; empty for the first one."""
+
+
+class Referees:
+    """All referees of one case."""
+
+    def __init__(self, case: Case, model: Model, config: SolverConfig) -> None:
+        self.case, self.model, self.config = case, model, config
+        self.balance = Balance(model, config)
+        self.surfaces = SurfacePairs(model)
+        self.present = model.present.numpy() != 0
+        self.residual_ratio = 0.0
+        """Largest residual found over what is allowed."""
+        self.balanced_steps = 0
+        """Converged steps whose residual was put together anew, in all environments."""
+        self.smallest_gap = np.inf
+        self.inverted_legally = False
+        """Whether a tet of a material that bears it was inverted."""
+
+    def judge(self, taken: Taken, state: State, step: int) -> list[Finding]:
+        """Everything that is wrong after a step."""
+        found: list[Finding] = []
+        converged = taken.report.converged
+        for env in range(self.model.env_count):
+            if not converged[env]:
+                found += rolled_back(taken, env)
+                continue
+            broken = not_finite(taken, env)
+            found += broken
+            if broken:
+                continue
+            found += missed_target(taken, env)
+            found += self.gaps(taken, env)
+            found += reaction(taken, env)
+            found += self.energy(taken, env)
+            inverted = self.volumes(taken, env)
+            # Forces of what is inside out are not numbers.
+            found += inverted or self.forces(taken, env)
+        finite = np.isfinite(taken.now.positions).all(axis=(1, 2))
+        if (converged & finite).any():
+            found += self.intersections(state, converged & finite)
+            says = self.case.expect(self.model, state, step) if self.case.expect else None
+            if says is not None and converged.all():
+                found.append(Finding("expectation", 0, says))
+        return found
+
+    # Geometry --------------------------------------------------------------------------------
+
+    def intersections(self, state: State, judged: np.ndarray) -> list[Finding]:
+        """Edges through faces, bodies inside bodies, nodes below planes, where ``judged``."""
+        found = []
+        x = state.positions.numpy()
+        for env, items in enumerate(find_intersections(self.model, state)):
+            for item in items:
+                if not judged[env]:
+                    continue
+                # Inversions are judged by their volumes, which know what the material bears.
+                if item.kind is IntersectionKind.INVERTED_TET:
+                    continue
+                if really_cross(self.model, x[env], item):
+                    says = (
+                        f"{item.first} and {item.second}: {item.kind}, {item.count}, {item.where}"
+                    )
+                    found.append(Finding("intersection", env, says))
+        return found
+
+    def volumes(self, taken: Taken, env: int) -> list[Finding]:
+        """Inverted elements, at all quadrature points and corners."""
+        found = []
+        bodies = self.balance.volume_ratios(env, taken.now.positions[env])
+        for index, (bears, ratios) in enumerate(bodies):
+            if ratios.min() > 0:
+                continue
+            self.inverted_legally |= bears
+            if not bears:
+                says = (
+                    f"{(ratios <= 0).sum()} points of soft body {index}, det F {ratios.min():.3g}"
+                )
+                found.append(Finding("inversion", env, says))
+        return found
+
+    def gaps(self, taken: Taken, env: int) -> list[Finding]:
+        """Gaps that are gone, and pairs within reach that the solver did not see."""
+        near = self.surfaces.nearer_than(
+            taken.now.positions[env], self.present[env], REACH * self.config.dhat_m
+        )
+        if len(near.gaps_m) == 0:
+            return []
+        worst = int(near.gaps_m.argmin())
+        gap, said = float(near.gaps_m[worst]), float(taken.report.min_distance_m[env])
+        self.smallest_gap = min(self.smallest_gap, gap)
+        if gap <= 0:
+            return [Finding("gap", env, f"{gap:.3g} m at {near.where(worst)}")]
+        # Distances are rounded like coordinates; a gap of 1e-12 m is not known to six digits.
+        if said > gap * (1 + 1e-6) + 1e-15:
+            says = f"{near.where(worst)} are {gap:.6g} m apart, the report says {said:.6g} m"
+            return [Finding("missed contact", env, says)]
+        return []
+
+    # Forces ----------------------------------------------------------------------------------
+
+    def forces(self, taken: Taken, env: int) -> list[Finding]:
+        """The residual, put together anew."""
+        whole = taken.report.substeps[env] == 1
+        if not (whole or self.model.scene.time.quasi_static) or not len(self.balance.judged):
+            return []
+        contact = taken.normal[env] + taken.friction[env]
+        left, noise = self.balance.residual(env, taken.before, taken.now, contact, taken.load[env])
+        allowed = self.balance.allowance(_contact_force(taken, env)) + noise
+        self.residual_ratio = max(self.residual_ratio, left / allowed)
+        self.balanced_steps += 1
+        if left <= 1.01 * allowed:
+            return []
+        says = f"{left:.3g} N are left, {allowed:.3g} N are allowed"
+        says += f" (the report says {taken.report.residual_n[env]:.3g} N)"
+        return [Finding("residual", env, says)]
+
+    def energy(self, taken: Taken, env: int) -> list[Finding]:
+        """Energy that nothing has given."""
+        if not (self.case.closed and taken.energies and taken.energies_before):
+            return []
+        before = sum(float(value[env]) for value in taken.energies_before.values())
+        now = sum(float(value[env]) for value in taken.energies.values())
+        parts = {n: float(v[env]) for n, v in taken.energies_before.items() if n != "weight"}
+        weight = abs(
+            float(taken.energies.get("weight", np.zeros(env + 1))[env])
+            - float(taken.energies_before.get("weight", np.zeros(env + 1))[env])
+        )
+        scale = sum(abs(value) for value in parts.values()) + weight
+        # BDF2 is not monotone: it may overshoot by a part of what is exchanged in a step.
+        bdf2 = self.model.scene.time.scheme is TimeScheme.BDF2
+        slack = (1.0 if bdf2 else ENERGY_SLACK) * scale
+        # What the residual that is allowed may do along the way.
+        way = np.linalg.norm(taken.now.positions[env] - taken.before.positions[env])
+        slack += self.balance.allowance(_contact_force(taken, env)) * float(way)
+        if now - before <= slack:
+            return []
+        says = f"rose by {now - before:.3g} J of {scale:.3g} J"
+        return [Finding("energy", env, says)]
+
+
+def _contact_force(taken: Taken, env: int) -> float:
+    """Sum of the nodal contact forces on one side [N]."""
+    return 0.5 * float(np.linalg.norm(taken.normal[env], axis=-1).sum())
+
+
+# Referees that need nothing but the step --------------------------------------------------------
+
+
+def rolled_back(taken: Taken, env: int) -> list[Finding]:
+    """An environment that failed is where it was, bit by bit."""
+    found = []
+    for (name, before), (_, now) in zip(taken.before.arrays(), taken.now.arrays(), strict=True):
+        if not np.array_equal(before[env], now[env], equal_nan=True):
+            off = np.abs(np.asarray(now[env]) - before[env]).max()
+            status = EnvStatus(taken.report.status[env]).name
+            says = f"{name} differ by {off:.3g} from the start of the step that failed ({status})"
+            found.append(Finding("rollback", env, says))
+    return found
+
+
+def not_finite(taken: Taken, env: int) -> list[Finding]:
+    """NaN or infinite values in a state or its forces."""
+    arrays = [*taken.now.arrays(), ("normal forces", taken.normal), ("friction", taken.friction)]
+    return [
+        Finding("not a number", env, f"{name} hold {bad} values that are not finite")
+        for name, array in arrays
+        if (bad := int((~np.isfinite(array[env])).sum()))
+    ]
+
+
+def missed_target(taken: Taken, env: int) -> list[Finding]:
+    """A kinematic body that is not where it was told to be."""
+    poses = taken.now.poses[env].reshape(taken.target[env].shape)
+    off = float(np.abs(poses - taken.target[env]).max(initial=0.0))
+    return [] if off <= 1e-12 else [Finding("target", env, f"missed by {off:.3g}")]
+
+
+def reaction(taken: Taken, env: int) -> list[Finding]:
+    """Contact and friction give no momentum: they act on two bodies in opposite directions."""
+    found = []
+    for name, force in (("contact", taken.normal[env]), ("friction", taken.friction[env])):
+        total, scale = np.linalg.norm(force.sum(axis=0)), np.linalg.norm(force, axis=-1).sum()
+        if total > 1e-9 * scale:
+            says = f"forces of {name} add up to {total:.3g} N of {scale:.3g} N"
+            found.append(Finding("reaction", env, says))
+    return found
+
+
+def take(
+    solver: SolverIPC,
+    outputs: Outputs,
+    state: State,
+    target: np.ndarray,
+    watch_energy: bool,
+    earlier: Taken | None,
+) -> Taken:
+    """One step, with all that the referees look at; ``earlier`` is the step before."""
+    before = Snapshot.of(state)
+    report = solver.step(state, target)
+    outputs.update(state)
+    load = state.external_forces
+    return Taken(
+        report=report,
+        before=before,
+        now=Snapshot.of(state),
+        target=target,
+        normal=outputs.normal_forces.numpy(),
+        friction=outputs.friction_forces.numpy(),
+        load=np.zeros_like(before.positions) if load is None else load.numpy().copy(),
+        energies=_energies(outputs, state) if watch_energy else {},
+        energies_before=earlier.energies if earlier else {},
+    )
+
+
+def _energies(outputs: Outputs, state: State) -> dict[str, np.ndarray]:
+    return {name: value.copy() for name, value in outputs.update(state).energies.items()}

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One case from its family and seed to its result, within a budget of time."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from benchmarks.stress.case import Case, make_case
+from benchmarks.stress.referees import Finding, Referees, Taken, take
+from taccel_lab.outputs import Outputs
+from taccel_lab.solvers import SolverIPC
+from taccel_lab.solvers.report import EnvStatus
+from taccel_lab.state import State, initial_state
+
+SECONDS = 20.0
+"""Budget of a case: most take a hundredth of it."""
+Watch = Callable[[int, Any, list[Finding]], None]
+"""Called after each step with its number, report and findings."""
+
+
+class BudgetOverrun(Exception):
+    """The time of a case is used up."""
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Raise BudgetOverrun in here after that time; in the main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        raise RuntimeError("a case needs the main thread: its budget is kept by a signal")
+
+    def overrun(number: int, frame: object) -> None:
+        raise BudgetOverrun(f"{seconds:g} s are used up")
+
+    earlier = signal.signal(signal.SIGALRM, overrun)
+    # Again and again: an exception raised while Python tidies up an object is lost.
+    signal.setitimer(signal.ITIMER_REAL, seconds, 0.5)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, earlier)
+
+
+def run_case(
+    family: str,
+    seed: int,
+    device: str = "cpu",
+    seconds: float = SECONDS,
+    watch: Watch | None = None,
+) -> dict[str, Any]:
+    """Run a case; its result is plain data.
+
+    ``outcome`` is one of
+
+    - ``converged``: every step of every environment did, and no referee objects;
+    - ``refused``: a step that has no answer failed with a cause and was rolled back;
+    - a cause of ``EnvStatus``: a step failed that has an answer;
+    - ``budget``: the time was used up before;
+    - ``silent``: a referee objects to a step that converged, or to a rollback;
+    - ``error``: an exception, which no scene here may cause.
+    """
+    result: dict[str, Any] = {"family": family, "seed": seed, "outcome": "error", "says": ""}
+    run = _Run(device, watch)
+    started = time.perf_counter()
+    try:
+        with time_limit(seconds):
+            case, result["parameters"] = make_case(family, seed)
+            run.take_all(case)
+        result["outcome"] = run.outcome(case)
+    except BudgetOverrun as overrun:
+        result["outcome"], result["says"] = "budget", str(overrun)
+        if run.findings:
+            result["outcome"] = "silent"
+    except Exception as error:  # whatever it is, it is the result of this case
+        result["says"] = f"{type(error).__name__}: {error}"
+    result["seconds"] = round(time.perf_counter() - started, 3)
+    return result | run.figures()
+
+
+class _Run:
+    """What is gathered while a case runs."""
+
+    def __init__(self, device: str, watch: Watch | None) -> None:
+        self.device, self.watch = device, watch
+        self.findings: list[Finding] = []
+        self.causes: list[str] = []
+        self.newton: list[int] = []
+        self.cg: list[int] = []
+        self.substeps: list[int] = []
+        self.step_seconds: list[float] = []
+        self.asked_steps = 0
+        self.referees: Referees | None = None
+        self.last: Taken | None = None
+
+    def take_all(self, case: Case) -> None:
+        self.asked_steps = case.steps
+        model = case.scene.finalize(self.device)
+        solver, state = SolverIPC(model, case.config), initial_state(model, case.start)
+        outputs, self.referees = Outputs(solver), Referees(case, model, case.config)
+        for step in range(case.steps):
+            if not self._take(case, solver, outputs, state, step):
+                return
+
+    def _take(
+        self, case: Case, solver: SolverIPC, outputs: Outputs, state: State, step: int
+    ) -> bool:
+        """One step; whether there is a reason to go on."""
+        assert self.referees is not None
+        if case.prepare is not None:
+            case.prepare(solver, state, step)
+        here = state.poses.numpy().reshape(solver.model.env_count, -1, 7)
+        target = here.copy() if case.targets is None else np.asarray(case.targets(step))
+        taken = take(solver, outputs, state, target, case.closed, self.last)
+        self.last = taken
+        report = taken.report
+        found = self.referees.judge(taken, state, step)
+        self.findings += found
+        self.newton += report.newton_iterations.tolist()
+        self.cg += report.cg_iterations.tolist()
+        self.substeps += report.substeps.tolist()
+        self.step_seconds.append(report.seconds)
+        failed = ~report.converged
+        self.causes += [EnvStatus(status).name for status in report.status[failed]]
+        if self.watch is not None:
+            self.watch(step, report, found)
+        # An environment that failed would fail again from the same start.
+        return not failed.all() and not found
+
+    def outcome(self, case: Case) -> str:
+        """See ``run_case``."""
+        if self.findings:
+            return "silent"
+        if self.causes:
+            return self.causes[0] if case.possible else "refused"
+        return "converged"
+
+    def figures(self) -> dict[str, Any]:
+        """Counts and times, for the result."""
+        referees = self.referees
+        return {
+            "causes": sorted(set(self.causes)),
+            "findings": [str(finding) for finding in self.findings],
+            "referees": sorted({finding.referee for finding in self.findings}),
+            "steps": len(self.step_seconds),
+            "asked_steps": self.asked_steps,
+            "newton_iterations": self.newton,
+            "cg_iterations": sum(self.cg),
+            "substeps": self.substeps,
+            "slowest_step_s": round(max(self.step_seconds, default=0.0), 3),
+            "smallest_gap_m": float(referees.smallest_gap) if referees else np.inf,
+            "residual_ratio": referees.residual_ratio if referees else 0.0,
+            "balanced_steps": referees.balanced_steps if referees else 0,
+            "inverted_legally": bool(referees and referees.inverted_legally),
+        }

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Launches over lists whose length only the device knows.
+
+A fixed number of lanes an environment takes the entries in turn, so that a launch neither depends
+on a count that the host would have to read, nor on the capacity of the list: it can be part of a
+captured graph, and lists may grow. The CPU, which runs threads one after the other, has one lane.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+_THREADS = 1 << 18
+"""Threads that keep a large GPU busy."""
+
+
+def lane_count(device: wp.Device, env_count: int, capacity: int) -> int:
+    """Lanes an environment for lists of ``capacity`` entries."""
+    if device.is_cpu:
+        return 1
+    return max(1, min(capacity, max(32, _THREADS // env_count)))
+
+
+@wp.func
+def listed(env: int, counts: wp.array(dtype=wp.int32), capacity: int) -> int:
+    """Entries of a list: a count beyond the capacity is that of a list which was too short."""
+    return wp.min(counts[env], capacity)

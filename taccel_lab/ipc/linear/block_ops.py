@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work of one or several thread blocks together: a barrier, and sums over their lanes.
+
+``wp.tile_sum`` and reading its result back cost half a dozen barriers; a solver that lives in one
+block waits for little else. These cost one each. A team is what works on one environment: one
+block, or several that must all be resident on the GPU at the same time, because they wait for each
+other at a counter in memory.
+
+On Warp's CPU backend a team is one block with one lane, or with several under
+``wp.config.enable_cpu_blocks`` (the tests use that to catch races).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+MAX_LANES = 512
+"""Lanes of a block for which kernels are compiled (launch bounds)."""
+MAX_BLOCKS = 64
+"""Most blocks in a team."""
+
+
+@wp.func_native("WP_TILE_SYNC();")
+def block_barrier() -> None:
+    """Wait for all lanes of the block; what they wrote before is visible to all of them after."""
+    ...
+
+
+# One lane of a block waits for those of the other blocks. The count of arrivals only grows; blocks
+# of a team are a power of two, so that it may wrap. Blocks that are not all resident would wait for
+# ever: stop with an error instead, after seconds.
+_WAIT = """
+            unsigned int* gate = reinterpret_cast<unsigned int*>(gates.data) + 32 * env;
+            __threadfence();
+            const unsigned int arrived = atomicAdd(gate, 1u);
+            const unsigned int target = arrived - arrived % blocks + blocks;
+            unsigned int polls = 0;
+            while (static_cast<int>(*static_cast<volatile unsigned int*>(gate) - target) < 0)
+                if (++polls == (1u << 25))
+                    __trap();
+            __threadfence();
+"""
+_BARRIER_SNIPPET = """
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+    if (blocks > 1) {
+        if (threadIdx.x == 0) {
+@WAIT@
+        }
+        __syncthreads();
+    }
+#else
+    WP_TILE_SYNC();
+#endif
+""".replace("@WAIT@", _WAIT)
+
+
+@wp.func_native(_BARRIER_SNIPPET)
+def team_barrier(env: int, blocks: int, gates: wp.array(dtype=wp.int32)) -> None:
+    """Wait for all lanes of the team of an environment. ``gates``: 32 counters an environment, of
+    which one is used, to be zero at the start of the kernel."""
+    ...
+
+
+_SUM_SNIPPET = """
+#if defined(__CUDA_ARCH__)
+    __shared__ double parts[2][32][3];
+    double a = value[0], b = value[1], c = value[2];
+    #pragma unroll
+    for (int step = 16; step > 0; step >>= 1) {
+        a += __shfl_xor_sync(0xffffffffu, a, step);
+        b += __shfl_xor_sync(0xffffffffu, b, step);
+        c += __shfl_xor_sync(0xffffffffu, c, step);
+    }
+    const int warp = threadIdx.x >> 5;
+    const int place = threadIdx.x & 31;
+    if (place == 0) {
+        parts[turn][warp][0] = a;
+        parts[turn][warp][1] = b;
+        parts[turn][warp][2] = c;
+    }
+    __syncthreads();
+    const int warps = blockDim.x >> 5;
+    a = b = c = 0.0;
+    #pragma unroll 1
+    for (int i = 0; i < warps; ++i) {
+        a += parts[turn][i][0];
+        b += parts[turn][i][1];
+        c += parts[turn][i][2];
+    }
+    if (blocks > 1) {
+        double* slots = reinterpret_cast<double*>(scratch.data) + 3 * blocks * turn;
+        if (threadIdx.x == 0) {
+            slots[3 * block] = a;
+            slots[3 * block + 1] = b;
+            slots[3 * block + 2] = c;
+@WAIT@
+        }
+        __syncthreads();
+        // Every warp adds up the totals of all blocks, in the same order.
+        a = b = c = 0.0;
+        for (int i = place; i < blocks; i += 32) {
+            a += __ldcg(slots + 3 * i);
+            b += __ldcg(slots + 3 * i + 1);
+            c += __ldcg(slots + 3 * i + 2);
+        }
+        #pragma unroll
+        for (int step = 16; step > 0; step >>= 1) {
+            a += __shfl_xor_sync(0xffffffffu, a, step);
+            b += __shfl_xor_sync(0xffffffffu, b, step);
+            c += __shfl_xor_sync(0xffffffffu, c, step);
+        }
+    }
+    return wp::vec_t<3, wp::float64>(a, b, c);
+#else
+    const int lanes = WP_TILE_BLOCK_DIM;
+    if (lanes == 1)
+        return value;
+    wp::vec_t<3, wp::float64>* slots = scratch.data + turn * lanes;
+    slots[lane] = value;
+    WP_TILE_SYNC();
+    wp::vec_t<3, wp::float64> total;
+    for (int i = 0; i < lanes; ++i)
+        total += slots[i];
+    return total;
+#endif
+""".replace("@WAIT@", _WAIT)
+
+
+@wp.func_native(_SUM_SNIPPET)
+def team_sum(
+    value: wp.vec3d,
+    env: int,
+    block: int,
+    blocks: int,
+    lane: int,
+    turn: int,
+    gates: wp.array(dtype=wp.int32),
+    scratch: wp.array(dtype=wp.vec3d),
+) -> wp.vec3d:
+    """Sum of ``value`` over all lanes of a team, the same bits in each; also a barrier.
+
+    ``turn`` alternates between 0 and 1 from one call to the next: so the slowest lane can still
+    read the last sum while the quickest writes the next. ``scratch``: two values a block on a GPU,
+    a lane on the CPU.
+    """
+    ...
+
+
+@dataclass(frozen=True)
+class Team:
+    """How many lanes work on one environment."""
+
+    lanes: int
+    """Lanes of a block; a multiple of 32 on a GPU."""
+    blocks: int = 1
+    """Blocks, a power of two."""
+
+    @property
+    def size(self) -> int:
+        """Lanes of the team."""
+        return self.lanes * self.blocks
+
+
+def team(
+    device: wp.Device,
+    env_count: int,
+    tasks: int,
+    lanes: int | None = None,
+    blocks: int | None = None,
+) -> Team:
+    """Team for ``tasks`` lanes' worth of work an environment, as large as leaves one block to each
+    multiprocessor. ``lanes`` of a block and ``blocks`` are chosen when left out."""
+    if device.is_cpu:
+        # One lane, unless tests ask for more and enable them.
+        return Team(lanes if lanes and wp.config.enable_cpu_blocks else 1)
+    processors = int(device.sm_count)
+    if lanes is None:
+        # Two blocks of 512 fill the registers of a multiprocessor, four of 256 do better at hiding
+        # each other's barriers.
+        most = MAX_LANES if env_count <= processors else MAX_LANES // 2
+        lanes = 32
+        while lanes < min(tasks, most):
+            lanes *= 2
+    if blocks is not None:
+        return Team(lanes, blocks)
+    blocks = 1
+    # Waiting for other blocks takes as long as two or three tasks.
+    if tasks > 4 * lanes:
+        most = min(MAX_BLOCKS, processors // env_count)
+        while 2 * blocks <= most and blocks * lanes < tasks:
+            blocks *= 2
+    return Team(lanes, blocks)
+
+
+def launch_team(
+    kernel: Any,
+    env_count: int,
+    team: Team,
+    inputs: Sequence[Any],
+    outputs: Sequence[Any],
+    device: wp.Device,
+) -> None:
+    """Launch a kernel with a team an environment; it reads (block, lane) as its index, blocks of
+    one environment side by side."""
+    wp.launch_tiled(
+        kernel,
+        dim=[env_count * team.blocks],
+        inputs=list(inputs),
+        outputs=list(outputs),
+        block_dim=team.lanes,
+        device=device,
+    )

@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Extra blocks by rows, with one entry for each place, on the device.
+
+A contact between a gel and an affine body adds up to a dozen blocks to the list, and most of them
+fall on the same few places: in the peg scene 2,000 blocks on 240. An iteration of CG that read all
+of them would spend more on the list than on the gels. One block of threads an environment sums what
+belongs together, in place - the matrix stays the same - writes row lists of what is left, and lays
+those out in slices (``packed_rows``), as far as the room for them goes.
+
+The order of the list is that in which a GPU's threads got their slots, so that the last bits of the
+sums may differ from run to run.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, team
+from taccel_lab.ipc.linear.packed_rows import WIDTH, pack_block_row
+from taccel_lab.ipc.linear.problem import LinearProblem
+from taccel_lab.ipc.linear.row_lists import SEGMENT_LENGTH, scalars
+from taccel_lab.ipc.linear.row_plan import RowPlan
+
+wp.set_module_options({"enable_backward": False})
+
+_LANES = 256
+
+
+@wp.struct
+class ExtraRows:
+    """Row lists of the extra blocks of every environment; rows and columns are places.
+
+    totals: entries, segments and room in slices in use, [env_count, 3].
+    columns, codes: column of each entry and its block as 2 place in the list + transposed,
+    [env_count, 2 capacity].
+    segments: (row, first entry, end), [env_count, segment_capacity].
+    row_segments: (first segment, count) of each row, [env_count, row_count].
+    slices: (first in packed_columns or -1 without room, entries of each lane),
+    [env_count, slice_capacity].
+    packed_columns, packed: see ``RowSlices`` and ``PackedRows``.
+    """
+
+    totals: wp.array2d(dtype=wp.int32)
+    columns: wp.array2d(dtype=wp.int32)
+    codes: wp.array2d(dtype=wp.int32)
+    segments: wp.array2d(dtype=wp.vec3i)
+    row_segments: wp.array2d(dtype=wp.vec2i)
+    slices: wp.array2d(dtype=wp.vec2i)
+    packed_columns: wp.array2d(dtype=wp.int32)
+    packed: wp.array2d(dtype=wp.float64)
+
+
+@wp.func
+def _claim_ranges(
+    lane: int,
+    lanes: int,
+    sizes: wp.array(dtype=wp.int32),
+    ends: wp.array(dtype=wp.int32),
+    totals: wp.array(dtype=wp.int32),
+):
+    """Give every row a range of entries; its end moves from the first entry as they arrive."""
+    for row in range(lane, sizes.shape[0], lanes):
+        if sizes[row] > 0:
+            ends[row] = wp.atomic_add(totals, 0, sizes[row])
+
+
+@wp.func
+def _name_owners(
+    first: int,
+    end: int,
+    places: wp.array(dtype=wp.vec2i),
+    order: wp.array(dtype=wp.int32),
+    owners: wp.array(dtype=wp.int32),
+):
+    """owners[block] = the first block in the same place, among blocks of one column."""
+    for e in range(first, end):
+        k = order[e]
+        row = places[k][0]
+        owner = k
+        m = first
+        while m < e:
+            other = order[m]
+            if owners[other] == other and places[other][0] == row:
+                owner = other
+                m = e
+            m += 1
+        owners[k] = owner
+
+
+@wp.func
+def _sum_component(
+    first: int,
+    end: int,
+    component: int,
+    order: wp.array(dtype=wp.int32),
+    owners: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float64),
+):
+    """Add one component of each block to that of its owner, and leave zero."""
+    for e in range(first, end):
+        k = order[e]
+        owner = owners[k]
+        if owner != k:
+            values[9 * owner + component] += values[9 * k + component]
+            values[9 * k + component] = wp.float64(0.0)
+
+
+@wp.func
+def _cut_rows(
+    env: int,
+    lane: int,
+    lanes: int,
+    segment_length: int,
+    long: int,
+    row_places: wp.array(dtype=wp.int32),
+    sizes: wp.array(dtype=wp.int32),
+    ends: wp.array(dtype=wp.int32),
+    rows: ExtraRows,
+):
+    """Give every row with long, or with short, segments a range of entries, and cut it."""
+    for row in range(lane, sizes.shape[0], lanes):
+        size = sizes[row]
+        count = (size + segment_length - 1) / segment_length
+        is_long = int(0)
+        if 2 * size > segment_length * count:
+            is_long = int(1)
+        if size > 0 and is_long == long:
+            first = wp.atomic_add(rows.totals, env, 0, size)
+            ends[row] = first
+            segment = wp.atomic_add(rows.totals, env, 1, count)
+            place = row_places[row]
+            rows.row_segments[env, place] = wp.vec2i(segment, count)
+            for s in range(count):
+                rows.segments[env, segment + s] = wp.vec3i(
+                    place, first + s * size / count, first + (s + 1) * size / count
+                )
+
+
+@wp.func
+def _claim_slices(env: int, lane: int, lanes: int, rows: ExtraRows):
+    """Find room for every slice, as long as the longest of its rows; -1 where there is none."""
+    segment_count = rows.totals[env, 1]
+    for s in range(lane, (3 * segment_count + 31) / 32, lanes):
+        length = int(0)
+        begin = 32 * s // 3
+        for segment in range(begin, wp.min((32 * s + 31) / 3 + 1, segment_count)):
+            span = rows.segments[env, segment]
+            length = wp.max(length, span[2] - span[1])
+        first = wp.atomic_add(rows.totals, env, 2, 32 * length)
+        if first + 32 * length > rows.packed_columns.shape[1]:
+            first = int(-1)
+        rows.slices[env, s] = wp.vec2i(first, length)
+
+
+@wp.func
+def _pack(env: int, lane: int, lanes: int, values: wp.array(dtype=wp.float64), rows: ExtraRows):
+    """Fill the slices."""
+    segment_count = rows.totals[env, 1]
+    for task in range(lane, (3 * segment_count + 31) / 32 * 32, lanes):
+        span = rows.slices[env, task / 32]
+        place = task % 32
+        first = int(0)
+        count = int(0)
+        if task / 3 < segment_count:
+            segment = rows.segments[env, task / 3]
+            first = segment[1]
+            count = segment[2] - first
+        length = span[1]
+        if span[0] < 0:
+            length = int(0)
+        for k in range(length):
+            at = span[0] + 32 * k
+            code = int(-1)
+            column = int(0)
+            if k < count:
+                code = rows.codes[env, first + k]
+                column = rows.columns[env, first + k]
+            rows.packed_columns[env, at + place] = column
+            pack_block_row(code, task % 3, 3 * at + place, values, rows.packed[env])
+
+
+@wp.kernel(grid_stride=False)
+def _merge_kernel(
+    lanes: int,
+    segment_length: int,
+    active: wp.array(dtype=wp.int32),
+    row_places: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    all_places: wp.array2d(dtype=wp.vec2i),
+    all_values: wp.array2d(dtype=wp.float64),
+    all_order: wp.array2d(dtype=wp.int32),
+    all_owners: wp.array2d(dtype=wp.int32),
+    all_sizes: wp.array2d(dtype=wp.int32),
+    all_ends: wp.array2d(dtype=wp.int32),
+    rows: ExtraRows,
+):
+    env, lane = wp.tid()
+    count = wp.min(counts[env], all_places.shape[1])
+    if active[env] == 0:
+        count = int(0)
+    places = all_places[env]
+    values = all_values[env]
+    order = all_order[env]
+    owners = all_owners[env]
+    sizes = all_sizes[env]
+    ends = all_ends[env]
+    totals = rows.totals[env]
+    row_count = sizes.shape[0]
+    for row in range(lane, row_count, lanes):
+        sizes[row] = 0
+        rows.row_segments[env, row] = wp.vec2i(0, 0)
+    if lane == 0:
+        totals[0] = 0
+        totals[1] = 0
+        totals[2] = 0
+    block_barrier()
+    if count <= 0:
+        return
+    # Buckets of one column each: gel nodes, which come before the control nodes in rows.
+    for k in range(lane, count, lanes):
+        wp.atomic_add(sizes, places[k][1], 1)
+    block_barrier()
+    _claim_ranges(lane, lanes, sizes, ends, totals)
+    block_barrier()
+    for k in range(lane, count, lanes):
+        order[wp.atomic_add(ends, places[k][1], 1)] = k
+    block_barrier()
+    for row in range(lane, row_count, lanes):
+        if sizes[row] > 0:
+            _name_owners(ends[row] - sizes[row], ends[row], places, order, owners)
+    if lane == 0:
+        totals[0] = 0
+    block_barrier()
+    for task in range(lane, 9 * row_count, lanes):
+        row = task / 9
+        if sizes[row] > 0:
+            _sum_component(ends[row] - sizes[row], ends[row], task - 9 * row, order, owners, values)
+    block_barrier()
+    for row in range(lane, row_count, lanes):
+        sizes[row] = 0
+    block_barrier()
+    for k in range(lane, count, lanes):
+        if owners[k] == k:
+            wp.atomic_add(sizes, places[k][0], 1)
+            wp.atomic_add(sizes, places[k][1], 1)
+    block_barrier()
+    _cut_rows(env, lane, lanes, segment_length, 1, row_places, sizes, ends, rows)
+    block_barrier()
+    _cut_rows(env, lane, lanes, segment_length, 0, row_places, sizes, ends, rows)
+    block_barrier()
+    for k in range(lane, count, lanes):
+        if owners[k] == k:
+            i = places[k][0]
+            j = places[k][1]
+            at_i = wp.atomic_add(ends, i, 1)
+            rows.columns[env, at_i] = row_places[j]
+            rows.codes[env, at_i] = 2 * k
+            at_j = wp.atomic_add(ends, j, 1)
+            rows.columns[env, at_j] = row_places[i]
+            rows.codes[env, at_j] = 2 * k + 1
+    _claim_slices(env, lane, lanes, rows)
+    block_barrier()
+    _pack(env, lane, lanes, values, rows)
+
+
+class ExtraRowLists:
+    """Keeps ``rows`` up to date with the extra blocks of a problem."""
+
+    def __init__(
+        self, problem: LinearProblem, plan: RowPlan | None = None, lanes: int | None = None
+    ) -> None:
+        """``plan``: places of the rows, the rows themselves when left out. ``lanes``: of a thread
+        block, for tests."""
+        self._problem = problem
+        size = team(problem.device, problem.env_count, 1, lanes or _LANES)
+        self._team = Team(size.lanes)
+        order = np.arange(problem.pattern.free_count) if plan is None else plan.places
+        self._row_places = wp.array(order.astype(np.int32), dtype=wp.int32, device=problem.device)
+        self._sizes = wp.zeros(problem.shape, dtype=wp.int32, device=problem.device)
+        self._ends = wp.zeros(problem.shape, dtype=wp.int32, device=problem.device)
+        self._allocate()
+
+    def _allocate(self) -> None:
+        problem = self._problem
+        capacity = self._capacity = problem.extra.capacity
+
+        def empty(width: int, dtype: type = wp.int32) -> wp.array:
+            return wp.zeros((problem.env_count, width), dtype=dtype, device=problem.device)
+
+        self._order, self._owners = empty(capacity), empty(capacity)
+        entries = 2 * capacity
+        rows = self.rows = ExtraRows()
+        rows.totals = empty(3)
+        rows.columns, rows.codes = empty(entries), empty(entries)
+        touched = min(problem.pattern.free_count, entries)
+        self.segment_capacity = min(entries, entries // SEGMENT_LENGTH + touched)
+        rows.segments = empty(self.segment_capacity, wp.vec3i)
+        rows.row_segments = empty(problem.pattern.free_count, wp.vec2i)
+        rows.slices = empty(-(-3 * self.segment_capacity // WIDTH), wp.vec2i)
+        # Room for four blocks a row, as a body that touches all of them needs; and for filling up.
+        room = min(entries, 4 * problem.pattern.free_count)
+        room = WIDTH * (-(-15 * room // (4 * WIDTH)) + 2 * SEGMENT_LENGTH)
+        rows.packed_columns = empty(room)
+        rows.packed = empty(3 * room, wp.float64)
+
+    def update(self, active: wp.array) -> wp.array:
+        """Sum blocks of the same place and list them by rows; returns their values as scalars."""
+        problem = self._problem
+        extra = problem.extra
+        if extra.capacity != self._capacity:
+            self._allocate()
+        values = scalars(extra.values)
+        launch_team(
+            _merge_kernel,
+            problem.env_count,
+            self._team,
+            [
+                self._team.lanes,
+                SEGMENT_LENGTH,
+                active,
+                self._row_places,
+                extra.counts,
+                extra.places,
+                values,
+            ]
+            + [self._order, self._owners, self._sizes, self._ends],
+            [self.rows],
+            problem.device,
+        )
+        return values

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The arrays of one Newton system per environment, as assembly and solvers share them."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
+from taccel_lab.ipc.linear.pattern import BlockPattern
+
+
+class LinearProblem:
+    """H p = rhs in each environment, what is asked of its solution and what became of it."""
+
+    def __init__(
+        self, pattern: BlockPattern, env_count: int, device: wp.Device, extra_capacity: int = 1
+    ) -> None:
+        self.pattern = pattern
+        self.env_count = env_count
+        self.device = device
+        self.values = wp.zeros((env_count, pattern.block_count), dtype=wp.mat33d, device=device)
+        """Blocks of the lower triangle [N/m], shape [env_count, block_count]."""
+        self.extra = ExtraBlocks(env_count, device, extra_capacity)
+        """What does not fit the pattern."""
+        shape = (env_count, pattern.free_count)
+        self.rhs = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        """Right-hand sides [N], shape [env_count, free_count]."""
+        self.solution = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        """Solutions [m], shape [env_count, free_count]; zero where not active."""
+        self.tolerances = wp.full(env_count, 1e-6, dtype=wp.float64, device=device)
+        """||rhs - H p|| / ||rhs|| to reach, written by the caller, shape [env_count]."""
+        self.iterations = wp.zeros(env_count, dtype=wp.int32, device=device)
+        """CG iterations of the last solve (1 for a direct one), 0 where not active, [env_count]."""
+        self.breakdown = wp.zeros(env_count, dtype=wp.int32, device=device)
+        """1 where the last solve stopped early because the matrix is not positive definite or a
+        number is not finite; the solution is then the last good iterate, at worst zero,
+        [env_count]."""
+        self.residuals = wp.zeros(env_count, dtype=wp.float64, device=device)
+        """||rhs - H p|| / ||rhs|| of the last solution, 0 when rhs is 0, [env_count]."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(env_count, free_count)."""
+        return self.env_count, self.pattern.free_count

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Products of the matrix with a vector, by the lanes of thread blocks."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.linear.extra_rows import ExtraRows
+from taccel_lab.ipc.linear.packed_rows import RowSlices, packed_product
+
+wp.set_module_options({"enable_backward": False})
+
+# Written out in C++: arrays of Warp carry strides, which cost registers and multiplications here.
+_SEGMENT_SNIPPET = """
+    const wp::int32* column = columns.data;
+    const wp::int32* code = codes.data;
+    const wp::float64* across = values.data;
+    wp::float64 total = 0.0;
+    #pragma unroll 2
+    for (int k = first; k < end; ++k) {
+        // Blocks of the upper triangle are stored transposed.
+        const int flipped = code[k] & 1;
+        const int step = flipped ? 3 : 1;
+        const wp::float64* a = across + 9 * (code[k] >> 1) + (flipped ? component : 3 * component);
+        const wp::float64* u = x.data + 3 * column[k];
+        total += a[0] * u[0] + a[step] * u[1] + a[2 * step] * u[2];
+    }
+    return total;
+"""
+
+
+@wp.func_native(_SEGMENT_SNIPPET)
+def _segment_product(
+    first: int,
+    end: int,
+    component: int,
+    columns: wp.array(dtype=wp.int32),
+    codes: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float64),
+    x: wp.array(dtype=wp.float64),
+) -> wp.float64:
+    """One scalar row of the product of listed blocks with x."""
+    ...
+
+
+@wp.func
+def multiply_fixed(
+    first: int,
+    end: int,
+    step: int,
+    layout: RowSlices,
+    packed: wp.array(dtype=wp.float64),
+    x: wp.array(dtype=wp.float64),
+    parts: wp.array(dtype=wp.float64),
+) -> wp.float64:
+    """parts = A x for tasks first, first + step, ...: scalar rows of segments, without the extra
+    blocks. Returns their share of x . A x."""
+    share = wp.float64(0.0)
+    for task in range(first, end, step):
+        segment = layout.segments[task / 3]
+        if segment[0] >= 0:
+            span = layout.slices[task / 32]
+            part = packed_product(span[0], span[1], task % 32, layout.columns, packed, x)
+            parts[3 * segment[1] + task % 3] = part
+            share += part * x[3 * segment[0] + task % 3]
+    return share
+
+
+@wp.func
+def multiply_extra(
+    env: int,
+    first: int,
+    step: int,
+    fixed: int,
+    extra: ExtraRows,
+    extra_values: wp.array(dtype=wp.float64),
+    x: wp.array(dtype=wp.float64),
+    parts: wp.array(dtype=wp.float64),
+) -> wp.float64:
+    """The same for the segments of extra blocks, which follow the ``fixed`` others in parts."""
+    share = wp.float64(0.0)
+    for task in range(first, 3 * extra.totals[env, 1], step):
+        segment = extra.segments[env, task / 3]
+        span = extra.slices[env, task / 32]
+        part = wp.float64(0.0)
+        if span[0] >= 0:
+            part = packed_product(
+                span[0], span[1], task % 32, extra.packed_columns[env], extra.packed[env], x
+            )
+        else:
+            part = _segment_product(
+                segment[1],
+                segment[2],
+                task % 3,
+                extra.columns[env],
+                extra.codes[env],
+                extra_values,
+                x,
+            )
+        parts[3 * fixed + task] = part
+        share += part * x[3 * segment[0] + task % 3]
+    return share
+
+
+@wp.func
+def row_sum(
+    env: int, row: int, layout: RowSlices, extra: ExtraRows, parts: wp.array(dtype=wp.vec3d)
+) -> wp.vec3d:
+    """A row of the product from its segments."""
+    total = wp.vec3d()
+    for s in range(layout.row_segments[row], layout.row_segments[row + 1]):
+        total += parts[s]
+    more = extra.row_segments[env, row]
+    first = layout.segment_count + more[0]
+    for s in range(first, first + more[1]):
+        total += parts[s]
+    return total

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unknowns that a contact moves: its soft nodes, and the control nodes of its affine bodies.
+
+The Hessian of a pair is bilinear in coefficients of its nodes (the 4-vectors of ``PairHessian``, the
+weights of friction). A vertex of an affine body is a weighted sum of four control nodes, so their
+coefficients are the same weighted sums over the vertices of the pair, and the blocks can be formed
+by unknown: 15 for a gel node on a face of an affine body, where there would be 157 by vertex.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.linear.scatter import NewtonSystem, add_entry
+from taccel_lab.ipc.matrix_types import mat35d, mat43d, vec5d
+from taccel_lab.ipc.pair_hessian import PairHessian
+
+wp.set_module_options({"enable_backward": False})
+
+MOST_ROWS = wp.constant(8)
+"""Two affine bodies, or three soft nodes and one."""
+vec8i = wp.types.vector(length=8, dtype=wp.int32)
+mat83d = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
+
+
+@wp.struct
+class StencilRows:
+    """Unknowns of a stencil.
+
+    count: of them. rows: in the Newton system, -1 for a node without one. nodes: node of each row.
+    coefficients: row i for unknown i, columns as those of the nodes.
+    """
+
+    count: wp.int32
+    rows: vec8i
+    nodes: vec8i
+    coefficients: mat83d
+
+
+@wp.func
+def stencil_rows(nodes: wp.vec4i, of_nodes: mat43d, system: NewtonSystem) -> StencilRows:
+    """Unknowns of a stencil whose unused entries repeat the last one; row i for node i."""
+    s = StencilRows()
+    first_parent = int(-1)
+    first_start = int(0)
+    second_parent = int(-1)
+    second_start = int(0)
+    node_count = int(4)
+    control_count = int(4)
+    for i in range(node_count):
+        node = nodes[i]
+        is_new = True
+        if i > 0:
+            is_new = node != nodes[i - 1]
+        if is_new:
+            parent = system.parents[node]
+            if parent < 0:
+                s.rows[s.count] = system.free_index[node]
+                s.nodes[s.count] = node
+                s.coefficients[s.count] = of_nodes[i]
+                s.count += 1
+            else:
+                start = s.count
+                if parent == first_parent:
+                    start = first_start
+                elif parent == second_parent:
+                    start = second_start
+                else:
+                    if first_parent < 0:
+                        first_parent = parent
+                        first_start = start
+                    else:
+                        second_parent = parent
+                        second_start = start
+                    for k in range(control_count):
+                        s.rows[start + k] = system.free_index[parent + k]
+                        s.nodes[start + k] = parent + k
+                    s.count += control_count
+                for k in range(control_count):
+                    s.coefficients[start + k] += system.weights[node][k] * of_nodes[i]
+    return s
+
+
+@wp.func
+def _basis(s: StencilRows, i: wp.int32) -> mat35d:
+    """Rows n, t1, t2 of unknown i of the five basis vectors of a ``PairHessian``."""
+    rows = mat35d()
+    rows[0, 0] = s.coefficients[i, 0]
+    rows[1, 1] = s.coefficients[i, 0]
+    rows[2, 2] = s.coefficients[i, 0]
+    rows[0, 3] = s.coefficients[i, 1]
+    rows[0, 4] = s.coefficients[i, 2]
+    return rows
+
+
+@wp.func
+def add_pair_hessian(env: int, nodes: wp.vec4i, h: PairHessian, system: NewtonSystem):
+    """Add the Hessian of a pair [N/m] to the Newton system; what prescribed nodes that move
+    contribute goes to its right-hand side [N]."""
+    of_nodes = mat43d()
+    node_count = int(4)
+    for i in range(node_count):
+        of_nodes[i] = wp.vec3d(h.basis_w[i], h.basis_1[i], h.basis_2[i])
+    s = stencil_rows(nodes, of_nodes, system)
+    to_axes = wp.transpose(h.axes)
+    push = vec5d()
+    for i in range(s.count):
+        if s.rows[i] < 0:
+            push += wp.transpose(_basis(s, i)) * (to_axes * system.displacements[env, s.nodes[i]])
+    pull = h.core * push
+    for i in range(s.count):
+        row = s.rows[i]
+        if row >= 0:
+            basis = _basis(s, i)
+            if wp.length_sq(pull) > wp.float64(0.0):
+                wp.atomic_sub(system.rhs, env, row, h.axes * (basis * pull))
+            left = basis * h.core
+            for j in range(s.count):
+                column = s.rows[j]
+                if column >= 0 and column <= row:
+                    block = h.axes * (left * wp.transpose(_basis(s, j))) * to_axes
+                    add_entry(env, row, column, block, system)
+
+
+@wp.func
+def add_weighted_block(
+    env: int, nodes: wp.vec4i, weights: wp.vec4d, core: wp.mat33d, system: NewtonSystem
+):
+    """Add w_i w_j times ``core`` [N/m] for all pairs of nodes to the Newton system."""
+    of_nodes = mat43d()
+    node_count = int(4)
+    for i in range(node_count):
+        of_nodes[i] = wp.vec3d(weights[i], wp.float64(0.0), wp.float64(0.0))
+    s = stencil_rows(nodes, of_nodes, system)
+    way = wp.vec3d()
+    for i in range(s.count):
+        if s.rows[i] < 0:
+            way += s.coefficients[i, 0] * system.displacements[env, s.nodes[i]]
+    pull = core * way
+    for i in range(s.count):
+        row = s.rows[i]
+        weight = s.coefficients[i, 0]
+        if row >= 0 and weight != wp.float64(0.0):
+            if wp.length_sq(pull) > wp.float64(0.0):
+                wp.atomic_sub(system.rhs, env, row, weight * pull)
+            for j in range(s.count):
+                column = s.rows[j]
+                if column >= 0 and column <= row:
+                    add_entry(env, row, column, (weight * s.coefficients[j, 0]) * core, system)

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a step knows about each environment, on the device: nothing here is read by the host until
+the step is over."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.solvers.config import SolverConfig
+
+
+@wp.struct
+class Rules:
+    """Tolerances and limits of a solver, see ``SolverConfig``."""
+
+    dhat: wp.float64
+    relative_tolerance: wp.float64
+    absolute_tolerance: wp.float64
+    affine_rounding: wp.float64
+    """Residual that rounding makes in stiff affine bodies [N]."""
+    joint_tolerance: wp.float64
+    """Violation of a joint that counts as none [m]."""
+    max_newton: wp.int32
+    max_lags: wp.int32
+    max_joint_rounds: wp.int32
+    max_cuts: wp.int32
+    has_joints: wp.int32
+    has_friction: wp.int32
+
+
+@wp.struct
+class Progress:
+    """Arrays of shape [env_count]; masks are 0 or 1."""
+
+    who: wp.array(dtype=wp.int32)
+    """Mask of the environments that take this step."""
+    active: wp.array(dtype=wp.int32)
+    """Mask of those that are still at it."""
+    waiting: wp.array(dtype=wp.int32)
+    """Mask of those whose line search goes on."""
+    chosen: wp.array(dtype=wp.int32)
+    """Mask of a part that not all active environments take."""
+    moving: wp.array(dtype=wp.int32)
+    """Mask of those whose frames are still on their way."""
+    turning: wp.array(dtype=wp.int32)
+    """Mask of those in which a frame turns in this step."""
+    status: wp.array(dtype=wp.int32)
+    """``EnvStatus``."""
+    newton: wp.array(dtype=wp.int32)
+    cg: wp.array(dtype=wp.int32)
+    lags: wp.array(dtype=wp.int32)
+    joint_rounds: wp.array(dtype=wp.int32)
+    cuts: wp.array(dtype=wp.int32)
+    """Cuts of the present line search."""
+    residual: wp.array(dtype=wp.float64)
+    """Force residual [N]."""
+    contact_force: wp.array(dtype=wp.float64)
+    """Sum of the contact forces on one side [N]."""
+    min_distance: wp.array(dtype=wp.float64)
+    """Smallest gap [m]."""
+    violation: wp.array(dtype=wp.float64)
+    """Largest violation of a joint [m]."""
+    smallest_step: wp.array(dtype=wp.float64)
+    progress: wp.array(dtype=wp.float64)
+    """Part of the prescribed motion that is done."""
+    goal: wp.array(dtype=wp.float64)
+    """Progress that the present search direction aims at."""
+    stride: wp.array(dtype=wp.float64)
+    """Part of the remaining motion that the next one asks for."""
+    trial_progress: wp.array(dtype=wp.float64)
+    lag_change: wp.array(dtype=wp.float64)
+    """Residual after friction was last frozen anew [N]."""
+    damping: wp.array(dtype=wp.float64)
+    """Longest step while freezing alternates."""
+    margin: wp.array(dtype=wp.float64)
+    """Reach of the broad phase [m]."""
+    rounding: wp.array(dtype=wp.float64)
+    """Residual that rounding makes in joints [N]."""
+    energy_rounding: wp.array(dtype=wp.float64)
+    """Rounding of the elastic energy, however small it is [J]."""
+    limit: wp.array(dtype=wp.float64)
+    """Collision-free fraction of the search direction, or of a turning trial's path."""
+    alpha: wp.array(dtype=wp.float64)
+    """Fraction of the search direction that is tried."""
+    slope: wp.array(dtype=wp.float64)
+    """Derivative of the energy along the search direction [J]."""
+    before: wp.array(dtype=wp.float64)
+    """Energy where the search starts [J]."""
+    after: wp.array(dtype=wp.float64)
+    """Energy of the trial [J]."""
+    base: wp.array(dtype=wp.float64)
+    """Energy at the positions without friction [J]."""
+    base_after: wp.array(dtype=wp.float64)
+    """Energy of the trial without friction [J]."""
+    turns: wp.array2d(dtype=wp.float64)
+    """Angle by which each frame turns in the step [rad], shape [env_count, kinematic_count]."""
+    radii: wp.array(dtype=wp.float64)
+    """Reach of each frame [m], shape [kinematic_count]."""
+    any_turning: wp.array(dtype=wp.int32)
+    """Whether a frame turns in any environment, shape [1] like all below."""
+    running: wp.array(dtype=wp.int32)
+    """Whether any environment is active."""
+    searching: wp.array(dtype=wp.int32)
+    """Whether any environment is waiting."""
+    freezing: wp.array(dtype=wp.int32)
+    """Whether friction is frozen anew anywhere."""
+    closing: wp.array(dtype=wp.int32)
+    """Whether Newton has converged in any environment whose joints may be open."""
+    reopened: wp.array(dtype=wp.int32)
+    """Whether the joints of any environment were open."""
+
+
+_REPORTED_INTS = ("status", "newton", "cg", "lags")
+_REPORTED_FLOATS = ("residual", "contact_force", "min_distance", "violation", "smallest_step")
+
+
+class ProgressArrays:
+    """The arrays of a ``Progress``, laid out so that a report takes two copies to the host."""
+
+    def __init__(
+        self,
+        env_count: int,
+        radii_m: np.ndarray,
+        energy_rounding_j: np.ndarray,
+        device: wp.Device,
+    ) -> None:
+        self.data = Progress()
+        """For kernels."""
+        self._ints = wp.zeros((len(_REPORTED_INTS), env_count), dtype=wp.int32, device=device)
+        self._floats = wp.zeros((len(_REPORTED_FLOATS), env_count), dtype=wp.float64, device=device)
+        for i, name in enumerate(_REPORTED_INTS):
+            setattr(self.data, name, self._ints[i])
+        for i, name in enumerate(_REPORTED_FLOATS):
+            setattr(self.data, name, self._floats[i])
+        for name in ("who", "active", "waiting", "chosen", "moving", "turning"):
+            setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
+        for name in ("joint_rounds", "cuts"):
+            setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
+        for name in (
+            ("progress", "goal", "stride", "trial_progress", "lag_change", "damping", "margin")
+            + ("rounding", "limit", "alpha", "slope", "before", "after", "base", "base_after")
+        ):
+            setattr(self.data, name, wp.zeros(env_count, dtype=wp.float64, device=device))
+        self.data.energy_rounding = wp.array(energy_rounding_j, dtype=wp.float64, device=device)
+        self.data.turns = wp.zeros((env_count, len(radii_m)), dtype=wp.float64, device=device)
+        self.data.radii = wp.array(radii_m, dtype=wp.float64, device=device)
+        self.data.any_turning = wp.zeros(1, dtype=wp.int32, device=device)
+        self.flags = wp.zeros(5, dtype=wp.int32, device=device)
+        for i, name in enumerate(("running", "searching", "freezing", "closing", "reopened")):
+            setattr(self.data, name, self.flags[i : i + 1])
+
+    def read(self) -> dict[str, np.ndarray]:
+        """What a report needs, by name; waits for the device."""
+        ints, floats = self._ints.numpy(), self._floats.numpy()
+        found = {name: ints[i].copy() for i, name in enumerate(_REPORTED_INTS)}
+        return found | {name: floats[i].copy() for i, name in enumerate(_REPORTED_FLOATS)}
+
+
+def make_rules(
+    config: SolverConfig,
+    affine_rounding_n: float,
+    joint_tolerance_m: float | None,
+    has_friction: bool,
+) -> Rules:
+    """The rules of a solver; ``joint_tolerance_m`` is None without joints."""
+    rules = Rules()
+    rules.dhat = config.dhat_m
+    rules.relative_tolerance = config.relative_tolerance
+    rules.absolute_tolerance = config.absolute_tolerance_n
+    rules.affine_rounding = affine_rounding_n
+    rules.joint_tolerance = joint_tolerance_m or 0.0
+    rules.max_newton = config.max_newton_iterations
+    rules.max_lags = config.max_friction_lags
+    rules.max_joint_rounds = config.max_joint_rounds
+    rules.max_cuts = config.max_line_search_cuts
+    rules.has_joints = int(joint_tolerance_m is not None)
+    rules.has_friction = int(has_friction)
+    return rules

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps as captured graphs: recorded once for a state's arrays, then launched as a whole."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from taccel_lab.solvers.newton import StepRun
+from taccel_lab.state import State
+
+if TYPE_CHECKING:
+    from taccel_lab.solvers.solver_ipc import SolverIPC
+
+_MOST = 2
+"""Graphs that are kept, each for the arrays of one state."""
+
+
+class StepGraphs:
+    """Launches whole steps; the first one with new arrays as they come, to load its kernels."""
+
+    def __init__(self, solver: SolverIPC) -> None:
+        self._solver = solver
+        self._graphs: dict[tuple, wp.Graph | None] = {}
+        self.launches = 0
+        """Graphs launched so far."""
+
+    @property
+    def captures(self) -> bool:
+        """Whether steps of this solver become graphs."""
+        s = self._solver
+        return s.config.capture and s.linear.capturable and (
+            s.model.device.is_cuda or not s.model.plan.soft_to_soft
+        )
+
+    def clear(self) -> None:
+        """Forget all graphs: arrays that they use have moved."""
+        self._graphs.clear()
+
+    def launch(self, state: State) -> None:
+        """Take a step of the environments in ``progress.who`` to ``end_poses``."""
+        run = StepRun(self._solver, state)
+        if not self.captures:
+            run.run()
+            return
+        key = (self._solver.load is not None, *_pointers(state))
+        if key not in self._graphs:
+            if len(self._graphs) >= _MOST:
+                self._graphs.pop(next(iter(self._graphs)))
+            self._graphs[key] = None
+            run.run()
+            return
+        graph = self._graphs[key]
+        if graph is None:
+            with wp.ScopedCapture(self._solver.model.device) as capture:
+                run.run()
+            graph = self._graphs[key] = capture.graph
+        wp.capture_launch(graph)
+        self.launches += 1
+
+
+def _pointers(value: Any) -> tuple[int, ...]:
+    """Addresses of all arrays of a state."""
+    found: list[int] = []
+    for field in fields(value):
+        part = getattr(value, field.name)
+        if isinstance(part, wp.array):
+            found.append(part.ptr or 0)
+        elif part is not None:
+            found.extend(_pointers(part))
+    return tuple(found)

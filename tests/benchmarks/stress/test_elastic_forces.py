@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stress's own forces against those of the solver: two codes, one formula."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from benchmarks.stress.balance import Balance, Snapshot
+from benchmarks.stress.shapes import pose, soft_box, stiff_shape
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    Material,
+    MaterialModel,
+    Scene,
+    SoftBody,
+    TimeScheme,
+    TimeStepping,
+)
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.state import initial_state
+
+FREE = np.zeros(0, dtype=np.int64)
+
+
+def bent(x: np.ndarray) -> np.ndarray:
+    """Nodes moved smoothly, by strains of some tens of per cent."""
+    return x + 0.3 * 2e-3 * np.stack(
+        [np.sin(500 * x[:, 1]), np.cos(400 * x[:, 2]) * 0.5, np.sin(300 * x[:, 0] + 1)], axis=1
+    )
+
+
+@pytest.mark.parametrize("element", Element)
+@pytest.mark.parametrize("law", MaterialModel)
+def test_elastic_forces_are_the_solvers(law: MaterialModel, element: Element) -> None:
+    ratio = 0.2 if law is MaterialModel.MOONEY_RIVLIN else 0.0
+    body = SoftBody(
+        soft_box((2, 2, 2), (3e-3, 3e-3, 3e-3), 0.2, 1),
+        Material(1e5, 0.42, 1000.0, law, ratio),
+        FREE,
+        element=element,
+    )
+    model = Scene(body, time=TimeStepping(quasi_static=False)).finalize()
+    solver, state = SolverIPC(model), initial_state(model)
+    moved = bent(state.positions.numpy()[0])
+    balance = Balance(model, SolverConfig())
+    assert balance.volume_ratios(0, moved)[0][1].min() > 0
+    mine = balance.soft[0][0].elastic_gradient(moved)
+    positions = wp.array(moved[None], dtype=wp.vec3d)
+    theirs = wp.zeros_like(positions)
+    solver.potentials["elastic"].add_gradient(wp.full(1, 1, dtype=wp.int32), positions, theirs)
+    scale = np.abs(mine).max()
+    assert scale > 1e-3
+    np.testing.assert_allclose(theirs.numpy()[0], mine, atol=1e-10 * scale)
+
+
+@pytest.mark.parametrize("element", Element)
+@pytest.mark.parametrize("scheme", ["quasi-static", "damped", *TimeScheme])
+def test_the_residual_of_a_converged_step_and_of_a_wrong_one(scheme: str, element: Element) -> None:
+    damping = 1e-2 if scheme == "damped" else 0.0
+    mesh = soft_box((3, 2, 2), (4e-3, 2e-3, 2e-3), 0.2, 2)
+    held = np.flatnonzero(mesh.nodes_m[:, 0] < -2e-3 + 1e-9)
+    body = SoftBody(mesh, Material(1e5, 0.45, damping_time_s=damping), held, element=element)
+    dynamic = scheme != "quasi-static"
+    time = TimeStepping(
+        not dynamic, 2e-3, scheme=TimeScheme.BDF2 if scheme == TimeScheme.BDF2 else TimeScheme.EULER
+    )
+    stiff = AffineBody(
+        stiff_shape("needle", 2e-3),
+        name="stiff",
+        initial_pose=pose((0, 0, 8e-3)),
+        initial_velocity_m_s=(0.1, 0, 0.3),
+        initial_spin_rad_s=(50.0, 20.0, 0.0),
+    )
+    scene = Scene(body, affine_bodies=[stiff] if dynamic else [], time=time)
+    model = scene.finalize()
+    solver, state = SolverIPC(model), initial_state(model)
+    balance = Balance(model, solver.config)
+    forces = np.zeros((1, model.node_count, 3))
+    forces[0, : model.soft_count, 2] = 1e-4
+    state.load(model, forces)
+    for _ in range(3):
+        before = Snapshot.of(state)
+        assert solver.step(state).converged.all()
+        now = Snapshot.of(state)
+        none = np.zeros((model.node_count, 3))
+        left, noise = balance.residual(0, before, now, none, forces[0])
+        assert left < 1.01e-7 + noise
+        assert noise < 1e-8
+        # A hundredth of a micrometre off, at one node: the referee can fail.
+        wrong = now.positions.copy()
+        wrong[0, model.free_nodes.numpy()[0]] += 1e-8
+        off = Snapshot(wrong, now.velocities, now.poses, now.history)
+        assert balance.residual(0, before, off, none, forces[0])[0] > 1e-6

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every referee finds the fault it is there for, planted by hand, and nothing in a good step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.stress.balance import Snapshot
+from benchmarks.stress.case import Case
+from benchmarks.stress.crossings import pierces
+from benchmarks.stress.referees import Finding, Referees, Taken, take
+from benchmarks.stress.shapes import pose
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.outputs import Outputs
+from taccel_lab.scene import Ball, KinematicBody, Material, Scene, SoftBody, TimeStepping, box_mesh
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.solvers.report import EnvStatus
+from taccel_lab.state import State, initial_state
+
+DHAT = 5e-5
+
+
+class Step:
+    """A box presses a gel in one dynamic step; faults are planted into what it left."""
+
+    def __init__(self, shape: object = None, expect: Callable | None = None) -> None:
+        gel = SoftBody(block_mesh((3, 3, 2), (4e-3, 4e-3, 2e-3), 0.1), Material(1e5, 0.4))
+        body = KinematicBody(shape or box_mesh((1.1e-3, 1.2e-3, 1e-3)))  # type: ignore[arg-type]
+        time = TimeStepping(quasi_static=False, dt_s=1e-2)
+        config = SolverConfig(dhat_m=DHAT)
+        self.case = Case(
+            Scene(gel, body, time=time), config, 1, pose((0, 0, 6e-4))[None, None], closed=True
+        )
+        self.case = replace(self.case, expect=expect)
+        self.model = self.case.scene.finalize()
+        self.solver = SolverIPC(self.model, config)
+        self.state: State = initial_state(self.model, self.case.start)
+        self.referees = Referees(self.case, self.model, config)
+        outputs = Outputs(self.solver)
+        still = self.state.poses.numpy().reshape(1, 1, 7).copy()
+        first = take(self.solver, outputs, self.state, still, True, None)
+        assert self.referees.judge(first, self.state, 0) == []
+        target = pose((0, 0, 3e-4))[None, None]
+        self.taken: Taken = take(self.solver, outputs, self.state, target, True, first)
+        assert self.taken.report.converged.all()
+        self.taken = replace(self.taken, energies_before=self.taken.energies)
+
+    def judged(self) -> set[str]:
+        return {finding.referee for finding in self.findings()}
+
+    def findings(self) -> list[Finding]:
+        return self.referees.judge(self.taken, self.state, 1)
+
+    def move(self, change: Callable[[np.ndarray], None]) -> None:
+        """Change the positions that the step is said to have left."""
+        x = self.state.positions.numpy().copy()
+        change(x[0])
+        self.state.positions.assign(x)
+        self.taken = replace(self.taken, now=Snapshot.of(self.state))
+
+    def status(self, status: EnvStatus) -> None:
+        report = replace(self.taken.report, status=np.array([int(status)]))
+        self.taken = replace(self.taken, report=report)
+
+
+@pytest.fixture
+def step() -> Step:
+    return Step()
+
+
+def test_a_good_step_is_good(step: Step) -> None:
+    assert step.findings() == []
+    assert step.referees.balanced_steps == 2
+    assert 0 < step.referees.residual_ratio < 1
+
+
+def test_a_body_pushed_through_the_gel(step: Step) -> None:
+    nodes = step.model.bodies[1].node_slice
+
+    def sink(x: np.ndarray) -> None:
+        x[nodes, 2] -= 2e-4
+
+    step.move(sink)
+    assert "intersection" in step.judged()
+
+
+def test_a_ball_in_the_gel() -> None:
+    step = Step(Ball(5.5e-4))
+    assert step.findings() == []
+
+    def sink(x: np.ndarray) -> None:
+        x[step.model.bodies[1].nodes[0], 2] -= 1e-4
+
+    step.move(sink)
+    assert {"intersection", "gap"} <= step.judged()
+
+
+def test_an_inverted_tet(step: Step) -> None:
+    inner = np.flatnonzero(step.model.free_index.numpy() >= 0)
+    rest = step.model.rest_positions.numpy()[0, inner]
+    node = inner[np.linalg.norm(rest - [0, 0, -1e-3], axis=1).argmin()]
+
+    def flip(x: np.ndarray) -> None:
+        x[node, 0] += 3e-3
+
+    step.move(flip)
+    assert "inversion" in step.judged()
+
+
+def test_not_a_number(step: Step) -> None:
+    def break_(x: np.ndarray) -> None:
+        x[5, 1] = np.nan
+
+    step.move(break_)
+    assert step.judged() == {"not a number"}
+
+
+def test_a_wrong_residual(step: Step) -> None:
+    node = int(step.model.free_nodes.numpy()[-1])
+
+    def shift(x: np.ndarray) -> None:
+        x[node] += 1e-7
+
+    step.move(shift)
+    assert "residual" in step.judged()
+
+
+def test_a_contact_that_nobody_saw(step: Step) -> None:
+    report = replace(step.taken.report, min_distance_m=np.array([0.5 * DHAT]))
+    x = step.state.positions.numpy()[0]
+    near = step.referees.surfaces.nearer_than(x, np.ones(2, dtype=bool), 0.4 * DHAT)
+    assert len(near.gaps_m), "the box must be near enough"
+    step.taken = replace(step.taken, report=report)
+    assert step.judged() == {"missed contact"}
+
+
+def test_forces_without_reaction(step: Step) -> None:
+    normal = step.taken.normal.copy()
+    assert np.abs(normal).max() > 0
+    normal[0, step.model.bodies[1].node_slice] *= 1.001
+    step.taken = replace(step.taken, normal=normal)
+    assert "reaction" in step.judged()
+
+
+def test_a_missed_target(step: Step) -> None:
+    target = step.taken.target.copy()
+    target[0, 0, 0] += 1e-9
+    step.taken = replace(step.taken, target=target)
+    assert step.judged() == {"target"}
+
+
+def test_energy_from_nothing(step: Step) -> None:
+    energies = {name: 2.0 * value for name, value in step.taken.energies.items()}
+    step.taken = replace(step.taken, energies=energies)
+    assert step.judged() == {"energy"}
+
+
+def test_a_failure_that_was_not_rolled_back(step: Step) -> None:
+    step.status(EnvStatus.NO_CONVERGENCE)
+    assert step.judged() == {"rollback"}
+    back = step.taken.before
+    step.state.positions.assign(back.positions)
+    step.state.velocities.assign(back.velocities)
+    step.state.poses.assign(back.poses)
+    step.taken = replace(step.taken, now=Snapshot.of(step.state))
+    assert step.findings() == []
+
+
+def test_an_expectation_of_the_family() -> None:
+    step = Step(expect=lambda model, state, number: None if number == 0 else "it is gone")
+    assert [str(finding) for finding in step.findings()] == [
+        "expectation (environment 0): it is gone"
+    ]
+
+
+def test_exact_crossings() -> None:
+    triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    through = np.array([[0.2, 0.2, -1e-300], [0.2, 0.2, 1e-300]])
+    assert pierces(through, triangle)
+    assert not pierces(through + [1.0, 0, 0], triangle)
+    # Beside it by the last digit, and in its plane.
+    edge = np.array([[0.5 + 2e-16, 0.5, -1.0], [0.5 + 2e-16, 0.5, 1.0]])
+    assert not pierces(edge, triangle)
+    assert not pierces(np.array([[0.1, 0.1, 0], [0.2, 0.3, 0]]), triangle)

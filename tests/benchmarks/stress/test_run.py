@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of many cases: every family, the processes, Ctrl-C, the result and its table."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import benchmarks.stress as stress
+from benchmarks.stress import FAMILIES, case_ids, load, run, summarize, table
+from benchmarks.stress.case import make_case
+from benchmarks.stress.pool import run_all
+from benchmarks.stress.runner import BudgetOverrun, run_case, time_limit
+from benchmarks.stress.summary import WRONG
+from tests.benchmarks.stress.rigged import rigged_case
+
+BUDGET_S = 0.4
+"""Of a case here: enough for most."""
+
+
+@pytest.mark.parametrize("family", sorted(FAMILIES))
+def test_no_silent_failure(family: str) -> None:
+    results = [run_case(family, seed, seconds=BUDGET_S) for seed in (1, 2)]
+    for result in results:
+        assert result["outcome"] not in WRONG, (result["seed"], result["says"], result["findings"])
+        assert result["parameters"]
+
+
+def test_scenes_are_valid_and_the_same_in_every_run() -> None:
+    for family in FAMILIES:
+        for seed in range(20, 26):
+            case, parameters = make_case(family, seed)
+            assert make_case(family, seed)[1] == parameters
+            assert case.steps >= 1
+            case.scene.finalize()
+
+
+def test_a_replay_gives_the_same_bits() -> None:
+    first, second = (run_case("press", 1) for _ in range(2))
+    assert first["outcome"] == "converged"
+    for name in ("newton_iterations", "cg_iterations", "smallest_gap_m", "residual_ratio"):
+        assert first[name] == second[name]
+
+
+def test_the_budget_is_kept() -> None:
+    started = time.perf_counter()
+    with pytest.raises(BudgetOverrun), time_limit(0.05):
+        while True:
+            pass
+    assert time.perf_counter() - started < 1
+    assert run_case("pile", 2, seconds=0.05)["outcome"] == "budget"
+
+
+def test_a_case_that_dies_takes_nothing_along() -> None:
+    cases = [("a", seed) for seed in range(4)]
+    results = {r["seed"]: r for r in run_all(cases, "cpu", 2, 5.0, rigged_case)}
+    assert sorted(results) == [0, 1, 2, 3]
+    assert results[1]["outcome"] == "died"
+    assert [results[seed]["outcome"] for seed in (0, 2, 3)] == ["converged"] * 3
+
+
+def test_what_is_finished_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(cases: list, device: str, jobs: int, seconds: float):
+        for seed in (0, 1):
+            yield run_case("thin_gap", seed, device, seconds)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stress, "run_all", interrupted)
+    out = tmp_path / "stress.json"
+    record = run(9, 0, out, names=["thin_gap"])
+    assert not record["complete"]
+    kept = load(out)
+    assert [case["seed"] for case in kept["cases"]] == [0, 1]
+    assert not kept["complete"]
+    assert out.with_suffix(".png").stat().st_size > 1000
+    assert out.with_suffix(".md").read_text().startswith("| family |")
+
+
+def test_cases_go_round_the_families() -> None:
+    names = list(FAMILIES)
+    ids = case_ids(2 * len(names) + 1, 7)
+    assert ids[0] == (names[0], 7) and ids[len(names)] == (names[0], 8)
+    assert len(set(ids)) == len(ids)
+
+
+def test_counts_and_table() -> None:
+    def result(outcome: str, seed: int, **more: object) -> dict:
+        return {
+            "family": "some",
+            "seed": seed,
+            "outcome": outcome,
+            "parameters": {"dt": 0.1},
+            "newton_iterations": [3, 5 + seed],
+            "substeps": [1, 2],
+            "seconds": 0.5 * seed,
+            **more,
+        }
+
+    results = [
+        result("converged", 0),
+        result("refused", 1),
+        result("LINE_SEARCH", 2),
+        result("silent", 3, findings=["gap (environment 0): -1 m | x"], referees=["gap"]),
+        result("budget", 4),
+        result("died", 5),
+    ]
+    summary = summarize(results)
+    total = summary["total"]
+    counts = [total[k] for k in ("converged", "refused", "failed", "silent", "budget", "broken")]
+    assert counts == [1] * 6
+    assert total["newton_max"] == 10 and total["steps"] == 12 and total["steps_in_parts"] == 6
+    assert total["newton_median"] == np.median([3, 5, 3, 6, 3, 7, 3, 8, 3, 9, 3, 10])
+    assert [item["case"] for item in summary["failing"]] == ["some:2", "some:3", "some:4", "some:5"]
+    assert summary["slowest"][0]["case"] == "some:5"
+    text = table(summary)
+    assert "1 LINE_SEARCH" in text and "`some:3`" in text and "gap 1" in text
+    widths = {line.count("|") for line in text.splitlines()[:4]}
+    assert len(widths) == 1

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark scenes: meshes of the stated size, motions that converge and intersect nothing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.assets import choose_source, data_folder, has_data, read_stl, read_vtk
+from benchmarks.runner import Runner
+from benchmarks.scenes import SCENES, SceneOptions, build_scene
+from benchmarks.scenes.hand import overlapping_gels
+from benchmarks.scenes.teddy import surface_value, teddy_mesh, without_pinches
+from benchmarks.scenes.threads import PITCH_M, hexagon_nut, threaded_rod
+from taccel_lab.errors import InputError
+from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.scene.mass_properties import mass_properties
+from taccel_lab.scene.mesh_checks import check_surface, check_tets
+
+ROOT = Path(__file__).parents[2]
+STEPS = {"peg": 6, "press_239": 6, "squeeze": 3, "hand": 2, "bolt": 2}
+ABSENT = ("tyro", "rich", "pyvista", "build123d", "OCP", "cv2", "kornia", "pydantic", "matplotlib")
+
+
+def converges(name: str, source: str, steps: int | None) -> None:
+    bench = build_scene(name, SceneOptions(source=source))
+    assert bench.source == source
+    runner = Runner(bench)
+    motion = runner.run(steps)
+    assert len(motion.seconds) == (bench.steps if steps is None else steps)
+    assert motion.unconverged == 0, motion.causes
+    assert max(motion.residual_over_allowed) <= 1
+    assert max(motion.contact_force_n) > 0
+    assert find_intersections(runner.model, runner.state) == [[]]
+
+
+@pytest.mark.parametrize(("name", "steps"), STEPS.items())
+def test_scenes_begin(name: str, steps: int) -> None:
+    converges(name, "generated", steps)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", ["generated", "published"])
+@pytest.mark.parametrize("name", SCENES)
+def test_whole_motions(name: str, source: str) -> None:
+    if name == "press_2005" and source == "published":
+        pytest.skip("its mesh is always ours")
+    if source == "published" and not has_data("pads"):
+        pytest.skip(f"the published meshes are not at {data_folder()}")
+    converges(name, source, None)
+
+
+def test_only_warp_numpy_and_scipy_are_needed() -> None:
+    code = f"""
+import sys
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {ABSENT!r}:
+            raise ModuleNotFoundError(name)
+
+sys.meta_path.insert(0, Refuse())
+from benchmarks import compare, error, peers, quick, scaling, skips, speed
+from benchmarks.command_line import main, parse
+from benchmarks.scenes import SCENES, SceneOptions, build_scene
+for name in SCENES:
+    assert build_scene(name, SceneOptions(source="generated")).steps > 10
+assert parse(["run", "speed", "--envs", "1,16", "--scene", "peg,hand"]).envs == (1, 16)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_rod_and_nut_are_closed_and_fit() -> None:
+    rod, nut = threaded_rod(), hexagon_nut()
+    for mesh in (rod, nut):
+        check_surface(mesh.vertices_m, mesh.faces, "thread", closed=True)
+        assert mass_properties(mesh, 1.0).volume_m3 > 1e-5
+    assert len(rod.faces) == pytest.approx(7980, rel=0.05)
+    assert len(nut.faces) == pytest.approx(3064, rel=0.1)
+    from scipy.spatial import KDTree
+
+    # A pitch up is the same place; half a pitch up the threads would cross.
+    aligned = nut.vertices_m + [0, 0, 4 * PITCH_M]
+    gap = KDTree(rod.vertices_m).query(aligned)[0].min()
+    assert gap > 0.3e-3
+
+
+def test_the_hands_gels_keep_apart() -> None:
+    bench = build_scene("hand", SceneOptions(source="generated"))
+    assert len(bench.scene.soft_bodies) == 17
+    assert sum(b.mesh.node_count for b in bench.scene.soft_bodies) == pytest.approx(3252, rel=0.01)
+    assert overlapping_gels(bench) == []
+
+
+def test_the_bear() -> None:
+    mesh = teddy_mesh()
+    check_tets(mesh, "bear")
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    check_surface(mesh.nodes_m[used], faces.reshape(-1, 3), "bear", closed=True)
+    assert 400 < mesh.node_count < 1600
+    # Its outside follows the formula to a part of a cell.
+    on_surface = surface_value(mesh.nodes_m[used] + [0, 0, mesh.nodes_m[:, 2].min()])
+    assert np.abs(on_surface).mean() < 5e-4
+
+
+@pytest.mark.parametrize("cells", [((0, 0, 0), (1, 1, 0)), ((0, 0, 0), (1, 1, 1))])
+def test_pinches_are_filled(cells: tuple[tuple[int, int, int], ...]) -> None:
+    inside = np.zeros((4, 4, 4), dtype=bool)
+    for cell in cells:
+        inside[tuple(np.array(cell) + 1)] = True
+    filled = without_pinches(inside)
+    assert filled[inside].all()
+    assert filled.sum() > inside.sum()
+    assert (without_pinches(filled) == filled).all()
+
+
+def test_legacy_vtk_is_read(tmp_path: Path) -> None:
+    nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.5]])
+    head = b"# vtk DataFile Version 5.1\nvtk output\nBINARY\nDATASET UNSTRUCTURED_GRID\n"
+    for version, tet in (("5.1", [0, 1, 2, 3]), ("4.2", [0, 2, 1, 3])):
+        data = head + b"POINTS 4 double\n" + nodes.astype(">f8").tobytes() + b"\n"
+        if version == "5.1":
+            data += b"CELLS 2 4\nOFFSETS vtktypeint64\n" + np.array([0, 4], ">i8").tobytes()
+            data += b"\nCONNECTIVITY vtktypeint64\n" + np.array(tet, ">i8").tobytes()
+        else:
+            data += b"CELLS 1 5\n" + np.array([4, *tet], ">i4").tobytes()
+        path = tmp_path / "mesh.vtk"
+        path.write_bytes(data + b"\nCELL_TYPES 1\n" + np.array([10], ">i4").tobytes())
+        found, tets = read_vtk(path)
+        np.testing.assert_array_equal(found, nodes)
+        p = found[tets[0]]
+        assert np.linalg.det(p[1:] - p[0]) > 0
+
+
+def test_unusable_files_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.vtk"
+    path.write_bytes(b"# vtk DataFile Version 5.1\nx\nASCII\n")
+    with pytest.raises(InputError, match=r"mesh\.vtk is no legacy VTK file in binary"):
+        read_vtk(path)
+    path.write_bytes(b"solid")
+    with pytest.raises(InputError, match="no binary STL"):
+        read_stl(path)
+
+
+def test_missing_data_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TACCEL_LAB_DATA", str(tmp_path))
+    assert choose_source("auto", "pads/sensor.vtk") == "generated"
+    with pytest.raises(InputError, match=r"TACCEL_LAB_DATA.*generated"):
+        choose_source("published", "pads/sensor.vtk")
+    with pytest.raises(InputError, match="source must be"):
+        build_scene("peg", SceneOptions(source="nonsense"))
+    with pytest.raises(InputError, match="scene must be one of peg"):
+        build_scene("nonsense")

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Suites, results, comparison and report: schema, atomic rows, exit codes, bounds that can fail."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+from benchmarks import quick
+from benchmarks.command_line import main, parse
+from benchmarks.compare import compare
+from benchmarks.front import is_on_front, power_law
+from benchmarks.launches import LaunchCounter
+from benchmarks.memory import MemoryMeter
+from benchmarks.options import COMMANDS, SUITES, Speed
+from benchmarks.peers import parse_results, read_field
+from benchmarks.report import PAGE, read_results, render
+from benchmarks.report.sections import SECTIONS
+from benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
+from benchmarks.speed import parse_settings
+from taccel_lab.errors import InputError, SimulationError
+
+
+@pytest.fixture(scope="module")
+def speed_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short run of the suite, through its command line."""
+    out = tmp_path_factory.mktemp("speed") / "speed.json"
+    arguments = "run speed --scene press_239 --envs 1,2 --steps 3 --repeats 2 --no-startup --check"
+    assert main([*arguments.split(), "--source", "generated", "--out", str(out)]) == 0
+    return out
+
+
+def test_speed_rows(speed_result: Path) -> None:
+    document = read_result(speed_result)
+    assert document["complete"] is True
+    one, two = document["rows"]
+    assert (one["envs"], two["envs"]) == (1, 2)
+    for row in (one, two):
+        assert row["steps"] == 3
+        assert row["fps"]["count"] == 2
+        assert row["fps"]["min"] <= row["fps"]["median"] <= row["fps"]["max"]
+        assert row["fps"]["median"] <= row["solver_fps"]["median"]
+        assert row["residual"]["unconverged"] == 0
+        assert 0 < row["residual"]["worst_over_allowed"] <= 1
+        assert row["residual"]["env_steps"] == 3 * row["envs"]
+        assert row["intersections"] == 0
+        assert row["launches_per_step"] > 0
+        # The ball has come down onto the gel.
+        assert row["final_forces_n"][0][2] < -0.1
+    assert two["memory_mib"] > one["memory_mib"] > 0
+    assert document["run"]["packages"]["warp-lang"] == wp.__version__
+
+
+def test_a_budget_that_is_spent_starts_nothing(tmp_path: Path) -> None:
+    arguments = ["run", "speed", "--envs", "1", "--budget-s", "0", "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    assert read_result(tmp_path / "speed.json")["rows"] == []
+    assert not Deadline(None).passed
+
+
+def test_finished_rows_survive_an_interruption(tmp_path: Path) -> None:
+    result = ResultFile("speed", "what", tmp_path, "cpu", {})
+    with pytest.raises(KeyboardInterrupt), result.finishing():
+        result.add({"scene": "peg"})
+        raise KeyboardInterrupt
+    document = read_result(tmp_path / "speed.json")
+    assert document["rows"] == [{"scene": "peg"}]
+    assert document["complete"] is False
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["run", "speed", "--scene", "nonsense"], "scene must be of peg"),
+        (["run", "speed", "--envs", "0"], "at least 1"),
+        (["run", "speed", "--set", "dhat_m"], "NAME=VALUE"),
+        (["run", "peers", "no_such_driver.py"], "is no file"),
+        (["compare", "no_such.json", "no_such.json"], "does not exist"),
+    ],
+)
+def test_unusable_input_ends_with_code_two(
+    arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if arguments[0] == "run":
+        arguments = [*arguments, "--out", str(tmp_path)]
+    assert main(arguments) == 2
+    assert says in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_settings_are_read() -> None:
+    assert parse_settings(("dhat_m=1e-5", "max_newton_iterations=7", "precision=mixed")) == {
+        "dhat_m": 1e-5,
+        "max_newton_iterations": 7,
+        "precision": "mixed",
+    }
+
+
+def test_both_command_lines_have_the_same_options() -> None:
+    from taccel_lab.cli.app import parse as parse_with_tyro
+
+    ours = parse(["run", "speed", "--envs", "1,16", "--device", "cuda:0", "--no-startup"])
+    theirs = parse_with_tyro(
+        ["bench", "speed", "--envs", "1", "16", "--device", "cuda:0", "--no-startup"]
+    )
+    assert ours == theirs
+    assert isinstance(ours, Speed)
+    assert len({options.name for options in (*SUITES, *COMMANDS)}) == len(SUITES) + len(COMMANDS)
+
+
+@pytest.mark.parametrize("options", [*SUITES, *COMMANDS], ids=lambda options: options.name)
+def test_every_option_has_help(options: type, capsys: pytest.CaptureFixture[str]) -> None:
+    from benchmarks.command_line import field_help
+
+    assert {item.name for item in dataclasses.fields(options)} == set(field_help(options))
+    command = ["run", options.name] if options in SUITES else [options.name]
+    with pytest.raises(SystemExit) as done:
+        main([*command, "--help"])
+    assert done.value.code == 0
+    assert (options.__doc__ or "?").split("\n")[0][:40] in capsys.readouterr().out
+
+
+# Quick figures --------------------------------------------------------------------------------
+
+
+def test_quick_figures_are_those_of_the_baseline() -> None:
+    findings = list(quick.judge(quick.read_baseline(), quick.measure_all()))
+    assert [f.describe() for f in findings if f.is_failure] == []
+
+
+@pytest.mark.parametrize("figure", [*quick.RISE, "forces_n", "unconverged", "intersections"])
+def test_quick_notices(figure: str) -> None:
+    baseline = quick.read_baseline()
+    worse = copy.deepcopy(baseline)
+    scene = next(iter(worse))
+    if figure == "forces_n":
+        worse[scene]["forces_n"][0][0] *= 1.01
+    elif figure in quick.RISE:
+        worse[scene][figure] *= 1.2
+    else:
+        worse[scene][figure] = 1
+    assert list(quick.judge(baseline, baseline)) == []
+    assert [(f.figure, f.is_failure) for f in quick.judge(baseline, worse)] == [(figure, True)]
+
+
+# Measuring ------------------------------------------------------------------------------------
+
+
+@wp.kernel
+def _double_kernel(values: wp.array(dtype=wp.float64)):
+    i = wp.tid()
+    values[i] = wp.float64(2.0) * values[i]
+
+
+def test_launches_and_memory_are_counted() -> None:
+    with MemoryMeter() as meter, LaunchCounter() as launches:
+        values = wp.zeros(2**17, dtype=wp.float64)
+        for _ in range(3):
+            wp.launch(_double_kernel, dim=10, inputs=[values])
+        command = wp.launch(_double_kernel, dim=10, inputs=[values], record_cmd=True)
+        command.launch()
+    assert launches.count == 4
+    assert len(launches.kernels) == 1
+    wp.launch(_double_kernel, dim=10, inputs=[values])
+    assert launches.count == 4
+    found = meter.allocations(wp.get_device("cpu"))
+    assert found.count == 1
+    assert found.peak_bytes == pytest.approx(2**20, rel=0.01)
+
+
+def test_front_and_power_law() -> None:
+    costs, errors = np.array([1.0, 2.0, 3.0, 3.01]), np.array([9.0, 10.0, 1.0, 0.9])
+    assert is_on_front(costs, errors).tolist() == [True, False, True, True]
+    sizes = np.array([1.0, 10.0, 100.0])
+    assert power_law(sizes, 3 * sizes**1.5) == pytest.approx((1.5, 3.0))
+
+
+# Results --------------------------------------------------------------------------------------
+
+
+def test_compare_finds_what_changed_beyond_the_spread(speed_result: Path) -> None:
+    before = read_result(speed_result)
+    after = copy.deepcopy(before)
+    row = after["rows"][0]
+    assert compare(before, after) == ([], [])
+    row["fps"] = {name: 3 * value for name, value in row["fps"].items()}
+    row["newton_mean"] *= 1.5
+    row["memory_mib"] *= 1.01
+    after["run"]["driver"] = "580.1"
+    remarks, changes = compare(before, after)
+    assert remarks == ["driver: None -> 580.1"]
+    assert {change.figure for change in changes} == {"fps", "newton_mean"}
+    assert changes[0].percent == pytest.approx(200)
+    with pytest.raises(InputError, match="suites differ"):
+        compare(before, after | {"suite": "error"})
+
+
+def test_results_are_checked(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text("{}")
+    with pytest.raises(InputError, match="schema"):
+        read_result(path)
+    path.write_text("{")
+    with pytest.raises(InputError, match="no JSON"):
+        read_result(path)
+
+
+def test_committed_results_follow_the_schema() -> None:
+    for documents in read_results().values():
+        for document in documents:
+            assert set(REQUIRED) <= set(document)
+            assert document["rows"]
+
+
+def test_the_page_is_up_to_date() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert render(text, read_results()) == text, "run `taccel-lab bench report`"
+    for line in text.splitlines():
+        if line.startswith("!["):
+            assert (PAGE.parent / line.split("(")[1].rstrip(")")).is_file(), line
+
+
+def test_sections_do_without_results() -> None:
+    for section in SECTIONS.values():
+        assert section({})
+
+
+def test_a_page_without_markers_is_refused() -> None:
+    with pytest.raises(InputError, match="begin speed"):
+        render("# Page", {})
+
+
+def test_drivers_of_others_are_read() -> None:
+    line = "RESULT uipc N=16 frames=200 total=1.9s FPS=1676.25 ms/frame median=9.5 stick_err=1e-05"
+    (row,) = parse_results(["hello", line])
+    assert (row["name"], row["envs"], row["fps"]) == ("uipc", 16, 1676.25)
+    with pytest.raises(SimulationError, match="without N or FPS"):
+        list(parse_results(["RESULT uipc total=3"]))
+
+
+def test_a_driver_is_run(tmp_path: Path) -> None:
+    driver = tmp_path / "driver.py"
+    driver.write_text("import sys; print('RESULT peer N=4 FPS=12.5', sys.argv[1])")
+    out = tmp_path / "peers.json"
+    command: list[Any] = ["run", "peers", str(driver), "--arguments=--x=1", "--out", str(out)]
+    assert main(command) == 0
+    assert json.loads(out.read_text())["rows"][0]["fps"] == 12.5
+    driver.write_text("raise SystemExit(7)")
+    assert main(command) == 3
+
+
+def test_every_peer_has_its_conditions() -> None:
+    for entry in read_field()["peg"]:
+        assert entry["stop"] and entry["device"] and entry["kind"] in ("measured", "published")
+        assert all(value > 0 for value in entry["fps"].values())

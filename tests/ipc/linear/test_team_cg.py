@@ -1,0 +1,342 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CG by a team of lanes, and its parts; with blocks of many lanes, so that a race would show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.ipc.linear.block_cg import BlockCG
+from taccel_lab.ipc.linear.extra_rows import ExtraRowLists
+from taccel_lab.ipc.linear.packed_rows import PackedRows
+from taccel_lab.ipc.linear.pattern import BlockPattern
+from taccel_lab.ipc.linear.preconditioner import DiagonalInverses
+from taccel_lab.ipc.linear.row_lists import cut_segments, scalars
+from taccel_lab.ipc.linear.row_plan import neighbour_clusters, plan_rows
+from taccel_lab.ipc.linear.system import LinearSystem
+from tests.ipc.linear.systems import delaunay_pattern, random_spd
+
+CPU = wp.get_device("cpu")
+LANES = 32
+
+
+@pytest.fixture
+def many_lanes() -> Iterator[None]:
+    """Thread blocks of more than one lane on the CPU."""
+    before = wp.config.enable_cpu_blocks
+    wp.config.enable_cpu_blocks = True
+    yield
+    wp.config.enable_cpu_blocks = before
+
+
+def contact_system(
+    envs: int, nodes: int = 60, contacts: int = 40, seed: int = 0
+) -> tuple[LinearSystem, np.ndarray]:
+    """A gel that touches a stiff body of its four last rows at ``contacts`` faces, as a list with
+    repeated places, and the dense matrices."""
+    rng = np.random.default_rng(seed)
+    gel = delaunay_pattern(rng, nodes, bonded=5)
+    n = gel.free_count + 4
+    body = np.arange(n - 4, n)
+    i, j = np.tril_indices(4)
+    rows = np.concatenate([gel.rows, body[i]])
+    columns = np.concatenate([gel.columns, body[j]])
+    starts = np.searchsorted(rows, np.arange(n + 1)).astype(np.int32)
+    pattern = BlockPattern(starts, columns.astype(np.int32), (starts[1:] - 1).astype(np.int32))
+    system = LinearSystem(
+        pattern, envs, CPU, clusters=[(n - 4, n)], method="cg", extra_capacity=16 * contacts
+    )
+    values = np.zeros((envs, pattern.block_count, 3, 3))
+    places = np.zeros((envs, 16 * contacts, 2), dtype=np.int32)
+    extras = np.full((envs, 16 * contacts, 3, 3), np.nan)
+    counts = np.zeros(envs, dtype=np.int32)
+    for env in range(envs):
+        values[env, : gel.block_count] = random_spd(rng, gel, 30.0)
+        root = 1e3 * rng.normal(size=(12, 12)) * (np.arange(12) < 8)
+        stiff = (root @ root.T + 10 * np.eye(12)).reshape(4, 3, 4, 3).transpose(0, 2, 1, 3)
+        values[env, gel.block_count :] = stiff[i, j]
+        for _ in range(contacts - 3 * env):
+            face = rng.choice(20, 2, replace=False)
+            shares = np.concatenate([rng.dirichlet(np.ones(2)), -rng.dirichlet(np.ones(4))])
+            normal = rng.normal(size=3)
+            block = 10.0 ** rng.uniform(0, 3) * np.outer(normal, normal)
+            for node, share in zip(face, shares, strict=False):
+                values[env, pattern.diagonal[node]] += share * block
+                for control, weight in zip(body, shares[2:], strict=True):
+                    places[env, counts[env]] = control, node
+                    extras[env, counts[env]] = share * weight * block
+                    counts[env] += 1
+            for a, b in zip(i, j, strict=True):
+                at = gel.block_count + np.flatnonzero((i == a) & (j == b))[0]
+                values[env, at] += shares[2 + a] * shares[2 + b] * block
+    system.values.assign(values)
+    system.extra.places.assign(places)
+    system.extra.values.assign(extras)
+    system.extra.counts.assign(counts)
+    system.rhs.assign(rng.normal(size=(envs, n, 3)))
+    dense = pattern.dense(values).reshape(envs, n, 3, n, 3)
+    for env in range(envs):
+        for (row, column), block in zip(
+            places[env, : counts[env]], extras[env, : counts[env]], strict=True
+        ):
+            dense[env, row, :, column] += block
+            dense[env, column, :, row] += block.T
+    dense = dense.reshape(envs, 3 * n, 3 * n)
+    # What the two nodes of a face share was left out, to keep to the pattern: stays definite.
+    assert np.linalg.eigvalsh(dense).min() > 0
+    return system, dense
+
+
+def test_gel_and_stiff_body_against_a_dense_solve(many_lanes: None) -> None:
+    system, dense = contact_system(3)
+    n = dense.shape[1]
+    system._solver = BlockCG(system, system.clusters, LANES)
+    system.tolerances.assign(np.array([1e-10, 1e-6, 1e-3]))
+    system.solution.fill_(np.nan)
+    active = wp.full(3, 1, dtype=wp.int32, device=CPU)
+    system.solve(active, 1000)
+    report = system.report()
+    x, b = system.solution.numpy().reshape(3, n), system.rhs.numpy().reshape(3, n)
+    for env, tolerance in enumerate(system.tolerances.numpy()):
+        residual = np.linalg.norm(b[env] - dense[env] @ x[env]) / np.linalg.norm(b[env])
+        assert residual <= tolerance
+        assert report.relative_residual[env] == pytest.approx(residual, rel=1e-2, abs=1e-11)
+    assert not report.breakdown.any()
+    np.testing.assert_allclose(x[0], np.linalg.solve(dense[0], b[0]), rtol=0, atol=1e-8)
+    # Summing extra blocks in place leaves the matrix as it was.
+    first = system.solution.numpy()
+    system.solve(active, 1000)
+    np.testing.assert_allclose(system.solution.numpy(), first, rtol=1e-6, atol=1e-9)
+
+
+def test_the_cluster_of_a_stiff_body_saves_most_iterations() -> None:
+    system, _ = contact_system(1)
+    system.tolerances.fill_(1e-6)
+    active = wp.full(1, 1, dtype=wp.int32, device=CPU)
+    counts = []
+    for clusters in ([], system.clusters):
+        system._solver = BlockCG(system, clusters)
+        system.solve(active, 1000)
+        counts.append(system.report().iterations[0])
+    assert counts[1] < 0.6 * counts[0]
+
+
+def test_lanes_and_neighbours_do_not_matter(many_lanes: None) -> None:
+    system, _ = contact_system(4)
+    system.tolerances.fill_(1e-8)
+    system._solver = BlockCG(system, system.clusters, LANES)
+    system.solve(wp.full(4, 1, dtype=wp.int32, device=CPU), 1000)
+    together, iterations = system.solution.numpy(), system.report().iterations
+    for env in (0, 3):
+        active = np.zeros(4, dtype=np.int32)
+        active[env] = 1
+        system.solve(wp.array(active, dtype=wp.int32, device=CPU), 1000)
+        report = system.report()
+        # Extra blocks are listed in the order of arrival, the same here as lanes take turns.
+        assert np.array_equal(system.solution.numpy()[env], together[env])
+        assert (report.iterations == np.where(active, iterations, 0)).all()
+        assert (system.solution.numpy()[active == 0] == 0).all()
+
+
+def test_more_extra_blocks_than_the_list_holds(many_lanes: None) -> None:
+    """Blocks beyond the capacity are lost; nothing beyond it is read."""
+    system, _ = contact_system(1)
+    system._solver = BlockCG(system, system.clusters, LANES)
+    counts = system.extra.counts.numpy()
+    system.tolerances.fill_(1e-9)
+    active = wp.full(1, 1, dtype=wp.int32, device=CPU)
+    full = np.concatenate([system.extra.values.numpy(), system.extra.values.numpy()], axis=1)
+    full[:, counts[0] :] = 0.0
+    system.extra.values.assign(full[:, : system.extra.capacity])
+    system.solve(active, 1000)
+    expected = system.solution.numpy()
+    system.extra.counts.fill_(10 * system.extra.capacity)
+    system.solve(active, 1000)
+    np.testing.assert_allclose(system.solution.numpy(), expected, rtol=1e-6, atol=1e-9)
+
+
+def test_extra_blocks_are_summed_by_place(many_lanes: None) -> None:
+    system, _ = contact_system(2)
+    counts = system.extra.counts.numpy()
+    places, values = system.extra.places.numpy(), system.extra.values.numpy()
+    lists = ExtraRowLists(system, lanes=LANES)
+    lists.update(wp.array([1, 0], dtype=wp.int32, device=CPU))
+    rows = lists.rows
+    assert (rows.totals.numpy()[1] == 0).all() and (rows.row_segments.numpy()[1] == 0).all()
+    entries, segments, room = rows.totals.numpy()[0]
+    summed = system.extra.values.numpy()[0]
+    unique = np.unique(places[0, : counts[0]], axis=0)
+    assert entries == 2 * len(unique) < counts[0]
+    n = system.pattern.free_count
+    found, expected = np.zeros((2, n, n, 3, 3))
+    np.add.at(expected, tuple(places[0, : counts[0]].T), values[0, : counts[0]])
+    expected += expected.transpose(1, 0, 3, 2)
+    columns, codes = rows.columns.numpy()[0], rows.codes.numpy()[0]
+    covered = 0
+    for row, (first, count) in enumerate(rows.row_segments.numpy()[0]):
+        for s in range(first, first + count):
+            owner, begin, end = rows.segments.numpy()[0, s]
+            assert owner == row and s < segments
+            covered += end - begin
+            for e in range(begin, end):
+                block = summed[codes[e] // 2]
+                found[row, columns[e]] += block.T if codes[e] % 2 else block
+    assert covered == entries
+    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+
+    # The same from the slices, one scalar row of a segment a lane.
+    assert 3 * entries <= room <= rows.packed_columns.shape[1]
+    sliced = np.zeros((3 * n, n, 3))
+    packed_columns = rows.packed_columns.numpy()[0]
+    packed = rows.packed.numpy()[0]
+    for task in range(3 * segments):
+        first, length = rows.slices.numpy()[0, task // 32]
+        row = 3 * rows.segments.numpy()[0, task // 3, 0] + task % 3
+        for k in range(length):
+            at = first + 32 * k
+            entry = packed[3 * at + task % 32 + 32 * np.arange(3)]
+            sliced[row, packed_columns[at + task % 32]] += entry
+    np.testing.assert_allclose(
+        sliced.reshape(3 * n, 3 * n), found.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)
+    )
+
+
+def test_extra_blocks_without_room_in_slices(many_lanes: None) -> None:
+    system, _ = contact_system(1)
+    system.tolerances.fill_(1e-9)
+    active = wp.full(1, 1, dtype=wp.int32, device=CPU)
+    solver = BlockCG(system, system.clusters, LANES)
+    system._solver = solver
+    system.solve(active, 1000)
+    expected, iterations = system.solution.numpy(), system.report().iterations
+    rows = solver._extra.rows
+    needed = rows.totals.numpy()[0, 2]
+    for room in (64, needed - 1):
+        rows.packed_columns = wp.zeros((1, int(room)), dtype=wp.int32, device=CPU)
+        rows.packed = wp.zeros((1, 3 * int(room)), dtype=wp.float64, device=CPU)
+        system.solve(active, 1000)
+        assert (rows.slices.numpy()[0, :, 0] == -1).any()
+        np.testing.assert_allclose(system.solution.numpy(), expected, rtol=1e-6, atol=1e-9)
+        assert abs(system.report().iterations - iterations) <= 2
+
+
+def test_inverses_of_blocks_and_clusters(many_lanes: None) -> None:
+    system, _ = contact_system(2)
+    n = system.pattern.free_count
+    groups = [np.arange(n - 4, n), np.array([0, 3, 4, 9, 11]), np.array([7])]
+    plan = plan_rows(n, groups)
+    inverses = DiagonalInverses(system, plan, LANES)
+    inverses.update(wp.full(2, 1, dtype=wp.int32, device=CPU), scalars(system.values))
+    dense = system.pattern.dense(system.values.numpy())
+    single = np.setdiff1d(np.arange(n), np.concatenate(groups))
+    store = inverses.stores.numpy()[:, inverses.clusters.store_size :]
+    for env in range(2):
+        blocks = inverses.blocks.numpy()[env, plan.places]
+        for row in single:
+            block = dense[env, 3 * row : 3 * row + 3, 3 * row : 3 * row + 3]
+            np.testing.assert_allclose(blocks[row] @ block, np.eye(3), atol=1e-9)
+        assert (blocks[np.concatenate(groups)] == 0).all()
+        start = 0
+        for rows in groups:
+            dofs = (3 * rows[:, None] + np.arange(3)).ravel()
+            width = len(dofs)
+            found = store[env, start : start + width**2].reshape(width, width)
+            block = dense[env][np.ix_(dofs, dofs)]
+            np.testing.assert_allclose(found @ block, np.eye(width), atol=1e-7)
+            start += width**2
+
+
+@given(st.lists(st.integers(0, 50), min_size=1, max_size=20), st.integers(1, 13))
+def test_segments_cover_rows_evenly(sizes: list[int], length: int) -> None:
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    segments, row_segments = cut_segments(starts, length)
+    lengths = segments[:, 2] - segments[:, 1]
+    assert lengths.max(initial=0) <= length and lengths.min(initial=1) >= 1
+    for row, size in enumerate(sizes):
+        own = segments[row_segments[row] : row_segments[row + 1]]
+        assert (own[:, 0] == row).all() and (own[:, 2] - own[:, 1]).sum() == size
+        assert len(own) == -(-size // length)
+        if size:
+            assert own[0, 1] == starts[row] and own[-1, 2] == starts[row + 1]
+            assert (own[1:, 1] == own[:-1, 2]).all()
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 40), st.integers(0, 20), st.integers(1, 6))
+def test_blocks_own_whole_clusters(seed: int, rows: int, clustered: int, blocks: int) -> None:
+    rng = np.random.default_rng(seed)
+    inside = rng.permutation(rows)[:clustered]
+    groups = [g for g in np.split(inside, np.sort(rng.integers(0, len(inside) + 1, 3))) if len(g)]
+    plan = plan_rows(rows, groups, blocks)
+    np.testing.assert_array_equal(np.sort(plan.order), np.arange(rows))
+    np.testing.assert_array_equal(plan.places[plan.order], np.arange(rows))
+    assert plan.block_starts[0] == 0 and plan.block_starts[-1] == rows
+    assert len(plan.block_starts) == blocks + 1 and (np.diff(plan.block_starts) >= 0).all()
+    owner = np.searchsorted(plan.block_starts[1:-1], plan.places, side="right")
+    for group, found in zip(groups, plan.groups(), strict=True):
+        np.testing.assert_array_equal(found, group)
+        assert len(set(owner[group])) == 1
+    largest = max([1, *map(len, groups)])
+    assert np.diff(plan.block_starts).max() <= rows / blocks + largest
+
+
+@pytest.mark.parametrize("blocks", [1, 4])
+def test_slices_hold_both_triangles(many_lanes: None, blocks: int) -> None:
+    system, _ = contact_system(2)
+    n = system.pattern.free_count
+    plan = plan_rows(n, [np.array([3, 9, 4]), np.array([20, 21])], blocks)
+    rows = PackedRows(system, plan, LANES)
+    rows.update(wp.array([0, 1], dtype=wp.int32, device=CPU), scalars(system.values))
+    assert (rows.values.numpy()[0] == 0).all()
+    found = np.zeros((3 * n, n, 3))
+    layout = rows.layout
+    segments, slices = layout.segments.numpy(), layout.slices.numpy()
+    columns, packed = layout.columns.numpy(), rows.values.numpy()[1]
+    parts: dict[int, list[int]] = {}
+    owners = np.searchsorted(plan.block_starts[1:-1], segments[:, 0], side="right")
+    starts = layout.task_starts.numpy()
+    assert (starts % 96 == 0).all() and starts[-1] == 3 * len(segments)
+    for index, (place, number) in enumerate(segments):
+        if place < 0:
+            continue
+        parts.setdefault(place, []).append(number)
+        assert starts[owners[index]] <= 3 * index < starts[owners[index] + 1]
+        for task in range(3 * index, 3 * index + 3):
+            first, length = slices[task // 32]
+            for k in range(length):
+                at = first + 32 * k
+                entry = packed[3 * at + task % 32 + 32 * np.arange(3)]
+                found[3 * place + task % 3, columns[at + task % 32]] += entry
+    row_segments = layout.row_segments.numpy()
+    for place in range(n):
+        expected = np.arange(row_segments[place], row_segments[place + 1])
+        np.testing.assert_array_equal(np.sort(parts[place]), expected)
+    dense = system.pattern.dense(system.values.numpy())[1]
+    order = (3 * plan.order[:, None] + np.arange(3)).ravel()
+    np.testing.assert_array_equal(found.reshape(3 * n, 3 * n), dense[np.ix_(order, order)])
+    # Filling up is no large part of it.
+    assert packed.size < 1.5 * (dense != 0).sum()
+    assert layout.segment_count == row_segments[-1]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(6, 90))
+@settings(max_examples=20)
+def test_clusters_of_neighbours_are_a_partition(seed: int, size: int, nodes: int) -> None:
+    rng = np.random.default_rng(seed)
+    pattern = delaunay_pattern(rng, nodes, 1)
+    rows = np.flatnonzero(rng.random(pattern.free_count) < 0.8)
+    clusters = neighbour_clusters(pattern, rows, size)
+    assert all(len(cluster) <= size for cluster in clusters)
+    np.testing.assert_array_equal(np.sort(np.concatenate([[], *clusters])), rows)
+    # Halving makes them about equally large.
+    assert len(clusters) <= 2 * -(-len(rows) // size)
+
+
+def test_description_says_what_runs() -> None:
+    system, _ = contact_system(1)
+    assert system.capturable
+    assert "CG" in system.describe() and "1 of bodies" in system.describe()

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packed weights against the matrix units' rules, here carried out lane by lane in numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taccel_lab.signals.color_fragments import NetworkLayout, pack_network
+from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+
+LANES = np.arange(32)
+GROUP, THREAD = LANES // 4, LANES % 4
+
+
+def halves(words: np.ndarray) -> np.ndarray:
+    """The two FP16 numbers of each 32-bit word, low one first, shape [..., 2]."""
+    return np.ascontiguousarray(words).view(np.float16).reshape(*words.shape, 2).astype(np.float64)
+
+
+def words(pairs: np.ndarray) -> np.ndarray:
+    """Inverse of ``halves``."""
+    return np.ascontiguousarray(pairs.astype(np.float16)).view(np.uint32)[..., 0]
+
+
+def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """``mma.m16n8k16`` (PTX ISA) of registers a [32, 4] and b [32, 2]: accumulators [32, 4]."""
+    left, right = np.full((16, 16), np.nan), np.full((16, 8), np.nan)
+    for register in range(4):
+        for part in range(2):
+            row = GROUP + 8 * (register % 2)
+            left[row, 2 * THREAD + part + 8 * (register // 2)] = halves(a[:, register])[:, part]
+    for register in range(2):
+        for part in range(2):
+            right[2 * THREAD + part + 8 * register, GROUP] = halves(b[:, register])[:, part]
+    product = left @ right
+    return np.stack([product[GROUP + 8 * (k // 2), 2 * THREAD + k % 2] for k in range(4)], axis=-1)
+
+
+def run(model: ColorModel, inputs: np.ndarray) -> np.ndarray:
+    """Output before the anchor for 16 pixels of normalised inputs [16, 6], from the fragments."""
+    packed, layout = pack_network(model), NetworkLayout.of(model.config.hidden)
+    activation = {"silu": lambda h: h + h * np.tanh(h), "tanh": np.tanh}[model.config.activation]
+    high = inputs.astype(np.float16).astype(np.float64)
+    features = [np.pad(part, ((0, 0), (0, 2))) for part in (high, inputs - high)]
+    registers = [
+        words(features[k // 2][(GROUP + 8 * (k % 2))[:, None], 2 * THREAD[:, None] + [0, 1]])
+        for k in range(4)
+    ]
+    a = [np.stack(registers, axis=-1)]
+    for layer, width in enumerate(layout.padded):
+        start, following = layout.fragment_starts[layer], []
+        for tile in range(width // 8):
+            bias_at = layout.bias_starts[layer] + 8 * tile + 2 * THREAD
+            bias = packed.biases[bias_at[:, None] + [0, 1, 0, 1]]
+            if layer == 0:
+                at = start + (tile // 2 * 32 + LANES) * 4 + 2 * (tile % 2)
+                whole, rest = packed.fragments[at], packed.fragments[at + 1]
+                total = multiply(a[0], np.stack([whole, whole], axis=-1))
+                upper = a[0].copy()
+                upper[:, 2:] = 0
+                total += multiply(upper, np.stack([rest, np.zeros_like(rest)], axis=-1))
+            else:
+                total = 0.0
+                for step, part in enumerate(a):
+                    at = start + ((tile // 2 * len(a) + step) * 32 + LANES) * 4 + 2 * (tile % 2)
+                    total = total + multiply(part, packed.fragments[at[:, None] + [0, 1]])
+            following.append(activation(total + bias))
+        # Accumulators of two tiles are the next operand's registers.
+        a = [
+            np.stack([words(tile[:, k : k + 2]) for tile in pair for k in (0, 2)], axis=-1)
+            for pair in zip(following[::2], following[1::2], strict=True)
+        ]
+    total = 0.0
+    for step, part in enumerate(a):
+        at = layout.fragment_starts[-1] + (step * 32 + LANES) * 2
+        total = total + multiply(part, packed.fragments[at[:, None] + [0, 1]])
+    result = np.zeros((16, 8))
+    for k in range(4):
+        result[GROUP + 8 * (k // 2), 2 * THREAD + k % 2] = total[:, k]
+    assert not result[:, 3:].any()
+    return result[:, :3]
+
+
+@pytest.mark.parametrize(
+    ("hidden", "activation"),
+    [((64, 64, 64), "silu"), ((20, 40), "tanh"), ((5,), "silu"), ((48, 96), "silu")],
+)
+def test_fragments_compute_the_network(hidden, activation):
+    rng = np.random.default_rng(1)
+    config = ColorModelConfig(
+        20,
+        15,
+        hidden=hidden,
+        activation=activation,
+        inputs=("v", "normal_z", "normal_x", "displacement_mm"),
+        input_mean=(0.0,) * 4,
+        input_scale=(1.0,) * 4,
+    )
+    weights = {
+        name: rng.normal(0, 1.5 / np.sqrt(shape[-1]) if len(shape) == 2 else 0.3, shape)
+        for name, shape in expected_shapes(config).items()
+    }
+    model = ColorModel(config, weights)
+    inputs = rng.normal(0, 1, (16, 6))
+    x = inputs[:, [1, 4, 2, 5]]
+    for i in range(len(hidden)):
+        x = x @ weights[f"layer{i}.weight"].T + weights[f"layer{i}.bias"]
+        x = np.tanh(x) if activation == "tanh" else x / (1 + np.exp(-x))
+    expected = x @ weights[f"layer{len(hidden)}.weight"].T * config.output_scale
+    error = np.abs(run(model, inputs) - expected)
+    assert np.abs(expected).max() > 20
+    assert error.max() < 0.12 and error.mean() < 0.03
+
+
+def test_the_first_layer_keeps_more_than_half_precision():
+    """Two inputs that differ by less than FP16 resolves still differ in the result."""
+    config = ColorModelConfig(20, 15, hidden=(16,), activation="tanh", output_scale=1000.0)
+    weights = {
+        name: np.zeros(shape, dtype=np.float32) for name, shape in expected_shapes(config).items()
+    }
+    weights["layer0.weight"][0, :2] = 100.003, -100.003
+    weights["layer1.weight"][0, 0] = 1.0
+    inputs = np.zeros((16, 6))
+    inputs[:, 0] = 1.0 + np.linspace(0, 2e-4, 16)
+    inputs[:, 1] = 1.0
+    expected = 1000 * np.tanh(weights["layer0.weight"][0, 0] * (inputs[:, 0] - inputs[:, 1]))
+    assert np.unique(inputs[:, 0].astype(np.float16)).size == 1 and np.ptp(expected) > 15
+    assert run(ColorModel(config, weights), inputs)[:, 0] == pytest.approx(expected, abs=0.03)
