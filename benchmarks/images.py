@@ -25,7 +25,6 @@ from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.signals import SignalHeightMap
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
-from taccel_lab.signals.gradient_recovery import FEW_SWEEPS, recover_gradients
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.tactile import SignalTactile
 
@@ -33,6 +32,8 @@ WHAT = "Tactile images and markers a second, and their error in grey levels."
 RESULT = Path(__file__).parent / "results" / "images.json"
 PAD_M = (20e-3, 15e-3, 4e-3)
 WIDTH_MM = 19.36
+WIDE_MM = 23.0
+"""Width of an image that shows what lies beside the pad too."""
 SIZES = ((320, 240), (640, 480))
 SENSORS = (1, 64, 1024)
 READS: dict[str, tuple[str, ...]] = {
@@ -106,9 +107,10 @@ def build(
     env_count: int,
     device: str,
     still_levels: float = 0.0,
+    width_mm: float = WIDTH_MM,
 ) -> SignalTactile:
     """The signal of the benchmark."""
-    grid = PixelGrid(*size, WIDTH_MM / size[0], WIDTH_MM / size[0])
+    grid = PixelGrid(*size, width_mm / size[0], width_mm / size[0])
     return SignalTactile(
         mesh,
         grid,
@@ -160,10 +162,13 @@ def errors(signal: SignalTactile, positions: np.ndarray, env_count: int) -> dict
     reference = SignalHeightMap(mesh, grid)
     reference.update(np.concatenate([mesh.nodes_m[None], positions[:env_count]]))
     rest_height, deformed = reference.height_m[0], reference.height_m[1:]
+    # As where the solver's presses are rendered: without a surface there is no change.
+    seen = np.isfinite(deformed) & np.isfinite(rest_height)
+    flat = np.array([0.0, 0.0, 1.0])
     image = color_model(grid).render(
-        reference.normals[1:],
-        (deformed - rest_height) * 1e3,
-        reference.normals[0],
+        np.where(seen[..., None], reference.normals[1:], flat),
+        np.where(seen, deformed - rest_height, 0.0) * 1e3,
+        np.where(seen[..., None], reference.normals[:1], flat),
         background(grid),
     )
     layout = MarkerLayout.from_points(mesh, marker_points_mm())
@@ -192,18 +197,14 @@ def stages(signal: SignalTactile, positions: wp.array, repeats: int) -> dict[str
     signal.update(positions)
     signal.read("rgb")
     sampler, painter = signal._sampler, signal._painter
-    assert sampler is not None and painter is not None and sampler._network is not None
-    network = sampler._network
+    assert sampler is not None and painter is not None
     count = signal.chunk_envs
     part = positions[:count]
     frames = wp.empty(0, dtype=wp.transformd, device=signal.device)
     image = signal.rgb[:count]
     samples = sampler.sample(part, frames)
-    ring = (sampler._ring_start, sampler._ring_nodes)
     work: dict[str, Callable[[], Any]] = {
-        "gradients": lambda: recover_gradients(
-            sampler._points, sampler._height, *ring, network, FEW_SWEEPS
-        ),
+        "gradients": lambda: sampler.gradients(count),
         "all of the surface": lambda: sampler.sample(part, frames),
         "colour": lambda: painter.render(samples, image),
     }
@@ -253,6 +254,17 @@ def measure(
             **speed(lazy, on_device, "rgb", "markers_px"),
             "errors": errors(lazy, positions, min(env_count, 2)),
         }
+    del lazy
+    wide = build(mesh, size, env_count, device, width_mm=WIDE_MM)
+    positions = pressed(mesh, env_count)
+    on_device = wp.array(positions, dtype=wp.vec3d, device=device)
+    figures = speed(wide, on_device, "rgb", "markers_px")
+    row["view beyond the pad"] = {
+        **figures,
+        "width_mm": WIDE_MM,
+        "environments_rasterized": wide.rasterized_count(),
+        "errors": errors(wide, positions, min(env_count, 2)),
+    }
     if wp_device.is_cuda:
         row["device_memory_high_mib"] = wp.get_mempool_used_mem_high(wp_device) / 2**20
     return row
@@ -267,6 +279,7 @@ def show(row: dict[str, Any]) -> None:
         for name, figures in row["still"].items()
         if isinstance(figures, dict)
     }
+    lines["RGB, view beyond the pad"] = row["view beyond the pad"]
     for name, figures in lines.items():
         print(
             f"  {name:34s} {figures['images_per_s']:12,.0f} /s {figures['median_s'] * 1e3:9.3f} ms"

@@ -22,8 +22,9 @@ import warp as wp
 
 from benchmarks.linear_systems import System, dumped, peg, slab
 from benchmarks.machine import describe_run
+from taccel_lab.ipc.linear.block_cg import BlockCG
+from taccel_lab.ipc.linear.pipelined_cg import PipelinedCG
 from taccel_lab.ipc.linear.system import LinearSystem
-from taccel_lab.ipc.linear.team_cg import TeamCG
 from taccel_lab.output import write_json
 
 TOLERANCES = (1e-2, 1e-4, 1e-6)
@@ -33,7 +34,7 @@ REPEATS = 15
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to solve: a method, or CG with a team of its own size."""
+    """A way to solve: a method, with thread blocks of its own size."""
 
     method: str = "auto"
     lanes: int | None = None
@@ -41,9 +42,9 @@ class Variant:
     cluster_rows: int | None = None
 
     def __str__(self) -> str:
-        if self == Variant(self.method):
-            return self.method
-        return f"cg {self.blocks}x{self.lanes}, clusters of {self.cluster_rows}"
+        if self.blocks is not None:
+            return f"pipelined {self.blocks}x{self.lanes} clusters {self.cluster_rows}"
+        return self.method if self.lanes is None else f"{self.method} {self.lanes}"
 
 
 def build(system: System, env_count: int, device: wp.Device, variant: Variant) -> LinearSystem:
@@ -56,10 +57,13 @@ def build(system: System, env_count: int, device: wp.Device, variant: Variant) -
         method=variant.method,
         extra_capacity=max(len(system.places), 1),
     )
-    if variant != Variant(variant.method):
-        linear._solver = TeamCG(
+    if variant.blocks is not None:
+        assert variant.cluster_rows is not None
+        linear._solver = PipelinedCG(
             linear, system.clusters, variant.lanes, variant.blocks, variant.cluster_rows
         )
+    elif variant.lanes is not None:
+        linear._solver = BlockCG(linear, system.clusters, variant.lanes)
     count = len(system.places)
     scales = scale_factors(env_count)
     for array, source in ((linear.values, system.values), (linear.rhs, system.rhs)):
@@ -159,22 +163,20 @@ def plan(device: wp.Device, dumps: Path | None) -> Iterator[tuple[System, int, V
     if dumps is not None:
         small += [dumped(path, 9) for path in dumps.glob("peg*.npz")]
         large += [dumped(path, 1) for path in sorted(dumps.glob("p[0-9]*.npz"))]
-    methods = [Variant()] if gpu else [Variant("ssor"), Variant("cg")]
+    methods = [Variant()] if gpu else [Variant("ssor"), Variant("cg"), Variant("pipelined")]
     for system in small:
         for env_count in (1, 256, 4096) if gpu else (1, 16):
-            teams = [Variant("cg", lanes, 1, 0) for lanes in (128, 256, 512)] if gpu else []
-            for variant in methods + teams:
+            blocks = [Variant("cg", lanes) for lanes in (128, 256, 512)] if gpu else []
+            for variant in methods + blocks:
                 yield system, env_count, variant
     for system in large:
-        teams = [
-            Variant("cg", lanes, blocks, rows)
+        teams = [Variant("cg", 512)] + [
+            Variant("pipelined", lanes, blocks, rows)
             for lanes, blocks, rows in (
-                (512, 1, 0),
-                (512, 16, 0),
-                (512, 16, 16),
                 (512, 32, 0),
                 (512, 32, 16),
                 (512, 32, 32),
+                (256, 32, 16),
                 (256, 64, 0),
                 (256, 64, 16),
                 (512, 64, 16),
@@ -182,7 +184,7 @@ def plan(device: wp.Device, dumps: Path | None) -> Iterator[tuple[System, int, V
         ]
         for variant in methods + (teams if gpu else []):
             yield system, 1, variant
-        for env_count in (64, 256) if gpu else ():
+        for env_count in (16, 256) if gpu else ():
             yield system, env_count, Variant()
 
 
@@ -197,14 +199,14 @@ def main() -> None:
     device = wp.get_device(args.device)
     rows: list[dict[str, Any]] = []
     references: dict[str, np.ndarray] = {}
-    print(f"{'system':24} {'envs':>5} {'variant':28} tol    ms        its   residual error")
+    print(f"{'system':24} {'envs':>5} {'variant':30} tol    ms        its   residual error")
     for system, env_count, variant in plan(device, args.dumps):
         if system.name not in references:
             references[system.name] = direct(system)
         for row in rows_of(system, env_count, device, variant, references[system.name]):
             rows.append(row)
             print(
-                f"{row['system']:24} {env_count:5d} {row['variant']:28} {row['tolerance']:.0e} "
+                f"{row['system']:24} {env_count:5d} {row['variant']:30} {row['tolerance']:.0e} "
                 f"{row['milliseconds']:9.3f} {row['iterations']:6.1f} {row['residual']:.1e} "
                 f"{row['error']:.1e}" + (" BROKE" if row["breakdowns"] else ""),
                 flush=True,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +29,14 @@ from taccel_lab.output import write_json
 BASELINE = Path(__file__).parent / "baselines" / "quick_cpu.json"
 STEPS = {"peg": 12, "press_239": 14, "squeeze": 4}
 """First steps of each scene."""
+EAGER_STEPS = 3
+"""Steps that are launched kernel by kernel, to count kernels."""
 RISE = {
     "newton_iterations": 0.10,
     "cg_iterations": 0.15,
     "friction_lags": 0.10,
     "launches_per_step": 0.10,
+    "eager_launches_per_step": 0.15,
     "allocations": 0.10,
     "memory_mib": 0.10,
     "kernels": 0.10,
@@ -63,22 +66,27 @@ def measure(scene: str) -> dict[str, Any]:
     from taccel_lab.ipc.intersection import find_intersections
 
     count = STEPS[scene]
+    bench = build_scene(scene, SceneOptions(source="generated"))
     with MemoryMeter() as meter:
-        runner = Runner(build_scene(scene, SceneOptions(source="generated")))
-        runner.run(1)
+        runner = Runner(bench)
+        # Once as it comes, once captured: after that a step is launched as a whole.
+        runner.run(3)
         runner.reset()
         with LaunchCounter() as launches:
             motion = runner.run(count, keep_forces=True)
     allocations = meter.allocations(wp.get_device("cpu"))
+    with LaunchCounter() as eager:
+        Runner(replace(bench, config=replace(bench.config, capture=False))).run(EAGER_STEPS)
     return {
         "steps": count,
         "newton_iterations": round(sum(motion.newton)),
         "cg_iterations": round(sum(motion.cg)),
         "friction_lags": round(sum(motion.lags)),
         "launches_per_step": launches.count / count,
+        "eager_launches_per_step": eager.count / EAGER_STEPS,
         "allocations": allocations.count,
         "memory_mib": allocations.peak_bytes / 2**20,
-        "kernels": len(launches.kernels),
+        "kernels": len(eager.kernels),
         "unconverged": motion.unconverged,
         "taken_in_parts": motion.halved,
         "worst_residual_over_allowed": max(motion.residual_over_allowed),

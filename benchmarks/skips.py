@@ -102,6 +102,12 @@ def all_skips(source: str) -> Iterator[Skip]:
         Side(bear),
     )
     yield Skip(
+        "no eager launches",
+        "a press with shear: every kernel launched from the host, or the step as one graph",
+        Side(replace(press, config=replace(press.config, capture=False))),
+        Side(press),
+    )
+    yield Skip(
         "no signal",
         "a press with shear: height map and normals of 320 x 240 pixels read each step, or not",
         Side(press, after=_read_height_map),

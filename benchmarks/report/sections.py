@@ -245,7 +245,35 @@ def peers(results: Results) -> str:
             for entry in read_field()["others"]
         ],
     )
-    return table(head, rows) + "\n\n" + others
+    return "\n\n".join(part for part in (table(head, rows), ratios(ours, field), others) if part)
+
+
+def ratios(measured: list[dict[str, Any]], field: list[dict[str, Any]]) -> str:
+    """Ours over each of the others on the same kind of device, where both have a figure."""
+    lines = []
+    for own in (entry for entry in measured if "taccel-lab" in entry["name"]):
+        for other in [entry for entry in (*measured, *field) if entry is not own]:
+            if "taccel-lab" in other["name"] or other["device"] not in own["device"]:
+                continue
+            shared = [count for count in other["fps"] if count in own["fps"]]
+            parts = [
+                f"{own['fps'][count] / other['fps'][count]:.3g} times at {int(count):,}"
+                for count in sorted(shared, key=int)
+            ]
+            if parts:
+                lines.append(f"- {other['name']} ({other['stop']}): {', '.join(parts)}")
+    return "Ours over theirs on the same kind of GPU:\n\n" + "\n".join(lines) if lines else ""
+
+
+def stress(results: Results) -> str:
+    """Random scenes: outcomes by family."""
+    from benchmarks.stress import table as stress_table
+
+    parts = []
+    for document in results.get("stress", []):
+        complete = {"complete": not document["interrupted"]}
+        parts += [origin(document | complete), stress_table(document["summary"]).strip()]
+    return "\n\n".join(parts) or NOTHING
 
 
 def picture(document: Document, kind: str, title: str) -> str:
@@ -268,5 +296,6 @@ SECTIONS: dict[str, Callable[[Results], str]] = {
     "error": error,
     "scaling": scaling,
     "skips": skips,
+    "stress": stress,
 }
 """Parts of the page by the name in its markers."""

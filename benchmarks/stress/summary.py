@@ -140,7 +140,8 @@ def plot(summary: dict[str, Any], results: Sequence[dict[str, Any]], out: Path) 
         start += widths
     left.set_yticks(places, names)
     left.set_xlabel("cases")
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, 1.12), ncol=6, frameon=False, fontsize=8)
+    left.set_ylim(-0.6, len(names) - 0.4)
+    left.legend(loc="lower left", bbox_to_anchor=(0, 1), ncol=6, frameon=False, fontsize=8)
     for place, name in zip(places, names, strict=True):
         mine = [result for result in results if result["family"] == name]
         newton = np.array(_all(mine, "newton_iterations"), dtype=float) + 1

@@ -14,18 +14,21 @@ environments of fixed size.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
-from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from taccel_lab.signals.device_color import DeviceColorModel
 from taccel_lab.signals.height_map import SurfaceMode
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
 from taccel_lab.signals.surface_sampler import SurfaceSampler
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
 
 wp.set_module_options({"enable_backward": False})
 
@@ -84,7 +87,8 @@ class SignalTactile:
     ) -> None:
         """
         Args:
-            mesh: Gel pad at rest; its faces of region CONTACT are shown.
+            mesh: Gel pad at rest, the same in all environments; its faces of region CONTACT are
+                shown.
             grid: Pixels of the image.
             env_count: Number of environments.
             color_model: For ``rgb`` and ``rgb_levels``.
@@ -125,6 +129,24 @@ class SignalTactile:
         self._positions: Any = None
         self._no_frames = wp.empty(0, dtype=wp.transformd, device=self.device)
         self._frames: Any = self._no_frames
+
+    @classmethod
+    def from_profile(
+        cls, profile: SensorProfile, *, env_count: int, **options: Any
+    ) -> SignalTactile:
+        """The signals of a profile's sensor.
+
+        Args:
+            profile: Its mesh, camera and, where it has them, background and colour model.
+            env_count: Number of environments.
+            options: Further arguments of ``SignalTactile``, such as ``markers`` and ``device``.
+        """
+        color: dict[str, Any] = {}
+        if profile.color is not None and profile.background_rgb is not None:
+            config = ColorModelConfig.from_dict(profile.color.architecture)
+            color["color_model"] = ColorModel(config, profile.color_weights or {})
+            color["background_rgb"] = profile.background_rgb
+        return cls(profile.mesh, profile.grid(), env_count=env_count, **color, **options)
 
     def update(self, positions: wp.array, world_from_gel: wp.array | None = None) -> None:
         """Point the signals at a state; launches nothing.
@@ -205,7 +227,7 @@ class SignalTactile:
     def rasterized_count(self) -> int:
         """How many environments of the latest chunk were folded or left pixels beside the pad,
         which takes longer; waits for the device. For tests and figures."""
-        return 0 if self._sampler is None else int(np.count_nonzero(self._sampler.unsettled))
+        return 0 if self._sampler is None else int(np.count_nonzero(self._sampler.rasterized))
 
     def _make(self, name: str) -> Any:
         """Allocate a signal and what computes it, at its first read."""

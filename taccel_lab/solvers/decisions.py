@@ -22,6 +22,7 @@ _INVERSION = wp.constant(int(EnvStatus.INVERSION))
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
 _JOINT = wp.constant(int(EnvStatus.JOINT))
 _TOUCHING = wp.constant(int(EnvStatus.TOUCHING))
+LARGEST_BOOST = 64.0
 _SKIPPED = wp.constant(int(EnvStatus.SKIPPED))
 
 
@@ -77,6 +78,8 @@ def begin_kernel(
     p.damping[env] = one
     p.margin[env] = r.dhat
     p.before[env] = zero
+    p.boost[env] = one
+    p.last_residual[env] = wp.float64(wp.inf)
     if p.who[env] == 0:
         return
     p.status[env] = _RUNNING
@@ -254,6 +257,7 @@ def judge_friction_kernel(p: Progress, r: Rules):
     else:
         p.damping[env] = wp.min(wp.float64(1.5) * damping, one)
     p.lag_change[env] = residual
+    p.last_residual[env] = wp.float64(wp.inf)
     p.lags[env] += 1
     if residual <= tolerance(env, p, r):
         stop(env, _CONVERGED, p)
@@ -275,6 +279,24 @@ def go_on_kernel(p: Progress, r: Rules):
 # The search direction ------------------------------------------------------------------------
 
 
+@wp.func
+def boosted(env: int, p: Progress) -> wp.float64:
+    """Twice the last multiple after a full step that hardly lowered the residual, else one.
+
+    Near a saddle, where a gel snaps over an edge, the projected matrix is stiffer than the body:
+    whole steps go on for dozens of iterations and each takes the same small part of the way.
+    """
+    one = wp.float64(1.0)
+    if p.progress[env] < one or p.damping[env] < one:
+        return one
+    ratio = p.residual[env] / p.last_residual[env]
+    if ratio < wp.float64(0.7) or ratio > wp.float64(2.0):
+        return one
+    if p.cuts[env] > 0 or p.limit[env] < one or p.last_residual[env] == wp.float64(wp.inf):
+        return one
+    return wp.min(wp.float64(4.0) * p.boost[env], wp.float64(LARGEST_BOOST))
+
+
 @wp.kernel
 def aim_kernel(p: Progress, r: Rules, linear_tolerances: wp.array(dtype=wp.float64)):
     """How far the frames try to go next, and how well the system has to be solved.
@@ -290,7 +312,10 @@ def aim_kernel(p: Progress, r: Rules, linear_tolerances: wp.array(dtype=wp.float
     env = wp.tid()
     if env == 0:
         p.searching[0] = 0
+        p.any_curved[0] = p.any_turning[0]
     p.moving[env] = 0
+    p.bend[env] = wp.float64(0.0)
+    p.reach[env] = p.margin[env]
     if p.active[env] == 0:
         return
     one = wp.float64(1.0)
@@ -305,6 +330,8 @@ def aim_kernel(p: Progress, r: Rules, linear_tolerances: wp.array(dtype=wp.float
     p.goal[env] = goal
     if progress < one:
         p.moving[env] = 1
+    p.boost[env] = boosted(env, p)
+    p.last_residual[env] = p.residual[env]
     ratio = tolerance(env, p, r) / wp.max(p.residual[env], wp.float64(1.0e-300))
     linear_tolerances[env] = wp.clamp(
         wp.float64(0.3) * ratio, wp.float64(1.0e-6), wp.float64(1.0e-2)
@@ -329,7 +356,16 @@ def count_solve_kernel(
 
 
 @wp.kernel
-def open_search_kernel(p: Progress):
+def bend_kernel(smallest: wp.float64, p: Progress):
+    """Note whether steps are bent, and how far they may lead off the straight ones."""
+    env = wp.tid()
+    if p.active[env] != 0 and p.bend[env] > smallest:
+        p.reach[env] = p.margin[env] + p.deviation[env]
+        p.any_curved[0] = 1
+
+
+@wp.kernel
+def open_search_kernel(largest_turn: wp.float64, p: Progress):
     """Start from the collision-free fraction."""
     env = wp.tid()
     p.waiting[env] = 0
@@ -337,6 +373,7 @@ def open_search_kernel(p: Progress):
         return
     p.cuts[env] = 0
     alpha = wp.min(p.limit[env], p.damping[env])
+    alpha = wp.min(alpha, largest_turn / wp.max(p.bend[env], wp.float64(1.0e-300)))
     p.alpha[env] = alpha
     if alpha > wp.float64(0.0):
         p.waiting[env] = 1
@@ -373,7 +410,7 @@ def adapted_stride(stride: wp.float64, fraction: wp.float64) -> wp.float64:
 
 
 @wp.kernel
-def accept_kernel(p: Progress, r: Rules):
+def accept_kernel(smallest_bend: wp.float64, p: Progress, r: Rules):
     """Accept a trial that lowers the energy, or halve its fraction.
 
     While frames are still on their way the energy may rise: they do work. A body that turns leaves
@@ -393,7 +430,7 @@ def accept_kernel(p: Progress, r: Rules):
     good = wp.isfinite(after)
     if p.progress[env] >= one and not (after <= before + descent + rounding):
         good = False
-    if p.turning[env] != 0 and p.limit[env] < one:
+    if (p.turning[env] != 0 or p.bend[env] > smallest_bend) and p.limit[env] < one:
         good = False
     if good:
         p.waiting[env] = 0

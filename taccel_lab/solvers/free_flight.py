@@ -37,7 +37,7 @@ def start_in_free_flight(run: StepRun) -> None:
     subtract_rows(p.chosen, s.trial, x, s.displacements)
     embed_vertices(run.model, s.displacements)
     # Of all active environments: those that are not chosen keep their list, too.
-    run.find_candidates(poses)
+    run.find_candidates(poses, p.margin)
     limit_step(run.model, p.chosen, s.candidates, x, s.displacements, p.limit)
     run.decide(decisions.keep_free_flight_kernel, p)
     run.energy(p.chosen, x, poses, p.base, p.before)

@@ -7,6 +7,13 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
+from taccel_lab.ipc.affine.bent_step import (
+    LARGEST_TURN,
+    SMALLEST_TURN,
+    bend_steps,
+    measure_turns,
+)
+from taccel_lab.ipc.affine.embedding import embed_vertices
 from taccel_lab.ipc.kinematics import place_kinematic_nodes, place_poses_between
 from taccel_lab.ipc.motion import advance_positions, subtract_rows
 from taccel_lab.ipc.reduce import slopes
@@ -23,11 +30,15 @@ def search_line(run: StepRun) -> None:
     While frames are still on their way the energy may rise: they do work.
     """
     s, p, state = run.s, run.p, run.state
-    run.find_candidates(s.target_poses)
+    if s.affine is not None:
+        x, way = state.positions, s.displacements
+        measure_turns(run.model, p.active, x, way, p.bend, p.deviation)
+        run.decide(decisions.bend_kernel, SMALLEST_TURN, p)
+    run.find_candidates(s.target_poses, p.reach)
     limit_step(run.model, p.active, s.candidates, state.positions, s.displacements, p.limit)
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
     slopes(p.active, gradients, s.displacements, p.slope)
-    run.decide(decisions.open_search_kernel, p)
+    run.decide(decisions.open_search_kernel, LARGEST_TURN, p)
     # Only friction that was frozen anew, and joints, change the energy where a search starts.
     run.energy(p.active, state.positions, state.poses, p.base, p.before, known=s.joints is None)
 
@@ -43,16 +54,20 @@ def _try(run: StepRun) -> None:
     s, p, state = run.s, run.p, run.state
 
     def check_path() -> None:
-        """Unlike the chord, the path that a turning body takes was not checked."""
+        """Unlike the chord, the way that a turning body takes was not checked."""
         subtract_rows(p.waiting, s.trial, state.positions, s.path)
         limit_step(run.model, p.waiting, s.candidates, state.positions, s.path, p.limit)
 
     run.decide(decisions.begin_trial_kernel, p)
     place_poses_between(p.waiting, s.start_poses, s.end_poses, p.trial_progress, s.trial_poses)
     advance_positions(p.waiting, state.positions, s.displacements, p.alpha, s.trial)
+    if s.affine is not None:
+        x, way = state.positions, s.displacements
+        bend_steps(run.model, p.waiting, p.bend, p.alpha, x, way, s.trial)
+        embed_vertices(run.model, s.trial)
     place_kinematic_nodes(run.model, s.trial_poses, s.trial, p.waiting)
-    if run.model.kinematic:
-        wp.capture_if(p.any_turning, on_true=check_path)
+    if run.model.kinematic or s.affine is not None:
+        wp.capture_if(p.any_curved, on_true=check_path)
     run.collide(p.waiting, s.trial)
     run.energy(p.waiting, s.trial, s.trial_poses, p.base_after, p.after)
-    run.decide(decisions.accept_kernel, p, run.rules)
+    run.decide(decisions.accept_kernel, SMALLEST_TURN, p, run.rules)

@@ -81,7 +81,7 @@ class StepRun:
         if s.elastic:
             self.decide(decisions.stop_inverted_kernel, p)
         s.displacements.zero_()
-        self.find_candidates(state.poses)
+        self.find_candidates(state.poses, p.margin)
         self.collide(p.active, state.positions)
         if s.friction is not None:
             s.friction.clear(p.who)
@@ -134,12 +134,10 @@ class StepRun:
 
     # Contacts --------------------------------------------------------------------------------
 
-    def find_candidates(self, poses: wp.array) -> None:
-        """Pairs near the way of ``displacements`` and of the frames to ``poses``."""
+    def find_candidates(self, poses: wp.array, reach: wp.array) -> None:
+        """Pairs within ``reach`` of the way of ``displacements`` and of the frames to ``poses``."""
         s, state, p = self.s, self.state, self.p
-        s.candidates.search(
-            p.active, state.positions, s.displacements, state.poses, poses, p.margin
-        )
+        s.candidates.search(p.active, state.positions, s.displacements, state.poses, poses, reach)
         self._check_room(p.active, s.candidates.lists)
 
     def collide(self, mask: wp.array, positions: wp.array) -> None:
@@ -252,7 +250,7 @@ class StepRun:
         self.decide(
             decisions.count_solve_kernel, s.linear.iterations, s.linear.breakdown, p
         )
-        spread_solution(self.model, p.active, s.linear.solution, s.displacements)
+        spread_solution(self.model, p.active, p.boost, s.linear.solution, s.displacements)
 
     def _assemble(self, x: wp.array) -> None:
         """Matrix and right-hand side of all active environments."""

@@ -79,6 +79,16 @@ class Progress:
     """Residual that rounding makes in joints [N]."""
     energy_rounding: wp.array(dtype=wp.float64)
     """Rounding of the elastic energy, however small it is [J]."""
+    boost: wp.array(dtype=wp.float64)
+    """Multiple of Newton's direction that is searched along."""
+    last_residual: wp.array(dtype=wp.float64)
+    """Force residual one iteration earlier [N]; infinite after friction was frozen anew."""
+    bend: wp.array(dtype=wp.float64)
+    """Largest angle by which the search direction turns an affine body [rad]."""
+    deviation: wp.array(dtype=wp.float64)
+    """How far a bent step may leave the straight one [m]."""
+    reach: wp.array(dtype=wp.float64)
+    """Reach of the broad phase along the search direction [m]."""
     limit: wp.array(dtype=wp.float64)
     """Collision-free fraction of the search direction, or of a turning trial's path."""
     alpha: wp.array(dtype=wp.float64)
@@ -99,6 +109,8 @@ class Progress:
     """Reach of each frame [m], shape [kinematic_count]."""
     any_turning: wp.array(dtype=wp.int32)
     """Whether a frame turns in any environment, shape [1] like all below."""
+    any_curved: wp.array(dtype=wp.int32)
+    """Whether any trial leaves the chord that CCD checked."""
     running: wp.array(dtype=wp.int32)
     """Whether any environment is active."""
     searching: wp.array(dtype=wp.int32)
@@ -140,12 +152,14 @@ class ProgressArrays:
         for name in (
             ("progress", "goal", "stride", "trial_progress", "lag_change", "damping", "margin")
             + ("rounding", "limit", "alpha", "slope", "before", "after", "base", "base_after")
+            + ("bend", "deviation", "reach", "boost", "last_residual")
         ):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.float64, device=device))
         self.data.energy_rounding = wp.array(energy_rounding_j, dtype=wp.float64, device=device)
         self.data.turns = wp.zeros((env_count, len(radii_m)), dtype=wp.float64, device=device)
         self.data.radii = wp.array(radii_m, dtype=wp.float64, device=device)
         self.data.any_turning = wp.zeros(1, dtype=wp.int32, device=device)
+        self.data.any_curved = wp.zeros(1, dtype=wp.int32, device=device)
         self.flags = wp.zeros(5, dtype=wp.int32, device=device)
         for i, name in enumerate(("running", "searching", "freezing", "closing", "reopened")):
             setattr(self.data, name, self.flags[i : i + 1])

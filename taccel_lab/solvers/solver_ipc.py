@@ -124,8 +124,8 @@ class SolverIPC:
         """d(barrier)/dx at the end of the step [N]; the force on a node is its negative."""
         self.friction_gradient = nodal()
         """d(friction)/dx at the end of the step [N]; the force on a node is its negative."""
-        self.path = nodal() if model.kinematic else self.trial
-        """Way of a trial in which a frame turns [m]."""
+        self.path = nodal() if model.kinematic or self.affine else self.trial
+        """Way of a trial in which a body turns [m]."""
         self.reduced = wp.zeros((model.env_count, model.free_count), dtype=wp.vec3d, device=device)
         """Gradient of the total energy by the unknowns [N]."""
         self.dts = wp.zeros(model.env_count, dtype=wp.float64, device=device)

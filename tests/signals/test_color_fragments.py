@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import warp as wp
 
 from taccel_lab.signals.color_fragments import NetworkLayout, pack_network
+from taccel_lab.signals.color_kernel import color_kernel
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
 
 LANES = np.arange(32)
@@ -127,3 +129,15 @@ def test_the_first_layer_keeps_more_than_half_precision():
     expected = 1000 * np.tanh(weights["layer0.weight"][0, 0] * (inputs[:, 0] - inputs[:, 1]))
     assert np.unique(inputs[:, 0].astype(np.float16)).size == 1 and np.ptp(expected) > 15
     assert run(ColorModel(config, weights), inputs)[:, 0] == pytest.approx(expected, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "activation"), [((64, 64, 64), "silu"), ((20, 128), "tanh"), ((16,), "relu")]
+)
+def test_kernels_compile_for_hopper(hidden, activation, tmp_path):
+    """The CUDA half of the source, which nothing else reads on a machine without a GPU."""
+    module = color_kernel(hidden, activation).module
+    wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path))
+    assert list(tmp_path.glob("*.sm90.cubin"))
+    (source,) = (path.read_text() for path in tmp_path.glob("*.cu"))
+    assert source.count("mma.sync.aligned.m16n8k16") == 1

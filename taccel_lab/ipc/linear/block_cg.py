@@ -145,6 +145,7 @@ def _solve_kernel(
     b_sq = zero
     r_sq = zero
     goal = zero
+    start_sq = infinity
     alpha = wp.float64(1.0)
     beta = zero
     rho = wp.float64(1.0)
@@ -192,19 +193,29 @@ def _solve_kernel(
             limit = goal
             if fresh:
                 limit = wp.float64(1.001) * goal
+            sound = rho > zero and curvature > zero and curvature < infinity and r_sq < infinity
             if r_sq <= limit and r_sq < infinity:
                 running = int(0)
                 if verifies and not fresh and count < max_iterations:
                     # What the rounding of the recurrence left is solved for in a fresh start.
                     mode = int(_SHOW_X)
                     running = int(1)
-            elif not (rho > zero and curvature > zero and curvature < infinity and r_sq < infinity):
+            elif fresh and r_sq > wp.float64(0.25) * start_sq:
+                # Starting anew did not help the last time.
+                broken = int(1)
+                running = int(0)
+            elif not sound and not fresh and r_sq < wp.float64(1e-6) * b_sq:
+                # As close as this, it may well be rounding that spoils the curvature.
+                mode = int(_SHOW_X)
+            elif not sound:
                 broken = int(1)
                 running = int(0)
             elif count >= max_iterations:
                 running = int(0)
             else:
                 count += 1
+            if fresh:
+                start_sq = r_sq
     if lane == 0:
         iterations[env] = count
         breakdowns[env] = broken

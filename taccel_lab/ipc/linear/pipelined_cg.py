@@ -40,6 +40,8 @@ VERIFY_BELOW = 1e-3
 stiff random matrices the one that the recurrence updates is off by up to 5e-7 of the load."""
 CLUSTER_ROWS = 16
 """Rows of a cluster of neighbours. More save iterations, but inverting them takes longer."""
+TASKS_PER_ROW = 6
+"""Scalar rows of segments that a row has, about: what a team is sized by."""
 
 # What a pass over the rows does; but for the first two it follows a product.
 _START = wp.constant(0)  # r = b; m = M^-1 r
@@ -206,6 +208,7 @@ def _solve_kernel(
     b_sq = zero
     r_sq = zero
     goal = zero
+    start_sq = infinity
     alpha = wp.float64(1.0)
     beta = zero
     rho = wp.float64(1.0)
@@ -264,19 +267,29 @@ def _solve_kernel(
             limit = goal
             if fresh:
                 limit = wp.float64(1.001) * goal
+            sound = rho > zero and curvature > zero and curvature < infinity and r_sq < infinity
             if r_sq <= limit and r_sq < infinity:
                 running = int(0)
                 if verifies and not fresh and count < max_iterations:
                     # What the rounding of the recurrence left is solved for in a fresh start.
                     mode = int(_SHOW_X)
                     running = int(1)
-            elif not (rho > zero and curvature > zero and curvature < infinity and r_sq < infinity):
+            elif fresh and r_sq > wp.float64(0.25) * start_sq:
+                # Starting anew did not help the last time.
+                broken = int(1)
+                running = int(0)
+            elif not sound and not fresh and r_sq < wp.float64(1e-6) * b_sq:
+                # As close as this, it may well be rounding that spoils the curvature.
+                mode = int(_SHOW_X)
+            elif not sound:
                 broken = int(1)
                 running = int(0)
             elif count >= max_iterations:
                 running = int(0)
             else:
                 count += 1
+            if fresh:
+                start_sq = r_sq
         if running == 1 and mode != _SHOW_X:
             m = work.m_scalars[env, 3 * turn * n : 3 * (turn + 1) * n]
             begin = layout.task_starts[block]
@@ -331,7 +344,7 @@ class PipelinedCG:
         if cluster_rows > 1:
             rest = np.setdiff1d(np.arange(n), np.concatenate([np.zeros(0, dtype=int), *groups]))
             groups += neighbour_clusters(pattern, rest, cluster_rows)
-        size = team(device, problem.env_count, 6 * n, lanes, blocks)
+        size = team(device, problem.env_count, TASKS_PER_ROW * n, lanes, blocks)
         if device.is_cpu:
             size = Team(size.lanes)
         self._team = size

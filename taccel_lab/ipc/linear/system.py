@@ -9,9 +9,10 @@ from typing import Protocol
 import warp as wp
 
 from taccel_lab.ipc.linear.block_cg import BlockCG
+from taccel_lab.ipc.linear.block_ops import team
 from taccel_lab.ipc.linear.dense_cholesky import DenseCholesky
 from taccel_lab.ipc.linear.pattern import BlockPattern
-from taccel_lab.ipc.linear.pipelined_cg import PipelinedCG
+from taccel_lab.ipc.linear.pipelined_cg import TASKS_PER_ROW, PipelinedCG
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.ssor_cg import SsorCG
@@ -52,7 +53,7 @@ class LinearSystem(LinearProblem):
         super().__init__(pattern, env_count, device, extra_capacity)
         self.clusters = list(clusters or [])
         if method == "auto":
-            method = _method(pattern, device, stiff)
+            method = _method(pattern, env_count, device, stiff)
         self._solver = METHODS[method](self)
         self.capturable: bool = self._solver.capturable
         """Whether ``solve`` needs no host, so that a CUDA graph can hold it."""
@@ -65,8 +66,9 @@ class LinearSystem(LinearProblem):
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """Solve to ||rhs - H p|| <= tolerances ||rhs|| in each active environment.
 
-        ``active``: int32, shape [env_count]. ``values``, ``extra`` and ``rhs`` are left as they
-        are; ``solution``, ``iterations``, ``breakdown`` and ``residuals`` are written.
+        ``active``: int32, shape [env_count]. ``values`` and ``rhs`` are left as they are, and so is
+        the matrix, but extra blocks of one place are summed in the list. Written are ``solution``,
+        ``iterations``, ``breakdown`` and ``residuals``.
         """
         self._solver.solve(active, max_iterations)
 
@@ -83,9 +85,11 @@ METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
 }
 
 
-def _method(pattern: BlockPattern, device: wp.Device, stiff: bool) -> str:
+def _method(pattern: BlockPattern, env_count: int, device: wp.Device, stiff: bool) -> str:
     """The solver that suits the device and the size."""
     if not device.is_cpu:
-        return "cg"
+        # Several thread blocks an environment where one would have more than it can do at a time.
+        blocks = team(device, env_count, TASKS_PER_ROW * pattern.free_count).blocks
+        return "cg" if blocks == 1 else "pipelined"
     # Gauss-Seidel sweeps run along the rows: quick on one CPU thread, hopeless on thousands.
     return "dense" if stiff and pattern.free_count <= MAX_DIRECT_ROWS else "ssor"

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CG by a team of lanes, and its parts; with blocks of many lanes, so that a race would show."""
+"""CG by thread blocks, and its parts; with blocks of many lanes, so that a race would show."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists
 from taccel_lab.ipc.linear.packed_rows import PackedRows
 from taccel_lab.ipc.linear.pattern import BlockPattern
+from taccel_lab.ipc.linear.pipelined_cg import PipelinedCG
 from taccel_lab.ipc.linear.preconditioner import DiagonalInverses
 from taccel_lab.ipc.linear.row_lists import cut_segments, scalars
 from taccel_lab.ipc.linear.row_plan import neighbour_clusters, plan_rows
@@ -23,6 +24,13 @@ from tests.ipc.linear.systems import delaunay_pattern, random_spd
 
 CPU = wp.get_device("cpu")
 LANES = 32
+
+
+SOLVERS = [
+    lambda system: BlockCG(system, system.clusters, LANES),
+    lambda system: PipelinedCG(system, system.clusters, LANES, cluster_rows=0),
+    lambda system: PipelinedCG(system, system.clusters, LANES, cluster_rows=8),
+]
 
 
 @pytest.fixture
@@ -92,10 +100,13 @@ def contact_system(
     return system, dense
 
 
-def test_gel_and_stiff_body_against_a_dense_solve(many_lanes: None) -> None:
+@pytest.mark.parametrize("make", SOLVERS)
+def test_gel_and_stiff_body_against_a_dense_solve(
+    many_lanes: None, make: Callable[[LinearSystem], BlockCG | PipelinedCG]
+) -> None:
     system, dense = contact_system(3)
     n = dense.shape[1]
-    system._solver = BlockCG(system, system.clusters, LANES)
+    system._solver = make(system)
     system.tolerances.assign(np.array([1e-10, 1e-6, 1e-3]))
     system.solution.fill_(np.nan)
     active = wp.full(3, 1, dtype=wp.int32, device=CPU)
@@ -126,10 +137,13 @@ def test_the_cluster_of_a_stiff_body_saves_most_iterations() -> None:
     assert counts[1] < 0.6 * counts[0]
 
 
-def test_lanes_and_neighbours_do_not_matter(many_lanes: None) -> None:
+@pytest.mark.parametrize("make", SOLVERS)
+def test_neighbours_do_not_matter(
+    many_lanes: None, make: Callable[[LinearSystem], BlockCG | PipelinedCG]
+) -> None:
     system, _ = contact_system(4)
     system.tolerances.fill_(1e-8)
-    system._solver = BlockCG(system, system.clusters, LANES)
+    system._solver = make(system)
     system.solve(wp.full(4, 1, dtype=wp.int32, device=CPU), 1000)
     together, iterations = system.solution.numpy(), system.report().iterations
     for env in (0, 3):

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Newton's steps of affine bodies, bent to follow the rotations.
+
+A straight step dA of a body's map A that turns it by an angle w stretches it by w^2 / 2, which a
+body of 1 GPa resists so much that every other Newton iteration only undoes the stretch of the last
+one. Split into dA A^-1 = W + S, skew and symmetric, the step exp(W) (I + S) A is the same to first
+order and strains by S alone. The centre follows the screw of the twist (W, dy0), V(W) dy0 with V
+the left Jacobian of the rotations [Murray, Li and Sastry 1994, A Mathematical Introduction to
+Robotic Manipulation, section 2.3.3]: a body that turns about a contact or a hinge keeps that point.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.affine.orthogonality import affine_map
+from taccel_lab.model import Model
+
+wp.set_module_options({"enable_backward": False})
+
+LARGEST_TURN = 0.5
+"""Angle that one step may turn a body by [rad]."""
+SMALLEST_TURN = 1e-5
+"""Angle below which steps stay straight [rad]: they strain by 5e-11."""
+
+
+@wp.func
+def body_map(
+    env: int, start: int, length: wp.float64, nodes: wp.array2d(dtype=wp.vec3d)
+) -> wp.mat33d:
+    """Linear map of a body, or its change, from control nodes [m]."""
+    return affine_map(nodes[env, start + 1], nodes[env, start + 2], nodes[env, start + 3], length)
+
+
+@wp.func
+def twist_of(change: wp.mat33d) -> wp.vec3d:
+    """Axial vector of the skew part of dA A^-1 [rad]."""
+    half = wp.float64(0.5)
+    return half * wp.vec3d(
+        change[2, 1] - change[1, 2], change[0, 2] - change[2, 0], change[1, 0] - change[0, 1]
+    )
+
+
+@wp.func
+def bent_map(a: wp.mat33d, change: wp.mat33d) -> wp.mat33d:
+    """exp(W) (I + S) A for dA A^-1 = W + S of less than half a turn."""
+    w = twist_of(change)
+    angle = wp.max(wp.length(w), wp.float64(1.0e-12))
+    skew = wp.skew(w)
+    stretch = wp.float64(0.5) * (change + wp.transpose(change))
+    sine = wp.sin(angle) / angle
+    cosine = wp.float64(2.0) * wp.pow(wp.sin(wp.float64(0.5) * angle) / angle, wp.float64(2.0))
+    rotation = wp.identity(n=3, dtype=wp.float64) + sine * skew + cosine * (skew * skew)
+    return rotation * (a + stretch * a)
+
+
+@wp.func
+def bent_way(way: wp.vec3d, twist: wp.vec3d) -> wp.vec3d:
+    """Way of the centre along the screw, V(W) way [m]."""
+    angle = wp.max(wp.length(twist), wp.float64(1.0e-12))
+    sine = wp.sin(angle) / angle
+    cosine = wp.float64(2.0) * wp.pow(wp.sin(wp.float64(0.5) * angle) / angle, wp.float64(2.0))
+    # (angle - sin angle) / angle^3, without cancellation where it is small.
+    third = wp.float64(1.0) / wp.float64(6.0) - angle * angle / wp.float64(120.0)
+    if angle > wp.float64(1.0e-2):
+        third = (wp.float64(1.0) - sine) / (angle * angle)
+    once = wp.cross(twist, way)
+    return way + cosine * once + third * wp.cross(twist, once)
+
+
+@wp.kernel
+def _measure_kernel(
+    active: wp.array(dtype=wp.int32),
+    control_starts: wp.array(dtype=wp.int32),
+    lengths: wp.array(dtype=wp.float64),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    turns: wp.array(dtype=wp.float64),
+    deviations: wp.array(dtype=wp.float64),
+):
+    """Largest turn of a body [rad], and how far a vertex may leave its straight way [m].
+
+    The length L of a body is the largest distance of a vertex from its centre.
+    """
+    env = wp.tid()
+    turns[env] = wp.float64(0.0)
+    deviations[env] = wp.float64(0.0)
+    if active[env] == 0:
+        return
+    for body in range(control_starts.shape[0]):
+        start = control_starts[body]
+        change = body_map(env, start, lengths[body], displacements)
+        change = change * wp.inverse(body_map(env, start, lengths[body], positions))
+        size = wp.sqrt(wp.ddot(change, change))
+        turn = wp.length(twist_of(change))
+        # |exp(W)(I + S) - I - W - S| <= w^2/2 + w |S|; |V(W) - I| <= w/2.
+        bent = turn * size * lengths[body]
+        bent += wp.float64(0.5) * turn * wp.length(displacements[env, start])
+        turns[env] = wp.max(turns[env], turn)
+        deviations[env] = wp.max(deviations[env], bent)
+
+
+@wp.kernel
+def _bend_kernel(
+    mask: wp.array(dtype=wp.int32),
+    turns: wp.array(dtype=wp.float64),
+    smallest: wp.float64,
+    fractions: wp.array(dtype=wp.float64),
+    control_starts: wp.array(dtype=wp.int32),
+    lengths: wp.array(dtype=wp.float64),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    trial: wp.array2d(dtype=wp.vec3d),
+):
+    env, body = wp.tid()
+    if mask[env] == 0 or turns[env] <= smallest:
+        return
+    start = control_starts[body]
+    length = lengths[body]
+    fraction = fractions[env]
+    a = body_map(env, start, length, positions)
+    change = fraction * (body_map(env, start, length, displacements) * wp.inverse(a))
+    turned = length * bent_map(a, change)
+    way = bent_way(fraction * displacements[env, start], twist_of(change))
+    trial[env, start] = positions[env, start] + way
+    for k in range(3):
+        trial[env, start + 1 + k] = wp.vec3d(turned[0, k], turned[1, k], turned[2, k])
+
+
+def measure_turns(
+    model: Model,
+    active: wp.array,
+    positions: wp.array,
+    displacements: wp.array,
+    turns: wp.array,
+    deviations: wp.array,
+) -> None:
+    """Largest turn [rad] of a body along ``displacements``, and a bound of how far any vertex of a
+    bent step leaves the straight one [m]; float64, [env_count]."""
+    affine = model.affine
+    wp.launch(
+        _measure_kernel,
+        dim=model.env_count,
+        inputs=[active, affine.control_starts, affine.lengths, positions, displacements],
+        outputs=[turns, deviations],
+        device=model.device,
+    )
+
+
+def bend_steps(
+    model: Model,
+    mask: wp.array,
+    turns: wp.array,
+    fractions: wp.array,
+    positions: wp.array,
+    displacements: wp.array,
+    trial: wp.array,
+) -> None:
+    """Put the control nodes of ``trial`` where the bent step leads, where ``turns`` exceed
+    SMALLEST_TURN."""
+    affine = model.affine
+    wp.launch(
+        _bend_kernel,
+        dim=(model.env_count, affine.count),
+        inputs=[mask, turns, SMALLEST_TURN, fractions, affine.control_starts, affine.lengths]
+        + [positions, displacements],
+        outputs=[trial],
+        device=model.device,
+    )

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the suites error, scaling and skips measure, on their smallest scenes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import error, scaling, skips
+from benchmarks.options import Scaling
+from benchmarks.report.plots import draw_error, draw_scaling
+from benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.scene import Element
+
+COARSE = replace(error.DEFAULT, layers=2)
+
+
+def test_an_error_row() -> None:
+    presses = error.Presses("cpu", 2)
+    finer = replace(COARSE, dhat_m=5e-6, relative_tolerance=1e-6)
+    row = error.measure(error.Row("dhat", "20 um", COARSE, finer), presses)
+    loose = replace(COARSE, relative_tolerance=0.1)
+    other = error.measure(error.Row("tolerance", "0.1", loose, COARSE), presses)
+    assert row["ms_per_step"]["count"] == 2
+    assert row["residual"]["worst_over_contact_force"] <= 1e-4
+    assert other["residual"]["worst_over_contact_force"] > 1e-4
+    # The gap of contact makes the ball larger by about its range: per cents of the force.
+    assert 1 < row["error"]["force_percent"] < 10
+    assert 0 < row["error"]["height_rms_um"] <= row["error"]["height_max_um"] < 20
+    assert 0 < row["error"]["marker_rms_um"] <= row["error"]["marker_max_um"] < 20
+    # Without any difference there is no error.
+    same = error.measure(error.Row("dhat", "same", COARSE, COARSE), presses)
+    assert max(same["error"].values()) == 0
+    assert not row["is_default"]
+    assert error.measure(error.Row("mesh", "", error.DEFAULT, COARSE), presses)["is_default"]
+
+
+def front_row(ms: float, total: float, own: float, layers: int = 4, default: bool = False) -> Any:
+    """A row of the front with these figures."""
+    return {
+        "group": "front",
+        "value": f"{ms}",
+        "is_default": default,
+        "settings": {"element": "linear", "layers": layers},
+        "ms_per_step": {"median": ms},
+        "error": {"force_percent": total},
+        "settings_error": {"force_percent": own},
+    }
+
+
+def test_the_judge_says_whether_the_default_pays() -> None:
+    rows = [
+        front_row(10, 30, 4, default=True),
+        front_row(20, 28, 1),
+        front_row(5, 40, 8),
+        front_row(8, 25, 2, layers=2),
+    ]
+    verdict = error.judge(rows)
+    assert verdict["default_is_on_the_front_of_its_mesh"]
+    assert not verdict["default_is_on_the_front"]
+    assert verdict["better_than_the_default"] == ["8"]
+    assert verdict["by_total_force_error"] == ["5", "8"]
+    assert error.judge(rows[:3])["default_is_on_the_front"]
+    assert error.judge([]) == {}
+
+
+def test_rows_cover_what_is_varied() -> None:
+    groups = {row.group for row in error.all_rows(quick=False)}
+    assert {"mesh", "dhat", "tolerance", "friction eps", "dt", "front"} < groups
+    fronts = [row.press for row in error.all_rows(quick=False) if row.group == "front"]
+    assert error.DEFAULT in fronts
+    assert {press.element for press in fronts} == set(Element)
+
+
+def test_a_scaling_row_and_its_fit() -> None:
+    points = list(
+        scaling.all_points(Scaling(envs=(1,), cells=(3,), punch_mm=(4,), sensors=(2,), steps=2))
+    )
+    assert [p.series for p in points] == ["environments", "nodes", "contacts", "sensors"]
+    row = scaling.measure(points[2], "cpu", 1)
+    assert row["size"] == row["contacts"] > 10
+    assert row["residual"]["unconverged"] == 0
+    rows = [
+        row | {"size": size, "ms_per_step": {"median": 2.0 * size}, "memory_mib": 3 * size**0.5}
+        for size in (10, 20, 40, 80)
+    ]
+    fit = scaling.fit(rows)["contacts"]
+    assert (fit["time"], fit["memory"]) == (pytest.approx(1.0), pytest.approx(0.5))
+    figure = draw_scaling({"rows": rows, "fits": scaling.fit(rows)})
+    assert len(figure.axes) == 2
+
+
+def test_a_skip_row() -> None:
+    found = {skip.name: skip for skip in skips.all_skips("generated")}
+    assert {"no friction", "no affine body", "quasi-static", "no signal"} < set(found)
+    assert {"settled environments", "kinematic instead of affine"} < set(found)
+    skip = found["no friction"]
+    short = replace(skip, on=replace(skip.on, steps=6), off=replace(skip.off, steps=6))
+    row = skips.measure(short, "cpu", 1)
+    assert row["on"]["friction_lags_mean"] > row["off"]["friction_lags_mean"]
+    assert row["on"]["residual"]["unconverged"] == row["off"]["residual"]["unconverged"] == 0
+    on, off = (row[name]["ms_per_step"]["median"] for name in ("on", "off"))
+    assert row["saved_percent"] == pytest.approx(100 * (1 - off / on))
+
+
+def test_only_one_environment_moves_when_the_others_are_settled() -> None:
+    bench = build_scene("press_239", SceneOptions(source="generated"))
+    targets = skips._settled(bench, 3).targets(9)
+    np.testing.assert_array_equal(targets[0], bench.path[9])
+    np.testing.assert_array_equal(targets[1:], bench.targets(0)[[0, 0]])
+
+
+def test_errors_are_drawn() -> None:
+    keys = ("force_percent", "height_rms_um", "marker_rms_um")
+    rows = [front_row(10, 1, 1, default=True), front_row(20, 0.5, 0.5)]
+    for row in rows:
+        row["error"] = row["settings_error"] = dict.fromkeys(keys, row["error"]["force_percent"])
+    figure = draw_error({"rows": rows})
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert labels == ["linear, 4 layers", "front", "default"]
