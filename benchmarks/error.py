@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from benchmarks.clock import clock_name
-from benchmarks.front import is_on_front
+from benchmarks.front import NOISE, is_on_front
 from benchmarks.options import Error
 from benchmarks.results import Deadline, ResultFile, note, spread
 from benchmarks.shear_press import FRICTION, Outcome, Press, run
@@ -214,36 +214,66 @@ def describe(row: dict[str, Any]) -> str:
     )
 
 
+CRITERIA = ("force_percent", "height_rms_um", "marker_rms_um")
+"""Errors that the front is about: a row is dominated by one that is faster and worse in none."""
+NEARBY = 1.5
+"""Times the default's time within which a better row is looked for."""
+
+
 def judge(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Which rows of the front are such that no other is both faster and better.
+    """Which rows are such that no other is faster and no worse in force, heights and markers.
 
     All meshes together by total error; then, on the default's own mesh, by the settings' error.
-    Times within the noise of 5 % count as equal.
+    Times within the noise of 5 % count as equal. Beside that, the row with the smallest force error
+    among those that take at most half as long again as the default.
     """
-    front = [row for row in rows if row["group"] == "front" and "failed" not in row]
-    if not front:
-        return {}
-    times = np.array([row["ms_per_step"]["median"] for row in front])
-    total = np.array([row["error"]["force_percent"] for row in front])
-    best = is_on_front(times, total)
-    verdict: dict[str, Any] = {"by_total_force_error": _named(front, best)}
-    at = [i for i, row in enumerate(front) if row["is_default"]]
+    rows = list(
+        {
+            str(row["settings"]): row
+            for row in rows
+            if "failed" not in row and row["group"] != "dt"
+        }.values()
+    )
+    at = [i for i, row in enumerate(rows) if row["is_default"]]
     if not at:
-        return verdict
-    default = at[0]
-    own = [i for i, row in enumerate(front) if _mesh(row) == _mesh(front[default])]
-    alone = np.array([front[i]["settings_error"]["force_percent"] for i in own])
-    on_own = is_on_front(times[own], alone)
-    verdict |= {
-        "default": front[default]["value"],
-        "default_is_on_the_front": bool(best[default]),
-        "better_than_the_default": _named(
-            front, (times < 0.95 * times[default]) & (total < total[default])
-        ),
-        "by_settings_error_on_the_default_mesh": _named([front[i] for i in own], on_own),
-        "default_is_on_the_front_of_its_mesh": bool(on_own[own.index(default)]),
-    }
+        return {}
+    default = rows[at[0]]
+    own = [row for row in rows if _mesh(row) == _mesh(default)]
+    verdict: dict[str, Any] = {"default": describe_settings(default)}
+    for name, kind, among in (("all_meshes", "error", rows), ("own_mesh", "settings_error", own)):
+        times = np.array([row["ms_per_step"]["median"] for row in among])
+        errors_of = np.array([[row[kind][key] for key in CRITERIA] for row in among])
+        best = is_on_front(times, errors_of)
+        mine = next(i for i, row in enumerate(among) if row is default)
+        better = (times < (1 - NOISE) * times[mine]) & (errors_of <= errors_of[mine]).all(axis=1)
+        near = np.flatnonzero(times <= NEARBY * times[mine])
+        nearby = among[near[errors_of[near, 0].argmin()]]
+        verdict[name] = {
+            "front": _named(among, best),
+            "default_is_on_it": bool(best[mine]),
+            "better_than_the_default": _named(among, better),
+            "best_nearby": {
+                "settings": describe_settings(nearby),
+                "times_as_long": nearby["ms_per_step"]["median"] / times[mine],
+                "force_percent": nearby[kind]["force_percent"],
+                "default_force_percent": default[kind]["force_percent"],
+            },
+        }
     return verdict
+
+
+def describe_settings(row: dict[str, Any]) -> str:
+    """Everything that tells a row from others."""
+    given = row["settings"]
+    text = (
+        f"{given['element']}, {given['layers']} layers, dhat {given['dhat_m'] * 1e6:g} um, "
+        f"tolerance {given['relative_tolerance']:g}"
+    )
+    if given["friction_eps_m"] != DEFAULT.friction_eps_m:
+        text += f", friction eps {given['friction_eps_m'] * 1e6:g} um"
+    for name, value in given["solver"]:
+        text += f", {name.replace('_', ' ')} {value}"
+    return text
 
 
 def _mesh(row: dict[str, Any]) -> tuple[Any, Any]:
@@ -251,4 +281,4 @@ def _mesh(row: dict[str, Any]) -> tuple[Any, Any]:
 
 
 def _named(rows: list[dict[str, Any]], chosen: np.ndarray) -> list[str]:
-    return [row["value"] for row, yes in zip(rows, chosen, strict=True) if yes]
+    return [describe_settings(row) for row, yes in zip(rows, chosen, strict=True) if yes]

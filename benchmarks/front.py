@@ -10,9 +10,13 @@ NOISE = 0.05
 
 
 def is_on_front(costs: np.ndarray, errors: np.ndarray, noise: float = NOISE) -> np.ndarray:
-    """Whether no other point is cheaper by more than ``noise`` and no worse; bool, [n]."""
+    """Whether no other point is cheaper by more than ``noise`` and no worse; bool, [n].
+
+    ``errors``: [n], or [n, criteria], of which none may be worse.
+    """
+    errors = errors.reshape(len(costs), -1)
     cheaper = costs[:, None] < (1 - noise) * costs
-    no_worse = errors[:, None] <= errors
+    no_worse = (errors[:, None] <= errors).all(axis=2)
     return np.logical_not((cheaper & no_worse).any(axis=0))
 
 

@@ -153,13 +153,14 @@ def timed(work: Callable[[], Any], device: wp.Device, repeats: int) -> dict[str,
 
 
 def errors(signal: SignalTactile, positions: np.ndarray, env_count: int) -> dict[str, Any]:
-    """Differences of the first environments from the reference path, on the CPU."""
+    """Differences of the first environments from ``SignalHeightMap`` and ``ColorModel``."""
     grid, mesh = signal.grid, pad()
     names = ("rgb", "rgb_levels", "markers_px", "height_m", "normals")
     rgb, levels, markers, height, normals = (
         array[:env_count].numpy() for array in signal.read(*names)
     )
-    reference = SignalHeightMap(mesh, grid)
+    # On the same device: a host with a GPU may lack Warp's compiler for the CPU.
+    reference = SignalHeightMap(mesh, grid, device=str(signal.device))
     reference.update(np.concatenate([mesh.nodes_m[None], positions[:env_count]]))
     rest_height, deformed = reference.height_m[0], reference.height_m[1:]
     # As where the solver's presses are rendered: without a surface there is no change.
@@ -203,13 +204,34 @@ def stages(signal: SignalTactile, positions: wp.array, repeats: int) -> dict[str
     frames = wp.empty(0, dtype=wp.transformd, device=signal.device)
     image = signal.rgb[:count]
     samples = sampler.sample(part, frames)
+    walk = (sampler._points[:count], sampler._patches, sampler._folded[:count])
     work: dict[str, Callable[[], Any]] = {
         "gradients": lambda: sampler.gradients(count),
+        "pixels": lambda: sampler._walk.sample(*walk, samples),
         "all of the surface": lambda: sampler.sample(part, frames),
         "colour": lambda: painter.render(samples, image),
     }
     times = {name: timed(each, signal.device, repeats) for name, each in work.items()}
     return {"environments": count, **times}
+
+
+def replay_agrees(signal: SignalTactile, env_count: int) -> bool | None:
+    """Whether a captured read of other positions gives what a plain one does; None on the CPU."""
+    if not signal.device.is_cuda:
+        return None
+    mesh = pad()
+    positions = wp.array(pressed(mesh, env_count), dtype=wp.vec3d, device=signal.device)
+    signal.update(positions)
+    signal.read("rgb", "markers_px")
+    with wp.ScopedCapture(signal.device) as capture:
+        signal.update(positions)
+        arrays = signal.read("rgb", "markers_px")
+    positions.assign(pressed(mesh, env_count)[::-1].copy())
+    wp.capture_launch(capture.graph)
+    replayed = [array.numpy() for array in arrays]
+    signal.update(positions)
+    plain = [array.numpy() for array in signal.read("rgb", "markers_px")]
+    return all(np.array_equal(a, b) for a, b in zip(replayed, plain, strict=True))
 
 
 def measure(
@@ -243,6 +265,8 @@ def measure(
     for name, reads in READS.items():
         row[name] = speed(signal, on_device, *reads)
     row["stages"] = stages(signal, on_device, repeats)
+    if env_count <= 64:
+        row["captured_equals_eager"] = replay_agrees(signal, env_count)
     del signal
     lazy = build(mesh, size, env_count, device, STILL_LEVELS)
     row["still"] = {"still_levels": STILL_LEVELS}
@@ -294,6 +318,8 @@ def show(row: dict[str, Any]) -> None:
     for name, figures in row["still"].items():
         if isinstance(figures, dict):
             print(f"  error, still {STILL_LEVELS}, {name}: {describe_levels(figures['errors'])}")
+    if row.get("captured_equals_eager") is not None:
+        print(f"  captured equals eager: {row['captured_equals_eager']}")
     parts = {name: value for name, value in row["stages"].items() if isinstance(value, dict)}
     print(
         f"  a chunk of {row['stages']['environments']}: "
@@ -312,22 +338,15 @@ def describe_levels(error: dict[str, Any]) -> str:
     )
 
 
-def main() -> None:
-    """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--device", default="cuda:0" if wp.is_cuda_available() else "cpu")
-    parser.add_argument("--sensors", type=int, nargs="+", default=list(SENSORS))
-    parser.add_argument("--repeats", type=int, default=20)
-    parser.add_argument("--out", type=Path, default=RESULT)
-    options = parser.parse_args()
-    wp.config.log_level = wp.LOG_WARNING
-    settings = {"sensors": options.sensors, "repeats": options.repeats, "sizes": SIZES}
-    result = ResultFile("images", WHAT, options.out, options.device, settings)
+def run_images(device: str, sensors: list[int], repeats: int, out: Path) -> None:
+    """Measure, print and write all rows."""
+    settings = {"sensors": sensors, "repeats": repeats, "sizes": SIZES}
+    result = ResultFile("images", WHAT, out, device, settings)
     mesh = pad()
-    with result.finishing():
+    with result.finishing(), wp.ScopedDevice(device):
         for size in SIZES:
-            for env_count in options.sensors:
-                row = measure(mesh, size, env_count, options.device, options.repeats)
+            for env_count in sensors:
+                row = measure(mesh, size, env_count, device, repeats)
                 result.add(row)
                 show(row)
         rows = [row for row in result.rows if tuple(row["size"]) == SIZES[0]]
@@ -337,6 +356,18 @@ def main() -> None:
             {"images_per_s": speed, "floor_per_s": FLOOR_PER_S, "aim_per_s": AIM_PER_S},
         )
     print(f"RGB and markers, 320x240: {speed:,.0f} images/s (floor {FLOOR_PER_S:,})")
+
+
+def main() -> None:
+    """Read the arguments and run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", default="cuda:0" if wp.is_cuda_available() else "cpu")
+    parser.add_argument("--sensors", type=int, nargs="+", default=list(SENSORS))
+    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--out", type=Path, default=RESULT)
+    options = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING
+    run_images(options.device, options.sensors, options.repeats, options.out)
 
 
 if __name__ == "__main__":

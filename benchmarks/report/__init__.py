@@ -28,12 +28,8 @@ def read_results(folder: Path = FOLDER) -> Results:
     found: Results = {}
     for path in sorted(folder.glob("*.json")):
         document = json.loads(path.read_text(encoding="utf-8"))
-        named = {"file": path.name}
         if isinstance(document, dict) and document.get("schema") == SCHEMA:
-            found.setdefault(document["suite"], []).append(document | named)
-        elif path.stem.startswith("stress"):
-            # Written by benchmarks.stress, whose cases are no rows.
-            found.setdefault("stress", []).append(document | named)
+            found.setdefault(document["suite"], []).append(document | {"file": path.name})
     return found
 
 

@@ -122,7 +122,7 @@ def _draw_front(
     names = [
         f"{row['settings']['element']}, {row['settings']['layers']} layers"
         if by_mesh
-        else row["group"]
+        else row["group"].replace("front", "dhat and tolerance")
         for row in rows
     ]
     for name in dict.fromkeys(names):

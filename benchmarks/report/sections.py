@@ -137,23 +137,29 @@ def _front(verdict: dict[str, Any]) -> str:
     """Whether the defaults pay."""
     if "default" not in verdict:
         return ""
-    lines = [f"Default: {verdict['default']}."]
-    if verdict["default_is_on_the_front_of_its_mesh"]:
-        lines.append("On its own mesh no other setting is both faster and better.")
-    else:
-        best = "; ".join(verdict["by_settings_error_on_the_default_mesh"])
-        lines.append(f"On its own mesh it is **not** on the front, which is: {best}.")
-    if verdict["default_is_on_the_front"]:
-        lines.append("Among all meshes and elements it lies on the front, too.")
-    else:
-        better = verdict["better_than_the_default"]
-        lines.append(
-            f"Among all meshes and elements it does **not** lie on the front: {len(better)} "
-            f"combinations are faster and have a smaller force error. On the front are: "
-            + "; ".join(verdict["by_total_force_error"])
-            + "."
+    lines = [
+        f"Default: {verdict['default']}. A row is on the front when none is faster by 5 % and no "
+        "worse in force, heights and markers."
+    ]
+    for name, where in (
+        ("own_mesh", "Settings on the default's own mesh"),
+        ("all_meshes", "All meshes and elements"),
+    ):
+        found = verdict[name]
+        near = found["best_nearby"]
+        if found["default_is_on_it"]:
+            text = "the default is on the front"
+        else:
+            better = "; ".join(found["better_than_the_default"])
+            text = f"the default is **not** on the front; faster and better are: {better}"
+        text += (
+            f". Within half as long again the smallest force error is "
+            f"{number(near['force_percent'])} % (default: "
+            f"{number(near['default_force_percent'])} %), with {near['settings']} in "
+            f"{near['times_as_long']:.2f} times the time."
         )
-    return "\n".join(lines)
+        lines.append(f"- {where}: {text}")
+    return "\n".join([lines[0], "", *lines[1:]])
 
 
 def scaling(results: Results) -> str:
@@ -271,8 +277,7 @@ def stress(results: Results) -> str:
 
     parts = []
     for document in results.get("stress", []):
-        complete = {"complete": not document["interrupted"]}
-        parts += [origin(document | complete), stress_table(document["summary"]).strip()]
+        parts += [origin(document), stress_table(document["summary"]).strip()]
     return "\n\n".join(parts) or NOTHING
 
 

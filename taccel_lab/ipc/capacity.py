@@ -34,15 +34,23 @@ def _clear_kernel(
             second[env] = 0
 
 
+@wp.struct
+class ListRoom:
+    """What tells whether a list was too short: its counts, [env_count], how many entries there is
+    room for, and the largest count that did not fit, [1]."""
+
+    counts: wp.array(dtype=wp.int32)
+    most: wp.array(dtype=wp.int32)
+    capacity: wp.int32
+
+
 @wp.func
-def overflows(
-    env: int, counts: wp.array(dtype=wp.int32), capacity: int, most: wp.array(dtype=wp.int32)
-) -> bool:
+def overflows(env: int, room: ListRoom) -> bool:
     """Whether a list was too short; notes how long it should be, and empties it."""
-    if counts[env] <= capacity:
+    if room.counts[env] <= room.capacity:
         return False
-    wp.atomic_max(most, 0, counts[env])
-    counts[env] = 0
+    wp.atomic_max(room.most, 0, room.counts[env])
+    room.counts[env] = 0
     return True
 
 
@@ -65,6 +73,13 @@ class GrowingList:
 
     def _allocate(self, capacity: int) -> None:
         raise NotImplementedError
+
+    @property
+    def room(self) -> ListRoom:
+        """For kernels; of the list as it is now."""
+        room = ListRoom()
+        room.counts, room.most, room.capacity = self.counts, self.most, self.capacity
+        return room
 
     def clear(self, active: wp.array) -> None:
         """Empty the lists of the active environments (int32, [env_count])."""

@@ -35,9 +35,9 @@ def _reduce_kernel(
         control = (node - first_control) % 4
         first = vertex_starts[body]
         last = vertex_starts[body + 1]
-        total += pulled_back(env, control, first, last, weights, gradient_a)
-        total += pulled_back(env, control, first, last, weights, gradient_b)
-        total += pulled_back(env, control, first, last, weights, gradient_c)
+        total += pulled_back(
+            env, control, first, last, weights, gradient_a, gradient_b, gradient_c
+        )
     reduced[env, row] = total
 
 

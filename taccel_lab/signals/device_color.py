@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """``DeviceColorModel``: tactile images of many environments from device arrays, without a copy.
 
-Measured against ``ColorModel`` in ``benchmarks/images.py``: on CUDA within 0.1 grey levels (FP16
-weights and activations in the hidden layers), on the CPU to FP32 rounding.
+The same as ``ColorModel`` but for rounding: FP32 on the CPU; on CUDA FP16 weights and activations
+in the hidden layers and an approximate tanh, hundredths of a grey level on average, which
+``benchmarks/images.py`` measures.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.capacity import overflows
+from taccel_lab.ipc.capacity import ListRoom, overflows
 from taccel_lab.ipc.kinematics import chord_error, turn_between, turn_within
 from taccel_lab.solvers.progress import Progress, Rules
 from taccel_lab.solvers.report import EnvStatus
@@ -128,25 +128,10 @@ def stop_inverted_kernel(p: Progress):
 
 
 @wp.kernel
-def stop_overflowed_kernel(
-    mask: wp.array(dtype=wp.int32),
-    first_counts: wp.array(dtype=wp.int32),
-    first_capacity: int,
-    first_most: wp.array(dtype=wp.int32),
-    second_counts: wp.array(dtype=wp.int32),
-    second_capacity: int,
-    second_most: wp.array(dtype=wp.int32),
-    p: Progress,
-):
-    """Stop environments of ``mask`` whose list (or second one, if any) was too short."""
+def stop_overflowed_kernel(mask: wp.array(dtype=wp.int32), room: ListRoom, p: Progress):
+    """Stop environments of ``mask`` whose list was too short."""
     env = wp.tid()
-    if mask[env] == 0:
-        return
-    over = overflows(env, first_counts, first_capacity, first_most)
-    if second_counts:
-        if overflows(env, second_counts, second_capacity, second_most):
-            over = True
-    if over:
+    if mask[env] != 0 and overflows(env, room):
         stop(env, _CONTACT_OVERFLOW, p)
 
 
@@ -182,9 +167,46 @@ def begin_gradient_kernel(
         p.min_distance[env] = wp.float64(wp.inf)
 
 
+@wp.func
+def go_on(env: int, p: Progress, r: Rules):
+    """Stop where the iterations are used up; ``running`` says whether anything goes on."""
+    if p.active[env] != 0:
+        if p.newton[env] >= r.max_newton:
+            stop(env, _NO_CONVERGENCE, p)
+        else:
+            p.running[0] = 1
+
+
+@wp.func
+def settle(env: int, p: Progress, r: Rules):
+    """Stop what has converged; with friction, choose where it is frozen anew.
+
+    ``chosen``: environments whose joints are open. While freezing anew still changes forces,
+    solving in between to the last digit is wasted: a tenth of the last change is enough, and one
+    step when damped.
+    """
+    settled = p.active[env] != 0 and p.progress[env] >= wp.float64(1.0) and p.chosen[env] == 0
+    p.chosen[env] = 0
+    if settled:
+        enough = tolerance(env, p, r)
+        if r.has_friction == 0:
+            if p.residual[env] <= enough:
+                stop(env, _CONVERGED, p)
+        else:
+            enough = wp.max(enough, wp.float64(0.1) * p.lag_change[env])
+            if p.residual[env] <= enough or p.damping[env] < wp.float64(1.0):
+                p.chosen[env] = 1
+                p.freezing[0] = 1
+    if r.has_friction == 0:
+        go_on(env, p, r)
+
+
 @wp.kernel
 def judge_kernel(p: Progress, r: Rules):
-    """Stop what cannot go on; choose the environments whose joints are to be looked at."""
+    """Stop what cannot go on; with joints, choose the environments whose are to be looked at.
+
+    Without joints and without friction, all that follows is decided at once.
+    """
     env = wp.tid()
     p.chosen[env] = 0
     if p.active[env] == 0:
@@ -197,6 +219,8 @@ def judge_kernel(p: Progress, r: Rules):
         if p.progress[env] >= wp.float64(1.0) and p.residual[env] <= tolerance(env, p, r):
             p.chosen[env] = 1
             p.closing[0] = 1
+    else:
+        settle(env, p, r)
 
 
 @wp.kernel
@@ -217,26 +241,9 @@ def judge_joints_kernel(violations: wp.array(dtype=wp.float64), p: Progress, r: 
 
 @wp.kernel
 def settle_kernel(p: Progress, r: Rules):
-    """Stop what has converged; with friction, choose where it is frozen anew.
-
-    ``chosen``: environments whose joints are open. While freezing anew still changes forces,
-    solving in between to the last digit is wasted: a tenth of the last change is enough, and one
-    step when damped.
-    """
+    """After the joints were looked at."""
     env = wp.tid()
-    settled = p.active[env] != 0 and p.progress[env] >= wp.float64(1.0) and p.chosen[env] == 0
-    p.chosen[env] = 0
-    if not settled:
-        return
-    enough = tolerance(env, p, r)
-    if r.has_friction == 0:
-        if p.residual[env] <= enough:
-            stop(env, _CONVERGED, p)
-        return
-    enough = wp.max(enough, wp.float64(0.1) * p.lag_change[env])
-    if p.residual[env] <= enough or p.damping[env] < wp.float64(1.0):
-        p.chosen[env] = 1
-        p.freezing[0] = 1
+    settle(env, p, r)
 
 
 @wp.kernel
@@ -267,13 +274,9 @@ def judge_friction_kernel(p: Progress, r: Rules):
 
 @wp.kernel
 def go_on_kernel(p: Progress, r: Rules):
-    """Stop where the iterations are used up; ``running`` says whether anything goes on."""
+    """After friction was frozen anew."""
     env = wp.tid()
-    if p.active[env] != 0:
-        if p.newton[env] >= r.max_newton:
-            stop(env, _NO_CONVERGENCE, p)
-        else:
-            p.running[0] = 1
+    go_on(env, p, r)
 
 
 # The search direction ------------------------------------------------------------------------
@@ -340,11 +343,17 @@ def aim_kernel(p: Progress, r: Rules, linear_tolerances: wp.array(dtype=wp.float
 
 @wp.kernel
 def count_solve_kernel(
-    iterations: wp.array(dtype=wp.int32), breakdown: wp.array(dtype=wp.int32), p: Progress
+    iterations: wp.array(dtype=wp.int32),
+    breakdown: wp.array(dtype=wp.int32),
+    extra: ListRoom,
+    p: Progress,
 ):
     """After a breakdown the last iterate still descends, unless there is none."""
     env = wp.tid()
     if p.active[env] == 0:
+        return
+    if overflows(env, extra):
+        stop(env, _CONTACT_OVERFLOW, p)
         return
     p.cg[env] += iterations[env]
     p.newton[env] += 1
@@ -365,11 +374,16 @@ def bend_kernel(smallest: wp.float64, p: Progress):
 
 
 @wp.kernel
-def open_search_kernel(largest_turn: wp.float64, p: Progress):
+def open_search_kernel(
+    largest_turn: wp.float64, node_faces: ListRoom, edge_edges: ListRoom, p: Progress
+):
     """Start from the collision-free fraction."""
     env = wp.tid()
     p.waiting[env] = 0
     if p.active[env] == 0:
+        return
+    if overflows(env, node_faces) or overflows(env, edge_edges):
+        stop(env, _CONTACT_OVERFLOW, p)
         return
     p.cuts[env] = 0
     alpha = wp.min(p.limit[env], p.damping[env])
@@ -410,7 +424,7 @@ def adapted_stride(stride: wp.float64, fraction: wp.float64) -> wp.float64:
 
 
 @wp.kernel
-def accept_kernel(smallest_bend: wp.float64, p: Progress, r: Rules):
+def accept_kernel(smallest_bend: wp.float64, collisions: ListRoom, p: Progress, r: Rules):
     """Accept a trial that lowers the energy, or halve its fraction.
 
     While frames are still on their way the energy may rise: they do work. A body that turns leaves
@@ -421,11 +435,15 @@ def accept_kernel(smallest_bend: wp.float64, p: Progress, r: Rules):
     env = wp.tid()
     if p.waiting[env] == 0:
         return
+    if overflows(env, collisions):
+        stop(env, _CONTACT_OVERFLOW, p)
+        return
     one = wp.float64(1.0)
     before = p.before[env]
     after = p.after[env]
     alpha = p.alpha[env]
-    rounding = wp.float64(1.0e-13) * wp.abs(before) + p.energy_rounding[env]
+    rounding = p.energy_rounding[env] + p.joint_energy_rounding[env]
+    rounding += wp.float64(1.0e-13) * wp.abs(before)
     descent = wp.float64(1.0e-4) * alpha * wp.min(p.slope[env], wp.float64(0.0))
     good = wp.isfinite(after)
     if p.progress[env] >= one and not (after <= before + descent + rounding):

@@ -38,7 +38,8 @@ def search_line(run: StepRun) -> None:
     limit_step(run.model, p.active, s.candidates, state.positions, s.displacements, p.limit)
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
     slopes(p.active, gradients, s.displacements, p.slope)
-    run.decide(decisions.open_search_kernel, LARGEST_TURN, p)
+    rooms = [part.room for part in s.candidates.lists]
+    run.decide(decisions.open_search_kernel, LARGEST_TURN, *rooms, p)
     # Only friction that was frozen anew, and joints, change the energy where a search starts.
     run.energy(p.active, state.positions, state.poses, p.base, p.before, known=s.joints is None)
 
@@ -70,4 +71,4 @@ def _try(run: StepRun) -> None:
         wp.capture_if(p.any_curved, on_true=check_path)
     run.collide(p.waiting, s.trial)
     run.energy(p.waiting, s.trial, s.trial_poses, p.base_after, p.after)
-    run.decide(decisions.accept_kernel, SMALLEST_TURN, p, run.rules)
+    run.decide(decisions.accept_kernel, SMALLEST_TURN, s.collisions.room, p, run.rules)

@@ -13,6 +13,7 @@ loops and branches are conditional nodes, so that the whole step can be one capt
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -82,7 +83,9 @@ class StepRun:
             self.decide(decisions.stop_inverted_kernel, p)
         s.displacements.zero_()
         self.find_candidates(state.poses, p.margin)
+        self.check_room(p.active, s.candidates.lists)
         self.collide(p.active, state.positions)
+        self.check_room(p.active, [s.collisions])
         if s.friction is not None:
             s.friction.clear(p.who)
             s.friction.lag(p.active, state.positions)
@@ -99,6 +102,7 @@ class StepRun:
         if s.joints is not None:
             s.joints.begin_step(x, state.poses, s.dts)
             wp.copy(self.p.rounding, s.joints.rounding_n)
+            wp.copy(self.p.joint_energy_rounding, s.joints.rounding_j)
         if s.load is not None:
             forces, wrenches = state.loads(self.model)
             s.load.begin_step(x, forces, wrenches)
@@ -138,21 +142,16 @@ class StepRun:
         """Pairs within ``reach`` of the way of ``displacements`` and of the frames to ``poses``."""
         s, state, p = self.s, self.state, self.p
         s.candidates.search(p.active, state.positions, s.displacements, state.poses, poses, reach)
-        self._check_room(p.active, s.candidates.lists)
 
     def collide(self, mask: wp.array, positions: wp.array) -> None:
         """Collisions at ``positions`` in the environments of ``mask``."""
         self.s.collisions.collect(mask, positions, self.s.candidates)
-        self._check_room(mask, [self.s.collisions])
 
-    def _check_room(self, mask: wp.array, lists: list) -> None:
+    def check_room(self, mask: wp.array, lists: Sequence[GrowingList]) -> None:
         """Stop environments whose contacts did not fit; the host makes room for the next try."""
-        some: list[GrowingList] = [part for part in lists if part.capacity > 1]
-        if some:
-            inputs: list = [mask]
-            for part in (some + [None])[:2]:
-                inputs += [part.counts, part.capacity, part.most] if part else [None, 0, None]
-            self.decide(decisions.stop_overflowed_kernel, *inputs, self.p)
+        for part in lists:
+            if part.capacity > 1:
+                self.decide(decisions.stop_overflowed_kernel, mask, part.room, self.p)
 
     # Has it converged? -----------------------------------------------------------------------
 
@@ -213,10 +212,10 @@ class StepRun:
         self.decide(decisions.judge_kernel, p, self.rules)
         if s.joints is not None:
             wp.capture_if(p.closing, on_true=self._close_joints)
-        self.decide(decisions.settle_kernel, p, self.rules)
+            self.decide(decisions.settle_kernel, p, self.rules)
         if s.friction is not None:
             wp.capture_if(p.freezing, on_true=self._refreeze_friction)
-        self.decide(decisions.go_on_kernel, p, self.rules)
+            self.decide(decisions.go_on_kernel, p, self.rules)
 
     def _close_joints(self) -> None:
         """Where Newton has converged, correct the joint forces until the joints are closed."""
@@ -247,9 +246,8 @@ class StepRun:
         aim_prescribed(self.model, p.active, p.moving, x, s.target_poses, s.displacements)
         self._assemble(x)
         s.linear.solve(p.active, s.config.max_cg_iterations)
-        self.decide(
-            decisions.count_solve_kernel, s.linear.iterations, s.linear.breakdown, p
-        )
+        solved = [s.linear.iterations, s.linear.breakdown, s.linear.extra.room]
+        self.decide(decisions.count_solve_kernel, *solved, p)
         spread_solution(self.model, p.active, p.boost, s.linear.solution, s.displacements)
 
     def _assemble(self, x: wp.array) -> None:
@@ -267,7 +265,6 @@ class StepRun:
         s.contact.add_hessian(p.active, x, system, s.config.contact_hessian_mode)
         if s.friction is not None:
             s.friction.add_hessian(p.active, self.motion(), system)
-        self._check_room(p.active, [s.linear.extra])
 
     def energy(
         self,

@@ -89,6 +89,8 @@ class Progress:
     """How far a bent step may leave the straight one [m]."""
     reach: wp.array(dtype=wp.float64)
     """Reach of the broad phase along the search direction [m]."""
+    joint_energy_rounding: wp.array(dtype=wp.float64)
+    """Rounding of the energy of joints [J]."""
     limit: wp.array(dtype=wp.float64)
     """Collision-free fraction of the search direction, or of a turning trial's path."""
     alpha: wp.array(dtype=wp.float64)
@@ -152,7 +154,7 @@ class ProgressArrays:
         for name in (
             ("progress", "goal", "stride", "trial_progress", "lag_change", "damping", "margin")
             + ("rounding", "limit", "alpha", "slope", "before", "after", "base", "base_after")
-            + ("bend", "deviation", "reach", "boost", "last_residual")
+            + ("joint_energy_rounding", "bend", "deviation", "reach", "boost", "last_residual")
         ):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.float64, device=device))
         self.data.energy_rounding = wp.array(energy_rounding_j, dtype=wp.float64, device=device)

@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks import error, scaling, skips
 from benchmarks.options import Scaling
+from benchmarks.report import sections
 from benchmarks.report.plots import draw_error, draw_scaling
 from benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.scene import Element
@@ -38,33 +39,51 @@ def test_an_error_row() -> None:
     assert error.measure(error.Row("mesh", "", error.DEFAULT, COARSE), presses)["is_default"]
 
 
-def front_row(ms: float, total: float, own: float, layers: int = 4, default: bool = False) -> Any:
-    """A row of the front with these figures."""
+def front_row(
+    ms: float, total: float, own: float, layers: int = 4, default: bool = False, markers: float = 1
+) -> Any:
+    """A row with these figures."""
     return {
         "group": "front",
-        "value": f"{ms}",
         "is_default": default,
-        "settings": {"element": "linear", "layers": layers},
+        "settings": {
+            "element": "linear",
+            "layers": layers,
+            "dhat_m": 1e-6 * ms,
+            "relative_tolerance": 1e-4,
+            "friction_eps_m": 1e-6,
+            "solver": [],
+        },
         "ms_per_step": {"median": ms},
-        "error": {"force_percent": total},
-        "settings_error": {"force_percent": own},
+        "error": {"force_percent": total, "height_rms_um": total, "marker_rms_um": markers},
+        "settings_error": {"force_percent": own, "height_rms_um": own, "marker_rms_um": markers},
     }
 
 
 def test_the_judge_says_whether_the_default_pays() -> None:
     rows = [
         front_row(10, 30, 4, default=True),
-        front_row(20, 28, 1),
+        front_row(14, 28, 1),
         front_row(5, 40, 8),
         front_row(8, 25, 2, layers=2),
     ]
     verdict = error.judge(rows)
-    assert verdict["default_is_on_the_front_of_its_mesh"]
-    assert not verdict["default_is_on_the_front"]
-    assert verdict["better_than_the_default"] == ["8"]
-    assert verdict["by_total_force_error"] == ["5", "8"]
-    assert error.judge(rows[:3])["default_is_on_the_front"]
+    assert verdict["own_mesh"]["default_is_on_it"]
+    near = verdict["own_mesh"]["best_nearby"]
+    assert (near["force_percent"], near["times_as_long"]) == (1, pytest.approx(1.4))
+    everything = verdict["all_meshes"]
+    assert not everything["default_is_on_it"]
+    assert everything["better_than_the_default"] == [
+        "linear, 2 layers, dhat 8 um, tolerance 0.0001"
+    ]
+    assert len(everything["front"]) == 2
+    # Worse markers keep a faster row from dominating.
+    rows[3] = front_row(8, 25, 2, layers=2, markers=9)
+    assert error.judge(rows)["all_meshes"]["default_is_on_it"]
     assert error.judge([]) == {}
+    text = sections._front(verdict)
+    assert "own mesh: the default is on the front" in text
+    assert "**not** on the front; faster and better are: linear, 2 layers" in text
 
 
 def test_rows_cover_what_is_varied() -> None:
@@ -114,10 +133,7 @@ def test_only_one_environment_moves_when_the_others_are_settled() -> None:
 
 
 def test_errors_are_drawn() -> None:
-    keys = ("force_percent", "height_rms_um", "marker_rms_um")
     rows = [front_row(10, 1, 1, default=True), front_row(20, 0.5, 0.5)]
-    for row in rows:
-        row["error"] = row["settings_error"] = dict.fromkeys(keys, row["error"]["force_percent"])
     figure = draw_error({"rows": rows})
     labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert labels == ["linear, 4 layers", "front", "default"]

@@ -8,7 +8,7 @@ import warp as wp
 from scipy.optimize import minimize
 
 from taccel_lab.signals import ContactSurface
-from taccel_lab.signals.gradient_recovery import recover_gradients
+from taccel_lab.signals.gradient_recovery import FEW_SWEEPS, SWEEPS, recover_gradients
 from tests.signals.pressed_surface import flat_pad
 
 
@@ -63,3 +63,25 @@ def test_neighbourhoods_hold_the_edges():
     ]
     assert ring == [[1, 2], [0, 2, 3], [0, 1, 3], [1, 2]]
     assert patch == [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]
+
+
+def test_sweeps_divide_the_error_as_chebyshev_promises():
+    mesh = flat_pad(0.5, (2.5, 2.5), seed=4)
+    surface = ContactSurface.from_mesh(mesh)
+    points = wp.array(mesh.nodes_m[surface.node_idx][None], dtype=wp.vec3d, device="cpu")
+    values = np.random.default_rng(0).normal(size=points.shape)
+    field = wp.array(values, dtype=wp.float64, device="cpu")
+    ring = [
+        wp.array(part, dtype=wp.int32, device="cpu")
+        for part in (surface.ring_start, surface.ring_nodes)
+    ]
+
+    def gradients(sweeps: int) -> np.ndarray:
+        return recover_gradients(points, field, *ring, sweeps=sweeps).numpy()
+
+    converged = gradients(60)
+    for sweeps in (2, 5, FEW_SWEEPS, SWEEPS):
+        # T_k(2) bounds the energy norm; a factor of ten for single nodes.
+        bound = 10 / np.cosh(sweeps * np.arccosh(2.0)) * np.abs(converged).max()
+        assert np.abs(gradients(sweeps) - converged).max() < bound
+    assert np.abs(gradients(4) - converged).max() > 1e-6 * np.abs(converged).max()

@@ -58,12 +58,15 @@ def pulled_back(
     first: int,
     last: int,
     weights: wp.array(dtype=wp.vec4d),
-    gradient: wp.array2d(dtype=wp.vec3d),
+    gradient_a: wp.array2d(dtype=wp.vec3d),
+    gradient_b: wp.array2d(dtype=wp.vec3d),
+    gradient_c: wp.array2d(dtype=wp.vec3d),
 ) -> wp.vec3d:
-    """Sum of a gradient of vertices [first, last) in terms of control node number 0..3."""
+    """Sum of three gradients of vertices [first, last) in terms of control node number 0..3."""
     total = wp.vec3d()
     for node in range(first, last):
-        total += weights[node][control] * gradient[env, node]
+        all_three = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
+        total += weights[node][control] * all_three
     return total
 
 

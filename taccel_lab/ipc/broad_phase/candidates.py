@@ -16,7 +16,7 @@ from taccel_lab.ipc.broad_phase.soft_targets import SoftTrees
 from taccel_lab.ipc.broad_phase.stiff_targets import (
     make_frames,
     run_search,
-    searches,
+    stiff_search,
     update_frames,
 )
 from taccel_lab.ipc.capacity import GrowingList, clear_all, initial_capacity
@@ -62,7 +62,7 @@ class Candidates:
         """(edge, edge) pairs."""
         self._soft = SoftTrees(model) if soft else None
         self._needs_frames = faces > len(plan.ball_face) or len(plan.edge_target) > 0
-        self._searches = searches(model)
+        self._stiff = stiff_search(model)
         self._frames = make_frames(model)
         self._reach = wp.zeros(env_count, dtype=wp.float64, device=device)
 
@@ -128,8 +128,7 @@ class Candidates:
         node_face = [self.node_faces.counts, self.node_faces.pairs]
         edge_edge = [self.edge_edges.counts, self.edge_edges.pairs]
         path = [margins, positions, displacements]
-        for name, outputs in (("node", node_face), ("face", node_face), ("edge", edge_edge)):
-            run_search(self._searches[name], model, active, path, self._frames, outputs)
+        run_search(self._stiff, model, active, path, self._frames, node_face + edge_edge)
         balls = model.plan.ball_face
         if len(balls):
             wp.launch(

@@ -31,59 +31,69 @@ wp.set_module_options({"enable_backward": False})
 _BIG = wp.constant(wp.float64(1.0e30))
 
 
+NODE_FACE, FACE_VERTEX, EDGE_EDGE = range(3)
+"""What is searched against what; the second belongs to the body with the frame."""
+
+
 @wp.struct
 class TargetTrees:
-    """Search trees over one kind of primitive of all stiff bodies, by frame.
+    """Search trees of all stiff bodies by what they are searched for, [3, frame_count].
 
-    ids: of the trees, 0 for a frame without a surface; starts: number of the first primitive in the
-    model; bodies: id of the body; [frame_count] each.
+    ids: of the trees over faces, vertices and edges, 0 for a frame without a surface; starts:
+    number of the first primitive in the model; bodies: id of the body, [frame_count].
     """
 
-    ids: wp.array(dtype=wp.uint64)
-    starts: wp.array(dtype=wp.int32)
+    ids: wp.array2d(dtype=wp.uint64)
+    starts: wp.array2d(dtype=wp.int32)
     bodies: wp.array(dtype=wp.int32)
 
 
 @dataclass(frozen=True)
-class Search:
-    """Primitives against trees; not launched when there are no jobs."""
+class StiffSearch:
+    """All searches against trees of stiff bodies, one launch."""
 
     jobs: wp.array
-    """(primitive, frame), vec2i, shape [job_count]."""
-    primitives: wp.array
-    """Nodes of each primitive that jobs may name, int32, shape [count, nodes_per_primitive]."""
+    """(primitive, frame, what), vec3i, shape [job_count]."""
+    nodes: wp.array
+    """Nodes of the primitive of each job, repeated where it has fewer, vec3i, [job_count]."""
     trees: TargetTrees
-    hit_first: bool
-    """Whether the body's primitive comes first in a pair."""
 
 
-def searches(model: Model) -> dict[str, Search]:
-    """The searches by kind: nodes and faces against faces and vertices, edges against edges."""
+def stiff_search(model: Model) -> StiffSearch:
+    """Nodes and faces against faces and vertices, edges against edges, as the plan says."""
     plan, surface = model.plan, model.surface
     bodies = [model.bodies[target.body] for target in model.targets]
 
-    def put(values: Sequence[int] | np.ndarray, dtype: type) -> wp.array:
+    def put(values: Sequence | np.ndarray, dtype: type) -> wp.array:
         return wp.array(values, dtype=dtype, device=model.device)
 
-    def trees(name: str, starts: list[int]) -> TargetTrees:
-        found = TargetTrees()
-        ids = [getattr(t.trees, name).id if t.trees else 0 for t in model.targets]
-        found.ids, found.starts = put(ids, wp.uint64), put(starts, wp.int32)
-        found.bodies = put([t.body for t in model.targets], wp.int32)
-        return found
-
-    def search(jobs: wp.array, primitives: np.ndarray, into: TargetTrees, first: bool) -> Search:
-        return Search(jobs, put(primitives, wp.int32), into, first)
-
-    every_node = np.arange(model.node_count)[:, None]
-    faces = trees("faces", [body.faces[0] for body in bodies])
-    vertices = trees("vertices", [body.nodes[0] for body in bodies])
-    edges = trees("edges", [body.edges[0] for body in bodies])
-    return {
-        "node": search(plan.node_target, every_node, faces, False),
-        "face": search(plan.face_target, surface.faces.numpy(), vertices, True),
-        "edge": search(plan.edge_target, surface.edges.numpy(), edges, False),
-    }
+    trees = TargetTrees()
+    kinds = ("faces", "vertices", "edges")
+    ids = [[getattr(t.trees, k).id if t.trees else 0 for t in model.targets] for k in kinds]
+    starts = [
+        [body.faces[0] for body in bodies],
+        [body.nodes[0] for body in bodies],
+        [body.edges[0] for body in bodies],
+    ]
+    shape = (len(kinds), len(bodies))
+    trees.ids = put(np.array(ids, dtype=np.uint64).reshape(shape), wp.uint64)
+    trees.starts = put(np.array(starts, dtype=np.int32).reshape(shape), wp.int32)
+    trees.bodies = put(np.array([t.body for t in model.targets], dtype=np.int32), wp.int32)
+    faces, edges = surface.faces.numpy(), surface.edges.numpy()
+    jobs, nodes = [np.zeros((0, 3), dtype=np.int32)], [np.zeros((0, 3), dtype=np.int32)]
+    for what, pairs, corners in (
+        (NODE_FACE, plan.node_target, lambda i: np.stack([i, i, i], axis=1)),
+        (FACE_VERTEX, plan.face_target, lambda i: faces[i]),
+        (EDGE_EDGE, plan.edge_target, lambda i: edges[i][:, [0, 1, 1]]),
+    ):
+        found = pairs.numpy().reshape(-1, 2)
+        jobs.append(np.column_stack([found, np.full(len(found), what)]))
+        nodes.append(corners(found[:, 0]).reshape(-1, 3))
+    return StiffSearch(
+        put(np.concatenate(jobs).astype(np.int32), wp.vec3i),
+        put(np.concatenate(nodes).astype(np.int32), wp.vec3i),
+        trees,
+    )
 
 
 @wp.func
@@ -198,65 +208,71 @@ def is_absent(
 @wp.kernel
 def _search_kernel(
     active: wp.array(dtype=wp.int32),
-    jobs: wp.array(dtype=wp.vec2i),
-    primitives: wp.array2d(dtype=wp.int32),
+    jobs: wp.array(dtype=wp.vec3i),
+    job_nodes: wp.array(dtype=wp.vec3i),
     trees: TargetTrees,
-    hit_first: int,
     node_bodies: wp.array(dtype=wp.int32),
     present: wp.array2d(dtype=wp.int32),
     margins: wp.array(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     frames: Frames,
-    counts: wp.array(dtype=wp.int32),
-    pairs: wp.array2d(dtype=wp.vec2i),
+    node_face_counts: wp.array(dtype=wp.int32),
+    node_faces: wp.array2d(dtype=wp.vec2i),
+    edge_edge_counts: wp.array(dtype=wp.int32),
+    edge_edges: wp.array2d(dtype=wp.vec2i),
 ):
     """The path of a node, face or edge against the primitives of a body."""
     env, i = wp.tid()
     item = jobs[i][0]
     frame = jobs[i][1]
+    what = jobs[i][2]
+    nodes = job_nodes[i]
     if active[env] == 0:
         return
-    if is_absent(env, primitives[item, 0], trees.bodies[frame], node_bodies, present):
+    if is_absent(env, nodes[0], trees.bodies[frame], node_bodies, present):
         return
     low = wp.vec3d(_BIG, _BIG, _BIG)
     high = -low
     travel = wp.float64(0.0)
     start = frames.starts[env, frame]
     end = frames.ends[env, frame]
-    for k in range(primitives.shape[1]):
-        node = primitives[item, k]
-        x = positions[env, node]
-        low, high, travel = include(
-            low, high, travel, x, displacements[env, node], start, end
-        )
+    corner_count = int(3)
+    for k in range(corner_count):
+        if k == 0 or nodes[k] != nodes[k - 1]:
+            x = positions[env, nodes[k]]
+            way = displacements[env, nodes[k]]
+            low, high, travel = include(low, high, travel, x, way, start, end)
     margin = widened_margin(margins[env], travel, frames.bends[env, frame])
     box = rounded_out(low, high, margin)
-    query = wp.bvh_query_aabb(trees.ids[frame], box.lower, box.upper)
+    query = wp.bvh_query_aabb(trees.ids[what, frame], box.lower, box.upper)
     hit = int(0)
     while wp.bvh_query_next(query, hit):
-        found = trees.starts[frame] + hit
-        if hit_first != 0:
-            append(env, found, item, counts, pairs)
+        found = trees.starts[what, frame] + hit
+        if what == wp.static(EDGE_EDGE):
+            append(env, item, found, edge_edge_counts, edge_edges)
+        elif what == wp.static(FACE_VERTEX):
+            append(env, found, item, node_face_counts, node_faces)
         else:
-            append(env, item, found, counts, pairs)
+            append(env, item, found, node_face_counts, node_faces)
 
 
 def run_search(
-    search: Search,
+    search: StiffSearch,
     model: Model,
     active: wp.array,
     path: list,
     frames: Frames,
     outputs: list[wp.array],
 ) -> None:
-    """Append pairs to ``outputs`` (counts, pairs); ``path``: margins, positions, displacements."""
+    """Append pairs to ``outputs`` (counts, pairs of nodes and faces, then of edges); ``path``:
+    margins, positions, displacements."""
     if len(search.jobs):
         wp.launch(
             _search_kernel,
             dim=(model.env_count, len(search.jobs)),
-            inputs=[active, search.jobs, search.primitives, search.trees, int(search.hit_first)]
-            + [model.surface.node_bodies, model.present, *path, frames],
+            inputs=[active, search.jobs, search.nodes, search.trees, model.surface.node_bodies]
+            + [model.present, *path, frames],
             outputs=outputs,
             device=model.device,
         )

@@ -374,17 +374,23 @@ def joint_rounding_kernel(
     first: int,
     count: int,
     t: JointTable,
-    dts: wp.array(dtype=wp.float64),
-    rounding: wp.array(dtype=wp.float64),
+    s: JointStep,
+    forces: wp.array(dtype=wp.float64),
+    energies: wp.array(dtype=wp.float64),
 ):
-    """Force [N] that the last digit of the positions makes in the penalties."""
+    """Force [N] that the last digit of the positions makes in the penalties, and energy [J] that it
+    makes with the multipliers."""
     env = wp.tid()
     reach = wp.float64(0.0)
     for node in range(first, first + count):
         x = positions[env, node]
         reach = wp.max(reach, wp.max(wp.abs(x[0]), wp.max(wp.abs(x[1]), wp.abs(x[2]))))
     square = wp.float64(0.0)
+    energy = wp.float64(0.0)
     for joint in range(t.sizes.shape[0]):
         force = t.penalties[joint][0] * reach + t.penalties[joint][1] * t.sizes[joint]
         square += force * force
-    rounding[env] = _EPSILON * wp.sqrt(square) / (dts[env] * dts[env])
+        for i in range(_ROWS):
+            energy += wp.abs(s.multipliers[env, joint, i])
+    forces[env] = _EPSILON * wp.sqrt(square) / (s.dts[env] * s.dts[env])
+    energies[env] = wp.float64(4.0) * _EPSILON * reach * energy

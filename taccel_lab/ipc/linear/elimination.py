@@ -179,3 +179,9 @@ def _codes(pattern: BlockPattern, rows: np.ndarray, columns: np.ndarray) -> np.n
     key = np.maximum(rows, columns) * pattern.free_count + np.minimum(rows, columns)
     found = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
     return np.where(keys[found] == key, 2 * found + (rows < columns), -1)
+
+
+def border_codes(pattern: BlockPattern, border: np.ndarray) -> np.ndarray:
+    """Codes of the blocks of border rows among themselves, row by row, [border_count^2]."""
+    rows, columns = (index.ravel() for index in np.meshgrid(border, border, indexing="ij"))
+    return _codes(pattern, rows, columns)

@@ -96,7 +96,7 @@ def _load_cluster(
 
 
 @wp.func
-def _sweep(
+def sweep(
     lane: int,
     lanes: int,
     width: int,
@@ -155,7 +155,7 @@ def _invert_kernel(
         _load_cluster(lane, lanes, span, clusters.codes, scalar_values[env], old, stores[env])
         for pivot in range(width):
             block_barrier()
-            _sweep(lane, lanes, width, pivot, old, new, stores[env])
+            sweep(lane, lanes, width, pivot, old, new, stores[env])
             swap = old
             old = new
             new = swap

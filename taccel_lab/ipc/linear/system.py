@@ -8,6 +8,7 @@ from typing import Protocol
 
 import warp as wp
 
+from taccel_lab.ipc.linear.arrow_cg import ArrowCG
 from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.block_ops import team
 from taccel_lab.ipc.linear.dense_cholesky import DenseCholesky
@@ -81,6 +82,7 @@ METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
     "ssor": SsorCG,
     "dense": DenseCholesky,
     "cg": lambda system: BlockCG(system, system.clusters),
+    "arrow": lambda system: ArrowCG(system, system.clusters),
     "pipelined": lambda system: PipelinedCG(system, system.clusters),
 }
 

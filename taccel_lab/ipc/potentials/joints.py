@@ -72,6 +72,8 @@ class JointPotential(EnergyTerm):
         axes, shape [env_count, joint_count]."""
         self.rounding_n = wp.zeros(model.env_count, dtype=wp.float64, device=device)
         """Residual that rounding of the positions alone causes [N], float64, [env_count]."""
+        self.rounding_j = wp.zeros(model.env_count, dtype=wp.float64, device=device)
+        """Energy that it causes [J], float64, [env_count]."""
         self.violations = wp.zeros(model.env_count, dtype=wp.float64, device=device)
         """Largest violation at the last ``update_multipliers`` [m], float64, [env_count]."""
         self._values = wp.zeros((*shape, ROW_COUNT), dtype=wp.float64, device=device)
@@ -215,8 +217,8 @@ class JointPotential(EnergyTerm):
         wp.launch(
             joint_rounding_kernel,
             dim=self.model.env_count,
-            inputs=[positions, affine.first_control, 4 * affine.count, self._table, self._step.dts],
-            outputs=[self.rounding_n],
+            inputs=[positions, affine.first_control, 4 * affine.count, self._table, self._step],
+            outputs=[self.rounding_n, self.rounding_j],
             device=self.model.device,
         )
 

@@ -10,7 +10,7 @@ from taccel_lab.ipc.linear.pattern import BlockPattern, block_pattern
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.system import LinearSystem
 
-BACKENDS = ("ssor", "cg", "pipelined")
+BACKENDS = ("ssor", "cg", "pipelined", "arrow")
 
 
 def delaunay_pattern(rng: np.random.Generator, node_count: int, bonded: int) -> BlockPattern:
@@ -40,6 +40,67 @@ def random_spd(rng: np.random.Generator, pattern: BlockPattern, stiffness: float
         values[pattern.diagonal[column]] += turn.T @ spring @ turn
         values[block] -= spring @ turn
     return values
+
+
+def contact_system(
+    envs: int, contacts: int = 40, bodies: int = 1
+) -> tuple[LinearSystem, np.ndarray]:
+    """A gel and stiff bodies of four rows each, which come last, and the dense matrices.
+
+    ``contacts`` faces of the gel touch the last body: a list of extra blocks, places repeated.
+    """
+    rng = np.random.default_rng(0)
+    device = wp.get_device("cpu")
+    gel = delaunay_pattern(rng, 60, bonded=5)
+    n = gel.free_count + 4 * bodies
+    firsts = np.arange(gel.free_count, n, 4)
+    i, j = np.tril_indices(4)
+    rows = np.concatenate([gel.rows, *(first + i for first in firsts)])
+    columns = np.concatenate([gel.columns, *(first + j for first in firsts)])
+    starts = np.searchsorted(rows, np.arange(n + 1)).astype(np.int32)
+    pattern = BlockPattern(starts, columns.astype(np.int32), (starts[1:] - 1).astype(np.int32))
+    capacity = 16 * contacts
+    clusters = [(int(first), int(first) + 4) for first in firsts]
+    system = LinearSystem(
+        pattern, envs, device, clusters=clusters, method="cg", extra_capacity=capacity
+    )
+    values = np.zeros((envs, pattern.block_count, 3, 3))
+    places = np.zeros((envs, capacity, 2), dtype=np.int32)
+    # What lies beyond the count must not matter.
+    extras = np.full((envs, capacity, 3, 3), np.nan)
+    counts = np.zeros(envs, dtype=np.int32)
+    for env in range(envs):
+        values[env, : gel.block_count] = random_spd(rng, gel, 30.0)
+        for b in range(bodies):
+            root = 1e3 * rng.normal(size=(12, 12)) * (np.arange(12) < 8)
+            stiff = (root @ root.T + 10 * np.eye(12)).reshape(4, 3, 4, 3).transpose(0, 2, 1, 3)
+            values[env, gel.block_count + 10 * b :][:10] = stiff[i, j]
+        for _ in range(contacts - 3 * env if bodies else 0):
+            face = rng.choice(20, 2, replace=False)
+            shares, weights = rng.dirichlet(np.ones(2)), -rng.dirichlet(np.ones(4))
+            normal = rng.normal(size=3)
+            block = 10.0 ** rng.uniform(0, 3) * np.outer(normal, normal)
+            for node, share in zip(face, shares, strict=True):
+                # What the two nodes share is left out, to keep to the pattern: stays definite.
+                values[env, pattern.diagonal[node]] += share * block
+                for k in range(4):
+                    places[env, counts[env]] = n - 4 + k, node
+                    extras[env, counts[env]] = share * weights[k] * block
+                    counts[env] += 1
+            values[env, -10:] += (weights[i] * weights[j])[:, None, None] * block
+    system.values.assign(values)
+    system.extra.places.assign(places)
+    system.extra.values.assign(extras)
+    system.extra.counts.assign(counts)
+    system.rhs.assign(rng.normal(size=(envs, n, 3)))
+    dense = pattern.dense(values).reshape(envs, n, 3, n, 3)
+    for env, count in enumerate(counts):
+        for (row, column), block in zip(places[env, :count], extras[env, :count], strict=True):
+            dense[env, row, :, column] += block
+            dense[env, column, :, row] += block.T
+    dense = dense.reshape(envs, 3 * n, 3 * n)
+    assert np.linalg.eigvalsh(dense).min() > 0
+    return system, dense
 
 
 def solve_batch(

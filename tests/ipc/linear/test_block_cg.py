@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,16 +11,16 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from taccel_lab.ipc.linear.arrow_cg import ArrowCG
 from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists
 from taccel_lab.ipc.linear.packed_rows import PackedRows
-from taccel_lab.ipc.linear.pattern import BlockPattern
 from taccel_lab.ipc.linear.pipelined_cg import PipelinedCG
 from taccel_lab.ipc.linear.preconditioner import DiagonalInverses
 from taccel_lab.ipc.linear.row_lists import cut_segments, scalars
 from taccel_lab.ipc.linear.row_plan import neighbour_clusters, plan_rows
-from taccel_lab.ipc.linear.system import LinearSystem
-from tests.ipc.linear.systems import delaunay_pattern, random_spd
+from taccel_lab.ipc.linear.system import LinearSystem, Solver
+from tests.ipc.linear.systems import contact_system, delaunay_pattern, random_spd
 
 CPU = wp.get_device("cpu")
 LANES = 32
@@ -30,79 +30,13 @@ SOLVERS = [
     lambda system: BlockCG(system, system.clusters, LANES),
     lambda system: PipelinedCG(system, system.clusters, LANES, cluster_rows=0),
     lambda system: PipelinedCG(system, system.clusters, LANES, cluster_rows=8),
+    lambda system: ArrowCG(system, system.clusters, LANES),
 ]
-
-
-@pytest.fixture
-def many_lanes() -> Iterator[None]:
-    """Thread blocks of more than one lane on the CPU."""
-    before = wp.config.enable_cpu_blocks
-    wp.config.enable_cpu_blocks = True
-    yield
-    wp.config.enable_cpu_blocks = before
-
-
-def contact_system(
-    envs: int, nodes: int = 60, contacts: int = 40, seed: int = 0
-) -> tuple[LinearSystem, np.ndarray]:
-    """A gel that touches a stiff body of its four last rows at ``contacts`` faces, as a list with
-    repeated places, and the dense matrices."""
-    rng = np.random.default_rng(seed)
-    gel = delaunay_pattern(rng, nodes, bonded=5)
-    n = gel.free_count + 4
-    body = np.arange(n - 4, n)
-    i, j = np.tril_indices(4)
-    rows = np.concatenate([gel.rows, body[i]])
-    columns = np.concatenate([gel.columns, body[j]])
-    starts = np.searchsorted(rows, np.arange(n + 1)).astype(np.int32)
-    pattern = BlockPattern(starts, columns.astype(np.int32), (starts[1:] - 1).astype(np.int32))
-    system = LinearSystem(
-        pattern, envs, CPU, clusters=[(n - 4, n)], method="cg", extra_capacity=16 * contacts
-    )
-    values = np.zeros((envs, pattern.block_count, 3, 3))
-    places = np.zeros((envs, 16 * contacts, 2), dtype=np.int32)
-    extras = np.full((envs, 16 * contacts, 3, 3), np.nan)
-    counts = np.zeros(envs, dtype=np.int32)
-    for env in range(envs):
-        values[env, : gel.block_count] = random_spd(rng, gel, 30.0)
-        root = 1e3 * rng.normal(size=(12, 12)) * (np.arange(12) < 8)
-        stiff = (root @ root.T + 10 * np.eye(12)).reshape(4, 3, 4, 3).transpose(0, 2, 1, 3)
-        values[env, gel.block_count :] = stiff[i, j]
-        for _ in range(contacts - 3 * env):
-            face = rng.choice(20, 2, replace=False)
-            shares = np.concatenate([rng.dirichlet(np.ones(2)), -rng.dirichlet(np.ones(4))])
-            normal = rng.normal(size=3)
-            block = 10.0 ** rng.uniform(0, 3) * np.outer(normal, normal)
-            for node, share in zip(face, shares, strict=False):
-                values[env, pattern.diagonal[node]] += share * block
-                for control, weight in zip(body, shares[2:], strict=True):
-                    places[env, counts[env]] = control, node
-                    extras[env, counts[env]] = share * weight * block
-                    counts[env] += 1
-            for a, b in zip(i, j, strict=True):
-                at = gel.block_count + np.flatnonzero((i == a) & (j == b))[0]
-                values[env, at] += shares[2 + a] * shares[2 + b] * block
-    system.values.assign(values)
-    system.extra.places.assign(places)
-    system.extra.values.assign(extras)
-    system.extra.counts.assign(counts)
-    system.rhs.assign(rng.normal(size=(envs, n, 3)))
-    dense = pattern.dense(values).reshape(envs, n, 3, n, 3)
-    for env in range(envs):
-        for (row, column), block in zip(
-            places[env, : counts[env]], extras[env, : counts[env]], strict=True
-        ):
-            dense[env, row, :, column] += block
-            dense[env, column, :, row] += block.T
-    dense = dense.reshape(envs, 3 * n, 3 * n)
-    # What the two nodes of a face share was left out, to keep to the pattern: stays definite.
-    assert np.linalg.eigvalsh(dense).min() > 0
-    return system, dense
 
 
 @pytest.mark.parametrize("make", SOLVERS)
 def test_gel_and_stiff_body_against_a_dense_solve(
-    many_lanes: None, make: Callable[[LinearSystem], BlockCG | PipelinedCG]
+    many_lanes: None, make: Callable[[LinearSystem], Solver]
 ) -> None:
     system, dense = contact_system(3)
     n = dense.shape[1]
@@ -138,9 +72,24 @@ def test_the_cluster_of_a_stiff_body_saves_most_iterations() -> None:
 
 
 @pytest.mark.parametrize("make", SOLVERS)
-def test_neighbours_do_not_matter(
-    many_lanes: None, make: Callable[[LinearSystem], BlockCG | PipelinedCG]
-) -> None:
+def test_gel_that_touches_nothing(many_lanes: None, make: Callable[[LinearSystem], Solver]) -> None:
+    rng = np.random.default_rng(1)
+    pattern = delaunay_pattern(rng, 80, 10)
+    values = random_spd(rng, pattern, 100.0)[None]
+    system = LinearSystem(pattern, 1, CPU, method="cg")
+    system._solver = make(system)
+    system.values.assign(values)
+    system.rhs.assign(rng.normal(size=(1, pattern.free_count, 3)))
+    system.tolerances.fill_(1e-10)
+    system.solve(wp.full(1, 1, dtype=wp.int32, device=CPU), 1000)
+    expected = np.linalg.solve(pattern.dense(values)[0], system.rhs.numpy().ravel())
+    found = system.solution.numpy().ravel()
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    assert system.report().relative_residual[0] <= 1.001e-10
+
+
+@pytest.mark.parametrize("make", SOLVERS)
+def test_neighbours_do_not_matter(many_lanes: None, make: Callable[[LinearSystem], Solver]) -> None:
     system, _ = contact_system(4)
     system.tolerances.fill_(1e-8)
     system._solver = make(system)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Block-arrow factorisation: its symbolic part against dense Cholesky, the solver on contact."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.ipc.linear.arrow_cg import ArrowCG
+from taccel_lab.ipc.linear.elimination import eliminate, least_degree_order
+from tests.ipc.linear.systems import contact_system, delaunay_pattern, random_spd
+
+CPU = wp.get_device("cpu")
+LANES = 32
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(8, 40), st.integers(0, 5))
+@settings(max_examples=15)
+def test_numbered_blocks_give_the_cholesky_factor(seed: int, nodes: int, borders: int) -> None:
+    rng = np.random.default_rng(seed)
+    pattern = delaunay_pattern(rng, nodes, 2)
+    n = pattern.free_count
+    border = np.sort(rng.permutation(n)[: min(borders, n - 1)])
+    plan = eliminate(pattern, border)
+    values = random_spd(rng, pattern, 10.0)
+    np.testing.assert_array_equal(plan.border, border)
+    np.testing.assert_array_equal(np.sort(np.append(plan.order, border)), np.arange(n))
+
+    blocks = np.zeros((plan.block_count, 3, 3))
+    for block, code in enumerate(plan.codes):
+        if code >= 0:
+            blocks[block] = values[code // 2].T if code % 2 else values[code // 2]
+    ends = np.append(plan.starts[1:], plan.block_count)
+    for level, (first, end) in enumerate(
+        zip(plan.level_starts[:-1], plan.level_starts[1:], strict=True)
+    ):
+        for block in range(first, end):
+            own = plan.pairs[plan.pair_starts[block] : plan.pair_starts[block + 1]]
+            # A level needs nothing but the levels before.
+            assert (own < first).all()
+            for a, b in own:
+                blocks[block] -= blocks[a] @ blocks[b].T
+        for column in range(plan.level_columns[level], plan.level_columns[level + 1]):
+            start = plan.starts[column]
+            blocks[start] = np.linalg.cholesky(blocks[start])
+            below = blocks[start + 1 : ends[column]]
+            below[:] = below @ np.linalg.inv(blocks[start]).T
+    order = np.append(plan.order, border)
+    dofs = (3 * order[:, None] + np.arange(3)).ravel()
+    expected = np.linalg.cholesky(pattern.dense(values[None])[0][np.ix_(dofs, dofs)])
+    found = np.zeros_like(expected)
+    count, m = len(plan.order), len(border)
+
+    def put(row: int, column: int, block: int) -> None:
+        found[3 * row : 3 * row + 3, 3 * column : 3 * column + 3] = blocks[block]
+
+    for column in range(count):
+        put(column, column, plan.starts[column])
+        for c in range(m):
+            put(count + c, column, plan.starts[column] + 1 + c)
+        for block, row in plan.column_entries[
+            plan.column_starts[column] : plan.column_starts[column + 1]
+        ]:
+            put(row, column, block)
+    found[3 * count :, 3 * count :] = expected[3 * count :, 3 * count :]
+    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+    # Row lists name the same blocks as column lists.
+    by_row = [
+        (block, row, column)
+        for row in range(count)
+        for block, column in plan.row_entries[plan.row_starts[row] : plan.row_starts[row + 1]]
+    ]
+    by_column = [
+        (block, row, column)
+        for column in range(count)
+        for block, row in plan.column_entries[
+            plan.column_starts[column] : plan.column_starts[column + 1]
+        ]
+    ]
+    assert sorted(by_row) == sorted(by_column)
+
+
+def test_least_degree_takes_leaves_first() -> None:
+    # A star and a chain: no order of a forest from its leaves fills anything in.
+    edges = [(0, 1), (0, 2), (0, 3), (0, 4), (5, 6), (6, 7)]
+    neighbours: list[set[int]] = [set() for _ in range(8)]
+    for i, j in edges:
+        neighbours[i].add(j)
+        neighbours[j].add(i)
+    order, left = least_degree_order(neighbours)
+    assert sorted(order) == list(range(8))
+    assert sum(len(rows) for rows in left) == len(edges)
+
+
+def test_one_iteration_solves_a_gel_and_a_body(many_lanes: None) -> None:
+    system, dense = contact_system(3)
+    system._solver = ArrowCG(system, system.clusters, LANES)
+    system.tolerances.fill_(1e-9)
+    system.solve(wp.full(3, 1, dtype=wp.int32, device=CPU), 100)
+    report = system.report()
+    assert report.iterations.tolist() == [1, 1, 1]
+    for env in range(3):
+        b = system.rhs.numpy()[env].ravel()
+        left = b - dense[env] @ system.solution.numpy()[env].ravel()
+        assert np.linalg.norm(left) <= 1e-9 * np.linalg.norm(b)
+
+
+@pytest.mark.parametrize("bodies", [0, 1, 2])
+def test_contact_between_bodies_and_between_gels(many_lanes: None, bodies: int) -> None:
+    """Blocks between bodies belong to the border; those between gels are left to CG."""
+    rng = np.random.default_rng(bodies)
+    system, dense = contact_system(1, contacts=10, bodies=bodies)
+    counts, places = system.extra.counts.numpy(), system.extra.places.numpy()
+    values, matrix = system.extra.values.numpy(), system.values.numpy()
+    n = system.pattern.free_count
+    gels = n - 4 * bodies
+    pairs = [(gels - 1, 0), (gels - 3, 2)] if bodies < 2 else [(n - 1, n - 7), (n - 3, n - 8)]
+    for i, j in pairs:
+        normal = rng.normal(size=3)
+        block = 100 * np.outer(normal, normal)
+        places[0, counts[0]], values[0, counts[0]] = (i, j), -block
+        counts[0] += 1
+        matrix[0, system.pattern.diagonal[[i, j]]] += block
+        for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+            dense[0, 3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * block
+    system.values.assign(matrix)
+    system.extra.places.assign(places)
+    system.extra.values.assign(values)
+    system.extra.counts.assign(counts)
+    system._solver = ArrowCG(system, system.clusters, LANES)
+    system.tolerances.fill_(1e-9)
+    system.solve(wp.full(1, 1, dtype=wp.int32, device=CPU), 100)
+    report = system.report()
+    if bodies < 2:
+        assert 1 < report.iterations[0] < 20
+    else:
+        assert report.iterations[0] == 1
+    b = system.rhs.numpy()[0].ravel()
+    left = b - dense[0] @ system.solution.numpy()[0].ravel()
+    assert np.linalg.norm(left) <= 1.01e-9 * np.linalg.norm(b)
