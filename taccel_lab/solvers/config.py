@@ -51,6 +51,9 @@ class SolverConfig:
     check_start: bool = True
     """Whether environments are searched for bodies that overlap before their first step."""
     element_projection: ElementProjection = ElementProjection.CLAMP
+    linear_method: str = "auto"
+    """How the Newton systems are solved, a key of ``ipc.linear.system.METHODS``; "auto" chooses by
+    device and size."""
     capture: bool = True
     """Whether steps are captured as graphs and launched as a whole."""
     contact_hessian_mode: int = 1

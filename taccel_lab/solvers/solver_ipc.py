@@ -110,6 +110,7 @@ class SolverIPC:
             model.env_count,
             model.device,
             stiff,
+            method=self.config.linear_method,
             clusters=[(first + 4 * i, first + 4 * i + 4) for i in range(model.affine.count)],
             extra_capacity=initial_capacity(model.env_count) if coupled else 1,
         )

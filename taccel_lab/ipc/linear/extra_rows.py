@@ -24,6 +24,9 @@ from taccel_lab.ipc.linear.row_plan import RowPlan
 
 wp.set_module_options({"enable_backward": False})
 
+CROWD = 64
+"""Blocks of one column above which they are added up by all lanes, with atomics, instead of by one
+lane a component: a column of a body in contact with another has thousands."""
 _LANES = 256
 
 
@@ -66,26 +69,18 @@ def _claim_ranges(
 
 
 @wp.func
-def _name_owners(
+def _owner(
+    k: int,
     first: int,
-    end: int,
     places: wp.array(dtype=wp.vec2i),
     order: wp.array(dtype=wp.int32),
-    owners: wp.array(dtype=wp.int32),
-):
-    """owners[block] = the first block in the same place, among blocks of one column."""
-    for e in range(first, end):
-        k = order[e]
-        row = places[k][0]
-        owner = k
-        m = first
-        while m < e:
-            other = order[m]
-            if owners[other] == other and places[other][0] == row:
-                owner = other
-                m = e
-            m += 1
-        owners[k] = owner
+) -> int:
+    """The first block in the same place as block k, in the bucket of its column."""
+    row = places[k][0]
+    e = first
+    while places[order[e]][0] != row:
+        e += 1
+    return order[e]
 
 
 @wp.func
@@ -104,6 +99,15 @@ def _sum_component(
         if owner != k:
             values[9 * owner + component] += values[9 * k + component]
             values[9 * k + component] = wp.float64(0.0)
+
+
+@wp.func
+def _sum_crowd(k: int, owner: int, values: wp.array(dtype=wp.float64)):
+    """The same for all components of a block among very many."""
+    count = int(9)
+    for component in range(count):
+        wp.atomic_add(values, 9 * owner + component, values[9 * k + component])
+        values[9 * k + component] = wp.float64(0.0)
 
 
 @wp.func
@@ -184,6 +188,7 @@ def _pack(env: int, lane: int, lanes: int, values: wp.array(dtype=wp.float64), r
 def _merge_kernel(
     lanes: int,
     segment_length: int,
+    crowd: int,
     active: wp.array(dtype=wp.int32),
     row_places: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
@@ -226,16 +231,19 @@ def _merge_kernel(
     for k in range(lane, count, lanes):
         order[wp.atomic_add(ends, places[k][1], 1)] = k
     block_barrier()
-    for row in range(lane, row_count, lanes):
-        if sizes[row] > 0:
-            _name_owners(ends[row] - sizes[row], ends[row], places, order, owners)
+    for k in range(lane, count, lanes):
+        column = places[k][1]
+        owners[k] = _owner(k, ends[column] - sizes[column], places, order)
     if lane == 0:
         totals[0] = 0
     block_barrier()
     for task in range(lane, 9 * row_count, lanes):
         row = task / 9
-        if sizes[row] > 0:
+        if sizes[row] > 0 and sizes[row] <= crowd:
             _sum_component(ends[row] - sizes[row], ends[row], task - 9 * row, order, owners, values)
+    for k in range(lane, count, lanes):
+        if owners[k] != k and sizes[places[k][1]] > crowd:
+            _sum_crowd(k, owners[k], values)
     block_barrier()
     for row in range(lane, row_count, lanes):
         sizes[row] = 0

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.ipc.linear.arrow_cg import ArrowCG
 from taccel_lab.ipc.linear.block_cg import BlockCG
-from taccel_lab.ipc.linear.extra_rows import ExtraRowLists
+from taccel_lab.ipc.linear.extra_rows import CROWD, ExtraRowLists
 from taccel_lab.ipc.linear.packed_rows import PackedRows
 from taccel_lab.ipc.linear.pipelined_cg import PipelinedCG
 from taccel_lab.ipc.linear.preconditioner import DiagonalInverses
@@ -123,8 +123,11 @@ def test_more_extra_blocks_than_the_list_holds(many_lanes: None) -> None:
     np.testing.assert_allclose(system.solution.numpy(), expected, rtol=1e-6, atol=1e-9)
 
 
-def test_extra_blocks_are_summed_by_place(many_lanes: None) -> None:
-    system, _ = contact_system(2)
+@pytest.mark.parametrize("contacts", [40, 700])
+def test_extra_blocks_are_summed_by_place(many_lanes: None, contacts: int) -> None:
+    system, _ = contact_system(2, contacts)
+    most = np.bincount(system.extra.places.numpy()[0, :, 1]).max()
+    assert (most > CROWD) == (contacts == 700)
     counts = system.extra.counts.numpy()
     places, values = system.extra.places.numpy(), system.extra.values.numpy()
     lists = ExtraRowLists(system, lanes=LANES)
