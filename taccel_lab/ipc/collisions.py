@@ -38,7 +38,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.branches import side_by_side
+from taccel_lab.ipc.broad_phase.candidates import Candidates, PairList
 from taccel_lab.ipc.capacity import GrowingList, initial_capacity
 from taccel_lab.ipc.collision_lists import (
     EDGE_EDGE,
@@ -157,10 +158,8 @@ class Collisions(GrowingList):
         model, plan = self.model, self.model.plan
         self.clear(active)
         common = [positions, self.geometry, self._surface]
-        for kernel, pairs in (
-            (node_face_kernel, candidates.node_faces),
-            (edge_edge_kernel, candidates.edge_edges),
-        ):
+
+        def narrow(kernel: wp.Kernel, pairs: PairList) -> None:
             if pairs.capacity > 1:
                 lanes = lane_count(model.device, model.env_count, pairs.capacity)
                 wp.launch(
@@ -170,6 +169,13 @@ class Collisions(GrowingList):
                     outputs=[self.lists],
                     device=model.device,
                 )
+        side_by_side(
+            model.device,
+            [
+                lambda: narrow(node_face_kernel, candidates.node_faces),
+                lambda: narrow(edge_edge_kernel, candidates.edge_edges),
+            ],
+        )
         if len(plan.node_plane):
             wp.launch(
                 node_plane_kernel,

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.branches import side_by_side
+from taccel_lab.ipc.broad_phase.candidates import Candidates, PairList
 from taccel_lab.ipc.ccd import edge_edge_ccd, point_plane_ccd, point_triangle_ccd
 from taccel_lab.ipc.collision_lists import ContactGeometry, contact_geometry, kept_distance
 from taccel_lab.ipc.lanes import lane_count, listed
@@ -196,10 +197,8 @@ def limit_step(
     """
     limits.fill_(1.0)
     geometry = contact_geometry(model)
-    for kernel, pairs, primitives in (
-        (_node_face_kernel, candidates.node_faces, model.surface.faces),
-        (_edge_edge_kernel, candidates.edge_edges, model.surface.edges),
-    ):
+
+    def against(kernel: wp.Kernel, pairs: PairList, primitives: wp.array) -> None:
         if pairs.capacity > 1:
             lanes = lane_count(model.device, model.env_count, pairs.capacity)
             wp.launch(
@@ -210,6 +209,13 @@ def limit_step(
                 outputs=[limits],
                 device=model.device,
             )
+    side_by_side(
+        model.device,
+        [
+            lambda: against(_node_face_kernel, candidates.node_faces, model.surface.faces),
+            lambda: against(_edge_edge_kernel, candidates.edge_edges, model.surface.edges),
+        ],
+    )
     if len(model.plan.node_plane):
         wp.launch(
             _node_plane_kernel,

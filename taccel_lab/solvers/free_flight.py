@@ -14,7 +14,7 @@ from taccel_lab.ipc.affine.embedding import embed_vertices
 from taccel_lab.ipc.affine.prediction import predict_affine
 from taccel_lab.ipc.motion import advance_positions, copy_rows, subtract_rows
 from taccel_lab.ipc.step_limit import limit_step
-from taccel_lab.solvers import decisions
+from taccel_lab.solvers import search_decisions
 
 if TYPE_CHECKING:
     from taccel_lab.solvers.newton import StepRun
@@ -30,7 +30,7 @@ def start_in_free_flight(run: StepRun) -> None:
         return
     copy_rows(p.active, x, s.trial)
     predict_affine(run.model, p.active, s.inertia.predictions, s.trial, p.limit)
-    run.decide(decisions.choose_flight_kernel, p.limit, _SMALL_TURN_SQ, p)
+    run.decide(search_decisions.choose_flight_kernel, p.limit, _SMALL_TURN_SQ, p)
     if s.joints is not None:
         s.joints.set_frames(poses)
         s.joints.close_predicted(p.chosen, s.trial)
@@ -40,14 +40,14 @@ def start_in_free_flight(run: StepRun) -> None:
     run.find_candidates(poses, p.margin)
     run.check_room(p.active, s.candidates.lists)
     limit_step(run.model, p.chosen, s.candidates, x, s.displacements, p.limit)
-    run.decide(decisions.keep_free_flight_kernel, p)
+    run.decide(search_decisions.keep_free_flight_kernel, p)
     run.energy(p.chosen, x, poses, p.base, p.before)
     p.alpha.fill_(1.0)
     advance_positions(p.chosen, x, s.displacements, p.alpha, s.trial)
     run.collide(p.chosen, s.trial)
     run.check_room(p.chosen, [s.collisions])
     run.energy(p.chosen, s.trial, poses, p.base_after, p.after)
-    run.decide(decisions.accept_flight_kernel, p)
+    run.decide(search_decisions.accept_flight_kernel, p)
     copy_rows(p.chosen, s.trial, x)
     run.collide(p.active, x)
     run.check_room(p.active, [s.collisions])

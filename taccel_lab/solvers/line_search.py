@@ -18,7 +18,7 @@ from taccel_lab.ipc.kinematics import place_kinematic_nodes, place_poses_between
 from taccel_lab.ipc.motion import advance_positions, subtract_rows
 from taccel_lab.ipc.reduce import slopes
 from taccel_lab.ipc.step_limit import limit_step
-from taccel_lab.solvers import decisions
+from taccel_lab.solvers import search_decisions
 
 if TYPE_CHECKING:
     from taccel_lab.solvers.newton import StepRun
@@ -33,13 +33,13 @@ def search_line(run: StepRun) -> None:
     if s.affine is not None:
         x, way = state.positions, s.displacements
         measure_turns(run.model, p.active, x, way, p.bend, p.deviation)
-        run.decide(decisions.bend_kernel, SMALLEST_TURN, p)
+        run.decide(search_decisions.bend_kernel, SMALLEST_TURN, p)
     run.find_candidates(s.target_poses, p.reach)
     limit_step(run.model, p.active, s.candidates, state.positions, s.displacements, p.limit)
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
     slopes(p.active, gradients, s.displacements, p.slope)
     rooms = [part.room for part in s.candidates.lists]
-    run.decide(decisions.open_search_kernel, LARGEST_TURN, *rooms, p)
+    run.decide(search_decisions.open_search_kernel, LARGEST_TURN, *rooms, p)
     # Only friction that was frozen anew, and joints, change the energy where a search starts.
     run.energy(p.active, state.positions, state.poses, p.base, p.before, known=s.joints is None)
 
@@ -59,7 +59,7 @@ def _try(run: StepRun) -> None:
         subtract_rows(p.waiting, s.trial, state.positions, s.path)
         limit_step(run.model, p.waiting, s.candidates, state.positions, s.path, p.limit)
 
-    run.decide(decisions.begin_trial_kernel, p)
+    run.decide(search_decisions.begin_trial_kernel, p)
     place_poses_between(p.waiting, s.start_poses, s.end_poses, p.trial_progress, s.trial_poses)
     advance_positions(p.waiting, state.positions, s.displacements, p.alpha, s.trial)
     if s.affine is not None:
@@ -71,4 +71,4 @@ def _try(run: StepRun) -> None:
         wp.capture_if(p.any_curved, on_true=check_path)
     run.collide(p.waiting, s.trial)
     run.energy(p.waiting, s.trial, s.trial_poses, p.base_after, p.after)
-    run.decide(decisions.accept_kernel, SMALLEST_TURN, s.collisions.room, p, run.rules)
+    run.decide(search_decisions.accept_kernel, SMALLEST_TURN, s.collisions.room, p, run.rules)

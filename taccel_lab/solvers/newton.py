@@ -13,12 +13,13 @@ loops and branches are conditional nodes, so that the whole step can be one capt
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import warp as wp
 
 from taccel_lab.ipc.affine.embedding import embed_vertices
+from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.capacity import GrowingList
 from taccel_lab.ipc.kinematics import place_poses_between
 from taccel_lab.ipc.motion import (
@@ -31,7 +32,7 @@ from taccel_lab.ipc.motion import (
 )
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.ipc.reduce import force_norms, sum_energies
-from taccel_lab.solvers import decisions
+from taccel_lab.solvers import decisions, search_decisions
 from taccel_lab.solvers.free_flight import start_in_free_flight
 from taccel_lab.solvers.line_search import search_line
 from taccel_lab.state import State
@@ -130,7 +131,7 @@ class StepRun:
         """Take over positions and poses in the environments of ``mask``."""
         state = self.state
         wp.launch(
-            decisions.commit_kernel,
+            search_decisions.commit_kernel,
             dim=(self.model.env_count, max(positions.shape[1], poses.shape[1])),
             inputs=[mask, positions, poses, state.positions, state.poses],
             device=self.model.device,
@@ -182,25 +183,35 @@ class StepRun:
         )
         if s.joints is not None:
             s.joints.set_frames(self.state.poses)
-        for term in s.potentials.values():
-            term.add_gradient(mask, x, s.gradient)
-        s.contact.add_gradient(mask, x, s.contact_gradient, self.p.min_distance)
+
+        def of_bodies() -> None:
+            for term in s.potentials.values():
+                term.add_gradient(mask, x, s.gradient)
+
+        def of_contact() -> None:
+            s.contact.add_gradient(mask, x, s.contact_gradient, self.p.min_distance)
+
+        self._together([of_bodies, of_contact, lambda: self._evaluate_friction(mask)])
         self._measure_residual(mask)
+
+    def _together(self, parts: Sequence[Callable[[], None]]) -> None:
+        side_by_side(self.model.device, parts)
+
+    def _evaluate_friction(self, mask: wp.array) -> None:
+        s = self.s
+        if s.friction is not None:
+            zero_rows(mask, s.friction_gradient)
+            s.friction.add_gradient(mask, self.motion(), s.friction_gradient)
 
     def evaluate_forces(self, mask: wp.array) -> None:
         """Contact and friction forces alone, from collisions and friction as they are."""
         s, x = self.s, self.state.positions
-        for gradient in (s.contact_gradient, s.friction_gradient):
-            zero_rows(mask, gradient)
+        zero_rows(mask, s.contact_gradient)
         s.contact.add_gradient(mask, x, s.contact_gradient, self.p.min_distance)
-        if s.friction is not None:
-            s.friction.add_gradient(mask, self.motion(), s.friction_gradient)
+        self._evaluate_friction(mask)
 
     def _measure_residual(self, mask: wp.array) -> None:
         s, p = self.s, self.p
-        if s.friction is not None:
-            zero_rows(mask, s.friction_gradient)
-            s.friction.add_gradient(mask, self.motion(), s.friction_gradient)
         gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
         reduce_gradient(self.model, mask, gradients, s.reduced)
         force_norms(mask, s.reduced, s.contact_gradient, p.residual, p.contact_force)
@@ -233,6 +244,7 @@ class StepRun:
         s, p = self.s, self.p
         assert s.friction is not None
         s.friction.lag(p.chosen, self.state.positions)
+        self._evaluate_friction(p.chosen)
         self._measure_residual(p.chosen)
         self.decide(decisions.judge_friction_kernel, p, self.rules)
 
@@ -241,13 +253,13 @@ class StepRun:
     def _search_direction(self) -> None:
         """Newton direction of bodies and remaining kinematic motion, in ``displacements``."""
         s, p, x = self.s, self.p, self.state.positions
-        self.decide(decisions.aim_kernel, p, self.rules, s.linear.tolerances)
+        self.decide(search_decisions.aim_kernel, p, self.rules, s.linear.tolerances)
         place_poses_between(p.active, s.start_poses, s.end_poses, p.goal, s.target_poses)
         aim_prescribed(self.model, p.active, p.moving, x, s.target_poses, s.displacements)
         self._assemble(x)
         s.linear.solve(p.active, s.config.max_cg_iterations)
         solved = [s.linear.iterations, s.linear.breakdown, s.linear.extra.room]
-        self.decide(decisions.count_solve_kernel, *solved, p)
+        self.decide(search_decisions.count_solve_kernel, *solved, p)
         spread_solution(self.model, p.active, p.boost, s.linear.solution, s.displacements)
 
     def _assemble(self, x: wp.array) -> None:
@@ -260,11 +272,37 @@ class StepRun:
         s.linear.values.zero_()
         s.linear.extra.clear()
         begin_rhs(self.model, p.active, s.reduced, s.linear.rhs)
-        for term in s.potentials.values():
-            term.add_hessian(p.active, x, system, mode)
-        s.contact.add_hessian(p.active, x, system, s.config.contact_hessian_mode)
-        if s.friction is not None:
-            s.friction.add_hessian(p.active, self.motion(), system)
+        elements = [*s.elastic, *s.viscosity]
+
+        def of_elements() -> None:
+            for part in elements:
+                part.write_hessians(p.active, x, mode)
+
+        def of_contact() -> None:
+            s.contact.add_hessian(p.active, x, system, s.config.contact_hessian_mode)
+
+        def of_friction() -> None:
+            if s.friction is not None:
+                s.friction.add_hessian(p.active, self.motion(), system)
+
+        def of_affine() -> None:
+            if s.affine is not None:
+                s.affine.add_hessian(p.active, x, system, mode)
+
+        def gather() -> None:
+            for part in elements:
+                part.gather_hessians(p.active, system)
+            for term in (s.joints, s.inertia):
+                if term is not None:
+                    term.add_hessian(p.active, x, system)
+
+        def gather_rim() -> None:
+            for part in elements:
+                part.gather_rim(p.active, system)
+
+        # What adds by atomics first; what gathers in order adds to that.
+        self._together([of_contact, of_elements, of_friction, of_affine])
+        self._together([gather, gather_rim])
 
     def energy(
         self,
@@ -278,14 +316,29 @@ class StepRun:
         """Total potential in the environments of ``mask`` [J]: without friction in ``base``, with
         it in ``totals``. ``known``: the base is known already."""
         s = self.s
-        if s.friction is not None:
-            s.friction.write_energies(mask, self.motion(positions, poses))
+
+        def of_friction() -> None:
+            if s.friction is not None:
+                s.friction.write_energies(mask, self.motion(positions, poses))
+
         if known:
+            of_friction()
             sum_energies(mask, None, s.contact, s.friction, base, totals)
             return
         if s.joints is not None:
             s.joints.set_frames(poses)
-        s.contact.write_energies(mask, positions)
-        for term in s.potentials.values():
-            term.write_energies(mask, positions)
+        stiff = [term for term in (s.inertia, s.affine, s.joints, s.load) if term is not None]
+
+        def of_elements() -> None:
+            for part in [*s.elastic, *s.viscosity]:
+                part.write_energies(mask, positions)
+
+        def of_others() -> None:
+            for term in stiff:
+                term.write_energies(mask, positions)
+
+        def of_contact() -> None:
+            s.contact.write_energies(mask, positions)
+
+        self._together([of_elements, of_contact, of_friction, of_others])
         sum_energies(mask, s.energies, s.contact, s.friction, base, totals)

@@ -326,6 +326,7 @@ class ExtraRowLists:
             [
                 self._team.lanes,
                 SEGMENT_LENGTH,
+                CROWD,
                 active,
                 self._row_places,
                 extra.counts,

@@ -174,8 +174,17 @@ class ElementSum(EnergyTerm):
     ) -> None:
         """Add d^2 energy / dx^2 [N/m] to the blocks of ``system``; what prescribed nodes that move
         contribute goes to its right-hand side [N]."""
-        g, m = self.group, self.model
+        self.write_hessians(active, positions, psd_mode)
+        self.gather_hessians(active, system)
+        self.gather_rim(active, system)
+
+    def write_hessians(self, active: wp.array, positions: wp.array, psd_mode: int) -> None:
+        """Evaluate the blocks of all elements."""
         self.launch(self.kernels.hessian, [active, positions, self.data, psd_mode], [self._blocks])
+
+    def gather_hessians(self, active: wp.array, system: NewtonSystem) -> None:
+        """Add the blocks of the elements to the matrix, without atomics."""
+        g, m = self.group, self.model
         wp.launch(
             _gather_blocks_kernel,
             dim=(m.env_count, len(g.blocks)),
@@ -183,6 +192,10 @@ class ElementSum(EnergyTerm):
             outputs=[system.values],
             device=m.device,
         )
+
+    def gather_rim(self, active: wp.array, system: NewtonSystem) -> None:
+        """Add what prescribed nodes that move contribute to the right-hand side."""
+        g, m = self.group, self.model
         if len(g.rim_rows):
             wp.launch(
                 _gather_rim_kernel,
