@@ -12,7 +12,7 @@ from benchmarks.results import read_result
 from taccel_lab.errors import InputError
 
 IDENTITY = {
-    "speed": ("scene", "source", "envs", "steps"),
+    "speed": ("scene", "source", "envs", "lag", "steps"),
     "error": ("group", "value"),
     "scaling": ("series", "size"),
     "skips": ("skip",),

@@ -22,6 +22,7 @@ import warp as wp
 
 from benchmarks.linear_systems import System, dumped, peg, slab
 from benchmarks.machine import describe_run
+from taccel_lab.ipc.linear.arrow_cg import ArrowCG
 from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.pipelined_cg import PipelinedCG
 from taccel_lab.ipc.linear.system import LinearSystem
@@ -63,7 +64,8 @@ def build(system: System, env_count: int, device: wp.Device, variant: Variant) -
             linear, system.clusters, variant.lanes, variant.blocks, variant.cluster_rows
         )
     elif variant.lanes is not None:
-        linear._solver = BlockCG(linear, system.clusters, variant.lanes)
+        kind = {"cg": BlockCG, "arrow": ArrowCG}[variant.method]
+        linear._solver = kind(linear, system.clusters, variant.lanes)
     count = len(system.places)
     scales = scale_factors(env_count)
     for array, source in ((linear.values, system.values), (linear.rhs, system.rhs)):
@@ -166,7 +168,10 @@ def plan(device: wp.Device, dumps: Path | None) -> Iterator[tuple[System, int, V
     methods = [Variant()] if gpu else [Variant("ssor"), Variant("cg"), Variant("pipelined")]
     for system in small:
         for env_count in (1, 256, 4096) if gpu else (1, 16):
-            blocks = [Variant("cg", lanes) for lanes in (128, 256, 512)] if gpu else []
+            blocks = [
+                Variant(method, lanes) for method in ("cg", "arrow") for lanes in (128, 256, 512)
+            ]
+            blocks = blocks if gpu else [Variant("arrow")]
             for variant in methods + blocks:
                 yield system, env_count, variant
     for system in large:

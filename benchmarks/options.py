@@ -38,6 +38,8 @@ class Speed:
     """Meshes: published, generated, or auto for the published ones where they are."""
     set: tuple[str, ...] = ()
     """Solver settings other than the scene's, e.g. relative_tolerance=1e-5."""
+    lag: int = 0
+    """Environment e is e modulo (LAG + 1) steps behind, so that they differ; 0: all do the same."""
     startup: bool = True
     """Time import to first step, with a warm and a cold kernel cache, in processes of their own."""
     check: bool = False

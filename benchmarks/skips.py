@@ -136,7 +136,7 @@ class _OneMoves(BenchScene):
     """Only the first environment goes along the path; the others stay at its start."""
 
     def targets(self, step: int) -> np.ndarray:
-        poses = super().targets(0)
+        poses = super().targets(0).copy()
         poses[0] = self.path[step]
         return poses
 

@@ -49,7 +49,7 @@ def run_speed(options: Speed) -> None:
                 if deadline.passed:
                     note(f"{scene}, {count}: not started, the budget is spent")
                     continue
-                chosen = SceneOptions(count, options.source, config)
+                chosen = SceneOptions(count, options.source, config, options.lag)
                 row = measure(scene, chosen, options, deadline)
                 result.add(row)
                 note(describe(row))
@@ -92,6 +92,7 @@ def measure(scene: str, chosen: SceneOptions, options: Speed, deadline: Deadline
         "what": bench.what,
         "source": bench.source,
         "envs": chosen.env_count,
+        "lag": chosen.lag,
         "steps": len(median.seconds),
         "dt_s": bench.scene.time.dt_s,
         "soft_nodes": runner.model.soft_count,

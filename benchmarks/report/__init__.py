@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page ``docs/benchmarks.md`` and its pictures, made from the result files.
+"""The page ``docs/benchmarks.md``, its pictures and the README's speeds, made from result files.
 
-The page has text of its own; what stands between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``
+Each page has text of its own; what stands between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``
 is replaced. Only files that follow the schema of ``benchmarks.results`` are read.
 """
 
@@ -11,12 +11,15 @@ import re
 from pathlib import Path
 from typing import Any
 
-from benchmarks.report.sections import SECTIONS
+from benchmarks.report.sections import HEADLINE, SECTIONS, Section
 from benchmarks.results import FOLDER, SCHEMA
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file
 
-PAGE = Path(__file__).parents[2] / "docs" / "benchmarks.md"
+_ROOT = Path(__file__).parents[2]
+PAGE, README = _ROOT / "docs" / "benchmarks.md", _ROOT / "README.md"
+PAGES: dict[Path, dict[str, Section]] = {PAGE: SECTIONS, README: HEADLINE}
+"""Generated parts of each page."""
 IMAGES = PAGE.parent / "images" / "benchmarks"
 Results = dict[str, list[dict[str, Any]]]
 
@@ -33,9 +36,9 @@ def read_results(folder: Path = FOLDER) -> Results:
     return found
 
 
-def render(text: str, results: Results) -> str:
-    """The page with its generated parts made anew."""
-    for name, section in SECTIONS.items():
+def render(text: str, sections: dict[str, Section], results: Results) -> str:
+    """A page with its generated parts made anew."""
+    for name, section in sections.items():
         begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
         if text.count(begin) != 1 or text.count(end) != 1:
             raise InputError(f"the page must have one {begin} and one {end}")
@@ -48,11 +51,13 @@ def render(text: str, results: Results) -> str:
 def run_report(folder: Path, pictures: bool, scenes: bool = False) -> list[Path]:
     """Write page and pictures; what was written."""
     results = read_results(folder)
-    text = render(PAGE.read_text(encoding="utf-8"), results)
-    with atomic_file(PAGE) as target:
-        target.write_text(text, encoding="utf-8")
-        target.chmod(0o644)
-    written = [PAGE]
+    written = []
+    for page, sections in PAGES.items():
+        text = render(page.read_text(encoding="utf-8"), sections, results)
+        with atomic_file(page) as target:
+            target.write_text(text, encoding="utf-8")
+            target.chmod(0o644)
+        written.append(page)
     if pictures:
         from benchmarks.report.plots import draw_all
 

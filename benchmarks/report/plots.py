@@ -57,15 +57,22 @@ def draw_speed(results: Results) -> Figure:
     figure, axis = plt.subplots(figsize=(8.5, 6), layout="constrained")
     for document in results.get("speed", []):
         device = document["run"]["device"].replace("NVIDIA ", "")
-        for scene in dict.fromkeys(row["scene"] for row in document["rows"]):
-            rows = [row for row in document["rows"] if row["scene"] == scene]
+        for scene, lag in dict.fromkeys((row["scene"], row["lag"]) for row in document["rows"]):
+            rows = [r for r in document["rows"] if (r["scene"], r["lag"]) == (scene, lag)]
             if len(rows) < 2:
                 continue
             x = [row["envs"] for row in rows]
             y = np.array([row["fps"]["median"] for row in rows])
             low = y - [row["fps"]["min"] for row in rows]
             high = [row["fps"]["max"] for row in rows] - y
-            axis.errorbar(x, y, [low, high], marker="o", ms=4, label=f"{scene}, {device}")
+            axis.errorbar(
+                x,
+                y,
+                [low, high],
+                marker="o",
+                ms=4,
+                label=f"{scene}{f', lag {lag}' if lag else ''}, {device}",
+            )
     for entry in read_field()["peg"]:
         x = [int(count) for count in entry["fps"]]
         label = f"{entry['name']}, {entry['device']} ({entry['stop'].split(';')[0]})"

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 
 from benchmarks.scenes.base import BenchScene, SceneOptions
@@ -27,7 +28,10 @@ def build_scene(name: str, options: SceneOptions | None = None) -> BenchScene:
     module = import_module(f"benchmarks.scenes.{SCENES[name]}")
     options = options or SceneOptions()
     # Presses differ by their pad only.
-    return module.build(options, name) if name.startswith("press") else module.build(options)
+    bench = module.build(options, name) if name.startswith("press") else module.build(options)
+    if options.lag < 0:
+        raise InputError(f"lag must not be negative, got {options.lag}")
+    return replace(bench, lag=options.lag)
 
 
 __all__ = ["SCENES", "BenchScene", "SceneOptions", "build_scene"]

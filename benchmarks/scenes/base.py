@@ -27,11 +27,13 @@ class SceneOptions:
     """Meshes: published, generated, or auto for the published ones where they are."""
     config: Mapping[str, Any] = field(default_factory=dict)
     """Fields of ``SolverConfig`` other than the scene's."""
+    lag: int = 0
+    """Environment e is e modulo (lag + 1) steps behind: environments that differ, as in use."""
 
 
 @dataclass(frozen=True)
 class BenchScene:
-    """A scene and its motion; all environments do the same."""
+    """A scene and its motion."""
 
     name: str
     what: str
@@ -45,6 +47,8 @@ class BenchScene:
     """published or generated: where the meshes are from."""
     notes: Mapping[str, Any] = field(default_factory=dict)
     """Figures of the arrangement that go into results."""
+    lag: int = 0
+    """See ``SceneOptions``."""
 
     def __post_init__(self) -> None:
         expected = (len(self.scene.kinematic_bodies), 7)
@@ -61,7 +65,8 @@ class BenchScene:
 
     def targets(self, step: int) -> np.ndarray:
         """Poses at the end of a step (1, 2, ...; 0 is the start), [env, kinematic, 7]."""
-        return np.tile(self.path[step], (self.scene.env_count, 1, 1))
+        behind = np.arange(self.scene.env_count) % (self.lag + 1)
+        return self.path[np.maximum(step - behind, 0)]
 
 
 def make_config(defaults: Mapping[str, Any], chosen: Mapping[str, Any]) -> SolverConfig:

@@ -31,7 +31,7 @@ def summarize(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
         for name in families
     }
     bad = [result for result in results if result["outcome"] not in GOOD]
-    slowest = sorted(results, key=lambda result: -result.get("seconds", 0.0))[:LISTED]
+    slowest = sorted(results, key=lambda result: -result.get("processor_seconds", 0.0))[:LISTED]
     return {
         "total": _figures(results),
         "families": by_family,
@@ -48,14 +48,14 @@ def _brief(result: dict[str, Any]) -> dict[str, Any]:
         "outcome": result["outcome"],
         "says": says,
         "newton_iterations": max(result.get("newton_iterations", []), default=0),
-        "seconds": result.get("seconds", 0.0),
+        "processor_seconds": result.get("processor_seconds", 0.0),
     }
 
 
 def _figures(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
     newton = np.array(_all(results, "newton_iterations"), dtype=float)
     parts = np.array(_all(results, "substeps"), dtype=int)
-    seconds = np.array([result.get("seconds", 0.0) for result in results])
+    seconds = np.array([result.get("processor_seconds", 0.0) for result in results])
     outcomes = Counter(result["outcome"] for result in results)
     return {
         "cases": len(results),
@@ -73,9 +73,9 @@ def _figures(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "newton_max": float(newton.max(initial=0.0)),
         "balanced_steps": sum(result.get("balanced_steps", 0) for result in results),
         "residual_ratio_max": max((r.get("residual_ratio", 0.0) for r in results), default=0.0),
-        "seconds_median": float(np.median(seconds)) if len(seconds) else 0.0,
-        "seconds_max": float(seconds.max(initial=0.0)),
-        "seconds": float(seconds.sum()),
+        "processor_s_median": float(np.median(seconds)) if len(seconds) else 0.0,
+        "processor_s_max": float(seconds.max(initial=0.0)),
+        "processor_s": float(seconds.sum()),
     }
 
 
@@ -88,7 +88,7 @@ def table(summary: dict[str, Any]) -> str:
     lines = [
         "| family | cases | converged | refused rightly | failed with a cause | out of time "
         "| silent | broken | steps (in parts) | Newton a step: median / p95 / max "
-        "| seconds a case: median / max |",
+        "| processor seconds a case: median / max |",
         "|---|" + "--:|" * 10,
     ]
     for name, row in [*summary["families"].items(), ("**all**", summary["total"])]:
@@ -99,7 +99,7 @@ def table(summary: dict[str, Any]) -> str:
             f"| {row['budget']} | {row['silent']} | {row['broken']} "
             f"| {row['steps']} ({row['steps_in_parts']}) "
             f"| {row['newton_median']:.0f} / {row['newton_p95']:.0f} / {row['newton_max']:.0f} "
-            f"| {row['seconds_median']:.2f} / {row['seconds_max']:.1f} |"
+            f"| {row['processor_s_median']:.2f} / {row['processor_s_max']:.1f} |"
         )
     if summary["referees"]:
         said = ", ".join(f"{name} {count}" for name, count in summary["referees"].items())

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.affine.embedding import embed_vertices, pulled_back
+from taccel_lab.ipc.affine.embedding import embed_vertices, pull_back
+from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model import Model
@@ -17,9 +18,6 @@ wp.set_module_options({"enable_backward": False})
 def _reduce_kernel(
     active: wp.array(dtype=wp.int32),
     free_nodes: wp.array(dtype=wp.int32),
-    first_control: int,
-    vertex_starts: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.vec4d),
     gradient_a: wp.array2d(dtype=wp.vec3d),
     gradient_b: wp.array2d(dtype=wp.vec3d),
     gradient_c: wp.array2d(dtype=wp.vec3d),
@@ -29,16 +27,7 @@ def _reduce_kernel(
     if active[env] == 0:
         return
     node = free_nodes[row]
-    total = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
-    if node >= first_control:
-        body = (node - first_control) / 4
-        control = (node - first_control) % 4
-        first = vertex_starts[body]
-        last = vertex_starts[body + 1]
-        total += pulled_back(
-            env, control, first, last, weights, gradient_a, gradient_b, gradient_c
-        )
-    reduced[env, row] = total
+    reduced[env, row] = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
 
 
 @wp.kernel
@@ -183,14 +172,22 @@ def reduce_gradient(
 
     What acts on a vertex of an affine body counts with its weights on the control nodes.
     """
-    wp.launch(
-        _reduce_kernel,
-        dim=reduced.shape,
-        inputs=[active, model.free_nodes, model.affine.first_control, model.affine.vertex_starts]
-        + [model.weights, *gradients],
-        outputs=[reduced],
-        device=model.device,
-    )
+    soft_rows = model.free_count - 4 * model.affine.count
+
+    def of_soft_bodies() -> None:
+        if soft_rows:
+            wp.launch(
+                _reduce_kernel,
+                dim=(model.env_count, soft_rows),
+                inputs=[active, model.free_nodes, *gradients],
+                outputs=[reduced],
+                device=model.device,
+            )
+
+    def of_affine_bodies() -> None:
+        pull_back(model, active, gradients, reduced)
+
+    side_by_side(model.device, [of_soft_bodies, of_affine_bodies])
 
 
 def aim_prescribed(

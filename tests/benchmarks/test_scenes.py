@@ -75,6 +75,19 @@ assert parse(["run", "speed", "--envs", "1,16", "--scene", "peg,hand"]).envs == 
     assert done.returncode == 0, done.stderr
 
 
+def test_environments_may_lag() -> None:
+    bench = build_scene("press_239", SceneOptions(4, "generated", lag=2))
+    targets = bench.targets(5)
+    np.testing.assert_array_equal(targets, bench.path[[5, 4, 3, 5]])
+    np.testing.assert_array_equal(bench.targets(1), bench.path[[1, 0, 0, 1]])
+    motion = Runner(bench).run(8, keep_forces=True)
+    assert motion.unconverged == 0
+    sinking = -motion.forces_n[-1][:, 0, 2]
+    assert sinking[0] > sinking[1] > sinking[2] > 0
+    with pytest.raises(InputError, match="lag"):
+        build_scene("peg", SceneOptions(lag=-1))
+
+
 def test_rod_and_nut_are_closed_and_fit() -> None:
     rod, nut = threaded_rod(), hexagon_nut()
     for mesh in (rod, nut):

@@ -21,8 +21,8 @@ from benchmarks.launches import LaunchCounter
 from benchmarks.memory import MemoryMeter
 from benchmarks.options import COMMANDS, SUITES, Speed
 from benchmarks.peers import parse_results, read_field
-from benchmarks.report import PAGE, read_results, render
-from benchmarks.report.sections import SECTIONS, ratios
+from benchmarks.report import PAGES, read_results, render
+from benchmarks.report.sections import HEADLINE, SECTIONS, ratios
 from benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
 from benchmarks.speed import parse_settings
 from taccel_lab.errors import InputError, SimulationError
@@ -219,22 +219,24 @@ def test_committed_results_follow_the_schema() -> None:
             assert document["rows"]
 
 
-def test_the_page_is_up_to_date() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    assert render(text, read_results()) == text, "run `taccel-lab bench report`"
-    for line in text.splitlines():
-        if line.startswith("!["):
-            assert (PAGE.parent / line.split("(")[1].rstrip(")")).is_file(), line
+def test_the_pages_are_up_to_date() -> None:
+    results = read_results()
+    for page, sections in PAGES.items():
+        text = page.read_text(encoding="utf-8")
+        assert render(text, sections, results) == text, "run `taccel-lab bench report`"
+        for line in text.splitlines():
+            if line.startswith("!["):
+                assert (page.parent / line.split("(")[1].rstrip(")")).is_file(), line
 
 
 def test_sections_do_without_results() -> None:
-    for section in SECTIONS.values():
+    for section in (*SECTIONS.values(), *HEADLINE.values()):
         assert section({})
 
 
 def test_a_page_without_markers_is_refused() -> None:
     with pytest.raises(InputError, match="begin speed"):
-        render("# Page", {})
+        render("# Page", SECTIONS, {})
 
 
 def test_drivers_of_others_are_read() -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.reduce import block_total
 from taccel_lab.model import Model
 from taccel_lab.scene.mass_properties import MassProperties
 
@@ -51,23 +52,51 @@ def embed_vertices(model: Model, values: wp.array) -> None:
     )
 
 
-@wp.func
-def pulled_back(
-    env: int,
-    control: int,
-    first: int,
-    last: int,
+@wp.kernel
+def _pull_back_kernel(
+    mask: wp.array(dtype=wp.int32),
+    first_control: int,
+    free_index: wp.array(dtype=wp.int32),
+    vertex_starts: wp.array(dtype=wp.int32),
     weights: wp.array(dtype=wp.vec4d),
     gradient_a: wp.array2d(dtype=wp.vec3d),
     gradient_b: wp.array2d(dtype=wp.vec3d),
     gradient_c: wp.array2d(dtype=wp.vec3d),
-) -> wp.vec3d:
-    """Sum of three gradients of vertices [first, last) in terms of control node number 0..3."""
+    reduced: wp.array2d(dtype=wp.vec3d),
+):
+    """One thread block a control node."""
+    env, i, lane = wp.tid()
+    if mask[env] == 0:
+        return
+    body = i / 4
     total = wp.vec3d()
-    for node in range(first, last):
+    for node in range(vertex_starts[body] + lane, vertex_starts[body + 1], wp.block_dim()):
         all_three = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
-        total += weights[node][control] * all_three
-    return total
+        total += weights[node][i % 4] * all_three
+    x = block_total(total[0])
+    y = block_total(total[1])
+    z = block_total(total[2])
+    if lane == 0:
+        node = first_control + i
+        own = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
+        reduced[env, free_index[node]] = own + wp.vec3d(x, y, z)
+
+
+def pull_back(model: Model, mask: wp.array, gradients: list[wp.array], reduced: wp.array) -> None:
+    """Rows of the control nodes of ``reduced`` [N]: the sum of three nodal gradients of their own,
+    and of what acts on the vertices with its weights."""
+    affine = model.affine
+    if affine.count == 0:
+        return
+    wp.launch_tiled(
+        _pull_back_kernel,
+        dim=[model.env_count, 4 * affine.count],
+        inputs=[mask, affine.first_control, model.free_index, affine.vertex_starts]
+        + [model.weights, *gradients],
+        outputs=[reduced],
+        block_dim=32,
+        device=model.device,
+    )
 
 
 def control_positions(solid: MassProperties, pose: np.ndarray) -> np.ndarray:

@@ -56,7 +56,7 @@ class ArrowWork:
     gates: wp.array(dtype=wp.int32)
 
 
-@wp.kernel(grid_stride=False, launch_bounds=(512, 1))
+@wp.kernel(grid_stride=False, launch_bounds=(512, 2))
 def _factor_kernel(
     lanes: int,
     active: wp.array(dtype=wp.int32),
@@ -98,7 +98,7 @@ def _factor_kernel(
         )
 
 
-@wp.kernel(grid_stride=False, launch_bounds=(512, 1))
+@wp.kernel(grid_stride=False, launch_bounds=(512, 2))
 def _solve_kernel(
     lanes: int,
     active: wp.array(dtype=wp.int32),

@@ -111,20 +111,64 @@ def _inverse_root(a: wp.array(dtype=wp.float64), at: int) -> wp.mat33d:
     return wp.mat33d(r00, zero, zero, r10, r11, zero, r20, -l21 * r11 * r22, r22)
 
 
-@wp.func
-def _subtract_pairs(
-    block: int, i: int, j: int, lists: ArrowLists, factor: wp.array(dtype=wp.float64)
-):
-    """One element of a block less those of its pairs."""
-    total = factor[9 * block + 3 * i + j]
-    for e in range(lists.pair_starts[block], lists.pair_starts[block + 1]):
-        pair = lists.pairs[e]
-        a = 9 * pair[0] + 3 * i
-        b = 9 * pair[1] + 3 * j
-        total -= factor[a] * factor[b]
-        total -= factor[a + 1] * factor[b + 1]
-        total -= factor[a + 2] * factor[b + 2]
-    factor[9 * block + 3 * i + j] = total
+# Written out in C++: arrays of Warp carry strides, which cost registers and multiplications here.
+_PAIRS_SNIPPET = """
+    const wp::vec_t<2, wp::int32>* pair = pairs.data;
+    const wp::float64* blocks = factor.data;
+    wp::float64 total = 0.0;
+    #pragma unroll 2
+    for (int e = first; e < end; ++e) {
+        const wp::float64* a = blocks + 9 * pair[e][0] + row;
+        const wp::float64* b = blocks + 9 * pair[e][1] + column;
+        total += a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    }
+    return total;
+"""
+
+
+@wp.func_native(_PAIRS_SNIPPET)
+def _pair_sum(
+    first: int,
+    end: int,
+    row: int,
+    column: int,
+    pairs: wp.array(dtype=wp.vec2i),
+    factor: wp.array(dtype=wp.float64),
+) -> wp.float64:
+    """Sum of an element of a b^T over pairs; ``row`` and ``column`` start rows of a and b."""
+    ...
+
+
+_ROW_SNIPPET = """
+    const wp::vec_t<2, wp::int32>* entry = entries.data;
+    wp::vec_t<3, wp::float64> total;
+    #pragma unroll 2
+    for (int e = first; e < end; ++e) {
+        const wp::float64* a = factor.data + 9 * entry[e][0];
+        const wp::float64* y = z.data + 3 * entry[e][1];
+        const int across = flipped ? 3 : 1;
+        const int down = flipped ? 1 : 3;
+        total[0] += a[0] * y[0] + a[across] * y[1] + a[2 * across] * y[2];
+        a += down;
+        total[1] += a[0] * y[0] + a[across] * y[1] + a[2 * across] * y[2];
+        a += down;
+        total[2] += a[0] * y[0] + a[across] * y[1] + a[2 * across] * y[2];
+    }
+    return total;
+"""
+
+
+@wp.func_native(_ROW_SNIPPET)
+def _entry_sum(
+    first: int,
+    end: int,
+    flipped: int,
+    entries: wp.array(dtype=wp.vec2i),
+    factor: wp.array(dtype=wp.float64),
+    z: wp.array(dtype=wp.float64),
+) -> wp.vec3d:
+    """Sum of L z over the entries (block, place) of a row, of L^T z over those of a column."""
+    ...
 
 
 @wp.func
@@ -142,8 +186,13 @@ def factor_columns(
         block_barrier()
         for task in range(9 * first + lane, 9 * end, lanes):
             block = task / 9
-            if lists.pair_starts[block + 1] > lists.pair_starts[block]:
-                _subtract_pairs(block, task % 9 / 3, task % 3, lists, factor)
+            begin = lists.pair_starts[block]
+            stop = lists.pair_starts[block + 1]
+            if stop > begin:
+                # Element (i, j) is that of row i of a and row j of b.
+                i = 3 * (task % 9 / 3)
+                j = 3 * (task % 3)
+                factor[task] -= _pair_sum(begin, stop, i, j, lists.pairs, factor)
         block_barrier()
         for task in range(3 * first + lane, 3 * end, lanes):
             block = task / 3
@@ -277,15 +326,6 @@ def _solve_border(
 
 
 @wp.func
-def _transposed_product(at: int, z: wp.vec3d, factor: wp.array(dtype=wp.float64)) -> wp.vec3d:
-    return wp.vec3d(
-        factor[at] * z[0] + factor[at + 3] * z[1] + factor[at + 6] * z[2],
-        factor[at + 1] * z[0] + factor[at + 4] * z[1] + factor[at + 7] * z[2],
-        factor[at + 2] * z[0] + factor[at + 5] * z[1] + factor[at + 8] * z[2],
-    )
-
-
-@wp.func
 def solve_factored(
     lane: int,
     lanes: int,
@@ -303,16 +343,9 @@ def solve_factored(
     level_count = lists.level_columns.shape[0] - 1
     for level in range(level_count):
         for row in range(lists.level_columns[level] + lane, lists.level_columns[level + 1], lanes):
-            total = r[row]
-            for e in range(lists.row_starts[row], lists.row_starts[row + 1]):
-                entry = lists.row_entries[e]
-                at = 9 * entry[0]
-                y = z[entry[1]]
-                total -= wp.vec3d(
-                    factor[at] * y[0] + factor[at + 1] * y[1] + factor[at + 2] * y[2],
-                    factor[at + 3] * y[0] + factor[at + 4] * y[1] + factor[at + 5] * y[2],
-                    factor[at + 6] * y[0] + factor[at + 7] * y[1] + factor[at + 8] * y[2],
-                )
+            begin = lists.row_starts[row]
+            end = lists.row_starts[row + 1]
+            total = r[row] - _entry_sum(begin, end, 0, lists.row_entries, factor, z_scalars)
             z[row] = roots[row] * total
         block_barrier()
     if lists.border_count > 0:
@@ -320,10 +353,9 @@ def solve_factored(
     for back in range(level_count):
         level = level_count - 1 - back
         for row in range(lists.level_columns[level] + lane, lists.level_columns[level + 1], lanes):
-            total = z[row]
-            for e in range(lists.column_starts[row], lists.column_starts[row + 1]):
-                entry = lists.column_entries[e]
-                total -= _transposed_product(9 * entry[0], z[entry[1]], factor)
+            begin = lists.column_starts[row]
+            end = lists.column_starts[row + 1]
+            total = z[row] - _entry_sum(begin, end, 1, lists.column_entries, factor, z_scalars)
             # v * M = M^T v
             z[row] = total * roots[row]
         block_barrier()

@@ -95,7 +95,7 @@ def test_counts_and_table() -> None:
             "parameters": {"dt": 0.1},
             "newton_iterations": [3, 5 + seed],
             "substeps": [1, 2],
-            "seconds": 0.5 * seed,
+            "processor_seconds": 0.5 * seed,
             **more,
         }
 

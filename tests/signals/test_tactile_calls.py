@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What reading device signals launches, allocates and shares, and which calls are refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import (
+    BackgroundBlock,
+    CameraBlock,
+    ColorBlock,
+    GelBlock,
+    MaterialBlock,
+    Provenance,
+    SensorBlock,
+    SensorProfile,
+)
+from taccel_lab.signals import MarkerLayout, SignalTactile
+from tests.signals.pressed_surface import flat_pad
+from tests.signals.tactile_cases import (
+    ALL,
+    DEVICES,
+    ENV_COUNT,
+    GRID,
+    LEVELS,
+    MARKERS_MM,
+    PAD_HALF_MM,
+    background,
+    color_model,
+    make,
+    on_device,
+    presses,
+)
+
+
+@pytest.fixture
+def launched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the kernels that are launched."""
+    names: list[str] = []
+    launch = wp.launch
+
+    def counted(kernel: Any, *args: Any, **kwargs: Any) -> Any:
+        names.append(kernel.key)
+        return launch(kernel, *args, **kwargs)
+
+    launch_tiled = wp.launch_tiled
+
+    def counted_tiled(kernel: Any, *args: Any, **kwargs: Any) -> Any:
+        names.append(kernel.key)
+        return launch_tiled(kernel, *args, **kwargs)
+
+    monkeypatch.setattr(wp, "launch", counted)
+    monkeypatch.setattr(wp, "launch_tiled", counted_tiled)
+    return names
+
+
+def test_only_what_is_read_is_launched(launched):
+    mesh = flat_pad(0.4, PAD_HALF_MM)
+    signal = make(mesh)
+    positions = on_device(presses(mesh), "cpu")
+    signal.update(positions)
+    assert launched == []
+    assert signal.markers_px is not None
+    assert launched == ["_project_markers_kernel"]
+    launched.clear()
+    assert signal.markers_px is signal.read("markers_px")[0]
+    assert launched == []
+    signal.read("height_m", "rgb", "markers_px")
+    signal.update(positions)
+    launched.clear()
+
+    def surface_and(*own: str) -> list[str]:
+        return sorted([*SURFACE, *own])
+
+    signal.read("height_m")
+    assert sorted(launched) == surface_and("_height_kernel")
+    launched.clear()
+    signal.read("rgb")
+    signal.read("rgb_levels")
+    # The surface is still there from the height map.
+    assert len(launched) == 2 and all("color_kernel" in name for name in launched)
+    signal.update(positions)
+    launched.clear()
+    signal.read("rgb", "rgb_levels", "height_m")
+    assert len(launched) == len(SURFACE) + 2
+    assert "_project_markers_kernel" not in launched
+
+
+SURFACE = [
+    "_gather_surface_kernel",
+    "_network_terms_kernel",
+    "_relax_gradients_kernel",
+    "build_patches_kernel",
+    "_sample_kernel",
+    "_prepare_raster_kernel",
+    "_rasterize_faces_kernel",
+    "_rasterize_faces_kernel",
+    "_settle_kernel",
+]
+
+
+def test_signals_that_are_not_read_take_no_memory():
+    mesh = flat_pad(0.4, PAD_HALF_MM)
+    signal = make(mesh)
+    signal.update(on_device(presses(mesh), "cpu"))
+    signal.read("markers_px")
+    assert signal._sampler is None and signal._painter is None
+    signal.read("height_m")
+    assert signal._painter is None
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_torch_shares_the_memory(device):
+    import torch
+
+    mesh = flat_pad(0.4, PAD_HALF_MM)
+    signal = make(mesh, device)
+    positions = presses(mesh)
+    signal.update(on_device(positions, device))
+    rgb, markers = wp.to_torch(signal.rgb), wp.to_torch(signal.markers_px)
+    again = torch.from_dlpack(signal.rgb)
+    assert rgb.dtype is torch.uint8 and rgb.shape == (ENV_COUNT, 72, 96, 3)
+    assert markers.shape == (ENV_COUNT, 3, 2)
+    assert rgb.data_ptr() == again.data_ptr() == signal.rgb.ptr
+    assert markers.data_ptr() == signal.markers_px.ptr
+    before = rgb.clone()
+    signal.update(on_device(positions[::-1], device))
+    signal.read("rgb", "markers_px")
+    assert torch.equal(rgb, before.flip(0)) and not torch.equal(rgb, before)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_gel_may_be_anywhere_among_the_nodes_and_in_the_world(device):
+    mesh = flat_pad(0.3, PAD_HALF_MM, seed=2)
+    positions = presses(mesh)
+    plain = make(mesh, device)
+    plain.update(on_device(positions, device))
+    rng = np.random.default_rng(0)
+    poses = np.concatenate(
+        [rng.normal(0, 0.1, (ENV_COUNT, 3)), rng.normal(0, 1, (ENV_COUNT, 4))], 1
+    )
+    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    world = np.zeros((ENV_COUNT, mesh.node_count + 9, 3))
+    for env, pose in enumerate(poses):
+        vector, scalar = pose[3:6], pose[6]
+        once = 2 * np.cross(vector, positions[env])
+        world[env, 7:-2] = positions[env] + scalar * once + np.cross(vector, once) + pose[:3]
+    both = np.stack([poses[::-1], poses], axis=1)
+    frames = wp.array(both, dtype=wp.transformd, device=device)[:, 1]
+    moved = make(mesh, device, first_node=7)
+    moved.update(on_device(world, device), frames)
+    names = ("height_m", "normals", "rgb_levels", "markers_px")
+    bounds = (1e-9, 1e-5, 0.01 + LEVELS[device], 1e-4)
+    for here, there, bound in zip(plain.read(*names), moved.read(*names), bounds, strict=True):
+        assert np.nanmax(np.abs(here.numpy() - there.numpy())) < bound
+
+
+def test_a_profile_says_all_but_the_markers():
+    mesh = flat_pad(0.4, PAD_HALF_MM)
+    model = color_model(GRID)
+    said = Provenance(kind="assumed", method="made up for a test", source="none")
+    profile = SensorProfile(
+        sensor=SensorBlock(name="one", family="gelsight", provenance=said),
+        gel=GelBlock(
+            thickness_mm=1.0,
+            node_count=mesh.node_count,
+            tet_count=mesh.tet_count,
+            min_dihedral_deg=1.0,
+            provenance=said,
+        ),
+        material=MaterialBlock(
+            young_modulus_pa=1e5,
+            poisson_ratio=0.45,
+            density_kg_m3=1e3,
+            friction_coefficient=0.5,
+            provenance=said,
+        ),
+        camera=CameraBlock.from_grid(GRID, said),
+        mesh=mesh,
+    )
+    positions = on_device(presses(mesh), "cpu")
+    bare = SignalTactile.from_profile(profile, env_count=ENV_COUNT)
+    bare.update(positions)
+    with pytest.raises(InputError, match="color_model"):
+        _ = bare.rgb
+    profile = profile.with_block(BackgroundBlock(provenance=said), background(GRID))
+    block = ColorBlock(architecture=model.config.to_dict(), provenance=said)
+    profile = profile.with_block(block, model.weights)
+    full = SignalTactile.from_profile(
+        profile, env_count=ENV_COUNT, markers=MarkerLayout.from_points(mesh, MARKERS_MM)
+    )
+    direct = make(mesh)
+    for signal in (full, direct):
+        signal.update(positions)
+    for one, other in zip(full.read(*ALL), direct.read(*ALL), strict=True):
+        assert np.array_equal(one.numpy(), other.numpy())
+
+
+def test_bad_calls_are_refused():
+    mesh = flat_pad(0.4, PAD_HALF_MM)
+    signal = SignalTactile(mesh, GRID, env_count=2)
+    with pytest.raises(RuntimeError, match="update"):
+        _ = signal.height_m
+    nodes = mesh.nodes_m[None].repeat(2, axis=0)
+    with pytest.raises(InputError, match="2 environments"):
+        signal.update(on_device(nodes[:1], "cpu"))
+    with pytest.raises(InputError, match="nodes are needed"):
+        signal.update(on_device(nodes[:, :-1], "cpu"))
+    with pytest.raises(InputError, match="vec3d"):
+        signal.update(wp.array(nodes, dtype=wp.vec3f, device="cpu"))
+    positions = on_device(nodes, "cpu")
+    with pytest.raises(InputError, match="transformd"):
+        signal.update(positions, wp.zeros(3, dtype=wp.transformd, device="cpu"))
+    signal.update(positions)
+    for name, message in (
+        ("rgb", "color_model"),
+        ("markers_px", "markers"),
+        ("depth", "unknown signal 'depth'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            signal.read(name)
+    with pytest.raises(InputError, match="together"):
+        make(mesh, background_rgb=None)
+    with pytest.raises(InputError, match="env_count"):
+        make(mesh, env_count=0)
+    wrong = make(mesh, color_model=color_model(PixelGrid(50, 72, 0.05, 0.05)))
+    wrong.update(on_device(presses(mesh), "cpu"))
+    with pytest.raises(InputError, match="background has shape"):
+        wrong.read("rgb")
+    wide = make(mesh, color_model=color_model(GRID, hidden=(129,)))
+    wide.update(on_device(presses(mesh), "cpu"))
+    with pytest.raises(InputError, match="at most 128"):
+        wide.read("rgb")
