@@ -111,6 +111,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.run()
     except InputError as error:
         return _fail(2, f"error: {error}")
+    except (PermissionError, NotADirectoryError, IsADirectoryError) as error:
+        return _fail(2, f"error: {error.filename}: {error.strerror}")
     except SimulationError as error:
         return _fail(3, f"simulation failed: {error}")
     except KeyboardInterrupt:

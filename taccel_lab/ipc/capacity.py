@@ -123,4 +123,5 @@ def clear_all(active: wp.array, lists: Sequence[GrowingList]) -> None:
 
 def grow_all(lists: Sequence[GrowingList]) -> bool:
     """Make room in all lists that were too short; whether any has more now."""
-    return any([part.grow() for part in lists])
+    grown = [part.grow() for part in lists]
+    return any(grown)

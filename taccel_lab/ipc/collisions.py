@@ -169,6 +169,7 @@ class Collisions(GrowingList):
                     outputs=[self.lists],
                     device=model.device,
                 )
+
         side_by_side(
             model.device,
             [

@@ -96,7 +96,7 @@ def place_poses_between(
 
 
 def interpolate_poses(start: np.ndarray, end: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """``place_poses_between`` for the host: ``start``, ``end`` [env, body, 7], ``fraction`` [env]."""
+    """``place_poses_between`` for the host; poses [env, body, 7], ``fraction`` [env]."""
     poses = [wp.array(np.ascontiguousarray(p), dtype=wp.transformd) for p in (start, end)]
     result = wp.empty_like(poses[0])
     mask = wp.full(len(fraction), 1, dtype=wp.int32)

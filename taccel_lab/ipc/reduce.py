@@ -182,7 +182,9 @@ def sum_energies(
         wp.copy(totals, base)
         return
     frozen = [friction.energies, friction.counts] if friction else [None, None]
-    _launch(_energies_kernel, [active, fixed, contact.energies, contact.counts, *frozen], [base, totals])
+    _launch(
+        _energies_kernel, [active, fixed, contact.energies, contact.counts, *frozen], [base, totals]
+    )
 
 
 def slopes(active: wp.array, gradients: list[wp.array], direction: wp.array, out: wp.array) -> None:

@@ -209,6 +209,7 @@ def limit_step(
                 outputs=[limits],
                 device=model.device,
             )
+
     side_by_side(
         model.device,
         [

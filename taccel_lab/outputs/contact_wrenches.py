@@ -27,7 +27,12 @@ from taccel_lab.ipc.distance.derivatives import pair_normal
 from taccel_lab.ipc.friction import friction_gradient
 from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.potentials.contact import contact_rows, stencil_size
-from taccel_lab.ipc.potentials.friction import FrictionPotential, FrozenContacts, StepMotion, sliding
+from taccel_lab.ipc.potentials.friction import (
+    FrictionPotential,
+    FrozenContacts,
+    StepMotion,
+    sliding,
+)
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})

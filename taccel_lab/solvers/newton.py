@@ -68,9 +68,7 @@ class StepRun:
     def begin(self) -> None:
         s, state, p = self.s, self.state, self.p
         p.any_turning.zero_()
-        self.decide(
-            decisions.begin_kernel, state.poses, s.end_poses, s.start_poses, p, self.rules
-        )
+        self.decide(decisions.begin_kernel, state.poses, s.end_poses, s.start_poses, p, self.rules)
         wp.launch(
             decisions.begin_nodes_kernel,
             dim=state.positions.shape,

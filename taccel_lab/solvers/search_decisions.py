@@ -229,9 +229,7 @@ def commit_kernel(
 
 
 @wp.kernel
-def choose_flight_kernel(
-    bends: wp.array(dtype=wp.float64), least: wp.float64, p: Progress
-):
+def choose_flight_kernel(bends: wp.array(dtype=wp.float64), least: wp.float64, p: Progress):
     """Choose the environments in which a body bends its path by more than ``least``."""
     env = wp.tid()
     p.chosen[env] = 0

@@ -25,7 +25,7 @@ from taccel_lab.ipc.potentials.elastic import ElasticPotential
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
-from taccel_lab.ipc.reduce import EnergyTerm, share_buffer
+from taccel_lab.ipc.reduce import share_buffer
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.newton import StepRun
@@ -267,12 +267,13 @@ class SolverIPC:
             part = self._read_report(who)
             report = part if report is None else report.retaken(part, who)
             who = part.status == EnvStatus.CONTACT_OVERFLOW
-            if not who.any() or not grow_all(self._lists):
+            if not who.any() or not grow_all(self.lists):
                 return report
             self._graphs.clear()
 
     @property
-    def _lists(self) -> list[GrowingList]:
+    def lists(self) -> list[GrowingList]:
+        """Lists of contacts, which grow when they are too short."""
         return [*self.candidates.lists, self.collisions, self.linear.extra]
 
     def _read_report(self, who: np.ndarray) -> StepReport:

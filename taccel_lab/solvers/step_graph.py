@@ -31,8 +31,10 @@ class StepGraphs:
     def captures(self) -> bool:
         """Whether steps of this solver become graphs."""
         s = self._solver
-        return s.config.capture and s.linear.capturable and (
-            s.model.device.is_cuda or not s.model.plan.soft_to_soft
+        return (
+            s.config.capture
+            and s.linear.capturable
+            and (s.model.device.is_cuda or not s.model.plan.soft_to_soft)
         )
 
     def clear(self) -> None:
@@ -45,7 +47,10 @@ class StepGraphs:
         if not self.captures:
             run.run()
             return
-        key = (self._solver.load is not None, *_pointers(state))
+        s = self._solver
+        # Lists that have grown since have moved, whoever made room in them.
+        room = [part.capacity for part in s.lists]
+        key = (s.load is not None, *room, *_pointers(state))
         if key not in self._graphs:
             if len(self._graphs) >= _MOST:
                 self._graphs.pop(next(iter(self._graphs)))

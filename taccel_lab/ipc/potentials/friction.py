@@ -299,9 +299,7 @@ class FrictionPotential(EnergyTerm):
     def _launch(self, kernel: wp.Kernel, active: wp.array, rest: list) -> None:
         m = self.model
         lanes = lane_count(m.device, m.env_count, self.energies.shape[1])
-        wp.launch(
-            kernel, dim=(m.env_count, lanes), inputs=[active, lanes, *rest], device=m.device
-        )
+        wp.launch(kernel, dim=(m.env_count, lanes), inputs=[active, lanes, *rest], device=m.device)
 
     def write_energies(self, active: wp.array, motion: StepMotion) -> None:
         """Fill ``energies`` of this step's sliding [J]."""

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from functools import cache
 
-import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.elasticity.corner_guard import no_guard
