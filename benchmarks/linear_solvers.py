@@ -2,10 +2,11 @@
 """Time, iterations and error of the linear solvers on Newton-like systems.
 
     python -m benchmarks.linear_solvers [--device cuda:0] [--out results.json] [--dumps folder]
+        [--only peg]
 
 Every variant is checked against a sparse direct solution of scipy, in the first and the last
-environment, before it is timed: whole solves, on a GPU replays of a captured graph. Environments
-hold the same matrix times factors of their own, so that they do not converge together.
+environment, before it is timed: whole solves, on a GPU replays of a captured graph. Matrices and
+loads are scaled from environment to environment, so that a mix-up would show.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Variant:
 
 
 def build(system: System, env_count: int, device: wp.Device, variant: Variant) -> LinearSystem:
-    """The system in ``env_count`` environments, scaled by 1, ... 2."""
+    """The system in ``env_count`` environments: s H p = s^2 rhs with its factor s."""
     linear = LinearSystem(
         system.pattern,
         env_count,
@@ -68,8 +69,8 @@ def build(system: System, env_count: int, device: wp.Device, variant: Variant) -
         linear._solver = kind(linear, system.clusters, variant.lanes)
     count = len(system.places)
     scales = scale_factors(env_count)
-    for array, source in ((linear.values, system.values), (linear.rhs, system.rhs)):
-        array.assign(scales.reshape(-1, *[1] * source.ndim) * source)
+    linear.values.assign(scales[:, None, None, None] * system.values)
+    linear.rhs.assign(scales[:, None, None] ** 2 * system.rhs)
     if count:
         linear.extra.places.assign(np.repeat(system.places[None], env_count, axis=0))
         linear.extra.values.assign(scales[:, None, None, None] * system.blocks)
@@ -78,7 +79,7 @@ def build(system: System, env_count: int, device: wp.Device, variant: Variant) -
 
 
 def scale_factors(env_count: int) -> np.ndarray:
-    """Factor on the matrix and the right-hand side of each environment."""
+    """Factor s of each environment; its solution is s times that of the system."""
     return np.linspace(1.0, 2.0, env_count)
 
 
@@ -133,7 +134,7 @@ def rows_of(
         linear.solution.fill_(wp.vec3d(np.nan, np.nan, np.nan))
         linear.solve(active, MAX_ITERATIONS)
         report = linear.report()
-        x = linear.solution.numpy()
+        x = linear.solution.numpy() / scale_factors(env_count)[:, None, None]
         true = [
             np.linalg.norm(b - matrix @ x[env].ravel()) / np.linalg.norm(b)
             for env in (0, env_count - 1)
@@ -199,6 +200,7 @@ def main() -> None:
     parser.add_argument("--device", default=None)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/linear_solvers.json"))
     parser.add_argument("--dumps", type=Path, help="folder with Newton systems written down")
+    parser.add_argument("--only", default="", help="systems whose name contains this")
     args = parser.parse_args()
     wp.config.quiet = True
     device = wp.get_device(args.device)
@@ -206,6 +208,8 @@ def main() -> None:
     references: dict[str, np.ndarray] = {}
     print(f"{'system':24} {'envs':>5} {'variant':30} tol    ms        its   residual error")
     for system, env_count, variant in plan(device, args.dumps):
+        if args.only not in system.name:
+            continue
         if system.name not in references:
             references[system.name] = direct(system)
         for row in rows_of(system, env_count, device, variant, references[system.name]):

@@ -97,10 +97,11 @@ def place_poses_between(
 
 def interpolate_poses(start: np.ndarray, end: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """``place_poses_between`` for the host; poses [env, body, 7], ``fraction`` [env]."""
-    poses = [wp.array(np.ascontiguousarray(p), dtype=wp.transformd) for p in (start, end)]
-    result = wp.empty_like(poses[0])
+    first = wp.array(np.ascontiguousarray(start), dtype=wp.transformd)
+    last = wp.array(np.ascontiguousarray(end), dtype=wp.transformd)
+    result = wp.empty_like(first)
     mask = wp.full(len(fraction), 1, dtype=wp.int32)
-    place_poses_between(mask, *poses, wp.array(fraction, dtype=wp.float64), result)
+    place_poses_between(mask, first, last, wp.array(fraction, dtype=wp.float64), result)
     return result.numpy().reshape(start.shape)
 
 

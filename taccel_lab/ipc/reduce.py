@@ -8,10 +8,6 @@ environments there are and whatever they hold, the sum of one of them is bitwise
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
-import numpy as np
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
@@ -44,7 +40,7 @@ def block_total(value: wp.float64) -> wp.float64:
 
 
 @wp.func
-def _lane_sum(env: int, lane: int, values: wp.array2d(dtype=wp.float64), count: int) -> wp.float64:
+def lane_sum(env: int, lane: int, values: wp.array2d(dtype=wp.float64), count: int) -> wp.float64:
     """Sum of every so manyth of the first entries of a row."""
     total = wp.vec2d()
     for i in range(lane, count, wp.block_dim()):
@@ -61,7 +57,7 @@ def _add_rows_kernel(
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    total = block_total(_lane_sum(env, lane, values, values.shape[1]))
+    total = block_total(lane_sum(env, lane, values, values.shape[1]))
     if lane == 0:
         totals[env] += total
 
@@ -76,38 +72,9 @@ def _add_lists_kernel(
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    total = block_total(_lane_sum(env, lane, values, wp.min(counts[env], values.shape[1])))
+    total = block_total(lane_sum(env, lane, values, wp.min(counts[env], values.shape[1])))
     if lane == 0:
         totals[env] += total
-
-
-@wp.kernel
-def _energies_kernel(
-    active: wp.array(dtype=wp.int32),
-    fixed: wp.array2d(dtype=wp.float64),
-    contact: wp.array2d(dtype=wp.float64),
-    contact_counts: wp.array(dtype=wp.int32),
-    friction: wp.array2d(dtype=wp.float64),
-    friction_counts: wp.array(dtype=wp.int32),
-    base: wp.array(dtype=wp.float64),
-    totals: wp.array(dtype=wp.float64),
-):
-    env, lane = wp.tid()
-    if active[env] == 0:
-        return
-    if fixed:
-        count = wp.min(contact_counts[env], contact.shape[1])
-        mine = _lane_sum(env, lane, fixed, fixed.shape[1])
-        mine += _lane_sum(env, lane, contact, count)
-        all_of_base = block_total(mine)
-        if lane == 0:
-            base[env] = all_of_base
-            totals[env] = all_of_base
-    if friction:
-        mine = _lane_sum(env, lane, friction, wp.min(friction_counts[env], friction.shape[1]))
-        all_of_friction = block_total(mine)
-        if lane == 0:
-            totals[env] = base[env] + all_of_friction
 
 
 @wp.kernel
@@ -156,7 +123,8 @@ def _norms_kernel(
         contact_forces[env] = wp.float64(0.5) * length
 
 
-def _launch(kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+def launch_rows(kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+    """Launch one thread block for each entry of the mask that comes first in ``inputs``."""
     active = inputs[0]
     wp.launch_tiled(
         kernel,
@@ -168,28 +136,19 @@ def _launch(kernel: wp.Kernel, inputs: list, outputs: list) -> None:
     )
 
 
-def sum_energies(
-    active: wp.array,
-    fixed: wp.array | None,
-    contact: EnergyTerm,
-    friction: EnergyTerm | None,
-    base: wp.array,
-    totals: wp.array,
+def add_row_sums(
+    active: wp.array, values: wp.array, counts: wp.array | None, totals: wp.array
 ) -> None:
-    """Sum the energies that terms have written: without friction to ``base``, with it to ``totals``
-    [J], [env_count]. ``fixed``: those of ``share_buffer``; when None the base is taken as it is."""
-    if fixed is None and friction is None:
-        wp.copy(totals, base)
-        return
-    frozen = [friction.energies, friction.counts] if friction else [None, None]
-    _launch(
-        _energies_kernel, [active, fixed, contact.energies, contact.counts, *frozen], [base, totals]
-    )
+    """Add the sum of each row, or of its first ``counts[env]`` entries, to ``totals``."""
+    if counts is None:
+        launch_rows(_add_rows_kernel, [active, values], [totals])
+    else:
+        launch_rows(_add_lists_kernel, [active, values, counts], [totals])
 
 
 def slopes(active: wp.array, gradients: list[wp.array], direction: wp.array, out: wp.array) -> None:
     """Sum of three nodal gradients times a direction, by environment, to ``out`` [env_count]."""
-    _launch(_slope_kernel, [active, *gradients, direction], [out])
+    launch_rows(_slope_kernel, [active, *gradients, direction], [out])
 
 
 def force_norms(
@@ -200,43 +159,4 @@ def force_norms(
     contact_forces: wp.array,
 ) -> None:
     """Norm of the gradient by the unknowns [N], and the sum of all contact forces [N]."""
-    _launch(_norms_kernel, [active, reduced, contact_gradient], [residuals, contact_forces])
-
-
-class EnergyTerm:
-    """A term of the energy whose sum may also be asked for by the host."""
-
-    energies: wp.array
-    """Energy of each item [J], float64, shape [env_count, item_count]."""
-    counts: wp.array | None = None
-    """How many items there are, int32, shape [env_count]; all when None."""
-
-    def write_energies(self, active: wp.array, at: Any, /) -> None:
-        """Fill ``energies`` of active environments."""
-        raise NotImplementedError
-
-    def add_energy(self, active: wp.array, positions: Any, totals: wp.array) -> None:
-        """Add the energy [J] to ``totals``, float64, shape [env_count], where active."""
-        self.write_energies(active, positions)
-        if self.counts is None:
-            _launch(_add_rows_kernel, [active, self.energies], [totals])
-        else:
-            _launch(_add_lists_kernel, [active, self.energies, self.counts], [totals])
-
-    def energy(self, active: wp.array, positions: Any) -> np.ndarray:
-        """Energy [J] at positions (or, of friction, after a motion), shape [env_count]; zero where
-        not active."""
-        totals = wp.zeros(len(active), dtype=wp.float64, device=active.device)
-        self.add_energy(active, positions, totals)
-        return totals.numpy()
-
-
-def share_buffer(terms: Sequence[EnergyTerm], env_count: int, device: wp.Device) -> wp.array:
-    """Energies of all terms side by side, float64, [env_count, all items]: one sum for all."""
-    widths = [term.energies.shape[1] for term in terms]
-    buffer = wp.zeros((env_count, max(sum(widths), 1)), dtype=wp.float64, device=device)
-    start = 0
-    for term, width in zip(terms, widths, strict=True):
-        term.energies = buffer[:, start : start + width]
-        start += width
-    return buffer
+    launch_rows(_norms_kernel, [active, reduced, contact_gradient], [residuals, contact_forces])

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The unknowns that a contact moves: its soft nodes, and the control nodes of its affine bodies.
 
-The Hessian of a pair is bilinear in coefficients of its nodes (the 4-vectors of ``PairHessian``, the
-weights of friction). A vertex of an affine body is a weighted sum of four control nodes, so their
-coefficients are the same weighted sums over the vertices of the pair, and the blocks can be formed
-by unknown: 15 for a gel node on a face of an affine body, where there would be 157 by vertex.
+The Hessian of a pair is bilinear in coefficients of its nodes (the 4-vectors of ``PairHessian``,
+the weights of friction). A vertex of an affine body is a weighted sum of four control nodes, so
+their coefficients are the same weighted sums over the vertices of the pair, and the blocks can be
+formed by unknown: 15 for a gel node on a face of an affine body; by vertex there would be 157.
 """
 
 from __future__ import annotations

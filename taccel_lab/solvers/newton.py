@@ -30,8 +30,9 @@ from taccel_lab.ipc.motion import (
     spread_solution,
     zero_rows,
 )
+from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
-from taccel_lab.ipc.reduce import force_norms, sum_energies
+from taccel_lab.ipc.reduce import force_norms
 from taccel_lab.solvers import decisions, search_decisions
 from taccel_lab.solvers.free_flight import start_in_free_flight
 from taccel_lab.solvers.line_search import search_line

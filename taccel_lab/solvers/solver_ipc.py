@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 import warp as wp
@@ -18,14 +17,13 @@ from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.capacity import GrowingList, grow_all, initial_capacity
 from taccel_lab.ipc.collisions import Collisions
 from taccel_lab.ipc.kinematics import place_poses_between
-from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.potentials.contact import ContactPotential
 from taccel_lab.ipc.potentials.elastic import ElasticPotential
+from taccel_lab.ipc.potentials.energy import Potential, share_buffer
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
-from taccel_lab.ipc.reduce import share_buffer
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.newton import StepRun
@@ -44,26 +42,6 @@ HALVING_HELPS = [
     EnvStatus.JOINT,
 ]
 """Failures that a shorter step may avoid."""
-
-
-class Potential(Protocol):
-    """A term of the energy that depends on positions alone once a step has begun."""
-
-    energies: wp.array
-
-    def write_energies(self, active: wp.array, positions: wp.array) -> None:
-        """Fill ``energies`` [J] of the term's items, [env_count, item_count], where active."""
-        ...
-
-    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
-        """Add d energy / dx [N], shape [env_count, node_count]."""
-        ...
-
-    def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int
-    ) -> None:
-        """Add d^2 energy / dx^2 [N/m] to the Newton system."""
-        ...
 
 
 class SolverIPC:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.arrow_factor import (
     SCHUR_CHUNKS,
     SUM_CHUNKS,
@@ -270,27 +271,29 @@ class ArrowCG:
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
         problem, work, lanes = self._problem, self._work, self._team.lanes
-        self._packed.update(active, self._values)
-        extra_values = self._extra.update(active)
-        layout = self._packed.layout
-        if layout.segment_count + self._extra.segment_capacity != work.parts.shape[1]:
+        if self._extra.fit():
             self._allocate_parts()
-        launch_team(
-            _factor_kernel,
-            problem.env_count,
-            self._team,
-            [lanes, active, self._lists, self._values, self._extra.rows, problem.extra.places]
-            + [extra_values],
-            [work],
-            problem.device,
-        )
+
+        def factor() -> None:
+            self._extra.update(active)
+            launch_team(
+                _factor_kernel,
+                problem.env_count,
+                self._team,
+                [lanes, active, self._lists, self._values, self._extra.rows, problem.extra.places]
+                + [self._extra.values],
+                [work],
+                problem.device,
+            )
+
+        side_by_side(problem.device, [factor, lambda: self._packed.update(active, self._values)])
         launch_team(
             _solve_kernel,
             problem.env_count,
             self._team,
-            [lanes, active, self._order, self._lists, layout, self._packed.values]
-            + [self._extra.rows, extra_values, problem.rhs, problem.tolerances, max_iterations]
-            + [work],
+            [lanes, active, self._order, self._lists, self._packed.layout, self._packed.values]
+            + [self._extra.rows, self._extra.values, problem.rhs, problem.tolerances]
+            + [max_iterations, work],
             [problem.solution, problem.iterations, problem.residuals, problem.breakdown],
             problem.device,
         )

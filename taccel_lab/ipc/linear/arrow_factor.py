@@ -273,7 +273,6 @@ def invert_schur(
         swap_copy = old
         old = new
         new = swap_copy
-    block_barrier()
 
 
 @wp.func

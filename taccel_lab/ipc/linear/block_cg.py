@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, team, team_sum
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
@@ -272,18 +273,23 @@ class BlockCG:
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
         problem, work = self._problem, self._work
-        self._packed.update(active, self._values)
-        self._inverses.update(active, self._values)
-        extra_values = self._extra.update(active)
-        layout = self._packed.layout
-        if layout.segment_count + self._extra.segment_capacity != work.parts.shape[1]:
+        if self._extra.fit():
             self._allocate_parts()
+        side_by_side(
+            problem.device,
+            [
+                lambda: self._packed.update(active, self._values),
+                lambda: self._inverses.update(active, self._values),
+                lambda: self._extra.update(active),
+            ],
+        )
+        layout = self._packed.layout
         launch_team(
             _solve_kernel,
             problem.env_count,
             self._team,
             [self._team.lanes, active, self._order, layout, self._packed.values]
-            + [self._extra.rows, extra_values]
+            + [self._extra.rows, self._extra.values]
             + [self._inverses.blocks, self._inverses.clusters, self._inverses.stores]
             + [problem.rhs, problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work],
             [problem.solution, problem.iterations, problem.residuals, problem.breakdown],

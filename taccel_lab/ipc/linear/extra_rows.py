@@ -312,13 +312,23 @@ class ExtraRowLists:
         rows.packed_columns = empty(room)
         rows.packed = empty(3 * room, wp.float64)
 
-    def update(self, active: wp.array) -> wp.array:
-        """Sum blocks of the same place and list them by rows; returns their values as scalars."""
+    def fit(self) -> bool:
+        """Make room for the list as long as it is now; whether that changed anything."""
+        if self._problem.extra.capacity == self._capacity:
+            return False
+        self._allocate()
+        return True
+
+    @property
+    def values(self) -> wp.array:
+        """Extra blocks as scalars, summed by ``update``, [env_count, 9 capacity]."""
+        return scalars(self._problem.extra.values)
+
+    def update(self, active: wp.array) -> None:
+        """Sum blocks of the same place and list them by rows."""
         problem = self._problem
         extra = problem.extra
-        if extra.capacity != self._capacity:
-            self._allocate()
-        values = scalars(extra.values)
+        self.fit()
         launch_team(
             _merge_kernel,
             problem.env_count,
@@ -331,10 +341,9 @@ class ExtraRowLists:
                 self._row_places,
                 extra.counts,
                 extra.places,
-                values,
+                self.values,
             ]
             + [self._order, self._owners, self._sizes, self._ends],
             [self.rows],
             problem.device,
         )
-        return values

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.block_ops import (
     Team,
     block_barrier,
@@ -382,19 +383,24 @@ class PipelinedCG:
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
         problem, work = self._problem, self._work
-        self._packed.update(active, self._values)
-        self._inverses.update(active, self._values)
-        extra_values = self._extra.update(active)
-        layout = self._packed.layout
-        if layout.segment_count + self._extra.segment_capacity != work.parts.shape[1]:
+        if self._extra.fit():
             self._allocate_parts()
+        side_by_side(
+            problem.device,
+            [
+                lambda: self._packed.update(active, self._values),
+                lambda: self._inverses.update(active, self._values),
+                lambda: self._extra.update(active),
+            ],
+        )
+        layout = self._packed.layout
         work.gates.zero_()
         launch_team(
             _solve_kernel,
             problem.env_count,
             self._team,
             [self._team.lanes, self._team.blocks, active, self._order, self._block_starts]
-            + [layout, self._packed.values, self._extra.rows, extra_values]
+            + [layout, self._packed.values, self._extra.rows, self._extra.values]
             + [self._inverses.blocks, self._inverses.clusters, self._inverses.stores]
             + [problem.rhs, problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work],
             [problem.solution, problem.iterations, problem.residuals, problem.breakdown],

@@ -17,7 +17,7 @@ from taccel_lab.ipc.affine.orthogonality import (
     orthogonality_hessian,
 )
 from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
-from taccel_lab.ipc.reduce import EnergyTerm
+from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -93,7 +93,7 @@ def _affine_hessian_kernel(
             add_block(env, start + 1 + i, start + 1 + j, block, system)
 
 
-class AffinePotential(EnergyTerm):
+class AffinePotential(Potential):
     """Keeps affine bodies rigid; built only for a scene that has some."""
 
     def __init__(self, model: Model) -> None:

@@ -39,7 +39,7 @@ from taccel_lab.ipc.pair_hessian import (
     pair_gradient,
     pair_hessian,
 )
-from taccel_lab.ipc.reduce import EnergyTerm
+from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.stencil_rows import add_pair_hessian
 from taccel_lab.model import Model
 

@@ -13,7 +13,7 @@ import warp as wp
 
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import EnergyTerm
+from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 
@@ -122,7 +122,7 @@ def _gather_rim_kernel(
     rhs[env, rows[i]] = total
 
 
-class ElementSum(EnergyTerm):
+class ElementSum(Potential):
     """Energy, gradient and matrix of one group of elements, from the kernels of its elements."""
 
     def __init__(self, model: Model, group: ElementArrays, kernels: ElementKernels) -> None:

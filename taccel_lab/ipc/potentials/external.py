@@ -19,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import EnergyTerm
+from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -71,7 +71,7 @@ def _gradient_kernel(
         gradient[env, node] -= loads[env, node]
 
 
-class ExternalLoad(EnergyTerm):
+class ExternalLoad(Potential):
     """The loads of one step of all environments."""
 
     def __init__(self, model: Model) -> None:

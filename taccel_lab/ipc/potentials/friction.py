@@ -27,7 +27,7 @@ from taccel_lab.ipc.friction import (
 )
 from taccel_lab.ipc.lanes import lane_count, listed
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import EnergyTerm
+from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.stencil_rows import add_weighted_block
 from taccel_lab.model import Model
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import EnergyTerm
+from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -204,7 +204,7 @@ def _remember_kernel(
         previous_dts[env] = dts[env]
 
 
-class InertiaPotential(EnergyTerm):
+class InertiaPotential(Potential):
     """Inertia and weight of the free nodes; not built for a quasi-static scene."""
 
     def __init__(self, model: Model) -> None:

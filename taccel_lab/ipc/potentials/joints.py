@@ -32,11 +32,11 @@ from taccel_lab.ipc.joints.layout import joint_layout
 from taccel_lab.ipc.joints.prediction import close_joints_kernel
 from taccel_lab.ipc.joints.rows import ROW_COUNT
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import EnergyTerm
+from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 
 
-class JointPotential(EnergyTerm):
+class JointPotential(Potential):
     """Joints of a scene; built only when it has some."""
 
     def __init__(self, model: Model) -> None:
