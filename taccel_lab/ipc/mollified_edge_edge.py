@@ -109,11 +109,28 @@ def mollified_hessian(
     mode: HESSIAN_EXACT; HESSIAN_PSD, the sum of projected parts; HESSIAN_GAUSS_NEWTON, only
     m max(e2, 0) grad d grad d^T. Where m = 1 it equals `pair_hessian`.
     """
+    h = mollifier_terms(pair, ea0, ea1, eb0, eb1, threshold, e0, e1, mode)
+    m = edge_edge_mollifier(edge_edge_cross_sq(ea0, ea1, eb0, eb1), threshold)
+    h.scaled = pair_hessian(pair, ea0, ea1, eb0, eb1, m * e1, m * e2, mode)
+    return h
+
+
+@wp.func
+def mollifier_terms(
+    pair: ClosestPair,
+    ea0: wp.vec3d,
+    ea1: wp.vec3d,
+    eb0: wp.vec3d,
+    eb1: wp.vec3d,
+    threshold: wp.float64,
+    e0: wp.float64,
+    e1: wp.float64,
+    mode: wp.int32,
+) -> MollifiedHessian:
+    """What the mollifier adds to m times the Hessian of E; ``scaled`` is left at zero."""
     half = wp.float64(0.5)
     cross_sq = edge_edge_cross_sq(ea0, ea1, eb0, eb1)
-    m = edge_edge_mollifier(cross_sq, threshold)
     h = MollifiedHessian()
-    h.scaled = pair_hessian(pair, ea0, ea1, eb0, eb1, m * e1, m * e2, mode)
     if cross_sq >= threshold or mode == HESSIAN_GAUSS_NEWTON:
         return h
     slope = edge_edge_mollifier_d1(cross_sq, threshold)
@@ -141,8 +158,13 @@ def mollified_hessian(
 @wp.func
 def mollified_hessian_block(h: MollifiedHessian, i: wp.int32, j: wp.int32) -> wp.mat33d:
     """Block d2(m E)/dx_i dx_j [N/m]."""
-    block = pair_hessian_block(h.scaled, i, j)
-    block += wp.outer(h.left[i], h.right[j]) + wp.outer(h.right[i], h.left[j])
+    return pair_hessian_block(h.scaled, i, j) + mollifier_block(h, i, j)
+
+
+@wp.func
+def mollifier_block(h: MollifiedHessian, i: wp.int32, j: wp.int32) -> wp.mat33d:
+    """The part of a block [N/m] that the mollifier adds."""
+    block = wp.outer(h.left[i], h.right[j]) + wp.outer(h.right[i], h.left[j])
     block += h.turn * cross_sq_hessian_block(h.edge_a, h.edge_b, i, j, h.curvature)
     block += h.bend * wp.outer(h.cross_gradient[i], h.cross_gradient[j])
     return block

@@ -17,8 +17,10 @@ from taccel_lab.ipc.pair_hessian import PairHessian
 
 wp.set_module_options({"enable_backward": False})
 
-MOST_ROWS = wp.constant(8)
+MOST_ROWS = 8
 """Two affine bodies, or three soft nodes and one."""
+_FEW_LANES = 1 << 13
+"""Lanes up to which a GPU is idle enough for every row of a stencil to have its own."""
 vec8i = wp.types.vector(length=8, dtype=wp.int32)
 mat83d = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
 
@@ -94,9 +96,14 @@ def _basis(s: StencilRows, i: wp.int32) -> mat35d:
 
 
 @wp.func
-def add_pair_hessian(env: int, nodes: wp.vec4i, h: PairHessian, system: NewtonSystem):
+def add_pair_hessian(
+    env: int, nodes: wp.vec4i, h: PairHessian, part: int, parts: int, system: NewtonSystem
+):
     """Add the Hessian of a pair [N/m] to the Newton system; what prescribed nodes that move
-    contribute goes to its right-hand side [N]."""
+    contribute goes to its right-hand side [N].
+
+    ``part``: adds the rows part, part + parts, ... only.
+    """
     of_nodes = mat43d()
     node_count = int(4)
     for i in range(node_count):
@@ -108,7 +115,7 @@ def add_pair_hessian(env: int, nodes: wp.vec4i, h: PairHessian, system: NewtonSy
         if s.rows[i] < 0:
             push += wp.transpose(_basis(s, i)) * (to_axes * system.displacements[env, s.nodes[i]])
     pull = h.core * push
-    for i in range(s.count):
+    for i in range(part, s.count, parts):
         row = s.rows[i]
         if row >= 0:
             basis = _basis(s, i)
@@ -124,9 +131,16 @@ def add_pair_hessian(env: int, nodes: wp.vec4i, h: PairHessian, system: NewtonSy
 
 @wp.func
 def add_weighted_block(
-    env: int, nodes: wp.vec4i, weights: wp.vec4d, core: wp.mat33d, system: NewtonSystem
+    env: int,
+    nodes: wp.vec4i,
+    weights: wp.vec4d,
+    core: wp.mat33d,
+    part: int,
+    parts: int,
+    system: NewtonSystem,
 ):
-    """Add w_i w_j times ``core`` [N/m] for all pairs of nodes to the Newton system."""
+    """Add w_i w_j times ``core`` [N/m] for all pairs of nodes to the Newton system; ``part`` as in
+    ``add_pair_hessian``."""
     of_nodes = mat43d()
     node_count = int(4)
     for i in range(node_count):
@@ -137,7 +151,7 @@ def add_weighted_block(
         if s.rows[i] < 0:
             way += s.coefficients[i, 0] * system.displacements[env, s.nodes[i]]
     pull = core * way
-    for i in range(s.count):
+    for i in range(part, s.count, parts):
         row = s.rows[i]
         weight = s.coefficients[i, 0]
         if row >= 0 and weight != wp.float64(0.0):
@@ -147,3 +161,8 @@ def add_weighted_block(
                 column = s.rows[j]
                 if column >= 0 and column <= row:
                     add_entry(env, row, column, (weight * s.coefficients[j, 0]) * core, system)
+
+
+def row_parts(device: wp.Device, env_count: int, lanes: int) -> int:
+    """Parts that stencils are shared out in, each of which evaluates the stencil anew."""
+    return 1 if device.is_cpu or env_count * lanes > _FEW_LANES else MOST_ROWS

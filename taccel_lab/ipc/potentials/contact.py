@@ -31,8 +31,8 @@ from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block, has_rows
 from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.mollified_edge_edge import (
     mollified_gradient,
-    mollified_hessian,
-    mollified_hessian_block,
+    mollifier_block,
+    mollifier_terms,
 )
 from taccel_lab.ipc.pair_hessian import (
     HESSIAN_GAUSS_NEWTON,
@@ -40,7 +40,7 @@ from taccel_lab.ipc.pair_hessian import (
     pair_hessian,
 )
 from taccel_lab.ipc.potentials.energy import EnergyTerm
-from taccel_lab.ipc.stencil_rows import add_pair_hessian
+from taccel_lab.ipc.stencil_rows import add_pair_hessian, row_parts
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -187,9 +187,11 @@ def add_contact_hessian(
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
     mode: int,
+    part: int,
+    parts: int,
     system: NewtonSystem,
 ):
-    """Add the blocks [N/m] of one collision to the Newton system."""
+    """Add the blocks [N/m] of one collision to the Newton system, or a part of them."""
     kind = lists.kinds[env, slot]
     nodes = lists.stencils[env, slot]
     k = lists.stiffnesses[env, slot]
@@ -202,23 +204,25 @@ def add_contact_hessian(
     reach = lists.ranges[env, slot]
     e1 = contact_potential_d1(d, reach, k)
     e2 = contact_potential_d2(d, reach, k)
-    size = stencil_size(kind)
-    if is_mollified(env, nodes, lists.thresholds[env, slot], positions):
-        e0 = contact_potential(d, reach, k)
-        threshold = lists.thresholds[env, slot]
-        mollified = mollified_hessian(pair, x0, x1, x2, x3, threshold, e0, e1, e2, mode)
-        for i in range(size):
-            if has_rows(nodes[i], system):
-                for j in range(size):
-                    block = mollified_hessian_block(mollified, i, j)
-                    add_block(env, nodes[i], nodes[j], block, system)
-        return
+    threshold = lists.thresholds[env, slot]
+    mollified = is_mollified(env, nodes, threshold, positions)
+    scale = wp.float64(1.0)
+    if mollified:
+        scale = edge_edge_mollifier(edge_edge_cross_sq(x0, x1, x2, x3), threshold)
     curvature = mode
     if kind == 4:
         # The height over a plane is linear: its first term is the whole, and it is positive.
         curvature = wp.static(int(HESSIAN_GAUSS_NEWTON))
-    h = pair_hessian(pair, x0, x1, x2, x3, e1, e2, curvature)
-    add_pair_hessian(env, nodes, h, system)
+    h = pair_hessian(pair, x0, x1, x2, x3, scale * e1, scale * e2, curvature)
+    add_pair_hessian(env, nodes, h, part, parts, system)
+    if mollified:
+        e0 = contact_potential(d, reach, k)
+        terms = mollifier_terms(pair, x0, x1, x2, x3, threshold, e0, e1, mode)
+        size = stencil_size(kind)
+        for i in range(part, size, parts):
+            if has_rows(nodes[i], system):
+                for j in range(size):
+                    add_block(env, nodes[i], nodes[j], mollifier_block(terms, i, j), system)
 
 
 @wp.kernel
@@ -229,13 +233,14 @@ def _hessian_kernel(
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
     mode: int,
+    parts: int,
     system: NewtonSystem,
 ):
-    env, lane = wp.tid()
+    env, lane, part = wp.tid()
     if active[env] == 0:
         return
     for slot in range(lane, listed(env, lists.counts, lists.kinds.shape[1]), lanes):
-        add_contact_hessian(env, slot, lists, geometry, positions, mode, system)
+        add_contact_hessian(env, slot, lists, geometry, positions, mode, part, parts, system)
 
 
 class ContactPotential(EnergyTerm):
@@ -275,4 +280,12 @@ class ContactPotential(EnergyTerm):
         self, active: wp.array, positions: wp.array, system: NewtonSystem, mode: int
     ) -> None:
         """Add the Hessian of the collisions to the Newton system."""
-        self._launch(_hessian_kernel, active, positions, [mode, system])
+        c, m = self.collisions, self.model
+        lanes = lane_count(m.device, m.env_count, c.capacity)
+        parts = row_parts(m.device, m.env_count, lanes)
+        wp.launch(
+            _hessian_kernel,
+            dim=(m.env_count, lanes, parts),
+            inputs=[active, lanes, c.lists, c.geometry, positions, mode, parts, system],
+            device=m.device,
+        )

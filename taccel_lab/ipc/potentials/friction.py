@@ -28,7 +28,7 @@ from taccel_lab.ipc.friction import (
 from taccel_lab.ipc.lanes import lane_count, listed
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
-from taccel_lab.ipc.stencil_rows import add_weighted_block
+from taccel_lab.ipc.stencil_rows import add_weighted_block, row_parts
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -205,9 +205,10 @@ def _hessian_kernel(
     frozen: FrozenContacts,
     motion: StepMotion,
     eps_u: wp.float64,
+    parts: int,
     system: NewtonSystem,
 ):
-    env, lane = wp.tid()
+    env, lane, part = wp.tid()
     if active[env] == 0:
         return
     for slot in range(lane, frozen.counts[env], lanes):
@@ -219,7 +220,7 @@ def _hessian_kernel(
             n = frozen.normals[env, slot]
             u = sliding(env, nodes, w, n, motion)
             core = friction_hessian(n, u, mu_lambda, eps_u)
-            add_weighted_block(env, nodes, w, core, system)
+            add_weighted_block(env, nodes, w, core, part, parts, system)
 
 
 @wp.kernel
@@ -311,4 +312,12 @@ class FrictionPotential(EnergyTerm):
 
     def add_hessian(self, active: wp.array, motion: StepMotion, system: NewtonSystem) -> None:
         """Add the positive part of the Hessian to the Newton system."""
-        self._launch(_hessian_kernel, active, [self.frozen, motion, self.eps_u_m, system])
+        m = self.model
+        lanes = lane_count(m.device, m.env_count, self.energies.shape[1])
+        parts = row_parts(m.device, m.env_count, lanes)
+        wp.launch(
+            _hessian_kernel,
+            dim=(m.env_count, lanes, parts),
+            inputs=[active, lanes, self.frozen, motion, self.eps_u_m, parts, system],
+            device=m.device,
+        )
