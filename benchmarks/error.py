@@ -23,6 +23,7 @@ from benchmarks.options import Error
 from benchmarks.results import Deadline, ResultFile, note, spread
 from benchmarks.shear_press import FRICTION, Outcome, Press, run
 from taccel_lab.errors import SimulationError
+from taccel_lab.ipc.linear.system import METHODS
 from taccel_lab.scene import Element, TimeScheme
 from taccel_lab.solvers import SolverConfig
 
@@ -101,7 +102,8 @@ def all_rows(quick: bool) -> Iterator[Row]:
 
 
 def solver_choices() -> Iterator[tuple[str, Any]]:
-    """Every value of every setting of the solver that is a choice: precision, linear solver, ..."""
+    """Every value of every setting of the solver that is a choice: linear method, projection."""
+    yield from (("linear_method", name) for name in METHODS)
     for item in fields(SolverConfig):
         default = getattr(DEFAULTS, item.name)
         if isinstance(default, StrEnum):
@@ -147,7 +149,7 @@ class Presses:
             if kind not in self._warm:
                 self._warm.add(kind)
                 steps = min(press.steps, 16)
-                run(replace(press, layers=2, relative_tolerance=1e-2, steps=steps), self._device)
+                run(replace(press, layers=2, steps=steps), self._device)
             runs = [run(press, self._device) for _ in range(repeats or self._repeats)]
             self._known[press] = (runs[0], [r.seconds / r.steps for r in runs])
         return self._known[press]

@@ -11,7 +11,9 @@ from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.scene import TriangleMesh, box_mesh, sphere_mesh
 
 
-def pose(place: np.ndarray | tuple[float, float, float], turn: np.ndarray | None = None):
+def pose(
+    place: np.ndarray | tuple[float, float, float], turn: np.ndarray | None = None
+) -> np.ndarray:
     """Position and quaternion as one pose, shape [7]."""
     return np.concatenate([place, (0, 0, 0, 1) if turn is None else turn]).astype(np.float64)
 

@@ -82,6 +82,13 @@ def edge_edge_limit(
 
 
 @wp.kernel
+def _begin_kernel(active: wp.array(dtype=wp.int32), limits: wp.array(dtype=wp.float64)):
+    env = wp.tid()
+    if active[env] != 0:
+        limits[env] = wp.float64(1.0)
+
+
+@wp.kernel
 def _node_face_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
@@ -190,12 +197,19 @@ def limit_step(
     slackness: float = 0.1,
     max_iterations: int = 1000,
 ) -> None:
-    """Set ``limits`` [env_count] to the fraction of ``displacements`` that keeps all pairs apart.
+    """Set ``limits`` [env_count] of active environments to the fraction of ``displacements`` that
+    keeps all pairs apart.
 
     ``slackness``: part of the initial gap that is left at the limit. A query that needs more
     iterations than allowed stops early at a fraction that is still safe.
     """
-    limits.fill_(1.0)
+    wp.launch(
+        _begin_kernel,
+        dim=model.env_count,
+        inputs=[active],
+        outputs=[limits],
+        device=model.device,
+    )
     geometry = contact_geometry(model)
 
     def against(kernel: wp.Kernel, pairs: PairList, primitives: wp.array) -> None:

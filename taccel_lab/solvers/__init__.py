@@ -4,6 +4,7 @@
 from taccel_lab.solvers.config import ElementProjection, SolverConfig
 from taccel_lab.solvers.plan import Plan, PlanEntry
 from taccel_lab.solvers.report import EnvStatus, StepReport
+from taccel_lab.solvers.sharded import Shard, ShardedSolver
 from taccel_lab.solvers.solver_ipc import SolverIPC
 
 __all__ = [
@@ -11,6 +12,8 @@ __all__ = [
     "EnvStatus",
     "Plan",
     "PlanEntry",
+    "Shard",
+    "ShardedSolver",
     "SolverConfig",
     "SolverIPC",
     "StepReport",

@@ -37,7 +37,7 @@ def boosted(env: int, p: Progress) -> wp.float64:
     ratio = p.residual[env] / p.last_residual[env]
     if ratio < wp.float64(0.7) or ratio > wp.float64(2.0):
         return one
-    if p.cuts[env] > 0 or p.limit[env] < one or p.last_residual[env] == wp.float64(wp.inf):
+    if p.cuts[env] > 0 or p.alpha[env] < one or p.last_residual[env] == wp.float64(wp.inf):
         return one
     return wp.min(wp.float64(4.0) * p.boost[env], wp.float64(LARGEST_BOOST))
 

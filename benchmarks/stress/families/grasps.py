@@ -17,7 +17,7 @@ from benchmarks.stress.families.common import (
     material,
     settings,
 )
-from benchmarks.stress.shapes import STIFF_SHAPES, about, pose, reach, stiff_shape, turned
+from benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape, turned
 from taccel_lab.scene import AffineBody, KinematicBody, Plane, Scene, SoftBody, TimeScheme
 
 GEL = (6e-3, 6e-3, 2e-3)
@@ -27,8 +27,6 @@ def _jaws(open_m: float, lift: float = 0.0, turn: float = 0.0) -> np.ndarray:
     """Poses of two mounts whose gels' faces are ``open_m`` from x = 0, [1, 2, 7]."""
     left, right = about((0, 1, 0), np.pi / 2), about((0, 1, 0), -np.pi / 2)
     spin = about((1, 0, 0), turn)
-    from benchmarks.stress.shapes import after
-
     return np.stack(
         [pose((-open_m, 0, lift), after(spin, left)), pose((open_m, 0, lift), after(spin, right))]
     )[None]

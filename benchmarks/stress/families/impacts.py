@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from benchmarks.stress.case import Case, family
@@ -19,7 +21,17 @@ from benchmarks.stress.families.common import (
     settings,
 )
 from benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape, wedge
-from taccel_lab.scene import AffineBody, KinematicBody, Plane, Scene, SoftBody, TimeScheme
+from taccel_lab.model import Model
+from taccel_lab.scene import (
+    AffineBody,
+    KinematicBody,
+    Plane,
+    Scene,
+    SoftBody,
+    TimeScheme,
+    TriangleMesh,
+)
+from taccel_lab.state import State
 
 FASTEST = 10.0
 """Speed of an impact [m/s]."""
@@ -92,8 +104,6 @@ def _stiff(draw: Draw, size: float, low_density: float = 100.0) -> AffineBody:
 
 
 def _placed(body: AffineBody, gap: float, turn: np.ndarray) -> AffineBody:
-    from dataclasses import replace
-
     low, _ = reach(body.shape, turn)
     return replace(body, initial_pose=pose((0, 0, gap - low), turn))
 
@@ -165,17 +175,13 @@ def bullet_at_sheet(draw: Draw) -> Case:
     sheet_mesh = stiff_shape("box", 8e-3)
     corners, faces = sheet_mesh.vertices_m[:4] + [0, 0, 4e-3], sheet_mesh.faces[:2]
     body = _placed(_stiff(draw, 1e-3), draw.decades("gap", 1e-5, 5e-3), draw.rotation("turn"))
-    from dataclasses import replace
-
     vx, vy, vz = body.initial_velocity_m_s
     # Straight at it, so that it cannot miss.
     body = replace(body, initial_velocity_m_s=(0.02 * vx, 0.02 * vy, vz))
-    from taccel_lab.scene import TriangleMesh
-
     sheet = KinematicBody(TriangleMesh(corners, faces), 0.3, name="sheet")
     scene = Scene((), sheet, time=stepping, affine_bodies=body)
 
-    def expect(model, state, step):
+    def expect(model: Model, state: State, step: int) -> str | None:
         node = model.affine.first_control
         z = float(state.positions.numpy()[0, node, 2])
         return None if z > 0 else f"it is {-z:.3g} m beyond the sheet after step {step}"

@@ -19,9 +19,11 @@ from benchmarks.stress.families.common import (
     settings,
 )
 from benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape
+from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
     FixedJoint,
+    Joint,
     KinematicBody,
     Plane,
     PositionDrive,
@@ -34,6 +36,7 @@ from taccel_lab.scene import (
     VelocityDrive,
     box_mesh,
 )
+from taccel_lab.scene.bodies import Surface
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import State
 
@@ -72,7 +75,8 @@ def mechanism(draw: Draw) -> Case:
     """A chain of links on hinges, sliders and welds; drives push it into limits and the floor."""
     config, stepping = settings(draw, (2e-5, 2e-4)), in_time(draw, dt_s=(1e-4, 5e-2))
     count = draw.whole("links", 1, 4)
-    bodies, joints = [], []
+    bodies: list[AffineBody] = []
+    joints: list[Joint] = []
     second: str | None = None
     for number in range(count):
         name = f"link {number}"
@@ -123,13 +127,13 @@ def mechanism(draw: Draw) -> Case:
         if flips and step:
             solver.joints.targets.assign((1 if step % 2 == 0 else -1) * starts[-1])
 
-    def expect(model, state, step):
+    def expect(model: Model, state: State, step: int) -> str | None:
         return _open_anchor(model, state, joints, [body.name for body in bodies])
 
     return Case(scene, config, 8, prepare=prepare, expect=expect)
 
 
-def _open_anchor(model, state, joints, names) -> str | None:
+def _open_anchor(model: Model, state: State, joints: list[Joint], names: list[str]) -> str | None:
     """Where the anchors of hinges and welds are, on both bodies: the referee of joints."""
     x = state.positions.numpy()[0]
     first_control, lengths = model.affine.first_control, model.affine.lengths.numpy()
@@ -216,8 +220,6 @@ def no_way(draw: Draw) -> Case:
 def batch(draw: Draw) -> Case:
     """Four environments with one scene: one is pressed, one hardly, one is asked for what cannot
     be, one rests; a stiff body is present in half of them."""
-    from taccel_lab.scene.bodies import Surface
-
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 2e-2))
     gel = SoftBody(
         bonded_block(draw, "gel", (5e-3, 5e-3, 2e-3)),

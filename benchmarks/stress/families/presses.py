@@ -97,7 +97,6 @@ def stab(draw: Draw) -> Case:
     spin = draw.between("spin", 0.0, 0.5)
     lean = about(draw.direction("axis of lean"), draw.between("lean", 0, TILT))
     direction = draw.between("direction of drag", 0, 2 * np.pi)
-    _, _ = reach(shape, lean)
     low, _ = reach(shape, lean)
     start = np.array([draw.between("x", -5e-4, 5e-4), draw.between("y", -5e-4, 5e-4), 0])
     along = drag * np.array([np.cos(direction), np.sin(direction), 0])

@@ -18,8 +18,9 @@ from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
 
-LARGEST_TURN = 0.5
-"""Angle that one step may turn a body by [rad]."""
+LARGEST_TURN = 0.1
+"""Angle that one step may turn a body by [rad]: everything that a bent step may meet is a candidate
+for contact, and it leads off the straight one by the square of the angle."""
 SMALLEST_TURN = 1e-5
 """Angle below which steps stay straight [rad]: they strain by 5e-11."""
 
@@ -94,8 +95,11 @@ def _measure_kernel(
         size = wp.sqrt(wp.ddot(change, change))
         turn = wp.length(twist_of(change))
         # |exp(W)(I + S) - I - W - S| <= w^2/2 + w |S|; |V(W) - I| <= w/2.
+        # Of the largest part of the step that may be taken.
+        part = wp.min(wp.float64(1.0), wp.float64(LARGEST_TURN) / wp.max(turn, wp.float64(1.0e-12)))
         bent = turn * size * lengths[body]
         bent += wp.float64(0.5) * turn * wp.length(displacements[env, start])
+        bent = part * part * bent
         turns[env] = wp.max(turns[env], turn)
         deviations[env] = wp.max(deviations[env], bent)
 
