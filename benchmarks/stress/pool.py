@@ -18,7 +18,7 @@ CaseId = tuple[str, int]
 """Family and seed."""
 RunCase = Callable[[str, int, str, float], dict[str, Any]]
 """``(family, seed, device, seconds)``."""
-PATIENCE_S = 300.0
+PATIENCE_S = 900.0
 """Time beyond the budget after which a process is ended: kernels may have to be compiled, during
 which no signal is heard."""
 

@@ -2,8 +2,8 @@
 """Cutting a scene into parts that hold some of its environments each.
 
 Environments do not influence one another, so parts can be stepped anywhere without a word between
-them: on several devices of one process (``solvers.sharded``), or in several processes, each of which
-takes the part of its rank.
+them: on several devices of one process (``solvers.sharded``), or in several processes, each of
+which takes the part of its rank.
 """
 
 from __future__ import annotations
@@ -100,13 +100,13 @@ def _cut_surface(surface: Surface, part: slice) -> Surface:
 
 def _cut_joint(joint: Joint, part: slice) -> Joint:
     drive: Drive | None = joint.motor
-    changed = _rows(joint, part)
+    changed: dict[str, Any] = _rows(joint, part)
     if drive is not None:
         changed["drive"] = _with(drive, **_rows(drive, part))
     return _with(joint, **changed)
 
 
-def _rows(item: Any, part: slice) -> dict[str, np.ndarray]:
+def _rows(item: Any, part: slice) -> dict[str, Any]:
     """Rows of the environments of a part, of each field that has a row for each environment."""
     found = {}
     for field in fields(item):

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, fields
 from threading import Lock
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import warp as wp
@@ -143,7 +143,7 @@ class ShardedSolver:
         For instance the barrier's forces on nodes [N], [env_count, node_count, 3]:
         ``-solver.gather(lambda shard: shard.solver.contact_gradient)``.
         """
-        parts = [read(shard) for shard in self.shards]
+        parts: list[Any] = [read(shard) for shard in self.shards]
         return np.concatenate([p.numpy() if isinstance(p, wp.array) else p for p in parts])
 
     def positions(self) -> np.ndarray:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -150,9 +151,7 @@ def test_parts_hold_the_rows_of_the_whole(count: int) -> None:
             assert rows_of(part, row) == rows_of(whole, env)
             env += 1
     different = [rows_of(whole, env) for env in range(5)]
-    assert all(a != b for a, b in zip(different, different[1:], strict=False)), (
-        "the environments were meant to differ"
-    )
+    assert all(a != b for a, b in pairwise(different)), "the environments were meant to differ"
 
 
 def test_a_cut_scene_passes_the_checks_of_a_scene_that_is_made_anew() -> None:
@@ -178,7 +177,7 @@ def test_slices_cover_all_environments_evenly(env_count: int, world_size: int) -
         return
     parts = [shard_slice(env_count, rank, world_size) for rank in range(world_size)]
     assert parts[0].start == 0 and parts[-1].stop == env_count
-    assert all(a.stop == b.start for a, b in zip(parts, parts[1:], strict=False))
+    assert all(a.stop == b.start for a, b in pairwise(parts))
     sizes = [part.stop - part.start for part in parts]
     assert max(sizes) - min(sizes) <= 1 and min(sizes) >= 1
 

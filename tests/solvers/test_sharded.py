@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -37,18 +37,26 @@ RESTS = np.stack([block_mesh(CELLS, SIZE, jitter=0.1, seed=s).nodes_m for s in r
 SIDE = 1.2e-3
 FLAP = (2e-3, 3e-4, 1e-3)
 CONFIG = SolverConfig(relative_tolerance=1e-6, max_newton_iterations=60, max_substep_halvings=1)
+# Not captured: on the CPU a graph cannot hold the strided copy that starts a step of joints.
+JOINT_CONFIG = replace(CONFIG, capture=False)
 START_Z, FAILS = 1.05e-3, 3
 FAST = 0.02
 """Way of the object in environment FAILS in the step that it cannot take [m]."""
 
 
-def scene_of() -> Scene:
-    """A ball or a cube is pressed into a gel of other shape in each environment, beside a cube that
-    falls and a flap that a drive turns."""
+def scene_of(joint: bool = False) -> Scene:
+    """A ball or a block is pressed into a gel of other shape in each environment, beside a cube
+    that falls and a flap, which a drive may turn."""
     falling = np.stack(
         [pose(4e-3, 0, SIDE / 2 - 2.5e-3 + 2e-5 + 2e-6 * e, (0, 0, 1), 9.0 * e) for e in range(5)]
     )
     where = np.stack([pose(-5e-3, 1e-4 * e, 0.0) for e in range(ENVS)])
+    hinge = RevoluteJoint(
+        "flap",
+        anchor_m=where[:, :3] + [1e-3, 0, 0],
+        axis=np.stack([[0.1 * e, 1, 0.2] for e in range(ENVS)]),
+        drive=PositionDrive(1e-5, 1e-8, target=0.02 * np.arange(ENVS)),
+    )
     return Scene(
         SoftBody(MESH, Material(1e5, 0.4), rest_positions_m=RESTS, friction_coefficient=0.4),
         [
@@ -69,12 +77,7 @@ def scene_of() -> Scene:
             AffineBody(box_mesh(FLAP), 2000, name="flap", initial_pose=where),
         ],
         planes=Plane((0, 0, -2.5e-3), name="floor"),
-        joints=RevoluteJoint(
-            "flap",
-            anchor_m=where[:, :3] + [1e-3, 0, 0],
-            axis=np.stack([[0.1 * e, 1, 0.2] for e in range(ENVS)]),
-            drive=PositionDrive(1e-5, 1e-8, target=0.02 * np.arange(ENVS)),
-        ),
+        joints=[hinge] if joint else [],
     )
 
 
@@ -123,25 +126,32 @@ MASK = np.array([False, True, False, True, False])
 MOTION = [(targets, 1), (targets, 2), (too_far, 3), (targets, 4)]
 
 
+Steps = list[tuple[StepReport, list[np.ndarray]]]
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["free", "joint"])
+def joint(request: pytest.FixtureRequest) -> bool:
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def together() -> list[tuple[StepReport, list[np.ndarray]]]:
+def together(joint: bool) -> Steps:
     """Reports and arrays after each step of the motion; a reset is before the last one."""
-    model = scene_of().finalize("cpu")
-    solver = SolverIPC(model, CONFIG)
+    model = scene_of(joint).finalize("cpu")
+    solver = SolverIPC(model, JOINT_CONFIG if joint else CONFIG)
     state = initial_state(model, targets(0))
     found = []
     for make, step in MOTION:
         if step == 4:
-            solver.reset(state, MASK, targets(3))
+            solver.reset(state, MASK, targets(0))
         found.append((solver.step(state, make(step)), arrays(solver, state)))
     return found
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
-def test_shards_give_the_bits_of_one_solver(
-    together: list[tuple[StepReport, list[np.ndarray]]], count: int
-) -> None:
-    sharded = ShardedSolver(scene_of(), ["cpu"] * count, CONFIG, targets(0))
+def test_shards_give_the_bits_of_one_solver(together: Steps, joint: bool, count: int) -> None:
+    config = JOINT_CONFIG if joint else CONFIG
+    sharded = ShardedSolver(scene_of(joint), ["cpu"] * count, config, targets(0))
     assert [s.model.env_count for s in sharded.shards] == {
         1: [5],
         2: [3, 2],
@@ -150,7 +160,7 @@ def test_shards_give_the_bits_of_one_solver(
     }[count]
     for (make, step), (expected, values) in zip(MOTION, together, strict=True):
         if step == 4:
-            sharded.reset(MASK, targets(3))
+            sharded.reset(MASK, targets(0))
         report = sharded.step(make(step))
         assert_same_reports(report, expected)
         for mine, theirs in zip(sharded_arrays(sharded), values, strict=True):
@@ -158,13 +168,11 @@ def test_shards_give_the_bits_of_one_solver(
     np.testing.assert_array_equal(sharded.positions(), together[-1][1][0])
 
 
-def test_the_motion_shows_what_it_is_meant_to(
-    together: list[tuple[StepReport, list[np.ndarray]]],
-) -> None:
+def test_the_motion_shows_what_it_is_meant_to(together: Steps) -> None:
     """Contact, differing environments, one failure, and a reset that goes back."""
     first, second, third, fourth = (report for report, _ in together)
     assert first.converged.all() and second.converged.all() and fourth.converged.all()
-    assert third.failures().keys() and sum(third.failures().values(), []) == [FAILS]
+    assert list(third.failures().values()) == [[FAILS]]
     assert (second.contact_force_n > 1e-4).all()
     assert len(np.unique(second.residual_n)) == ENVS
     moved = together[3][1][0] - together[2][1][0]

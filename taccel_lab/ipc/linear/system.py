@@ -32,6 +32,8 @@ class Solver(Protocol):
 
 MAX_DIRECT_ROWS = 400
 """Rows up to which a stiff system is factored: 1,200 unknowns take about 30 ms on one core."""
+MAX_ARROW_ROWS = 400
+"""Rows up to which a GPU factors the gels exactly in a thread block an environment."""
 
 
 class LinearSystem(LinearProblem):
@@ -90,6 +92,8 @@ METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
 def _method(pattern: BlockPattern, env_count: int, device: wp.Device, stiff: bool) -> str:
     """The solver that suits the device and the size."""
     if not device.is_cpu:
+        if pattern.free_count <= MAX_ARROW_ROWS:
+            return "arrow"
         # Several thread blocks an environment where one would have more than it can do at a time.
         blocks = team(device, env_count, TASKS_PER_ROW * pattern.free_count).blocks
         return "cg" if blocks == 1 else "pipelined"

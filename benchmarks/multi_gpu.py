@@ -1,0 +1,349 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The peg scene on several GPUs: from one process (``ShardedSolver``), and one process a GPU.
+
+``python -m benchmarks.multi_gpu`` runs on all GPUs of the machine; Warp, NumPy and SciPy are all it
+needs. Strong scaling keeps the number of environments, weak scaling the number on each GPU. Timed
+are whole motions: targets set, stepped, forces of all environments on the host. In the table,
+"ideal" is the speed over that of one GPU times the number of GPUs, and "differ" counts the steps of
+environments whose Newton iterations are not those of the first environment on one GPU: all of them
+do the same, and only the order of sums tells them apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import time
+from collections.abc import Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from benchmarks.results import FOLDER, Deadline, ResultFile, note, spread
+from benchmarks.runner import ForceReader, Motion
+from benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.errors import InputError
+from taccel_lab.scene.shards import shard_of, shard_slice
+from taccel_lab.solvers import ShardedSolver
+
+WORKER_LIMIT_S = 300.0
+"""Longest silence of a worker: one that hangs ends the run with an error."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is the same in all rows."""
+
+    source: str
+    steps: int
+    warm_up: int
+
+
+@dataclass
+class Run:
+    """One motion of the environments of a process."""
+
+    motion: Motion
+    newton: np.ndarray
+    """Newton iterations, [steps, env]."""
+    forces_n: np.ndarray
+    """Forces on the gels at the end [N], [env, gel, 3]."""
+
+
+class Party:
+    """The part of the scene that one process has, on one or several devices."""
+
+    def __init__(
+        self, devices: Sequence[str], env_count: int, settings: Settings, rank: int, world: int
+    ) -> None:
+        """``rank``, ``world``: which of how many processes this is; ``env_count``: of all."""
+        self._bench = build_scene("peg", SceneOptions(env_count, settings.source))
+        self.source = self._bench.source
+        self._part = shard_slice(env_count, rank, world)
+        scene = shard_of(self._bench.scene, rank, world)
+        # Every environment starts alike, with a gap that is known: no need to search them all.
+        config = replace(self._bench.config, check_start=False)
+        self._solver = ShardedSolver(scene, devices, config, self._targets(0))
+        self._forces = [ForceReader(shard.solver) for shard in self._solver.shards]
+        self.run(settings.warm_up)
+
+    def _targets(self, step: int) -> np.ndarray:
+        return self._bench.targets(step)[self._part]
+
+    def reset(self) -> None:
+        """All environments back to the start."""
+        everyone = np.ones(self._solver.env_count, dtype=bool)
+        self._solver.reset(everyone, self._targets(0))
+        for shard in self._solver.shards:
+            wp.synchronize_device(shard.model.device)
+
+    def run(self, steps: int) -> Run:
+        """The first steps of the motion, from where the environments are."""
+        motion, newton = Motion(self._solver.env_count), []
+        forces = np.zeros((self._solver.env_count, 0, 3))
+        for step in range(1, steps + 1):
+            started = time.perf_counter()
+            targets = self._targets(step)
+            report = self._solver.step(targets)
+            forces = np.concatenate([reader.read() for reader in self._forces])
+            motion.add(report, time.perf_counter() - started, report.seconds)
+            newton.append(report.newton_iterations)
+        return Run(motion, np.array(newton), forces)
+
+
+# Workers: one process a device -------------------------------------------------------------------
+
+
+def _work(pipe: Connection, device: str) -> None:
+    """Do what the parent asks for until it asks for nothing."""
+    wp.config.log_level = wp.LOG_WARNING
+    party: Party | None = None
+    while True:
+        what, *values = pipe.recv()
+        if what == "stop":
+            return
+        if what == "build":
+            party = None
+            party = Party([device], *values)
+            pipe.send(party.source)
+        elif party is not None:
+            pipe.send(party.reset() if what == "reset" else party.run(*values))
+
+
+class Workers:
+    """A process for each device, which wait for each other at the start of every run only."""
+
+    def __init__(self, devices: Sequence[str]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipes: list[Connection] = []
+        self._processes = []
+        for device in devices:
+            mine, its = context.Pipe()
+            process = context.Process(target=_work, args=(its, device), daemon=True)
+            process.start()
+            its.close()
+            self._pipes.append(mine)
+            self._processes.append(process)
+
+    def ask(self, count: int, what: str, *values: Any, ranked: bool = False) -> list[Any]:
+        """Answers of the first ``count`` workers; each is told its rank when ``ranked``."""
+        for rank, pipe in enumerate(self._pipes[:count]):
+            pipe.send((what, *values, rank, count) if ranked else (what, *values))
+        answers = []
+        for rank, pipe in enumerate(self._pipes[:count]):
+            if not pipe.poll(WORKER_LIMIT_S):
+                raise RuntimeError(f"worker {rank} was silent for {WORKER_LIMIT_S:g} s")
+            try:
+                answers.append(pipe.recv())
+            except EOFError:
+                raise RuntimeError(f"worker {rank} ended; its error is above") from None
+        return answers
+
+    def stop(self) -> None:
+        """End all processes."""
+        for pipe, process in zip(self._pipes, self._processes, strict=True):
+            if process.is_alive():
+                pipe.send(("stop",))
+        for process in self._processes:
+            process.join(10)
+            if process.is_alive():
+                process.terminate()
+
+
+# Rows --------------------------------------------------------------------------------------------
+
+
+class Threads:
+    """One process for all devices: the same words as ``Workers``."""
+
+    def __init__(self, devices: Sequence[str]) -> None:
+        self._devices = list(devices)
+        self._party: Party | None = None
+
+    def ask(self, count: int, what: str, *values: Any, ranked: bool = False) -> list[Any]:
+        """The answer of the only process there is."""
+        if what == "build":
+            self._party = None
+            env_count, settings = values
+            self._party = Party(self._devices[:count], env_count, settings, 0, 1)
+            return [self._party.source]
+        if self._party is None:
+            raise RuntimeError("nothing was built")
+        return [self._party.reset() if what == "reset" else self._party.run(*values)]
+
+    def stop(self) -> None:
+        """Free the devices."""
+        self._party = None
+
+
+def measure(
+    crew: Threads | Workers,
+    count: int,
+    env_count: int,
+    settings: Settings,
+    repeats: int,
+    end: Deadline,
+    alike: Sequence[int] | None,
+) -> dict[str, Any]:
+    """A row: ``env_count`` environments on ``count`` devices.
+
+    ``alike``: Newton iterations of each step that all environments are compared with; those of the
+    first environment when None.
+    """
+    started = time.perf_counter()
+    sources = crew.ask(count, "build", env_count, settings, ranked=True)
+    setup_s = time.perf_counter() - started
+    seconds: list[float] = []
+    runs: list[Run] = []
+    while len(seconds) < repeats and not (seconds and end.passed):
+        crew.ask(count, "reset")
+        started = time.perf_counter()
+        runs = crew.ask(count, "run", settings.steps)
+        seconds.append(time.perf_counter() - started)
+    newton = np.concatenate([run.newton for run in runs], axis=1)
+    forces = np.concatenate([run.forces_n for run in runs])
+    residuals = [run.motion.residual() for run in runs]
+    parts = [shard_slice(env_count, rank, count) for rank in range(count)]
+    expected = newton[:, :1] if alike is None else np.array(alike)[:, None]
+    return {
+        "gpus": count,
+        "envs": env_count,
+        "source": sources[0],
+        "fps": spread([env_count * settings.steps / s for s in seconds]),
+        "ms_per_step": spread([1e3 * s / settings.steps for s in seconds]),
+        "setup_s": setup_s,
+        "newton_mean": float(newton.mean()),
+        "newton_by_step": newton[:, 0].tolist(),
+        "newton_mean_of_shards": [float(newton[:, part].mean()) for part in parts],
+        "newton_differ": int((newton != expected).sum()),
+        "newton_largest_difference": int(np.abs(newton - expected).max()),
+        "force_spread_n": float(np.ptp(forces, axis=0).max()),
+        "force_n": float(np.linalg.norm(forces, axis=-1).mean()),
+        "env_steps": int(newton.size),
+        "unconverged": sum(r["unconverged"] for r in residuals),
+        "worst_over_contact_force": max(r["worst_over_contact_force"] for r in residuals),
+        "worst_over_allowed": max(r["worst_over_allowed"] for r in residuals),
+        "allowed": residuals[0]["allowed"],
+    }
+
+
+def plan_rows(
+    counts: Sequence[int], envs: int, modes: Sequence[str]
+) -> list[tuple[str, str, int, int]]:
+    """(mode, scaling, devices, environments of all), what matters most first."""
+    rows = [("threads", "one GPU", 1, envs)]
+    several = sorted({count for count in counts if count > 1}, reverse=True)
+    for scaling in ("strong", "weak"):
+        for mode in modes:
+            for count in several:
+                rows.append((mode, scaling, count, envs * (count if scaling == "weak" else 1)))
+    return rows
+
+
+HEAD = (
+    "scaling  mode       GPUs    envs          FPS  spread  ideal  ms/step  Newton  differ  "
+    "force spread [N]  residual/contact  unconverged"
+)
+
+
+def describe(row: dict[str, Any]) -> str:
+    """A line of the table."""
+    fps = row["fps"]
+    width = (fps["max"] - fps["min"]) / fps["median"]
+    return (
+        f"{row['scaling']:<8} {row['mode']:<10} {row['gpus']:>4} {row['envs']:>7,} "
+        f"{fps['median']:>12,.0f} {width:>6.1%}  {row['efficiency']:>5.0%} "
+        f"{row['ms_per_step']['median']:>8.2f} {row['newton_mean']:>7.2f} "
+        f"{row['newton_differ']:>7,} {row['force_spread_n']:>17.1e} "
+        f"{row['worst_over_contact_force']:>17.1e} {row['unconverged']:>12,}"
+    )
+
+
+@contextmanager
+def crews(devices: Sequence[str], modes: Sequence[str]) -> Any:
+    """What runs each mode; processes are started at their first row and ended here."""
+    made: dict[str, Threads | Workers] = {}
+
+    def crew(mode: str) -> Threads | Workers:
+        if mode not in made:
+            for other in made.values():
+                if isinstance(other, Threads):
+                    other.stop()
+            made[mode] = Threads(devices) if mode == "threads" else Workers(devices)
+        return made[mode]
+
+    try:
+        yield crew
+    finally:
+        for one in made.values():
+            one.stop()
+
+
+def run_all(options: argparse.Namespace) -> None:
+    """Measure all rows that fit into the budget."""
+    wp.config.log_level = wp.LOG_WARNING
+    devices = options.devices or [device.alias for device in wp.get_cuda_devices()]
+    if not devices:
+        raise InputError("there is no GPU here; --devices cpu cpu runs the CPU in its place")
+    known = [device.alias for device in wp.get_devices()]
+    for name in devices:
+        if name not in known:
+            raise InputError(f"device {name!r} is not here; devices are {', '.join(known)}")
+    if min(options.steps, options.repeats, options.envs, *options.counts) < 1:
+        raise InputError("--steps, --repeats, --envs and --counts must be at least 1")
+    counts = [count for count in options.counts if count <= min(len(devices), options.envs)]
+    settings = Settings(options.source, options.steps, options.warm_up)
+    what = "The peg scene over several GPUs: environments x steps / seconds, forces on the host."
+    facts = {
+        "steps": options.steps,
+        "repeats": options.repeats,
+        "warm_up_steps": options.warm_up,
+        "budget_s": options.budget_s,
+        "devices": devices,
+    }
+    end = Deadline(options.budget_s)
+    base: dict[str, Any] | None = None
+    with ResultFile("multi_gpu", what, options.out, devices[0], facts).finishing() as result:
+        result.put("device_names", [wp.get_device(name).name for name in devices])
+        print(HEAD)
+        with crews(devices, options.modes) as crew:
+            for mode, scaling, count, envs in plan_rows(counts, options.envs, options.modes):
+                if end.passed:
+                    note(f"{mode}, {count} GPUs, {envs:,} environments: the budget is spent")
+                    continue
+                alike = None if base is None else base["newton_by_step"]
+                repeats = options.repeats
+                row = measure(crew(mode), count, envs, settings, repeats, end, alike)
+                base = base or row
+                # FPS counts all environments, so that ideal is the same for both kinds of scaling.
+                row |= {"mode": mode, "scaling": scaling}
+                row["efficiency"] = row["fps"]["median"] / (count * base["fps"]["median"])
+                result.add(row)
+                print(describe(row), flush=True)
+
+
+def main() -> None:
+    """Speed of the peg scene on 1, 2, 4, ... GPUs of this machine."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--devices", nargs="+", help="such as cuda:0 cuda:1; all GPUs by default")
+    parser.add_argument("--counts", nargs="+", type=int, default=[1, 2, 4], help="GPUs of a row")
+    parser.add_argument("--envs", type=int, default=4096, help="of one GPU, and of strong scaling")
+    parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--warm-up", type=int, default=10, help="steps before the first repeat")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument(
+        "--modes", nargs="+", choices=["threads", "processes"], default=["threads", "processes"]
+    )
+    parser.add_argument("--source", default="auto", help="meshes: auto, published or generated")
+    parser.add_argument("--budget-s", type=float, default=170.0, help="start no row after this")
+    parser.add_argument("--out", type=Path, default=FOLDER)
+    run_all(parser.parse_args())
+
+
+if __name__ == "__main__":
+    main()
