@@ -20,6 +20,8 @@ from taccel_lab.scene.mass_properties import MassProperties, mass_properties
 from taccel_lab.scene.primitives import Ball, TriangleMesh
 from taccel_lab.scene.surface_topology import SurfaceTopology, surface_areas, surface_topology
 
+MAX_CONTACT_COUPLES = 400
+"""Surface nodes beside affine bodies up to which their contact has blocks in the matrix."""
 MAX_COUPLED_AFFINE = 32
 """Up to this many affine bodies every coupling of two has a place in the matrix; beyond, what
 contact adds between two of them is a list of extra blocks."""
@@ -267,9 +269,30 @@ def _affine_connectivity(scene: Scene, layout: _Layout) -> np.ndarray:
     return np.concatenate([couples, padded]) if alone else couples
 
 
-def build_model(scene: Scene, device: str) -> Model:
-    """Put a scene on a device; see ``Scene.finalize``."""
+def _contact_couples(scene: Scene, layout: _Layout, free_index: np.ndarray) -> np.ndarray:
+    """Surface nodes of gels beside the control nodes of affine bodies that they may touch, [n, 5]."""
+    control = layout.control_nodes()
+    couples = [np.zeros((0, 5), dtype=np.int64)]
+    for i, soft in enumerate(scene.soft_bodies):
+        nodes = np.unique(layout.parts[i].faces + layout.starts[i])
+        nodes = nodes[free_index[nodes] >= 0]
+        for j, body in enumerate(scene.affine_bodies):
+            if scene.may_touch(soft, body):
+                row = np.broadcast_to(control[j], (len(nodes), 4))
+                couples.append(np.column_stack([nodes, row]))
+    return np.concatenate(couples)
+
+
+def build_model(scene: Scene, device: str, contact_in_pattern: bool | None = None) -> Model:
+    """Put a scene on a device; see ``Scene.finalize``.
+
+    ``contact_in_pattern``: whether what contact of gels and affine bodies adds to the matrix has
+    blocks of its own, unless that would be very many. When None on GPUs only, where it saves
+    sorting a list; the sweeps of the CPU take half as long again over all the zeros.
+    """
     wp_device = wp.get_device(device)
+    if contact_in_pattern is None:
+        contact_in_pattern = wp_device.is_cuda
 
     def put(value: np.ndarray, dtype: Any) -> wp.array:
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=wp_device)
@@ -298,8 +321,11 @@ def build_model(scene: Scene, device: str) -> Model:
     )
     moving = np.zeros(layout.node_count, dtype=bool)
     moving[layout.frame_followers()[0].astype(int)] = True
+    couples = _contact_couples(scene, layout, free_index)
+    if not contact_in_pattern or len(couples) > MAX_CONTACT_COUPLES:
+        couples = couples[:0]
     pattern, gathers = block_pattern(
-        [*connectivities, _affine_connectivity(scene, layout)], free_index, moving
+        [*connectivities, _affine_connectivity(scene, layout), couples], free_index, moving
     )
     for group, gather in zip(groups, gathers, strict=False):
         group.set_gather(gather, put)
@@ -363,6 +389,7 @@ def build_model(scene: Scene, device: str) -> Model:
             default=0.0,
         ),
         rubs=any(friction[i, j] > 0 for i, j in plan.pairs),
+        contact_in_pattern=len(couples) > 0,
         pattern=pattern,
         row_starts=put(pattern.row_starts, wp.int32),
         columns=put(pattern.columns, wp.int32),

@@ -142,6 +142,8 @@ class Model:
     """Largest sum of the thicknesses of two bodies [m]."""
     rubs: bool
     """Whether any pair that may touch has friction."""
+    contact_in_pattern: bool
+    """Whether contact of gels and affine bodies has blocks in the pattern, and needs no list."""
     pattern: BlockPattern
     row_starts: wp.array
     columns: wp.array

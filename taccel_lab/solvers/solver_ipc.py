@@ -81,8 +81,6 @@ class SolverIPC:
         # Where gels make up most of the unknowns CG is quicker, stiff bodies or not.
         stiff = 8 * model.affine.count >= model.free_count
         first = model.free_count - 4 * model.affine.count
-        # Contact of two free bodies is what does not fit the pattern.
-        coupled = model.affine.count > 0 or model.plan.soft_to_soft
         self.linear = LinearSystem(
             model.pattern,
             model.env_count,
@@ -90,7 +88,7 @@ class SolverIPC:
             stiff,
             method=self.config.linear_method,
             clusters=[(first + 4 * i, first + 4 * i + 4) for i in range(model.affine.count)],
-            extra_capacity=initial_capacity(model.env_count) if coupled else 1,
+            extra_capacity=self._extra_capacity(),
         )
         shape, device = (model.env_count, model.node_count), model.device
 
@@ -131,6 +129,13 @@ class SolverIPC:
     def active(self) -> wp.array:
         """Mask of the environments that a step works on, int32, shape [env_count]."""
         return self.progress.data.active
+
+    def _extra_capacity(self) -> int:
+        """Room for contact of two free bodies that does not fit the pattern of the matrix."""
+        model = self.model
+        if model.affine.count and model.scene.soft_bodies and not model.contact_in_pattern:
+            return initial_capacity(model.env_count)
+        return 32 if model.affine.count or model.plan.soft_to_soft else 1
 
     def _energy_rounding(self) -> np.ndarray:
         """2e-17 of the shear modulus times the volume: a block of 20 mm and 1 MPa, turned, shows

@@ -139,9 +139,13 @@ class ElementSum(Potential):
         self.data = data
         self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
         """Energy of each element [J], shape [env_count, element_count]."""
-        self._gradients = wp.zeros((*shape, width), dtype=wp.vec3d, device=device)
         pair_count = width * (width + 1) // 2
         self._blocks = wp.zeros((*shape, pair_count), dtype=wp.mat33d, device=device)
+        # Gradients and blocks are never needed at the same time: the blocks are the larger part of
+        # an environment's memory.
+        self._gradients = wp.array(
+            ptr=self._blocks.ptr, dtype=wp.vec3d, shape=(*shape, width), device=device
+        )
 
     def launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
         """Launch over (environment, element)."""

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark of several GPUs, with the CPU in their place."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.multi_gpu import main, plan_rows
+from benchmarks.results import read_result
+from taccel_lab.errors import InputError
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["multi_gpu", *words])
+    main()
+
+
+def test_rows_come_in_order_of_what_matters() -> None:
+    assert plan_rows([1, 2, 4, 4], 100, ["threads", "processes"]) == [
+        ("threads", "one GPU", 1, 100),
+        ("threads", "strong", 4, 100),
+        ("threads", "strong", 2, 100),
+        ("processes", "strong", 4, 100),
+        ("processes", "strong", 2, 100),
+        ("threads", "weak", 4, 400),
+        ("threads", "weak", 2, 200),
+        ("processes", "weak", 4, 400),
+        ("processes", "weak", 2, 200),
+    ]
+
+
+def test_threads_and_processes_do_the_same_steps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "found.json"
+    words = "--devices cpu cpu --counts 1 2 3 --envs 3 --steps 3 --warm-up 1 --repeats 1"
+    run(monkeypatch, *words.split(), "--source", "generated", "--out", str(out))
+    document = read_result(out)
+    rows = document["rows"]
+    assert [(r["mode"], r["scaling"], r["gpus"], r["envs"]) for r in rows] == [
+        ("threads", "one GPU", 1, 3),
+        ("threads", "strong", 2, 3),
+        ("processes", "strong", 2, 3),
+        ("threads", "weak", 2, 6),
+        ("processes", "weak", 2, 6),
+    ]
+    for row in rows:
+        assert row["env_steps"] == 3 * row["envs"] and row["unconverged"] == 0
+        assert row["newton_differ"] == 0 and row["force_spread_n"] == 0
+        assert row["newton_by_step"] == rows[0]["newton_by_step"]
+        assert row["force_n"] == rows[0]["force_n"] > 0
+        assert len(row["newton_mean_of_shards"]) == row["gpus"]
+        assert 0 < row["worst_over_allowed"] <= 1
+    assert sum(rows[0]["newton_by_step"]) > 3
+    assert document["complete"] and json.dumps(document["run"])
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
+
+
+def test_wrong_options_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = ("--out", str(tmp_path / "found.json"))
+    with pytest.raises(InputError, match="device 'cuda:77' is not here; devices are cpu"):
+        run(monkeypatch, "--devices", "cuda:77", *out)
+    with pytest.raises(InputError, match="must be at least 1"):
+        run(monkeypatch, "--devices", "cpu", "--envs", "0", *out)
+    assert not list(tmp_path.iterdir())
