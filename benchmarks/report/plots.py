@@ -144,7 +144,7 @@ def _draw_front(
 
 
 def draw_scaling(document: dict[str, Any]) -> Figure:
-    """Time a step and memory of each series."""
+    """Time a Newton iteration and memory of each series."""
     rows = document["rows"]
     series = list(dict.fromkeys(row["series"] for row in rows))
     figure, axes = plt.subplots(
@@ -155,7 +155,7 @@ def draw_scaling(document: dict[str, Any]) -> Figure:
         x = [row["size"] for row in mine]
         fit = document.get("fits", {}).get(name, {})
         pairs = (
-            ("ms a step", [row["ms_per_step"]["median"] for row in mine], "time"),
+            ("ms a Newton iteration", [row["ms_per_newton"] for row in mine], "time_per_newton"),
             ("MiB", [row["memory_mib"] for row in mine], "memory"),
         )
         for axis, (label, y, key) in zip(axes[:, column], pairs, strict=True):

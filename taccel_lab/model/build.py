@@ -270,7 +270,7 @@ def _affine_connectivity(scene: Scene, layout: _Layout) -> np.ndarray:
 
 
 def _contact_couples(scene: Scene, layout: _Layout, free_index: np.ndarray) -> np.ndarray:
-    """Surface nodes of gels beside the control nodes of affine bodies that they may touch, [n, 5]."""
+    """Surface nodes of gels, each with the control nodes of an affine body to touch, [n, 5]."""
     control = layout.control_nodes()
     couples = [np.zeros((0, 5), dtype=np.int64)]
     for i, soft in enumerate(scene.soft_bodies):

@@ -24,6 +24,7 @@ from taccel_lab.ipc.potentials.energy import Potential, share_buffer
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
+from taccel_lab.ipc.scratch import Scratch
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.newton import StepRun
@@ -89,6 +90,7 @@ class SolverIPC:
             method=self.config.linear_method,
             clusters=[(first + 4 * i, first + 4 * i + 4) for i in range(model.affine.count)],
             extra_capacity=self._extra_capacity(),
+            scratch=self._scratch(),
         )
         shape, device = (model.env_count, model.node_count), model.device
 
@@ -129,6 +131,11 @@ class SolverIPC:
     def active(self) -> wp.array:
         """Mask of the environments that a step works on, int32, shape [env_count]."""
         return self.progress.data.active
+
+    def _scratch(self) -> Scratch:
+        """Memory of the elements, which are idle during a solve."""
+        idle = [part.idle_memory for part in [*self.elastic, *self.viscosity]]
+        return Scratch(max(idle, key=lambda memory: memory.capacity) if idle else None)
 
     def _extra_capacity(self) -> int:
         """Room for contact of two free bodies that does not fit the pattern of the matrix."""

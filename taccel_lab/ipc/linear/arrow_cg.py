@@ -252,8 +252,8 @@ class ArrowCG:
             return wp.zeros((envs, width), dtype=wp.float64, device=device)
 
         width = 3 * len(plan.border)
-        work.factor = numbers(9 * plan.block_count)
-        work.roots = wp.zeros((envs, len(plan.order)), dtype=wp.mat33d, device=device)
+        work.factor = problem.scratch.take((envs, 9 * plan.block_count), wp.float64, device)
+        work.roots = problem.scratch.take((envs, len(plan.order)), wp.mat33d, device)
         work.schur = numbers(2 * width * width)
         work.sums = numbers(max(SCHUR_CHUNKS * width * width, SUM_CHUNKS * width))
         dots = 2 * self._team.lanes if device.is_cpu else 1

@@ -180,7 +180,7 @@ class PackedRows:
         blocks = 1 if device.is_cpu else -(-tasks // lanes)
         self._team = Team(lanes, blocks)
         shape = (problem.env_count, 3 * len(self.layout.columns))
-        self.values = wp.zeros(shape, dtype=wp.float64, device=device)
+        self.values = problem.scratch.take(shape, wp.float64, device)
         """Scalars of the slices, shape [env_count, 3 entry_count]."""
 
     def update(self, active: wp.array, scalar_values: wp.array) -> None:

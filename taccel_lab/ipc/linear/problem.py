@@ -7,14 +7,22 @@ import warp as wp
 
 from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
 from taccel_lab.ipc.linear.pattern import BlockPattern
+from taccel_lab.ipc.scratch import Scratch
 
 
 class LinearProblem:
     """H p = rhs in each environment, what is asked of its solution and what became of it."""
 
     def __init__(
-        self, pattern: BlockPattern, env_count: int, device: wp.Device, extra_capacity: int = 1
+        self,
+        pattern: BlockPattern,
+        env_count: int,
+        device: wp.Device,
+        extra_capacity: int = 1,
+        scratch: Scratch | None = None,
     ) -> None:
+        self.scratch = scratch or Scratch()
+        """Where solvers keep what they need during a solve alone."""
         self.pattern = pattern
         self.env_count = env_count
         self.device = device

@@ -17,6 +17,7 @@ from taccel_lab.ipc.linear.pipelined_cg import TASKS_PER_ROW, PipelinedCG
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.ssor_cg import SsorCG
+from taccel_lab.ipc.scratch import Scratch
 
 
 class Solver(Protocol):
@@ -48,12 +49,14 @@ class LinearSystem(LinearProblem):
         clusters: list[tuple[int, int]] | None = None,
         method: str = "auto",
         extra_capacity: int = 1,
+        scratch: Scratch | None = None,
     ) -> None:
         """``stiff``: whether most of the unknowns are those of affine bodies. ``clusters``: ranges
         (first, end) of rows that are stiff among themselves, as the control nodes of an affine
         body. ``method``: "auto" or one of ``METHODS``. ``extra_capacity``: see ``ExtraBlocks``.
+        ``scratch``: memory that is free during a solve.
         """
-        super().__init__(pattern, env_count, device, extra_capacity)
+        super().__init__(pattern, env_count, device, extra_capacity, scratch)
         self.clusters = list(clusters or [])
         if method == "auto":
             method = _method(pattern, env_count, device, stiff)

@@ -14,6 +14,7 @@ import warp as wp
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
+from taccel_lab.ipc.scratch import Scratch
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 
@@ -141,11 +142,12 @@ class ElementSum(Potential):
         """Energy of each element [J], shape [env_count, element_count]."""
         pair_count = width * (width + 1) // 2
         self._blocks = wp.zeros((*shape, pair_count), dtype=wp.mat33d, device=device)
-        # Gradients and blocks are never needed at the same time: the blocks are the larger part of
-        # an environment's memory.
-        self._gradients = wp.array(
-            ptr=self._blocks.ptr, dtype=wp.vec3d, shape=(*shape, width), device=device
-        )
+        self._gradients = Scratch(self._blocks).take((*shape, width), wp.vec3d, device)
+
+    @property
+    def idle_memory(self) -> wp.array:
+        """What others may use after ``gather_rim`` and before the next evaluation."""
+        return self._blocks
 
     def launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
         """Launch over (environment, element)."""
