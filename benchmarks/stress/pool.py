@@ -111,7 +111,7 @@ def _result(worker: _Worker, seconds: float) -> dict[str, Any] | None:
             return worker.pipe.recv()
         if time.monotonic() - worker.since > 2 * seconds + PATIENCE_S:
             says = f"no answer after {time.monotonic() - worker.since:.0f} s"
-    except EOFError:
+    except (EOFError, ConnectionResetError):
         says = "the process died"
     if not says:
         return None

@@ -139,14 +139,15 @@ class _Layout:
         return np.concatenate(nodes), np.concatenate(frames)
 
     def frame_radii(self) -> np.ndarray:
-        """Reach of each kinematic body and of what it carries from its origin [m]."""
+        """Reach of each kinematic body and of what it carries from its origin [m], shape
+        [rest_count, kinematic_count]: a mounted gel may have another size in each environment."""
         nodes, frames = self.frame_followers()
-        reach = np.linalg.norm(self.rest_positions()[:, nodes.astype(int)], axis=-1).max(axis=0)
-        radii = np.zeros(len(self.scene.kinematic_bodies))
-        np.maximum.at(radii, frames.astype(int), reach)
+        reach = np.linalg.norm(self.rest_positions()[:, nodes.astype(int)], axis=-1)
+        radii = np.zeros((self.rest_count, len(self.scene.kinematic_bodies)))
         for index, body in enumerate(self.scene.kinematic_bodies):
+            radii[:, index] = reach[:, frames == index].max(axis=1, initial=0.0)
             if isinstance(body.shape, Ball):
-                radii[index] = max(radii[index], body.shape.radius_m)
+                radii[:, index] = np.maximum(radii[:, index], body.shape.radius_m)
         return radii
 
 
@@ -188,16 +189,16 @@ def _targets(layout: _Layout, device: wp.Device, put: Put) -> list[RigidTarget]:
         local = part.rest_m[0]
         if part.kind is BodyKind.AFFINE:
             solid = layout.properties[frame]
-            local, radius = solid.to_principal(local), solid.radius_m
+            local, radius = solid.to_principal(local), np.array([solid.radius_m])
         else:
-            radius = float(radii[frame - layout.affine_count])
+            radius = radii[:, frame - layout.affine_count]
         edges = TriangleMesh(local, part.faces).edges() if len(part.faces) else None
         targets.append(
             RigidTarget(
                 body=body,
                 local_positions=put(local, wp.vec3d),
                 trees=None if edges is None else surface_trees(local, part.faces, edges, device),
-                radius_m=radius,
+                radii_m=radius,
             )
         )
     return targets

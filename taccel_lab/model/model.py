@@ -90,8 +90,9 @@ class RigidTarget:
     """Vertices in the frame of the trees [m], vec3d, shape [vertex_count]."""
     trees: SurfaceTrees | None
     """None for a ball and for a frame without a surface."""
-    radius_m: float
-    """Largest distance of the surface from the frame's origin [m]."""
+    radii_m: np.ndarray
+    """Largest distance of the surface, and of what is mounted, from the frame's origin [m], shape
+    [rest_count], or [1] of an affine body."""
 
 
 @dataclass
@@ -156,8 +157,10 @@ class Model:
 
     @property
     def kinematic_radii_m(self) -> np.ndarray:
-        """Reach of each kinematic body and of what it carries from its origin, [kinematic]."""
-        return np.array([target.radius_m for target in self.targets[self.affine.count :]])
+        """Reach of each kinematic body and of what it carries from its origin, float64, shape
+        [rest_count, kinematic_count]."""
+        found = [target.radii_m for target in self.targets[self.affine.count :]]
+        return np.stack(found, axis=1) if found else np.zeros((self.rest_count, 0))
 
     def body_id(self, name: str) -> int:
         """Id of the one body of that name; KeyError names what there is."""

@@ -94,7 +94,7 @@ def begin_kernel(
         if turn > wp.float64(1.0e-9):
             p.turning[env] = 1
             p.any_turning[0] = 1
-        widest = wp.max(widest, chord_error(p.radii[body], turn))
+        widest = wp.max(widest, chord_error(p.radii[env, body], turn))
     if p.turning[env] != 0:
         p.margin[env] = r.dhat + widest
 

@@ -107,8 +107,8 @@ class Progress:
     """Energy of the trial without friction [J]."""
     turns: wp.array2d(dtype=wp.float64)
     """Angle by which each frame turns in the step [rad], shape [env_count, kinematic_count]."""
-    radii: wp.array(dtype=wp.float64)
-    """Reach of each frame [m], shape [kinematic_count]."""
+    radii: wp.array2d(dtype=wp.float64)
+    """Reach of each frame [m], shape [env_count, kinematic_count]."""
     any_turning: wp.array(dtype=wp.int32)
     """Whether a frame turns in any environment, shape [1] like all below."""
     any_curved: wp.array(dtype=wp.int32)
@@ -158,8 +158,9 @@ class ProgressArrays:
         ):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.float64, device=device))
         self.data.energy_rounding = wp.array(energy_rounding_j, dtype=wp.float64, device=device)
-        self.data.turns = wp.zeros((env_count, len(radii_m)), dtype=wp.float64, device=device)
-        self.data.radii = wp.array(radii_m, dtype=wp.float64, device=device)
+        radii = np.tile(radii_m, (env_count // len(radii_m), 1))
+        self.data.radii = wp.array(radii, dtype=wp.float64, device=device)
+        self.data.turns = wp.zeros_like(self.data.radii)
         self.data.any_turning = wp.zeros(1, dtype=wp.int32, device=device)
         self.data.any_curved = wp.zeros(1, dtype=wp.int32, device=device)
         self.flags = wp.zeros(5, dtype=wp.int32, device=device)

@@ -70,7 +70,8 @@ def aim_kernel(p: Progress, r: Rules, linear_tolerances: wp.array(dtype=wp.float
         goal = progress + p.stride[env] * (one - progress)
     gap = wp.min(p.min_distance[env], r.dhat)
     for body in range(p.turns.shape[1]):
-        share = turn_within(p.radii[body], gap) / wp.max(p.turns[env, body], wp.float64(1.0e-300))
+        turn = wp.max(p.turns[env, body], wp.float64(1.0e-300))
+        share = turn_within(p.radii[env, body], gap) / turn
         goal = wp.min(goal, progress + share)
     p.goal[env] = goal
     if progress < one:

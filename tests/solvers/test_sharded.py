@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -37,8 +37,6 @@ RESTS = np.stack([block_mesh(CELLS, SIZE, jitter=0.1, seed=s).nodes_m for s in r
 SIDE = 1.2e-3
 FLAP = (2e-3, 3e-4, 1e-3)
 CONFIG = SolverConfig(relative_tolerance=1e-6, max_newton_iterations=60, max_substep_halvings=1)
-# Not captured: on the CPU a graph cannot hold the strided copy that starts a step of joints.
-JOINT_CONFIG = replace(CONFIG, capture=False)
 START_Z, FAILS = 1.05e-3, 3
 FAST = 0.02
 """Way of the object in environment FAILS in the step that it cannot take [m]."""
@@ -138,7 +136,7 @@ def joint(request: pytest.FixtureRequest) -> bool:
 def together(joint: bool) -> Steps:
     """Reports and arrays after each step of the motion; a reset is before the last one."""
     model = scene_of(joint).finalize("cpu")
-    solver = SolverIPC(model, JOINT_CONFIG if joint else CONFIG)
+    solver = SolverIPC(model, CONFIG)
     state = initial_state(model, targets(0))
     found = []
     for make, step in MOTION:
@@ -150,8 +148,7 @@ def together(joint: bool) -> Steps:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
 def test_shards_give_the_bits_of_one_solver(together: Steps, joint: bool, count: int) -> None:
-    config = JOINT_CONFIG if joint else CONFIG
-    sharded = ShardedSolver(scene_of(joint), ["cpu"] * count, config, targets(0))
+    sharded = ShardedSolver(scene_of(joint), ["cpu"] * count, CONFIG, targets(0))
     assert [s.model.env_count for s in sharded.shards] == {
         1: [5],
         2: [3, 2],
@@ -180,6 +177,35 @@ def test_the_motion_shows_what_it_is_meant_to(together: Steps) -> None:
     assert (soft > 1e-6).all()
     rolled_back = together[2][1][0][FAILS] - together[1][1][0][FAILS]
     assert not rolled_back.any()
+
+
+def test_the_size_of_a_mounted_gel_does_not_matter_elsewhere() -> None:
+    """How far its mount may turn at once depends on it."""
+    rests = np.stack([RESTS[0], 1.4 * RESTS[1], RESTS[2]])
+
+    def poses(step: int) -> np.ndarray:
+        turned = pose(0, 0, 0, (0, 1, 0.3), 20.0 * step)
+        rows = [[turned, pose(1e-4 * e, 0, 1.02e-3 - 4e-5 * step)] for e in range(len(rests))]
+        return np.array(rows)
+
+    scene = Scene(
+        SoftBody(
+            MESH,
+            Material(1e5, 0.4),
+            rest_positions_m=rests,
+            mount="mount",
+            friction_coefficient=0.5,
+        ),
+        [KinematicBody(None, name="mount"), KinematicBody(Ball(1e-3), 0.5)],
+        len(rests),
+    )
+    one = ShardedSolver(scene, ["cpu"], poses=poses(0))
+    three = ShardedSolver(scene, ["cpu"] * 3, poses=poses(0))
+    for step in (1, 2):
+        report = one.step(poses(step))
+        assert report.converged.all()
+        assert_same_reports(three.step(poses(step)), report)
+    np.testing.assert_array_equal(three.positions(), one.positions())
 
 
 def test_processes_need_only_their_part() -> None:

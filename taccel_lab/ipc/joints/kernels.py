@@ -127,6 +127,18 @@ def evaluate_rows_kernel(
             derivatives[env, joint, i, k + 4] = matrix_row(by_second, k)
 
 
+@wp.kernel
+def keep_coordinates_kernel(
+    values: wp.array3d(dtype=wp.float64), starts: wp.array2d(dtype=wp.float64)
+):
+    """The last row of each joint, its coordinate, as that of the start of the step.
+
+    A kernel, since a CPU graph cannot hold a strided copy.
+    """
+    env, joint = wp.tid()
+    starts[env, joint] = values[env, joint, values.shape[2] - 1]
+
+
 @wp.func
 def drive_of(env: int, joint: int, x: wp.float64, t: JointTable, s: JointStep) -> Response:
     """Response of the drive at coordinate x."""

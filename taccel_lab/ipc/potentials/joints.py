@@ -25,6 +25,7 @@ from taccel_lab.ipc.joints.kernels import (
     joint_outputs_kernel,
     joint_rounding_kernel,
     joint_violation_kernel,
+    keep_coordinates_kernel,
     largest_violation_kernel,
     restore_multipliers_kernel,
 )
@@ -113,7 +114,13 @@ class JointPotential(Potential):
         self._mask.fill_(1)
         # The state may have been set anew since: coordinates follow it, by whole turns nearest.
         self._evaluate(self._mask, positions, self.coordinates, derivatives=False)
-        wp.copy(self._step.starts, self._values[:, :, ROW_COUNT - 1])
+        wp.launch(
+            keep_coordinates_kernel,
+            dim=self._shape,
+            inputs=[self._values],
+            outputs=[self._step.starts],
+            device=self.model.device,
+        )
         wp.copy(self._start_multipliers, self._step.multipliers)
 
     def close_predicted(self, active: wp.array, positions: wp.array) -> None:
