@@ -73,7 +73,7 @@ def speed(results: Results) -> str:
     for document in results.get("speed", []):
         rows = [
             [
-                row["scene"] + (f", lag {row['lag']}" if row["lag"] else ""),
+                row["scene"] + (f", lag {row.get('lag', 0)}" if row.get("lag", 0) else ""),
                 f"{row['envs']:,}",
                 row["steps"],
                 spread(row["fps"]),
@@ -210,11 +210,11 @@ def peers(results: Results) -> str:
     field = read_field()["peg"]
     ours = []
     for document in results.get("speed", []):
-        rows = [row for row in document["rows"] if row["scene"] == "peg" and not row["lag"]]
+        rows = [row for row in document["rows"] if row["scene"] == "peg" and not row.get("lag", 0)]
         if not rows:
             continue
         worst = max(row["residual"]["worst_over_contact_force"] for row in rows)
-        part = "" if rows[0]["is_whole_motion"] else f"; first {rows[0]['steps']} steps"
+        part = "" if rows[0].get("is_whole_motion", True) else f"; first {rows[0]['steps']} steps"
         ours.append(
             {
                 "name": "**taccel-lab**",
@@ -312,7 +312,7 @@ def headline(results: Results) -> str:
         ]
         for document in results.get("speed", [])
         for row in document["rows"]
-        if (row["scene"], row["envs"]) in HEADLINES and not row["lag"]
+        if (row["scene"], row["envs"]) in HEADLINES and not row.get("lag", 0)
     ]
     head = ["scene", "on", "environments", "FPS", "residual over contact force"]
     return table([*head, "MiB an environment"], rows) if rows else NOTHING

@@ -53,6 +53,21 @@ def _aim_kernel(
 
 
 @wp.kernel
+def _coast_kernel(
+    mask: wp.array(dtype=wp.int32),
+    free_nodes: wp.array(dtype=wp.int32),
+    dts: wp.array(dtype=wp.float64),
+    velocities: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+):
+    env, row = wp.tid()
+    way = wp.vec3d()
+    if mask[env] != 0:
+        way = dts[env] * velocities[env, free_nodes[row]]
+    displacements[env, free_nodes[row]] = way
+
+
+@wp.kernel
 def _negate_kernel(
     active: wp.array(dtype=wp.int32),
     reduced: wp.array2d(dtype=wp.vec3d),
@@ -212,6 +227,19 @@ def aim_prescribed(
             outputs=[displacements],
             device=model.device,
         )
+
+
+def coast(
+    model: Model, mask: wp.array, dts: wp.array, velocities: wp.array, displacements: wp.array
+) -> None:
+    """Set ``displacements`` [m] of free nodes to dt times the velocity, to zero outside ``mask``."""
+    wp.launch(
+        _coast_kernel,
+        dim=(model.env_count, model.free_count),
+        inputs=[mask, model.free_nodes, dts, velocities],
+        outputs=[displacements],
+        device=model.device,
+    )
 
 
 def begin_rhs(model: Model, active: wp.array, reduced: wp.array, rhs: wp.array) -> None:

@@ -35,6 +35,7 @@ from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.ipc.reduce import force_norms
 from taccel_lab.solvers import decisions, search_decisions
 from taccel_lab.solvers.free_flight import start_in_free_flight
+from taccel_lab.solvers.momentum_start import start_with_momentum
 from taccel_lab.solvers.line_search import search_line
 from taccel_lab.state import State
 
@@ -90,6 +91,7 @@ class StepRun:
             s.friction.clear(p.who)
             s.friction.lag(p.active, state.positions)
         start_in_free_flight(self)
+        start_with_momentum(self)
         self.energy(p.active, state.positions, state.poses, p.base, p.before)
 
     def _begin_potentials(self) -> None:

@@ -252,3 +252,26 @@ def accept_flight_kernel(p: Progress):
     env = wp.tid()
     if p.chosen[env] != 0 and not (wp.isfinite(p.after[env]) and p.after[env] < p.before[env]):
         p.chosen[env] = 0
+
+
+# Momentum ------------------------------------------------------------------------------------
+
+
+@wp.kernel
+def choose_momentum_kernel(p: Progress):
+    """Choose the environments whose frames have yet to move."""
+    env = wp.tid()
+    p.chosen[env] = 0
+    if p.active[env] != 0 and p.progress[env] < wp.float64(1.0):
+        p.chosen[env] = 1
+
+
+@wp.kernel
+def accept_momentum_kernel(p: Progress):
+    """Of the chosen, keep those without an inverted element; their frames have arrived."""
+    env = wp.tid()
+    if p.chosen[env] != 0:
+        if wp.isfinite(p.after[env]):
+            p.progress[env] = wp.float64(1.0)
+        else:
+            p.chosen[env] = 0
