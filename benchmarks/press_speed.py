@@ -91,8 +91,8 @@ def stages() -> dict[str, float]:
         ("element_data.py", "add_gradient"): "elastic gradient",
         ("contact.py", "add_hessian"): "contact Hessian",
         ("friction.py", "add_hessian"): "friction Hessian",
-        ("collisions.py", "update"): "narrow phase",
-        ("candidates.py", "update"): "broad phase",
+        ("collisions.py", "collect"): "narrow phase",
+        ("candidates.py", "search"): "broad phase",
         ("step_limit.py", "limit_step"): "CCD",
         ("newton.py", "energy"): "energies",
     }

@@ -6,7 +6,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -33,7 +33,8 @@ def _serve(pipe: Connection, device: str, seconds: float, run: RunCase) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     wp.config.quiet = True
     while (case := pipe.recv()) is not None:
-        pipe.send(_timed(run, *case, device, seconds))
+        family, number = case
+        pipe.send(_timed(run, family, number, device, seconds))
 
 
 def _timed(run: RunCase, family: str, seed: int, device: str, seconds: float) -> dict[str, Any]:
@@ -67,7 +68,7 @@ def run_all(
     jobs: int,
     seconds: float,
     run: RunCase = run_case,
-) -> Iterator[dict[str, Any]]:
+) -> Generator[dict[str, Any], None, None]:
     """Results of the cases as they come, from ``jobs`` processes. Closing this ends them."""
     context = multiprocessing.get_context("spawn")
     waiting, workers = list(reversed(cases)), []

@@ -232,7 +232,7 @@ def aim_prescribed(
 def coast(
     model: Model, mask: wp.array, dts: wp.array, velocities: wp.array, displacements: wp.array
 ) -> None:
-    """Set ``displacements`` [m] of free nodes to dt times the velocity, to zero outside ``mask``."""
+    """Set ``displacements`` [m] of free nodes to dt times velocity, to zero outside ``mask``."""
     wp.launch(
         _coast_kernel,
         dim=(model.env_count, model.free_count),

@@ -35,8 +35,8 @@ from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.ipc.reduce import force_norms
 from taccel_lab.solvers import decisions, search_decisions
 from taccel_lab.solvers.free_flight import start_in_free_flight
-from taccel_lab.solvers.momentum_start import start_with_momentum
 from taccel_lab.solvers.line_search import search_line
+from taccel_lab.solvers.momentum_start import start_with_momentum
 from taccel_lab.state import State
 
 if TYPE_CHECKING:

@@ -50,6 +50,17 @@ def _count(number: int, what: str) -> str:
     return f"{number:,} {what if number != 1 else one}"
 
 
+def _capture(solver: SolverIPC) -> tuple[bool, str]:
+    """Whether steps become graphs, and why not."""
+    if solver.captures:
+        return True, "a step is one launch, from the second with the same state on"
+    if not solver.config.capture:
+        return False, "SolverConfig.capture is off"
+    if not solver.linear.capturable:
+        return False, "the linear systems are solved by the host"
+    return False, "the host refits the trees of soft bodies that may touch"
+
+
 def make_plan(solver: SolverIPC) -> Plan:
     """Read the plan off what the solver has built."""
     model, scene = solver.model, solver.model.scene
@@ -133,5 +144,6 @@ def make_plan(solver: SolverIPC) -> Plan:
             else "all bodies are in all environments",
         ),
         ("linear solver", True, solver.linear.describe()),
+        ("captured graph", *_capture(solver)),
     ]
     return Plan(tuple(PlanEntry(*entry) for entry in entries))

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import warp as wp
 
+from taccel_lab.errors import InputError
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.capacity import GrowingList, grow_all, initial_capacity
 from taccel_lab.ipc.collisions import Collisions
@@ -124,8 +125,13 @@ class SolverIPC:
             self.joints.tolerance_m if self.joints else None,
             self.friction is not None,
         )
-        self._graphs = StepGraphs(self)
+        self.graphs = StepGraphs(self)
         self._share_energies()
+
+    @property
+    def captures(self) -> bool:
+        """Whether steps become graphs."""
+        return self.graphs.captures
 
     @property
     def active(self) -> wp.array:
@@ -157,7 +163,7 @@ class SolverIPC:
         model = self.model
         self.energies = share_buffer(list(self.potentials.values()), model.env_count, model.device)
         """Energies of all items of ``potentials`` [J], [env_count, all items]."""
-        self._graphs.clear()
+        self.graphs.clear()
 
     def _viscosity(self) -> list:
         groups = [group for group in self.model.elastic if group.damped]
@@ -202,6 +208,12 @@ class SolverIPC:
         if target_poses is None:
             wp.copy(self.end_poses, state.poses)
         elif isinstance(target_poses, wp.array):
+            expected = self.end_poses
+            if target_poses.shape != expected.shape or target_poses.dtype is not expected.dtype:
+                raise InputError(
+                    f"target poses are {target_poses.dtype.__name__} {target_poses.shape}, "
+                    f"expected {expected.dtype.__name__} {expected.shape}"
+                )
             wp.copy(self.end_poses, target_poses)
         else:
             end = as_poses(self.model, target_poses)
@@ -253,13 +265,13 @@ class SolverIPC:
         report: StepReport | None = None
         while True:
             self.progress.data.who.assign(who.astype(np.int32))
-            self._graphs.launch(state)
+            self.graphs.launch(state)
             part = self._read_report(who)
             report = part if report is None else report.retaken(part, who)
             who = part.status == EnvStatus.CONTACT_OVERFLOW
             if not who.any() or not grow_all(self.lists):
                 return report
-            self._graphs.clear()
+            self.graphs.clear()
 
     @property
     def lists(self) -> list[GrowingList]:

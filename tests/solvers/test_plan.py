@@ -26,7 +26,7 @@ from tests.verification.blocks import block_mesh, pose
 MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
 GEL = Material(1e5, 0.4)
 DYNAMIC = TimeStepping(quasi_static=False, dt_s=1e-2)
-ALWAYS = {"unknowns", "linear solver"}
+ALWAYS = {"unknowns", "linear solver", "captured graph"}
 
 
 def parts(scene: Scene) -> set[str]:

@@ -37,7 +37,7 @@ def thin_gap(draw: Draw) -> Case:
     if draw.chance("soft", 0.5):
         soft.append(
             SoftBody(
-                soft_box((2, 2, 2), (side,) * 3, 0.1, draw.seed("seed")),
+                soft_box((2, 2, 2), (side, side, side), 0.1, draw.seed("seed")),
                 material(draw),
                 FREE,
                 name="body",

@@ -150,7 +150,8 @@ def _open_anchor(model: Model, state: State, joints: list[Joint], names: list[st
     for joint in joints:
         if isinstance(joint, PrismaticJoint):
             continue
-        off = carried(joint.first, joint.anchor_m) - carried(joint.second, joint.anchor_m)
+        anchor = np.asarray(joint.anchor_m)
+        off = carried(joint.first, anchor) - carried(joint.second, anchor)
         if np.linalg.norm(off) > 1e-8 * LINK[0]:
             return f"{joint.name} is open by {np.linalg.norm(off):.3g} m"
     return None
