@@ -46,6 +46,12 @@ class Law:
     lam: np.ndarray
     ratio: np.ndarray
 
+    @property
+    def shape_lam(self) -> np.ndarray:
+        """Part of lambda that stays with the shape part [Pa]: without it the coefficient of
+        (ln J)^2 of a Mooney-Rivlin solid is negative."""
+        return 2 * self.ratio * self.mu
+
     def piola(self, f: np.ndarray, lam: np.ndarray) -> np.ndarray:
         """First Piola-Kirchhoff stress for another lambda; 0 leaves the shape part [Pa]."""
         mu, j = self.mu, np.linalg.det(f)
@@ -73,7 +79,7 @@ class Law:
 
     def pressure(self, e: np.ndarray) -> np.ndarray:
         """lambda u'(e) [Pa]."""
-        return self.lam * (np.log1p(e) / (1 + e) if self.model in _LOGARITHMIC else e)
+        return (self.lam - self.shape_lam) * (np.log1p(e) / (1 + e) if self.model in _LOGARITHMIC else e)
 
     def guard(self, f: np.ndarray) -> np.ndarray:
         """Stress of the guard at corners F [..., 3, 3] over V mu / 40."""
@@ -140,7 +146,7 @@ class SoftForces:
         f = self.deformations(x)
         if not self.quadratic:
             return self._assembled(self.law.piola(f, self.law.lam), self.gradients)
-        shape = self.law.piola(f, np.zeros_like(self.law.lam))
+        shape = self.law.piola(f, self.law.shape_lam)
         e, slope = self.law.dilatation(f)
         pressure = self.law.pressure(e.mean(axis=1, keepdims=True))
         total = self._assembled(shape + _times(pressure, slope), self.gradients)

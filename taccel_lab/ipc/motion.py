@@ -9,6 +9,7 @@ from taccel_lab.ipc.affine.embedding import embed_vertices, pull_back
 from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.linear.system import LinearSystem
+from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -50,6 +51,32 @@ def _aim_kernel(
         rest = rest_positions[env % rest_positions.shape[0], node]
         way = wp.transform_point(targets[env, frames[i]], rest) - positions[env, node]
     displacements[env, node] = way
+
+
+@wp.kernel
+def _steady_kernel(
+    frame_nodes: wp.array(dtype=wp.int32),
+    dts: wp.array(dtype=wp.float64),
+    velocities: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    largest_change: wp.float64,
+    mask: wp.array(dtype=wp.int32),
+):
+    env, lane = wp.tid()
+    if mask[env] == 0:
+        return
+    change = wp.float64(0.0)
+    way = wp.float64(0.0)
+    for i in range(lane, frame_nodes.shape[0], wp.block_dim()):
+        node = frame_nodes[i]
+        goes = displacements[env, node]
+        went = dts[env] * velocities[env, node]
+        change += wp.length_sq(goes - went)
+        way += wp.length_sq(goes)
+    changes = block_total(change)
+    ways = block_total(way)
+    if lane == 0 and changes > largest_change * largest_change * ways:
+        mask[env] = 0
 
 
 @wp.kernel
@@ -227,6 +254,26 @@ def aim_prescribed(
             outputs=[displacements],
             device=model.device,
         )
+
+
+def keep_steady(
+    model: Model,
+    mask: wp.array,
+    dts: wp.array,
+    velocities: wp.array,
+    displacements: wp.array,
+    largest_change: float,
+) -> None:
+    """Clear ``mask`` where the frames go by another way [m] than at their last velocities [m/s]: by
+    more than ``largest_change`` of the way, as a root mean square over what they carry."""
+    wp.launch_tiled(
+        _steady_kernel,
+        dim=[model.env_count],
+        inputs=[model.frame_nodes, dts, velocities, displacements, largest_change],
+        outputs=[mask],
+        block_dim=BLOCK_THREADS,
+        device=model.device,
+    )
 
 
 def coast(

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -65,6 +66,16 @@ class ElementArrays:
     @property
     def nodes_per_element(self) -> int:
         return self.elements.shape[1]
+
+    @cached_property
+    def volumetric_lam(self) -> wp.array:
+        """Part of lambda [Pa] that an element takes of its mean dilatation, float64,
+        [element_count]. For linear tets all of it; of quadratic Mooney-Rivlin tets the shape part
+        keeps 2 ratio mu."""
+        if self.element is not Element.QUADRATIC or self.law is not MaterialModel.MOONEY_RIVLIN:
+            return self.lam
+        rest = self.lam.numpy() - 2 * self.mooney_ratio.numpy() * self.mu.numpy()
+        return wp.array(rest, dtype=wp.float64, device=self.lam.device)
 
     def set_gather(self, gather: BlockGather, put: Put) -> None:
         """Say where the element blocks go in the matrix of the scene."""

@@ -150,7 +150,7 @@ class StressReader:
             group.volumes,
         )
         data.moduli = Moduli()
-        data.moduli.mu, data.moduli.lam = group.mu, group.lam
+        data.moduli.mu, data.moduli.lam = group.mu, group.volumetric_lam
         data.moduli.ratio = group.mooney_ratio
         self._data = data
         shape, device = (model.env_count, group.element_count), model.device

@@ -135,11 +135,16 @@ def stop_overflowed_kernel(mask: wp.array(dtype=wp.int32), room: ListRoom, p: Pr
 
 @wp.kernel
 def close_kernel(p: Progress):
-    """``active`` becomes those that have converged, ``chosen`` those that are to be rolled back."""
+    """``active`` becomes those that have converged, ``chosen`` those that are to be rolled back.
+
+    What has converged with an element turned inside out by this step is no result.
+    """
     env = wp.tid()
     p.active[env] = 0
     p.chosen[env] = 0
     if p.who[env] != 0:
+        if p.status[env] == _CONVERGED and p.inverted_after[env] > p.inverted_before[env]:
+            p.status[env] = _INVERSION
         if p.status[env] == _CONVERGED:
             p.active[env] = 1
         else:

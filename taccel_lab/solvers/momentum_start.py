@@ -2,8 +2,8 @@
 """A start for Newton's method where frames move: everything goes on as in the last step.
 
 In a steady motion, a grasp that is carried or a gel that is dragged, the last velocities are all
-but the answer, and one Newton iteration in three is saved. The start is taken where nothing is in
-the way of anything; else Newton starts from where the bodies are, and takes the frames along.
+but the answer, and one Newton iteration in three is saved. The start is taken where frames move as
+in the last step and nothing is in the way of anything; else Newton starts from where the bodies are, and takes the frames along.
 """
 
 from __future__ import annotations
@@ -11,12 +11,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from taccel_lab.ipc.affine.embedding import embed_vertices
-from taccel_lab.ipc.motion import advance_positions, aim_prescribed, coast
+from taccel_lab.ipc.motion import advance_positions, aim_prescribed, coast, keep_steady
 from taccel_lab.ipc.step_limit import limit_step
 from taccel_lab.solvers import search_decisions
 
 if TYPE_CHECKING:
     from taccel_lab.solvers.newton import StepRun
+
+
+_LARGEST_CHANGE = 0.5
+"""Change of the frames' way from one step to the next up to which they move steadily."""
 
 
 def start_with_momentum(run: StepRun) -> None:
@@ -26,8 +30,10 @@ def start_with_momentum(run: StepRun) -> None:
     if s.inertia is None or not run.model.kinematic:
         return
     run.decide(search_decisions.choose_momentum_kernel, p)
-    coast(run.model, p.chosen, s.dts, state.velocities, s.displacements)
     aim_prescribed(run.model, p.active, p.chosen, x, s.end_poses, s.displacements)
+    velocities = state.velocities
+    keep_steady(run.model, p.chosen, s.dts, velocities, s.displacements, _LARGEST_CHANGE)
+    coast(run.model, p.chosen, s.dts, velocities, s.displacements)
     embed_vertices(run.model, s.displacements)
     # Of all active environments: those that are not chosen keep their list, too.
     run.find_candidates(s.end_poses, p.margin)

@@ -32,6 +32,7 @@ from taccel_lab.ipc.motion import (
 )
 from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
+from taccel_lab.ipc.potentials.inversion import find_inversions
 from taccel_lab.ipc.reduce import force_norms
 from taccel_lab.solvers import decisions, search_decisions
 from taccel_lab.solvers.free_flight import start_in_free_flight
@@ -82,6 +83,9 @@ class StepRun:
             part.add_energy(p.active, state.positions, p.before)
         if s.elastic:
             self.decide(decisions.stop_inverted_kernel, p)
+        if s.invertible:
+            p.inverted_before.zero_()
+            find_inversions(s.invertible, p.who, state.positions, p.inverted_before)
         s.displacements.zero_()
         self.find_candidates(state.poses, p.margin)
         self.check_room(p.active, s.candidates.lists)
@@ -118,6 +122,9 @@ class StepRun:
     def finish(self) -> None:
         """Roll back what failed; velocities and joints of what converged."""
         s, state, p = self.s, self.state, self.p
+        if s.invertible:
+            p.inverted_after.zero_()
+            find_inversions(s.invertible, p.who, state.positions, p.inverted_after)
         self.decide(decisions.close_kernel, p)
         self.commit(p.chosen, s.previous, s.start_poses)
         embed_vertices(self.model, state.positions)

@@ -45,6 +45,10 @@ class Progress:
     """Mask of those whose frames are still on their way."""
     turning: wp.array(dtype=wp.int32)
     """Mask of those in which a frame turns in this step."""
+    inverted_before: wp.array(dtype=wp.int32)
+    """Mask of those with an inverted element at the start, in materials that bear it."""
+    inverted_after: wp.array(dtype=wp.int32)
+    """The same at the end."""
     status: wp.array(dtype=wp.int32)
     """``EnvStatus``."""
     newton: wp.array(dtype=wp.int32)
@@ -149,7 +153,7 @@ class ProgressArrays:
             setattr(self.data, name, self._floats[i])
         for name in ("who", "active", "waiting", "chosen", "moving", "turning"):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
-        for name in ("joint_rounds", "cuts"):
+        for name in ("joint_rounds", "cuts", "inverted_before", "inverted_after"):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
         for name in (
             ("progress", "goal", "stride", "trial_progress", "lag_change", "damping", "margin")

@@ -24,7 +24,7 @@ class EnvStatus(IntEnum):
     FRICTION = 5
     """Re-freezing friction did not settle."""
     INVERSION = 6
-    """An element was inverted before the step."""
+    """An element was inverted before the step; or by it, in a material whose energy bears that."""
     CONTACT_OVERFLOW = 7
     """More contacts than ``SolverConfig.max_collisions``."""
     JOINT = 8

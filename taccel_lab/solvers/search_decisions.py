@@ -15,9 +15,7 @@ from taccel_lab.solvers.report import EnvStatus
 wp.set_module_options({"enable_backward": False})
 
 _LINE_SEARCH = wp.constant(int(EnvStatus.LINE_SEARCH))
-_NOT_A_NUMBER = wp.constant(int(EnvStatus.NOT_A_NUMBER))
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
-_TOUCHING = wp.constant(int(EnvStatus.TOUCHING))
 LARGEST_BOOST = 64.0
 """Longest step along Newton's direction."""
 
@@ -101,7 +99,7 @@ def count_solve_kernel(
     p.cg[env] += iterations[env]
     p.newton[env] += 1
     if breakdown[env] != 0 and iterations[env] == 0:
-        stop(env, _NOT_A_NUMBER, p)
+        stop(env, _LINE_SEARCH, p)
 
 
 # The line search -----------------------------------------------------------------------------
@@ -136,7 +134,8 @@ def open_search_kernel(
         p.waiting[env] = 1
         p.searching[0] = 1
     else:
-        stop(env, _TOUCHING, p)
+        # Surfaces that touch show in their gap: this direction is far too long.
+        stop(env, _LINE_SEARCH, p)
 
 
 @wp.kernel

@@ -25,6 +25,7 @@ from taccel_lab.ipc.potentials.energy import Potential, share_buffer
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
+from taccel_lab.ipc.potentials.inversion import BEARS_INVERSION
 from taccel_lab.ipc.scratch import Scratch
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
@@ -42,6 +43,7 @@ HALVING_HELPS = [
     EnvStatus.LINE_SEARCH,
     EnvStatus.FRICTION,
     EnvStatus.JOINT,
+    EnvStatus.NOT_A_NUMBER,
 ]
 """Failures that a shorter step may avoid."""
 
@@ -57,6 +59,8 @@ class SolverIPC:
         kappa = self.config.kappa_pa or max(moduli, default=STIFF_KAPPA_PA)
         self.elastic = [ElasticPotential(model, group) for group in model.elastic]
         """One for each group of elements that share a law and a kind."""
+        self.invertible = [part for part in self.elastic if part.group.law in BEARS_INVERSION]
+        """Those whose energy does not keep elements from turning inside out."""
         self.inertia = None if scene.time.quasi_static else InertiaPotential(model)
         self.viscosity = self._viscosity()
         self.affine = None

@@ -135,5 +135,7 @@ def test_only_one_environment_moves_when_the_others_are_settled() -> None:
 def test_errors_are_drawn() -> None:
     rows = [front_row(10, 1, 1, default=True), front_row(20, 0.5, 0.5)]
     figure = draw_error({"rows": rows})
-    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    labels = [text.get_text() for text in legend.get_texts()]
     assert labels == ["linear, 4 layers", "front", "default"]

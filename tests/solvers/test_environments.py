@@ -8,7 +8,18 @@ import pytest
 import warp as wp
 
 from taccel_lab.ipc.intersection import find_intersections
-from taccel_lab.scene import Ball, KinematicBody, TimeStepping, TriangleMesh, sphere_mesh
+from taccel_lab.scene import (
+    Ball,
+    KinematicBody,
+    Material,
+    MaterialModel,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    TriangleMesh,
+    box_mesh,
+    sphere_mesh,
+)
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -156,3 +167,26 @@ def test_an_inverted_start_is_reported_not_hidden() -> None:
     assert report.status[0] == EnvStatus.CONVERGED
     assert report.status[1] == EnvStatus.INVERSION
     np.testing.assert_array_equal(state.positions.numpy()[1], x[1])
+
+
+@pytest.mark.parametrize("law", ["stable_neo_hookean", "st_venant_kirchhoff"])
+def test_a_body_does_not_silently_leave_through_the_glued_back(law: str) -> None:
+    """Nothing collides with glued faces, and these energies bear inversion."""
+    gel = SoftBody(
+        block_mesh((3, 3, 1), (4e-3, 4e-3, 1e-3)), Material(1e5, 0.4, model=MaterialModel(law))
+    )
+    box = KinematicBody(box_mesh((1e-3, 1e-3, 1e-3)), name="box")
+    model = Scene(gel, box).finalize()
+    solver = SolverIPC(model, SolverConfig(max_substep_halvings=1))
+    state = initial_state(model, pose(0, 0, 5.5e-4)[None, None])
+    statuses = []
+    for z in np.linspace(5e-4, -2.2e-3, 10):
+        before = state.positions.numpy().copy()
+        report = solver.step(state, pose(0, 0, z)[None, None])
+        statuses.append(report.status[0])
+        assert find_intersections(model, state)[0] == []
+        if not report.converged[0]:
+            np.testing.assert_array_equal(state.positions.numpy(), before)
+            break
+    assert statuses[0] == EnvStatus.CONVERGED
+    assert statuses[-1] == EnvStatus.INVERSION

@@ -118,7 +118,9 @@ def test_lists_that_others_grew_are_not_written_through_old_graphs(eager: np.nda
         assert solver.step(state, poses(step)).converged.all()
         for part in solver.lists:
             part._allocate(part.capacity + 7)
-    np.testing.assert_array_equal(state.positions.numpy().ravel(), eager[: state.positions.size * 3])
+    np.testing.assert_array_equal(
+        state.positions.numpy().ravel(), eager[: state.positions.size * 3]
+    )
 
 
 def test_contacts_beyond_the_limit_are_given_up_in_their_environment() -> None:

@@ -138,7 +138,12 @@ def _of_lame(
 def _of_lame_and_ratio(
     model: MaterialModel, energy: Any, piola: Any, pressed: Any, volumetric: _Volumetric
 ) -> Law:
-    """Law of functions (f, mu, lam, ratio)."""
+    """Law of functions (f, mu, lam, ratio).
+
+    The shape part keeps the part 2 ratio mu of lambda: with none at all the coefficient of
+    (ln J)^2 is negative, and a quadrature point could collapse. See
+    ``ElementArrays.volumetric_lam`` for the rest.
+    """
 
     @wp.func
     def law_energy(f: wp.mat33d, m: Moduli, i: int) -> wp.float64:
@@ -154,17 +159,19 @@ def _of_lame_and_ratio(
 
     @wp.func
     def shape_energy(f: wp.mat33d, m: Moduli, i: int) -> wp.float64:
-        return energy(f, m.mu[i], wp.float64(0.0), m.ratio[i])
+        return energy(f, m.mu[i], wp.float64(2.0) * m.ratio[i] * m.mu[i], m.ratio[i])
 
     @wp.func
     def shape_piola(f: wp.mat33d, m: Moduli, i: int) -> wp.mat33d:
-        return piola(f, m.mu[i], wp.float64(0.0), m.ratio[i])
+        return piola(f, m.mu[i], wp.float64(2.0) * m.ratio[i] * m.mu[i], m.ratio[i])
 
     @wp.func
     def shape_hessian(
         f: wp.mat33d, m: Moduli, i: int, pressure: wp.float64, mode: int
     ) -> PrincipalHessian:
-        return pressed(f, m.mu[i], wp.float64(0.0), m.ratio[i], pressure, mode)
+        return pressed(
+            f, m.mu[i], wp.float64(2.0) * m.ratio[i] * m.mu[i], m.ratio[i], pressure, mode
+        )
 
     return Law(
         model,

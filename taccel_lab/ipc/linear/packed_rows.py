@@ -115,6 +115,24 @@ def pack_block_row(
         packed[at + 64] = wp.float64(0.0)
 
 
+@wp.func
+def pack_slices(
+    first: int,
+    step: int,
+    layout: RowSlices,
+    values: wp.array(dtype=wp.float64),
+    packed: wp.array(dtype=wp.float64),
+):
+    """Copy scalar rows first, first + step, ... of the slices."""
+    for task in range(first, 32 * layout.slices.shape[0], step):
+        span = layout.slices[task / 32]
+        place = task % 32
+        for k in range(span[1]):
+            at = span[0] + 32 * k
+            code = layout.codes[at + place]
+            pack_block_row(code, task % 3, 3 * at + place, values, packed)
+
+
 @wp.kernel(grid_stride=False)
 def _pack_kernel(
     block_lanes: int,
@@ -128,16 +146,8 @@ def _pack_kernel(
     env = index / blocks
     if active[env] == 0:
         return
-    lanes = blocks * block_lanes
-    for task in range(
-        index % blocks * block_lanes + block_lane, 32 * layout.slices.shape[0], lanes
-    ):
-        span = layout.slices[task / 32]
-        place = task % 32
-        for k in range(span[1]):
-            at = span[0] + 32 * k
-            code = layout.codes[at + place]
-            pack_block_row(code, task % 3, 3 * at + place, values[env], packed[env])
+    first = index % blocks * block_lanes + block_lane
+    pack_slices(first, blocks * block_lanes, layout, values[env], packed[env])
 
 
 # Written out in C++: arrays of Warp carry strides, which cost registers and multiplications here.

@@ -9,6 +9,7 @@ from typing import Protocol
 import warp as wp
 
 from taccel_lab.ipc.linear.arrow_cg import ArrowCG
+from taccel_lab.ipc.linear.arrow_shared import ArrowShared, fits_shared
 from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.block_ops import team
 from taccel_lab.ipc.linear.dense_cholesky import DenseCholesky
@@ -59,7 +60,7 @@ class LinearSystem(LinearProblem):
         super().__init__(pattern, env_count, device, extra_capacity, scratch)
         self.clusters = list(clusters or [])
         if method == "auto":
-            method = _method(pattern, env_count, device, stiff)
+            method = _method(pattern, self.clusters, env_count, device, stiff)
         self._solver = METHODS[method](self)
         self.capturable: bool = self._solver.capturable
         """Whether ``solve`` needs no host, so that a CUDA graph can hold it."""
@@ -88,15 +89,25 @@ METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
     "dense": DenseCholesky,
     "cg": lambda system: BlockCG(system, system.clusters),
     "arrow": lambda system: ArrowCG(system, system.clusters),
+    "arrow-shared": lambda system: ArrowShared(system, system.clusters),
     "pipelined": lambda system: PipelinedCG(system, system.clusters),
 }
 
 
-def _method(pattern: BlockPattern, env_count: int, device: wp.Device, stiff: bool) -> str:
+def _method(
+    pattern: BlockPattern,
+    clusters: list[tuple[int, int]],
+    env_count: int,
+    device: wp.Device,
+    stiff: bool,
+) -> str:
     """The solver that suits the device and the size."""
     if not device.is_cpu:
         if pattern.free_count <= MAX_ARROW_ROWS:
-            return "arrow"
+            # What a level of the factor waits for is ten times closer in shared memory; a
+            # multiprocessor has room for one such block at a time, which should still be quicker
+            # for thousands of environments (benchmarks.linear_solvers decides).
+            return "arrow-shared" if fits_shared(pattern, clusters, device) else "arrow"
         # Several thread blocks an environment where one would have more than it can do at a time.
         blocks = team(device, env_count, TASKS_PER_ROW * pattern.free_count).blocks
         return "cg" if blocks == 1 else "pipelined"

@@ -135,7 +135,7 @@ class ElementSum(Potential):
         data = ElementData()
         data.nodes, data.gradients = group.elements, group.shape_gradients
         data.volumes, data.moduli = group.volumes, Moduli()
-        data.moduli.mu, data.moduli.lam = group.mu, group.lam
+        data.moduli.mu, data.moduli.lam = group.mu, group.volumetric_lam
         data.moduli.ratio = group.mooney_ratio
         self.data = data
         self.energies = wp.zeros(shape, dtype=wp.float64, device=device)

@@ -10,7 +10,7 @@ from taccel_lab.ipc.linear.pattern import BlockPattern, block_pattern
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.system import LinearSystem
 
-BACKENDS = ("ssor", "cg", "pipelined", "arrow")
+BACKENDS = ("ssor", "cg", "pipelined", "arrow", "arrow-shared")
 
 
 def delaunay_pattern(rng: np.random.Generator, node_count: int, bonded: int) -> BlockPattern:

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Block-arrow factorisation laid out for the shared memory of one thread block.
+
+Every index that the factorisation and its solves need is one word of a program of integers, which
+the block copies next to the numbers before it starts: a level then waits for shared memory alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.linear.elimination import Elimination
+
+SHARED_NUMBERS = 27_392
+"""float64 numbers of shared memory that a block takes: 214 KiB of the 227 that Hopper has."""
+BORDER_CHUNKS = 32
+"""Partial sums of a border row in a solve."""
+SCHUR_CHUNKS = 6
+"""Partial sums of an element of the Schur complement."""
+
+
+@wp.struct
+class SharedLayout:
+    """Sizes and places; n gel rows, m border rows, b blocks.
+
+    Numbers: factor [9 b] starts at 0, then those named. Words, of 32 bits, from ``words`` on, which
+    is a place among the numbers:
+    pair_starts: range of each block in pairs, [b + 1]; pairs: a 2^16 + b.
+    owners: column 2^16 + its diagonal block, of each block, [b].
+    level_starts: first block of each level, and the end, [level_count + 1].
+    starts: first block of each column, [n].
+    step_starts: first target of each step of a solve, and the end; the first ``forward_steps`` go
+    forward, the others back.
+    targets: row 2^16 + first entry, and one more for the end.
+    entries: block 2^16 + place of the row that it multiplies.
+    """
+
+    n: int
+    m: int
+    blocks: int
+    level_count: int
+    forward_steps: int
+    step_count: int
+    roots: int
+    z: int
+    x: int
+    schur: int
+    sums: int
+    flag: int
+    words: int
+    word_count: int
+    pair_starts: int
+    pairs: int
+    owners: int
+    level_starts: int
+    starts: int
+    step_starts: int
+    targets: int
+    entries: int
+
+
+@dataclass(frozen=True)
+class SharedProgram:
+    """Words and layout of a factorisation."""
+
+    layout: SharedLayout
+    words: np.ndarray
+    """int32, [word_count]."""
+    numbers: int
+    """float64 numbers that all of it takes."""
+
+    @property
+    def fits(self) -> bool:
+        """Whether a block has room for it; halves of words then are long enough, too."""
+        return self.numbers <= SHARED_NUMBERS
+
+
+def shared_program(plan: Elimination) -> SharedProgram:
+    """Program of a symbolic factorisation."""
+    n, m, blocks = len(plan.order), len(plan.border), plan.block_count
+    width = 3 * m
+    layout = SharedLayout()
+    layout.n, layout.m, layout.blocks = n, m, blocks
+    layout.level_count = len(plan.level_columns) - 1
+    room = 9 * blocks
+    triangle = width * (width + 1) // 2
+    sums = max(SCHUR_CHUNKS * triangle, (BORDER_CHUNKS + 1) * width)
+    for name, size in (
+        ("roots", 9 * n),
+        ("z", 3 * (n + m)),
+        ("x", 3 * (n + m)),
+        ("schur", 2 * width * width),
+        ("sums", sums),
+        ("flag", 1),
+    ):
+        setattr(layout, name, room)
+        room += size
+    inner, rows_below = plan.column_entries.T
+    own_columns = plan.columns[inner]
+    forward = _steps(plan.level_columns, inner, own_columns, rows_below)
+    back = _steps(plan.level_columns, inner, rows_below, own_columns)[::-1]
+    layout.forward_steps, layout.step_count = len(forward), len(forward) + len(back)
+    steps = forward + back
+    targets = [(row, len(entries)) for step in steps for row, entries in step]
+    firsts = np.concatenate([[0], np.cumsum([count for _, count in targets])]).astype(np.int64)
+    rows = np.array([row for row, _ in targets] + [0], dtype=np.int64)
+    entries = np.array(
+        [entry for step in steps for _, entries in step for entry in entries], dtype=np.int64
+    ).reshape(-1, 2)
+    sections = {
+        "pair_starts": plan.pair_starts,
+        "pairs": _joined(plan.pairs[:, 0], plan.pairs[:, 1]),
+        "owners": _joined(plan.columns, plan.starts[plan.columns]),
+        "level_starts": plan.level_starts,
+        "starts": plan.starts,
+        "step_starts": np.concatenate([[0], np.cumsum([len(step) for step in steps])]),
+        "targets": _joined(rows, firsts),
+        "entries": _joined(entries[:, 0], entries[:, 1]),
+    }
+    place = 0
+    for name, section in sections.items():
+        setattr(layout, name, place)
+        place += len(section)
+    layout.words, layout.word_count = room, place
+    words = np.concatenate(list(sections.values())).astype(np.int64)
+    # Halves that run over belong to programs far too long to fit.
+    words = words.astype(np.uint32).astype(np.int32)
+    return SharedProgram(layout, words, room + (place + 1) // 2)
+
+
+def _joined(high: np.ndarray, low: np.ndarray) -> np.ndarray:
+    return high.astype(np.int64) << 16 | low.astype(np.int64)
+
+
+Step = list[tuple[int, list[tuple[int, int]]]]
+"""(row, [(block, place of the row that it multiplies)]) of all rows that a step changes."""
+
+
+def _steps(
+    level_columns: np.ndarray, blocks: np.ndarray, givers: np.ndarray, takers: np.ndarray
+) -> list[Step]:
+    """What the rows of each level give to others once they are known; levels that give nothing are
+    left out. Block ``blocks[k]`` takes what is at place ``givers[k]`` to place ``takers[k]``."""
+    levels = np.searchsorted(level_columns, givers, side="right") - 1
+    steps: dict[int, dict[int, list[tuple[int, int]]]] = {}
+    for k in np.lexsort((givers, takers, levels)).tolist():
+        step = steps.setdefault(int(levels[k]), {})
+        step.setdefault(int(takers[k]), []).append((int(blocks[k]), int(givers[k])))
+    return [list(steps[level].items()) for level in sorted(steps)]

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Elements that are inside out, in materials whose energy does not forbid it.
+
+Such a material may start inverted and come right; but a step that turns an element inside out has
+lost something through the gel, a body through its glued back for instance, where nothing collides.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.potentials.element_data import ElementData, ElementSum
+from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
+from taccel_lab.ipc.potentials.quadratic_kernels import corner_deformation
+from taccel_lab.scene.element import Element
+from taccel_lab.scene.material import MaterialModel
+
+wp.set_module_options({"enable_backward": False})
+
+BEARS_INVERSION = (MaterialModel.STABLE_NEO_HOOKEAN, MaterialModel.ST_VENANT_KIRCHHOFF)
+"""Materials whose energy is finite at inversion."""
+
+
+@wp.kernel
+def _linear_kernel(
+    mask: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    d: ElementData,
+    inverted: wp.array(dtype=wp.int32),
+):
+    env, tet = wp.tid()
+    if mask[env] == 0:
+        return
+    if not (wp.determinant(linear_deformation(env, tet, positions, d)) > wp.float64(0.0)):
+        inverted[env] = 1
+
+
+@wp.kernel
+def _quadratic_kernel(
+    mask: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    d: ElementData,
+    inverted: wp.array(dtype=wp.int32),
+):
+    env, tet = wp.tid()
+    if mask[env] == 0:
+        return
+    corner_count = int(4)
+    for corner in range(corner_count):
+        f = corner_deformation(env, tet, corner, positions, d)
+        if not (wp.determinant(f) > wp.float64(0.0)):
+            inverted[env] = 1
+
+
+def find_inversions(
+    parts: list[ElementSum], mask: wp.array, positions: wp.array, inverted: wp.array
+) -> None:
+    """Set ``inverted`` (int32, [env_count]) where an element of ``parts`` is inside out, in the
+    environments of ``mask``; the other entries stay."""
+    for part in parts:
+        quadratic = part.group.element is Element.QUADRATIC
+        part.launch(
+            _quadratic_kernel if quadratic else _linear_kernel,
+            [mask, positions, part.data],
+            [inverted],
+        )
