@@ -57,10 +57,9 @@ class SharedLists:
 
 @wp.struct
 class SharedWork:
-    """What CG needs beside the factor: vectors by places, [env_count, row_count], packed rows, and
+    """What CG needs beside shared memory: p by places, [env_count, row_count], packed rows, and
     products of segments. dots, gates: see ``team_sum``."""
 
-    r: wp.array2d(dtype=wp.vec3d)
     p: wp.array2d(dtype=wp.vec3d)
     p_scalars: wp.array2d(dtype=wp.float64)
     packed: wp.array2d(dtype=wp.float64)
@@ -120,9 +119,11 @@ def _solve_kernel(
     share = wp.vec3d()
     for place in range(lane, n, lanes):
         row = lists.order[place]
+        load = rhs[env, row]
         solutions[env, row] = wp.vec3d()
-        share[0] += wp.dot(rhs[env, row], rhs[env, row])
-        _put(shared, layout.z, place, rhs[env, row])
+        share[0] += wp.dot(load, load)
+        _put(shared, layout.r, place, load)
+        _put(shared, layout.z, place, load)
     if lane == 0:
         iterations[env] = 0
         residuals[env] = zero
@@ -164,76 +165,67 @@ def _solve_kernel(
         extra_places[env],
         extra_values[env],
     )
-    solve_shared(shared, lane, lanes, layout)
-    share = wp.vec3d()
-    for place in range(lane, n, lanes):
-        share[0] += wp.dot(rhs[env, lists.order[place]], _get(shared, layout.x, place))
-    rho = team_sum(share, env, 0, 1, lane, 1, work.gates, dots)[0]
-    if not (rho > zero and rho < infinity and b_sq < infinity):
-        if lane == 0:
-            breakdowns[env] = 1
-            residuals[env] = wp.float64(1.0)
-        return
-    if get_shared(shared, layout.flag) == zero:
-        for place in range(lane, n, lanes):
-            solutions[env, lists.order[place]] = _get(shared, layout.x, place)
-        if lane == 0:
-            iterations[env] = 1
-        return
-    # Gels touch each other.
-    r = work.r[env]
+    exact = get_shared(shared, layout.flag) == zero
     p = work.p[env]
     p_scalars = work.p_scalars[env]
     parts = work.parts_scalars[env]
     packed = work.packed[env]
-    pack_slices(lane, lanes, slices, values[env], packed)
-    for place in range(lane, n, lanes):
-        r[place] = rhs[env, lists.order[place]]
-        p[place] = _get(shared, layout.x, place)
-    block_barrier()
     goal = tolerances[env] * tolerances[env] * b_sq
     r_sq = b_sq
+    rho_old = zero
     count = int(0)
     broken = int(0)
+    # One loop for both cases: a second copy of the solve would double the code to fetch.
     going = int(1)
     while going == 1:
-        end = 3 * slices.segments.shape[0]
-        share = wp.vec3d()
-        share[0] = multiply_fixed(lane, end, lanes, slices, packed, p_scalars, parts)
-        share[0] += multiply_extra(
-            env, lane, lanes, slices.segment_count, extra, extra_values[env], p_scalars, parts
-        )
-        curvature = team_sum(share, env, 0, 1, lane, 0, work.gates, dots)[0]
         going = int(0)
-        if curvature > zero and curvature < infinity:
-            alpha = rho / curvature
-            share = wp.vec3d()
+        solve_shared(shared, lane, lanes, layout)
+        share = wp.vec3d()
+        for place in range(lane, n, lanes):
+            share[0] += wp.dot(_get(shared, layout.r, place), _get(shared, layout.x, place))
+        # The other turn than the sum before, or barriers between them.
+        rho = team_sum(share, env, 0, 1, lane, 1, work.gates, dots)[0]
+        if not (rho > zero and rho < infinity and b_sq < infinity):
+            broken = int(1)
+        elif exact:
             for place in range(lane, n, lanes):
-                row = lists.order[place]
-                solutions[env, row] = solutions[env, row] + alpha * p[place]
-                r_row = r[place] - alpha * row_sum(env, place, slices, extra, work.parts[env])
-                r[place] = r_row
-                share[0] += wp.dot(r_row, r_row)
-                _put(shared, layout.z, place, r_row)
-            r_sq = team_sum(share, env, 0, 1, lane, 1, work.gates, dots)[0]
-            count += 1
-            if r_sq > goal and count < max_iterations:
-                solve_shared(shared, lane, lanes, layout)
+                solutions[env, lists.order[place]] = _get(shared, layout.x, place)
+            count = int(1)
+            r_sq = zero
+        else:
+            if count == 0:
+                pack_slices(lane, lanes, slices, values[env], packed)
+            for place in range(lane, n, lanes):
+                p_row = _get(shared, layout.x, place)
+                if count > 0:
+                    p_row += rho / rho_old * p[place]
+                p[place] = p_row
+            rho_old = rho
+            block_barrier()
+            end = 3 * slices.segments.shape[0]
+            share = wp.vec3d()
+            share[0] = multiply_fixed(lane, end, lanes, slices, packed, p_scalars, parts)
+            share[0] += multiply_extra(
+                env, lane, lanes, slices.segment_count, extra, extra_values[env], p_scalars, parts
+            )
+            curvature = team_sum(share, env, 0, 1, lane, 0, work.gates, dots)[0]
+            if not (curvature > zero and curvature < infinity):
+                broken = int(1)
+            else:
+                alpha = rho / curvature
                 share = wp.vec3d()
                 for place in range(lane, n, lanes):
-                    share[0] += wp.dot(r[place], _get(shared, layout.x, place))
-                rho_new = team_sum(share, env, 0, 1, lane, 0, work.gates, dots)[0]
-                if rho_new > zero:
+                    row = lists.order[place]
+                    solutions[env, row] = solutions[env, row] + alpha * p[place]
+                    r_row = _get(shared, layout.r, place)
+                    r_row -= alpha * row_sum(env, place, slices, extra, work.parts[env])
+                    _put(shared, layout.r, place, r_row)
+                    _put(shared, layout.z, place, r_row)
+                    share[0] += wp.dot(r_row, r_row)
+                r_sq = team_sum(share, env, 0, 1, lane, 1, work.gates, dots)[0]
+                count += 1
+                if r_sq > goal and count < max_iterations:
                     going = int(1)
-                    for place in range(lane, n, lanes):
-                        p[place] = _get(shared, layout.x, place) + rho_new / rho * p[place]
-                    rho = rho_new
-                else:
-                    broken = int(1)
-                # Also keeps the sums of two rounds apart.
-                block_barrier()
-        else:
-            broken = int(1)
     if lane == 0:
         iterations[env] = count
         breakdowns[env] = broken
@@ -307,7 +299,6 @@ class ArrowShared:
         problem = self._problem
         device, envs = problem.device, problem.env_count
         work = self._work = SharedWork()
-        work.r = wp.zeros(problem.shape, dtype=wp.vec3d, device=device)
         work.p = wp.zeros(problem.shape, dtype=wp.vec3d, device=device)
         work.p_scalars = scalars(work.p)
         shape = (envs, 3 * len(self._slices.columns))

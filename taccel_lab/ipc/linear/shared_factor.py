@@ -31,7 +31,7 @@ _LOAD_SNIPPET = (
     + """
     int* const copied = reinterpret_cast<int*>(numbers + layout.words);
     const int* const source = program.data;
-    #pragma unroll 8
+    #pragma unroll 4
     for (int e = lane; e < layout.word_count; e += lanes)
         copied[e] = source[e];
     const int* const code = codes.data;
@@ -48,6 +48,7 @@ _LOAD_SNIPPET = (
         numbers[layout.flag] = 0.0;
     WP_TILE_SYNC();
     // Every block is listed twice: one of them is that of a border row and a gel column.
+    #pragma unroll 1
     for (int e = lane; e < 9 * extra_count; e += lanes) {
         const int own = extra_codes.data[e / 9];
         const int part = e % 9;
@@ -178,6 +179,7 @@ _SCHUR_SUM_SNIPPET = (
     const int triangle = width * (width + 1) / 2;
     double* const sums = numbers + layout.sums;
     // Row i of the lower triangle starts at i (i + 1) / 2.
+    #pragma unroll 1
     for (int task = lane; task < @SCHUR_CHUNKS@ * triangle; task += lanes) {
         const int chunk = task / triangle;
         const int e = task % triangle;
@@ -202,6 +204,7 @@ _SCHUR_SUM_SNIPPET = (
     // From here on nothing needs the factor as it is: A = L D L^T with unit L.
     const double* const roots = numbers + layout.roots;
     const int* const owners = words + layout.owners;
+    #pragma unroll 1
     for (int task = lane; task < 3 * layout.blocks; task += lanes) {
         const int block = task / 3;
         const unsigned owner = owners[block];
@@ -223,6 +226,7 @@ _SCHUR_SUM_SNIPPET = (
             a[c] = row[0] * root[c] + row[1] * root[3 + c] + row[2] * root[6 + c];
     }
     double* const schur = numbers + layout.schur;
+    #pragma unroll 1
     for (int e = lane; e < width * width; e += lanes) {
         const int i = e / width;
         const int j = e % width;
@@ -238,6 +242,7 @@ _SCHUR_SUM_SNIPPET = (
         schur[e] = value;
     }
     WP_TILE_SYNC();
+    #pragma unroll 1
     for (int e = lane; e < 9 * extra_count; e += lanes) {
         const int own = extra_codes.data[e / 9];
         const int part = e % 9;
@@ -251,10 +256,12 @@ _SCHUR_SUM_SNIPPET = (
     // Gauss-Jordan, from one copy to the other and back; what has no Cholesky factor gives NaN.
     double* old = schur;
     double* next = schur + width * width;
+    #pragma unroll 1
     for (int pivot = 0; pivot < width; ++pivot) {
         WP_TILE_SYNC();
         const double scale = old[pivot * width + pivot];
         const double inverse = scale > 0.0 ? 1.0 / scale : wp::float64(NAN);
+        #pragma unroll 1
         for (int e = lane; e < width * width; e += lanes) {
             const int i = e / width;
             const int j = e % width;
@@ -329,6 +336,7 @@ _SOLVE_SNIPPET = (
     if (width > 0) {
         double* const sums = numbers + layout.sums;
         double* const rest = sums + @BORDER_CHUNKS@ * width;
+        #pragma unroll 1
         for (int task = lane; task < @BORDER_CHUNKS@ * width; task += lanes) {
             const int i = task / @BORDER_CHUNKS@;
             double total = 0.0, more = 0.0, last = 0.0;
@@ -343,6 +351,7 @@ _SOLVE_SNIPPET = (
             sums[task] = total + more + last;
         }
         WP_TILE_SYNC();
+        #pragma unroll 1
         for (int i = lane; i < width; i += lanes) {
             double total = z[3 * n + i], more = 0.0;
             // Lanes begin at banks of their own.
@@ -355,6 +364,7 @@ _SOLVE_SNIPPET = (
         }
         WP_TILE_SYNC();
         const double* const inverse = numbers + layout.schur + width % 2 * width * width;
+        #pragma unroll 1
         for (int i = lane; i < width; i += lanes) {
             double total = 0.0, more = 0.0;
             #pragma unroll 3
@@ -369,6 +379,7 @@ _SOLVE_SNIPPET = (
         WP_TILE_SYNC();
     }
     const double* const border = x + 3 * n;
+    #pragma unroll 1
     for (int task = lane; task < 3 * n; task += lanes) {
         const int column = task / 3;
         const int c = task % 3;

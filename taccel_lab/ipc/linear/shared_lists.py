@@ -45,6 +45,7 @@ class SharedLayout:
     forward_steps: int
     step_count: int
     roots: int
+    r: int
     z: int
     x: int
     schur: int
@@ -90,6 +91,7 @@ def shared_program(plan: Elimination) -> SharedProgram:
     sums = max(SCHUR_CHUNKS * triangle, (BORDER_CHUNKS + 1) * width)
     for name, size in (
         ("roots", 9 * n),
+        ("r", 3 * (n + m)),
         ("z", 3 * (n + m)),
         ("x", 3 * (n + m)),
         ("schur", 2 * width * width),

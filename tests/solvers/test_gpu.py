@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps on a GPU: captured graphs, all linear methods, many environments.
+
+Without a GPU these are skipped; `TACCEL_LAB_DEVICE=cuda:0 pytest` runs all other tests on it, of
+which those that ask for the same bits twice fail: contacts come in any order there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.ipc.linear.system import METHODS
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    KinematicBody,
+    Material,
+    Plane,
+    RevoluteJoint,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    box_mesh,
+)
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.state import State, initial_state
+
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device"),
+]
+DYNAMIC = TimeStepping(quasi_static=False, dt_s=4e-3, gravity_m_s2=(0.0, 0.0, -9.81))
+GPU_METHODS = [name for name in METHODS if name not in ("ssor", "dense")]
+
+
+def grasp(env_count: int = 3, element: Element = Element.LINEAR) -> Scene:
+    """A cube between two gels on mounts, above a plane."""
+    gels = [
+        SoftBody(
+            block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3)),
+            Material(1e5, 0.4),
+            name=name,
+            mount=f"{name} mount",
+            element=element,
+            friction_coefficient=1.0,
+        )
+        for name in ("left", "right")
+    ]
+    frames = [KinematicBody(None, name=f"{name} mount") for name in ("left", "right")]
+    cube = AffineBody(box_mesh((8e-3, 8e-3, 8e-3)), name="cube", friction_coefficient=1.0)
+    return Scene(
+        gels,
+        frames,
+        env_count,
+        DYNAMIC,
+        affine_bodies=[cube],
+        planes=[Plane((0, 0, -5e-3), (0, 0, 1))],
+    )
+
+
+def grasp_poses(step: int, env_count: int = 3) -> np.ndarray:
+    """Closing, then lifting."""
+    half = np.sqrt(0.5)
+    gap = 4.05e-3 - 5e-5 * min(step, 12)
+    lift = 1e-4 * max(step - 12, 0)
+    left = [-gap, 0, lift, 0, half, 0, half]
+    right = [gap, 0, lift, 0, -half, 0, half]
+    return np.tile(np.array([left, right]), (env_count, 1, 1))
+
+
+def lift_cube(scene: Scene, **options: object) -> tuple[SolverIPC, State]:
+    model = scene.finalize("cuda:0")
+    solver = SolverIPC(model, SolverConfig(dhat_m=1e-4, relative_tolerance=1e-6, **options))  # type: ignore[arg-type]
+    state = initial_state(model, grasp_poses(0, scene.env_count))
+    for step in range(1, 25):
+        report = solver.step(state, grasp_poses(step, scene.env_count))
+        assert report.converged.all(), report.summary()
+    assert find_intersections(model, state) == [[]] * scene.env_count
+    return solver, state
+
+
+@pytest.fixture(scope="module")
+def lifted() -> np.ndarray:
+    solver, state = lift_cube(grasp())
+    assert solver.graphs.launches == 23
+    x = state.positions.numpy()
+    rise = x[:, solver.model.affine.first_control, 2]
+    assert (rise > 1e-3).all(), "the cube is carried"
+    return x
+
+
+def test_environments_agree(lifted: np.ndarray) -> None:
+    np.testing.assert_allclose(lifted, lifted[:1].repeat(3, axis=0), atol=1e-8)
+
+
+@pytest.mark.parametrize("method", GPU_METHODS)
+def test_linear_methods_agree(lifted: np.ndarray, method: str) -> None:
+    _, state = lift_cube(grasp(), linear_method=method)
+    np.testing.assert_allclose(state.positions.numpy(), lifted, atol=1e-7)
+
+
+def test_a_captured_step_is_the_same_as_launches_one_by_one(lifted: np.ndarray) -> None:
+    _, state = lift_cube(grasp(), capture=False)
+    np.testing.assert_allclose(state.positions.numpy(), lifted, atol=1e-7)
+
+
+def test_lists_grow() -> None:
+    scene = grasp(32)
+    model = scene.finalize("cuda:0")
+    solver = SolverIPC(model, SolverConfig(dhat_m=1e-4))
+    for part in solver.lists:
+        part._allocate(2)
+    state = initial_state(model, grasp_poses(0, 32))
+    for step in range(1, 8):
+        assert solver.step(state, grasp_poses(step, 32)).converged.all()
+    assert solver.collisions.capacity > 2
+
+
+def test_quadratic_gels() -> None:
+    lift_cube(grasp(2, Element.QUADRATIC))
+
+
+def test_joints() -> None:
+    rod = AffineBody(box_mesh((40e-3, 6e-3, 6e-3)), name="rod")
+    scene = Scene(
+        affine_bodies=[rod],
+        joints=[RevoluteJoint("rod", None, (20e-3, 0, 0), (0, 1, 0))],
+        time=DYNAMIC,
+    )
+    model = scene.finalize("cuda:0")
+    solver = SolverIPC(model)
+    state = initial_state(model)
+    for _ in range(20):
+        report = solver.step(state)
+        assert report.converged.all(), report.summary()
+        assert report.joint_violation_m.max() < 1e-9
+    assert solver.joints is not None
+    assert abs(solver.joints.coordinates.numpy()[0, 0]) > 0.3, "it swings"
