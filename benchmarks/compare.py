@@ -17,6 +17,8 @@ IDENTITY = {
     "scaling": ("series", "size"),
     "skips": ("skip",),
     "peers": ("name", "envs"),
+    "multi_gpu": ("mode", "gpus", "envs"),
+    "stress": ("family",),
 }
 """What makes a row of a suite the same row."""
 MACHINE = ("device", "cpu", "cores", "driver", "cuda_driver", "packages", "system")

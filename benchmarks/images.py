@@ -269,12 +269,13 @@ def measure(
         row["captured_equals_eager"] = replay_agrees(signal, env_count)
     del signal
     lazy = build(mesh, size, env_count, device, STILL_LEVELS)
-    row["still"] = {"still_levels": STILL_LEVELS}
+    still: dict[str, Any] = {"still_levels": STILL_LEVELS}
+    row["still"] = still
     for reach_m in (None, 4e-3):
         positions = pressed(mesh, env_count, reach_m)
         on_device = wp.array(positions, dtype=wp.vec3d, device=device)
         name = "unbounded press" if reach_m is None else f"reach of {reach_m * 1e3:g} mm"
-        row["still"][name] = {
+        still[name] = {
             **speed(lazy, on_device, "rgb", "markers_px"),
             "errors": errors(lazy, positions, min(env_count, 2)),
         }

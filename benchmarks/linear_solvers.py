@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.linear_systems import System, dumped, peg, slab
+from benchmarks.linear_systems import System, dumped, peg, slab, with_contact_in_pattern
 from benchmarks.machine import describe_run
 from taccel_lab.ipc.linear.arrow_cg import ArrowCG
+from taccel_lab.ipc.linear.arrow_shared import ArrowShared
 from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.pipelined_cg import PipelinedCG
 from taccel_lab.ipc.linear.system import LinearSystem
@@ -65,7 +66,7 @@ def build(system: System, env_count: int, device: wp.Device, variant: Variant) -
             linear, system.clusters, variant.lanes, variant.blocks, variant.cluster_rows
         )
     elif variant.lanes is not None:
-        kind = {"cg": BlockCG, "arrow": ArrowCG}[variant.method]
+        kind = {"cg": BlockCG, "arrow": ArrowCG, "arrow-shared": ArrowShared}[variant.method]
         linear._solver = kind(linear, system.clusters, variant.lanes)
     count = len(system.places)
     scales = scale_factors(env_count)
@@ -161,7 +162,7 @@ def rows_of(
 def plan(device: wp.Device, dumps: Path | None) -> Iterator[tuple[System, int, Variant]]:
     """What is measured."""
     gpu = device.is_cuda
-    small = [peg()]
+    small = [peg(), with_contact_in_pattern(peg())]
     large = [slab((20, 20, 5)), slab((25, 26, 8))]
     if dumps is not None:
         small += [dumped(path, 9) for path in dumps.glob("peg*.npz")]
@@ -170,9 +171,11 @@ def plan(device: wp.Device, dumps: Path | None) -> Iterator[tuple[System, int, V
     for system in small:
         for env_count in (1, 256, 4096) if gpu else (1, 16):
             blocks = [
-                Variant(method, lanes) for method in ("cg", "arrow") for lanes in (128, 256, 512)
+                Variant(method, lanes)
+                for method in ("cg", "arrow", "arrow-shared")
+                for lanes in (128, 256, 512)
             ]
-            blocks = blocks if gpu else [Variant("arrow")]
+            blocks = blocks if gpu else [Variant("arrow"), Variant("arrow-shared")]
             for variant in methods + blocks:
                 yield system, env_count, variant
     for system in large:

@@ -205,3 +205,27 @@ def dumped(path: Path, index: int) -> System:
     clusters = [(n - 4, n)] if len(places) else []
     values = (take("values"), take("rhs"), places, take("blocks"))
     return System(f"{path.stem} {index}", pattern, *values, clusters)
+
+
+def with_contact_in_pattern(system: System) -> System:
+    """The same matrix with blocks between the clusters and all other rows in its pattern, as
+    scenes on a GPU have it, and no list."""
+    p = system.pattern
+    n = p.free_count
+    keys = np.union1d(
+        p.rows.astype(np.int64) * n + p.columns,
+        np.concatenate(
+            [row * n + np.arange(row + 1) for span in system.clusters for row in range(*span)]
+        ),
+    )
+    rows, columns = np.divmod(keys, n)
+    pattern = BlockPattern(
+        np.searchsorted(rows, np.arange(n + 1)).astype(np.int32),
+        columns.astype(np.int32),
+        np.flatnonzero(rows == columns).astype(np.int32),
+    )
+    values = np.zeros((len(keys), 3, 3))
+    values[np.searchsorted(keys, p.rows.astype(np.int64) * n + p.columns)] = system.values
+    own = system.places[:, 0].astype(np.int64) * n + system.places[:, 1]
+    np.add.at(values, np.searchsorted(keys, own), system.blocks)
+    return System(f"{system.name} in place", pattern, values, system.rhs, clusters=system.clusters)

@@ -22,21 +22,22 @@ from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import scalars
 from taccel_lab.ipc.linear.row_plan import RowPlan
 from taccel_lab.ipc.linear.row_products import multiply_extra, multiply_fixed, row_sum
-from taccel_lab.ipc.linear.shared_factor import (
-    factor_shared,
-    finish_shared,
-    get_shared,
-    load_shared,
-    put_shared,
-    solve_shared,
+from taccel_lab.ipc.linear.shared_factor import factor_shared, finish_shared, load_shared
+from taccel_lab.ipc.linear.shared_lists import (
+    SHARED_NUMBERS,
+    SharedLayout,
+    SharedProgram,
+    shared_program,
 )
-from taccel_lab.ipc.linear.shared_lists import SHARED_NUMBERS, SharedLayout, shared_program
+from taccel_lab.ipc.linear.shared_solve import get_shared, put_shared, solve_shared
 
 wp.set_module_options({"enable_backward": False})
 
 _STATIC_BYTES = 6144
 """What Warp and ``team_sum`` take of the shared memory of a block beside our numbers."""
 _LANES = 512
+_HASTES = (1.0, 0.25, 0.0)
+"""See ``least_degree_order``; two gels of 83 nodes take 20, 22 and 22 levels."""
 
 
 @wp.struct
@@ -234,11 +235,19 @@ def _solve_kernel(
             residuals[env] = wp.float64(1.0)
 
 
-def _clustered_plan(pattern: BlockPattern, clusters: list[tuple[int, int]]) -> Elimination:
-    """Factorisation with the rows of affine bodies as the border."""
+def plan_shared(
+    pattern: BlockPattern, clusters: list[tuple[int, int]]
+) -> tuple[Elimination, SharedProgram]:
+    """Factorisation with the rows of affine bodies as the border, in as few levels as there is
+    room for; the last attempt where there is none."""
     none = np.zeros(0, dtype=np.int64)
     border = np.concatenate([none, *(np.arange(first, end) for first, end in clusters)])
-    return eliminate(pattern, border)
+    for haste in _HASTES:
+        plan = eliminate(pattern, border, haste)
+        program = shared_program(plan)
+        if program.fits:
+            break
+    return plan, program
 
 
 def fits_shared(pattern: BlockPattern, clusters: list[tuple[int, int]], device: wp.Device) -> bool:
@@ -246,7 +255,7 @@ def fits_shared(pattern: BlockPattern, clusters: list[tuple[int, int]], device: 
     room = 8 * SHARED_NUMBERS + _STATIC_BYTES
     if device.is_cuda and device.max_shared_memory_per_block < room:
         return False
-    return shared_program(_clustered_plan(pattern, clusters)).fits
+    return plan_shared(pattern, clusters)[1].fits
 
 
 class ArrowShared:
@@ -261,8 +270,7 @@ class ArrowShared:
         thread block, chosen by size when left out. Needs ``fits_shared``."""
         self._problem = problem
         device, n = problem.device, problem.pattern.free_count
-        plan = _clustered_plan(problem.pattern, clusters)
-        program = shared_program(plan)
+        plan, program = plan_shared(problem.pattern, clusters)
         if not program.fits:
             raise ValueError(
                 f"the factor takes {program.numbers:,} numbers of shared memory, a block has "

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Block-arrow factorisation and its solves in the shared memory of one thread block.
+"""Block-arrow factorisation in the shared memory of one thread block.
 
 What ``arrow_factor`` does in global memory, with everything that a level waits for within reach: a
 level costs two barriers and some tens of reads of shared memory. At the end blocks are scaled to
-A = L D L^T with unit L, so that a level of a solve costs one barrier: whoever knows its value adds
-to those that need it.
+A = L D L^T with unit L, for the sake of the solves (``shared_solve``).
 
 ``shared`` is the address of the numbers; see ``SharedLayout`` for what is where.
 """
@@ -13,21 +12,22 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.linear.shared_lists import BORDER_CHUNKS, SCHUR_CHUNKS, SharedLayout
+from taccel_lab.ipc.linear.shared_lists import SCHUR_CHUNKS, SharedLayout
 
 wp.set_module_options({"enable_backward": False})
 
-_NAMES = """
+NAMES = """
     double* const numbers = reinterpret_cast<double*>(shared);
     const int* const words = reinterpret_cast<const int*>(numbers + layout.words);
     double* const factor = numbers;
     (void)words;
     (void)factor;
 """
+"""How snippets call what is in shared memory."""
 
 # Element (i, j) of block code >> 1 lies at (j, i) where the code is odd.
 _LOAD_SNIPPET = (
-    _NAMES
+    NAMES
     + """
     int* const copied = reinterpret_cast<int*>(numbers + layout.words);
     const int* const source = program.data;
@@ -63,7 +63,6 @@ _LOAD_SNIPPET = (
         if (c < 0 && inner)
             numbers[layout.flag] = 1.0;
     }
-    WP_TILE_SYNC();
 """
 )
 
@@ -85,12 +84,13 @@ def load_shared(
     extra_values: wp.array(dtype=wp.float64),
 ) -> None:
     """The program, and blocks of the matrix at their places in the factor, without the border among
-    itself. The flag says whether extra blocks between gel rows were left out."""
+    itself. The flag says whether extra blocks between gel rows were left out. Ends without a
+    barrier: nothing of the first level subtracts anything."""
     ...
 
 
 _FACTOR_SNIPPET = (
-    _NAMES
+    NAMES
     + """
     double* const roots = numbers + layout.roots;
     const int* const pair_starts = words + layout.pair_starts;
@@ -104,15 +104,22 @@ _FACTOR_SNIPPET = (
         return 1.0 / wp::sqrt(value);
 #endif
     };
+    // Words never change: the first that a lane needs after a barrier are read before it.
+    int first = level_starts[0];
+    int end = level_starts[1];
+    int begin = pair_starts[first + lane / 9];
+    int stop = pair_starts[first + lane / 9 + 1];
     #pragma unroll 1
     for (int level = 0; level < layout.level_count; ++level) {
-        const int first = level_starts[level];
-        const int end = level_starts[level + 1];
+        const int next_end = level_starts[level + 2];
+        unsigned owner = owners[first + lane / 3];
         #pragma unroll 1
         for (int task = 9 * first + lane; task < 9 * end; task += lanes) {
             const int block = task / 9;
-            const int begin = pair_starts[block];
-            const int stop = pair_starts[block + 1];
+            if (task >= 9 * first + lanes) {
+                begin = pair_starts[block];
+                stop = pair_starts[block + 1];
+            }
             const int row = 3 * (task % 9 / 3);
             const int column = 3 * (task % 3);
             double total = 0.0, more = 0.0, last = 0.0;
@@ -129,16 +136,22 @@ _FACTOR_SNIPPET = (
                 factor[task] -= total + more + last;
         }
         WP_TILE_SYNC();
+        if (9 * end + lane < 9 * next_end) {
+            begin = pair_starts[end + lane / 9];
+            stop = pair_starts[end + lane / 9 + 1];
+        }
         #pragma unroll 1
         for (int task = 3 * first + lane; task < 3 * end; task += lanes) {
             const int block = task / 3;
-            const unsigned owner = owners[block];
+            if (task >= 3 * first + lanes)
+                owner = owners[block];
             const int diagonal = owner & 0xffffu;
             const double* const d = factor + 9 * diagonal;
             const double r00 = inverse_root(d[0]);
             const double l10 = d[3] * r00;
             const double l20 = d[6] * r00;
-            const double r11 = inverse_root(d[4] - l10 * l10);
+            // From the minor, which does not wait for the first root.
+            const double r11 = d[0] * r00 * inverse_root(d[0] * d[4] - d[3] * d[3]);
             const double l21 = (d[7] - l20 * l10) * r11;
             const double r22 = inverse_root(d[8] - l20 * l20 - l21 * l21);
             const double r10 = -l10 * r00 * r11;
@@ -159,6 +172,8 @@ _FACTOR_SNIPPET = (
                 a[2] = r20 * a0 + r21 * a1 + r22 * a2;
             }
         }
+        first = end;
+        end = next_end;
         WP_TILE_SYNC();
     }
 """
@@ -172,7 +187,7 @@ def factor_shared(shared: wp.uint64, lane: int, lanes: int, layout: SharedLayout
 
 
 _SCHUR_SUM_SNIPPET = (
-    _NAMES
+    NAMES
     + """
     const int width = 3 * layout.m;
     const int* const starts = words + layout.starts;
@@ -274,7 +289,6 @@ _SCHUR_SUM_SNIPPET = (
         old = next;
         next = swap;
     }
-    WP_TILE_SYNC();
 """.replace("@SCHUR_CHUNKS@", str(SCHUR_CHUNKS))
 )
 
@@ -294,128 +308,6 @@ def finish_shared(
     extra_values: wp.array(dtype=wp.float64),
 ) -> None:
     """Scale the factor, diagonal blocks to the inverses of D, and invert the Schur complement of
-    the border, in the half of its copies where ``solve_shared`` looks for it."""
-    ...
-
-
-_SOLVE_SNIPPET = (
-    _NAMES
-    + """
-    double* const z = numbers + layout.z;
-    double* const x = numbers + layout.x;
-    const int n = layout.n;
-    const int width = 3 * layout.m;
-    const int* const step_starts = words + layout.step_starts;
-    const int* const targets = words + layout.targets;
-    const int* const entries = words + layout.entries;
-    const auto take = [&](int step, double* y, int across, int down) {
-        const int end = 3 * step_starts[step + 1];
-        #pragma unroll 1
-        for (int task = 3 * step_starts[step] + lane; task < end; task += lanes) {
-            const int c = task % 3;
-            const unsigned target = targets[task / 3];
-            const int stop = targets[task / 3 + 1] & 0xffff;
-            double total = 0.0, more = 0.0, last = 0.0;
-            #pragma unroll 2
-            for (int e = target & 0xffffu; e < stop; ++e) {
-                const unsigned entry = entries[e];
-                const double* const a = factor + 9 * (entry >> 16) + c * down;
-                const double* const u = y + 3 * (entry & 0xffffu);
-                total += a[0] * u[0];
-                more += a[across] * u[1];
-                last += a[2 * across] * u[2];
-            }
-            y[3 * (target >> 16) + c] -= total + more + last;
-        }
-        WP_TILE_SYNC();
-    };
-    #pragma unroll 1
-    for (int step = 0; step < layout.forward_steps; ++step)
-        take(step, z, 1, 3);
-    const int* const starts = words + layout.starts;
-    if (width > 0) {
-        double* const sums = numbers + layout.sums;
-        double* const rest = sums + @BORDER_CHUNKS@ * width;
-        #pragma unroll 1
-        for (int task = lane; task < @BORDER_CHUNKS@ * width; task += lanes) {
-            const int i = task / @BORDER_CHUNKS@;
-            double total = 0.0, more = 0.0, last = 0.0;
-            #pragma unroll 3
-            for (int column = task % @BORDER_CHUNKS@; column < n; column += @BORDER_CHUNKS@) {
-                const double* const a = factor + 9 * (starts[column] + 1) + 3 * i;
-                const double* const u = z + 3 * column;
-                total += a[0] * u[0];
-                more += a[1] * u[1];
-                last += a[2] * u[2];
-            }
-            sums[task] = total + more + last;
-        }
-        WP_TILE_SYNC();
-        #pragma unroll 1
-        for (int i = lane; i < width; i += lanes) {
-            double total = z[3 * n + i], more = 0.0;
-            // Lanes begin at banks of their own.
-            #pragma unroll 4
-            for (int k = 0; k < @BORDER_CHUNKS@; k += 2) {
-                total -= sums[i * @BORDER_CHUNKS@ + (k + i) % @BORDER_CHUNKS@];
-                more += sums[i * @BORDER_CHUNKS@ + (k + 1 + i) % @BORDER_CHUNKS@];
-            }
-            rest[i] = total - more;
-        }
-        WP_TILE_SYNC();
-        const double* const inverse = numbers + layout.schur + width % 2 * width * width;
-        #pragma unroll 1
-        for (int i = lane; i < width; i += lanes) {
-            double total = 0.0, more = 0.0;
-            #pragma unroll 3
-            for (int k = 0; k < width; k += 3) {
-                // Down a column of the symmetric inverse.
-                total += inverse[k * width + i] * rest[k];
-                more += inverse[(k + 1) * width + i] * rest[k + 1];
-                total += inverse[(k + 2) * width + i] * rest[k + 2];
-            }
-            x[3 * n + i] = total + more;
-        }
-        WP_TILE_SYNC();
-    }
-    const double* const border = x + 3 * n;
-    #pragma unroll 1
-    for (int task = lane; task < 3 * n; task += lanes) {
-        const int column = task / 3;
-        const int c = task % 3;
-        const double* const own = factor + 9 * starts[column];
-        const double* const y = z + 3 * column;
-        double total = own[3 * c] * y[0] + own[3 * c + 1] * y[1] + own[3 * c + 2] * y[2];
-        double more = 0.0, last = 0.0;
-        #pragma unroll 4
-        for (int k = 0; k < width; k += 3) {
-            total -= own[9 + 3 * k + c] * border[k];
-            more += own[9 + 3 * k + 3 + c] * border[k + 1];
-            last += own[9 + 3 * k + 6 + c] * border[k + 2];
-        }
-        x[task] = total - more - last;
-    }
-    WP_TILE_SYNC();
-    #pragma unroll 1
-    for (int step = layout.forward_steps; step < layout.step_count; ++step)
-        take(step, x, 3, 1);
-""".replace("@BORDER_CHUNKS@", str(BORDER_CHUNKS))
-)
-
-
-@wp.func_native(_SOLVE_SNIPPET)
-def solve_shared(shared: wp.uint64, lane: int, lanes: int, layout: SharedLayout) -> None:
-    """x = (factored matrix)^-1 z, by places; z is overwritten. Ends with a barrier."""
-    ...
-
-
-@wp.func_native("reinterpret_cast<double*>(shared)[index] = value;")
-def put_shared(shared: wp.uint64, index: int, value: wp.float64) -> None:
-    """Write a number."""
-    ...
-
-
-@wp.func_native("return reinterpret_cast<const double*>(shared)[index];")
-def get_shared(shared: wp.uint64, index: int) -> wp.float64:
-    """Read a number."""
+    the border, in the half of its copies where ``solve_shared`` looks for it, after barriers of its
+    own."""
     ...

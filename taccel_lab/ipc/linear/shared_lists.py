@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.linear.block_ops import MAX_LANES
 from taccel_lab.ipc.linear.elimination import Elimination
 
-SHARED_NUMBERS = 27_392
-"""float64 numbers of shared memory that a block takes: 214 KiB of the 227 that Hopper has."""
+SHARED_NUMBERS = 28_160
+"""float64 numbers of shared memory that a block takes: 220 KiB of the 227 that Hopper has."""
 BORDER_CHUNKS = 32
 """Partial sums of a border row in a solve."""
 SCHUR_CHUNKS = 6
@@ -26,8 +27,10 @@ SCHUR_CHUNKS = 6
 class SharedLayout:
     """Sizes and places; n gel rows, m border rows, b blocks.
 
-    Numbers: factor [9 b] starts at 0, then those named. Words, of 32 bits, from ``words`` on, which
-    is a place among the numbers:
+    Places among the numbers, where the factor [9 b] starts at 0: roots, inverses of the diagonal
+    blocks of the factor, [9 n]; r, z, x: vectors by places, [3 (n + m)]; schur: two copies,
+    [18 m m]; sums: partial sums; flag: see ``load_shared``; words: those of 32 bits.
+    Places among the words:
     pair_starts: range of each block in pairs, [b + 1]; pairs: a 2^16 + b.
     owners: column 2^16 + its diagonal block, of each block, [b].
     level_starts: first block of each level, and the end, [level_count + 1].
@@ -90,16 +93,17 @@ def shared_program(plan: Elimination) -> SharedProgram:
     triangle = width * (width + 1) // 2
     sums = max(SCHUR_CHUNKS * triangle, (BORDER_CHUNKS + 1) * width)
     for name, size in (
-        ("roots", 9 * n),
+        ("roots", max(9 * n, 3 * (n + m))),
         ("r", 3 * (n + m)),
         ("z", 3 * (n + m)),
-        ("x", 3 * (n + m)),
         ("schur", 2 * width * width),
         ("sums", sums),
         ("flag", 1),
     ):
         setattr(layout, name, room)
         room += size
+    # Nobody needs the roots any more when a solve begins.
+    layout.x = layout.roots
     inner, rows_below = plan.column_entries.T
     own_columns = plan.columns[inner]
     forward = _steps(plan.level_columns, inner, own_columns, rows_below)
@@ -126,11 +130,13 @@ def shared_program(plan: Elimination) -> SharedProgram:
     for name, section in sections.items():
         setattr(layout, name, place)
         place += len(section)
-    layout.words, layout.word_count = room, place
+    # Lanes without a task read ahead all the same.
+    sections["end"] = np.zeros(MAX_LANES // 2, dtype=np.int64)
     words = np.concatenate(list(sections.values())).astype(np.int64)
+    layout.words, layout.word_count = room, len(words)
     # Halves that run over belong to programs far too long to fit.
     words = words.astype(np.uint32).astype(np.int32)
-    return SharedProgram(layout, words, room + (place + 1) // 2)
+    return SharedProgram(layout, words, room + (len(words) + 1) // 2)
 
 
 def _joined(high: np.ndarray, low: np.ndarray) -> np.ndarray:

@@ -7,6 +7,8 @@ lost something through the gel, a body through its glued back for instance, wher
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import warp as wp
 
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementSum
@@ -53,7 +55,7 @@ def _quadratic_kernel(
 
 
 def find_inversions(
-    parts: list[ElementSum], mask: wp.array, positions: wp.array, inverted: wp.array
+    parts: Sequence[ElementSum], mask: wp.array, positions: wp.array, inverted: wp.array
 ) -> None:
     """Set ``inverted`` (int32, [env_count]) where an element of ``parts`` is inside out, in the
     environments of ``mask``; the other entries stay."""

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Block-arrow factor in shared memory: its program, exact solutions, and what breaks them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from benchmarks.linear_solvers import Variant, build, direct, scale_factors
+from benchmarks.linear_systems import System, peg, with_contact_in_pattern
+from taccel_lab.ipc.linear.arrow_shared import ArrowShared, fits_shared
+from taccel_lab.ipc.linear.elimination import eliminate
+from taccel_lab.ipc.linear.shared_lists import shared_program
+from taccel_lab.ipc.linear.system import LinearSystem
+from tests.ipc.linear.systems import contact_system, delaunay_pattern, random_spd
+
+CPU = wp.get_device("cpu")
+LANES = 32
+TOLERANCE = 1e-9
+
+
+def _solve(system: LinearSystem, active: list[int], lanes: int = LANES) -> None:
+    system._solver = ArrowShared(system, system.clusters, lanes)
+    system.tolerances.fill_(TOLERANCE)
+    system.solution.fill_(wp.vec3d(7.0))
+    system.residuals.fill_(np.nan)
+    system.solve(wp.array(active, dtype=wp.int32, device=CPU), 100)
+
+
+def _residual(system: LinearSystem, dense: np.ndarray, env: int) -> float:
+    b = system.rhs.numpy()[env].ravel()
+    left = b - dense[env] @ system.solution.numpy()[env].ravel()
+    return float(np.linalg.norm(left) / np.linalg.norm(b))
+
+
+@pytest.mark.parametrize("lanes", [32, 64])
+@pytest.mark.parametrize("make", [peg, lambda: with_contact_in_pattern(peg())])
+def test_two_gels_and_a_body_are_solved_exactly(many_lanes: None, make: object, lanes: int) -> None:
+    """With contact in the list, and in the pattern."""
+    case: System = make()  # type: ignore[operator]
+    reference = direct(case)
+    linear = build(case, 2, CPU, Variant("cg"))
+    _solve(linear, [1, 1], lanes)
+    report = linear.report()
+    assert report.iterations.tolist() == [1, 1]
+    assert not report.breakdown.any()
+    found = linear.solution.numpy() / scale_factors(2)[:, None, None]
+    assert np.abs(found - reference).max() <= 1e-9 * np.abs(reference).max()
+
+
+@pytest.mark.parametrize("bodies", [0, 1, 2])
+def test_gels_in_contact_are_left_to_cg(many_lanes: None, bodies: int) -> None:
+    """Blocks between bodies belong to the border, and one iteration is enough."""
+    rng = np.random.default_rng(bodies)
+    system, dense = contact_system(1, contacts=10, bodies=bodies)
+    counts, places = system.extra.counts.numpy(), system.extra.places.numpy()
+    values, matrix = system.extra.values.numpy(), system.values.numpy()
+    n = system.pattern.free_count
+    gels = n - 4 * bodies
+    pairs = [(gels - 1, 0), (gels - 3, 2)] if bodies < 2 else [(n - 1, n - 7), (n - 3, n - 8)]
+    for i, j in pairs:
+        normal = rng.normal(size=3)
+        block = 100 * np.outer(normal, normal)
+        places[0, counts[0]], values[0, counts[0]] = (i, j), -block
+        counts[0] += 1
+        matrix[0, system.pattern.diagonal[[i, j]]] += block
+        for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+            dense[0, 3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * block
+    system.values.assign(matrix)
+    system.extra.places.assign(places)
+    system.extra.values.assign(values)
+    system.extra.counts.assign(counts)
+    _solve(system, [1])
+    report = system.report()
+    if bodies < 2:
+        assert 1 < report.iterations[0] < 20
+        assert report.relative_residual[0] == pytest.approx(_residual(system, dense, 0), rel=0.1)
+    else:
+        assert report.iterations[0] == 1
+    assert _residual(system, dense, 0) <= 1.01 * TOLERANCE
+
+
+def test_environments_do_not_see_each_other(many_lanes: None) -> None:
+    """Nor what rests, has no Cholesky factor, or is not finite."""
+    system, dense = contact_system(5)
+    values = system.values.numpy()
+    values[1] = np.nan
+    values[2, system.pattern.diagonal[7]] *= -1.0
+    values[3, 11, 1, 2] = np.nan
+    system.values.assign(values)
+    _solve(system, [1, 0, 1, 1, 1])
+    report = system.report()
+    assert report.iterations.tolist() == [1, 0, 0, 0, 1]
+    assert report.breakdown.tolist() == [False, False, True, True, False]
+    assert report.relative_residual.tolist() == [0, 0, 1, 1, 0]
+    solution = system.solution.numpy()
+    assert (solution[1:4] == 0).all()
+    for env in (0, 4):
+        assert _residual(system, dense, env) <= TOLERANCE
+    # Alone they come out the same to the last bit.
+    values[1:4] = values[0]
+    system.values.assign(values)
+    for env in (0, 4):
+        _solve(system, [int(other == env) for other in range(5)])
+        np.testing.assert_array_equal(system.solution.numpy()[env], solution[env])
+
+
+def test_a_body_without_stiffness_is_a_breakdown(many_lanes: None) -> None:
+    """The gel is definite, the Schur complement is not."""
+    system, _ = contact_system(1)
+    values = system.values.numpy()
+    n = system.pattern.free_count
+    # Less than what the border takes from it; the load does not feel it.
+    values[0, system.pattern.diagonal[n - 1]] -= 1e7 * np.eye(3)
+    system.values.assign(values)
+    _solve(system, [1])
+    assert system.report().breakdown.tolist() == [True]
+    assert (system.solution.numpy() == 0).all()
+
+
+def test_every_block_gives_forward_and_back_once() -> None:
+    rng = np.random.default_rng(0)
+    pattern = delaunay_pattern(rng, 40, 5)
+    plan = eliminate(pattern, np.arange(30, 34))
+    program = shared_program(plan)
+    layout, words = program.layout, program.words
+
+    def section(first: int, count: int) -> np.ndarray:
+        return words[first : first + count]
+
+    starts = section(layout.step_starts, layout.step_count + 1)
+    targets = section(layout.targets, starts[-1] + 1)
+    entries = section(layout.entries, targets[-1] & 0xFFFF)
+    gave: dict[str, list[tuple[int, int, int]]] = {"forward": [], "back": []}
+    done: dict[str, set[int]] = {"forward": set(), "back": set()}
+    for step in range(layout.step_count):
+        way = "forward" if step < layout.forward_steps else "back"
+        takers, givers = set(), set()
+        for t in range(starts[step], starts[step + 1]):
+            taker = targets[t] >> 16
+            for e in range(targets[t] & 0xFFFF, targets[t + 1] & 0xFFFF):
+                giver = entries[e] & 0xFFFF
+                pair = (taker, giver) if way == "forward" else (giver, taker)
+                gave[way].append((entries[e] >> 16, *pair))
+                takers.add(taker)
+                givers.add(giver)
+        # Nobody takes who gives in this step, or gave before.
+        assert not takers & (givers | done[way])
+        done[way] |= givers
+    blocks = plan.column_entries[:, 0]
+    expected = sorted(zip(blocks, plan.column_entries[:, 1], plan.columns[blocks], strict=True))
+    assert sorted(gave["forward"]) == sorted(gave["back"]) == expected
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    rng = np.random.default_rng(1)
+    pattern = delaunay_pattern(rng, 400, 10)
+    assert not fits_shared(pattern, [], CPU)
+    assert fits_shared(peg().pattern, [(160, 164)], CPU)
+    system = LinearSystem(pattern, 1, CPU, method="cg")
+    system.values.assign(random_spd(rng, pattern, 1.0)[None])
+    with pytest.raises(ValueError, match="shared memory"):
+        ArrowShared(system, [])
