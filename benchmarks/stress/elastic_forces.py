@@ -79,7 +79,8 @@ class Law:
 
     def pressure(self, e: np.ndarray) -> np.ndarray:
         """lambda u'(e) [Pa]."""
-        return (self.lam - self.shape_lam) * (np.log1p(e) / (1 + e) if self.model in _LOGARITHMIC else e)
+        slope = np.log1p(e) / (1 + e) if self.model in _LOGARITHMIC else e
+        return (self.lam - self.shape_lam) * slope
 
     def guard(self, f: np.ndarray) -> np.ndarray:
         """Stress of the guard at corners F [..., 3, 3] over V mu / 40."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
-Exit codes: 0 done, 1 ``doctor`` or ``bench quick`` found something broken, 2 unusable input or usage, 3 a simulation
-that did not converge, 130 interrupted. Anything else that goes wrong is a bug and keeps its
+Exit codes: 0 done, 1 ``doctor`` or ``bench quick`` found something broken, 2 unusable input or
+usage, 3 a simulation that did not converge, 130 interrupted. Anything else that goes wrong is a bug and keeps its
 traceback. Command modules import heavy libraries inside ``run()`` only, so that help is fast.
 """
 
