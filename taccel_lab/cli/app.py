@@ -2,8 +2,9 @@
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
 Exit codes: 0 done, 1 ``doctor`` or ``bench quick`` found something broken, 2 unusable input or
-usage, 3 a simulation that did not converge, 130 interrupted. Anything else that goes wrong is a bug and keeps its
-traceback. Command modules import heavy libraries inside ``run()`` only, so that help is fast.
+usage, 3 a simulation that did not converge, 130 interrupted. Anything else that goes wrong is a bug
+and keeps its traceback. Command modules import heavy libraries inside ``run()`` only, so that help
+is fast.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 
 In a steady motion, a grasp that is carried or a gel that is dragged, the last velocities are all
 but the answer, and one Newton iteration in three is saved. The start is taken where frames move as
-in the last step and nothing is in the way of anything; else Newton starts from where the bodies are,
-and takes the frames along.
+in the last step and nothing is in the way of anything; else Newton starts from where the bodies
+are, and takes the frames along.
 """
 
 from __future__ import annotations
