@@ -73,15 +73,18 @@ def friction_gradient(u: wp.vec3d, mu_lambda: wp.float64, eps_u: wp.float64) -> 
 
 @wp.func
 def friction_hessian(
-    n: wp.vec3d, u: wp.vec3d, mu_lambda: wp.float64, eps_u: wp.float64
+    n: wp.vec3d, u: wp.vec3d, mu_lambda: wp.float64, eps_u: wp.float64, sharpness: wp.float64
 ) -> wp.mat33d:
     """Second derivative [N/m] by the relative displacement; block (i, j) is w_i w_j times it.
 
-    In the frame (along u, across u, n) it is mu lambda diag(f0'', f0' / |u|, 0).
+    In the frame (along u, across u, n) it is mu lambda diag(f0'', f0' / |u|, 0) for a ``sharpness``
+    of 1. For 0 it is mu lambda f0' / |u| diag(1, 1, 0), that of a parabola through u that lies above
+    the potential everywhere, so that no full step overshoots where sliding turns round; between the
+    two it is the mean with these weights.
     """
     size = wp.length(u)
     across = friction_f1_over_u(size, eps_u)
     plane = wp.identity(n=3, dtype=wp.float64) - wp.outer(n, n)
     direction = wp.normalize(u)
-    bend = friction_f2(size, eps_u) - across
+    bend = sharpness * (friction_f2(size, eps_u) - across)
     return mu_lambda * (across * plane + bend * wp.outer(direction, direction))

@@ -95,6 +95,19 @@ def _coast_kernel(
 
 
 @wp.kernel
+def _velocity_kernel(
+    mask: wp.array(dtype=wp.int32),
+    start: wp.array2d(dtype=wp.vec3d),
+    end: wp.array2d(dtype=wp.vec3d),
+    dts: wp.array(dtype=wp.float64),
+    velocities: wp.array2d(dtype=wp.vec3d),
+):
+    env, node = wp.tid()
+    if mask[env] != 0:
+        velocities[env, node] = (end[env, node] - start[env, node]) / dts[env]
+
+
+@wp.kernel
 def _negate_kernel(
     active: wp.array(dtype=wp.int32),
     reduced: wp.array2d(dtype=wp.vec3d),
@@ -286,6 +299,19 @@ def coast(
         inputs=[mask, model.free_nodes, dts, velocities],
         outputs=[displacements],
         device=model.device,
+    )
+
+
+def measure_velocities(
+    mask: wp.array, start: wp.array, end: wp.array, dts: wp.array, velocities: wp.array
+) -> None:
+    """Mean velocities [m/s] over a step, in the environments of ``mask``."""
+    wp.launch(
+        _velocity_kernel,
+        dim=end.shape,
+        inputs=[mask, start, end, dts],
+        outputs=[velocities],
+        device=end.device,
     )
 
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import warp as wp
+
 from taccel_lab.ipc.affine.embedding import embed_vertices
 from taccel_lab.ipc.affine.prediction import predict_affine
 from taccel_lab.ipc.motion import advance_positions, copy_rows, subtract_rows
@@ -30,7 +32,18 @@ def start_in_free_flight(run: StepRun) -> None:
         return
     copy_rows(p.active, x, s.trial)
     predict_affine(run.model, p.active, s.inertia.predictions, s.trial, p.limit)
+    p.any_flight.zero_()
     run.decide(search_decisions.choose_flight_kernel, p.limit, _SMALL_TURN_SQ, p)
+
+    def fly() -> None:
+        _fly(run)
+
+    wp.capture_if(p.any_flight, on_true=fly)
+
+
+def _fly(run: StepRun) -> None:
+    """Try the flight of the chosen environments, whose control nodes are in ``trial``."""
+    s, p, x, poses = run.s, run.p, run.state.positions, run.state.poses
     if s.joints is not None:
         s.joints.set_frames(poses)
         s.joints.close_predicted(p.chosen, s.trial)

@@ -28,7 +28,7 @@ def start_with_momentum(run: StepRun) -> None:
     """Move bodies by their velocities and frames to their targets where both are free to go."""
     s, p, state = run.s, run.p, run.state
     x = state.positions
-    if s.inertia is None or not run.model.kinematic:
+    if not run.model.kinematic:
         return
     run.decide(search_decisions.choose_momentum_kernel, p)
     aim_prescribed(run.model, p.active, p.chosen, x, s.end_poses, s.displacements)

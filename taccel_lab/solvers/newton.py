@@ -25,6 +25,7 @@ from taccel_lab.ipc.kinematics import place_poses_between
 from taccel_lab.ipc.motion import (
     aim_prescribed,
     begin_rhs,
+    measure_velocities,
     newton_system,
     reduce_gradient,
     spread_solution,
@@ -134,6 +135,8 @@ class StepRun:
             s.inertia.end_step(
                 p.active, s.previous, state.positions, state.velocities, state.history
             )
+        else:
+            measure_velocities(p.active, s.previous, state.positions, s.dts, state.velocities)
 
     def commit(self, mask: wp.array, positions: wp.array, poses: wp.array) -> None:
         """Take over positions and poses in the environments of ``mask``."""
@@ -291,7 +294,7 @@ class StepRun:
 
         def of_friction() -> None:
             if s.friction is not None:
-                s.friction.add_hessian(p.active, self.motion(), system)
+                s.friction.add_hessian(p.active, self.motion(), system, p.sharpness)
 
         def of_affine() -> None:
             if s.affine is not None:

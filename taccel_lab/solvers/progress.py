@@ -83,6 +83,8 @@ class Progress:
     """Residual that rounding makes in joints [N]."""
     energy_rounding: wp.array(dtype=wp.float64)
     """Rounding of the elastic energy, however small it is [J]."""
+    sharpness: wp.array(dtype=wp.float64)
+    """How much of the curvature of friction the next direction counts, see ``friction_hessian``."""
     boost: wp.array(dtype=wp.float64)
     """Multiple of Newton's direction that is searched along."""
     last_residual: wp.array(dtype=wp.float64)
@@ -115,6 +117,8 @@ class Progress:
     """Reach of each frame [m], shape [env_count, kinematic_count]."""
     any_turning: wp.array(dtype=wp.int32)
     """Whether a frame turns in any environment, shape [1] like all below."""
+    any_flight: wp.array(dtype=wp.int32)
+    """Whether any body turns so much that a start in free flight is tried."""
     any_curved: wp.array(dtype=wp.int32)
     """Whether any trial leaves the chord that CCD checked."""
     running: wp.array(dtype=wp.int32)
@@ -134,7 +138,7 @@ _REPORTED_FLOATS = ("residual", "contact_force", "min_distance", "violation", "s
 
 
 class ProgressArrays:
-    """The arrays of a ``Progress``, laid out so that a report takes two copies to the host."""
+    """The arrays of a ``Progress``, laid out so that a report takes one copy to the host."""
 
     def __init__(
         self,
@@ -145,12 +149,21 @@ class ProgressArrays:
     ) -> None:
         self.data = Progress()
         """For kernels."""
-        self._ints = wp.zeros((len(_REPORTED_INTS), env_count), dtype=wp.int32, device=device)
-        self._floats = wp.zeros((len(_REPORTED_FLOATS), env_count), dtype=wp.float64, device=device)
-        for i, name in enumerate(_REPORTED_INTS):
-            setattr(self.data, name, self._ints[i])
+        # Two rows of integers take the place of one of floating point numbers.
+        int_rows = -(-len(_REPORTED_INTS) // 2)
+        shape = (len(_REPORTED_FLOATS) + int_rows, env_count)
+        self._reported = wp.zeros(shape, dtype=wp.float64, device=device)
         for i, name in enumerate(_REPORTED_FLOATS):
-            setattr(self.data, name, self._floats[i])
+            setattr(self.data, name, self._reported[i])
+        ints = wp.array(
+            ptr=self._reported[len(_REPORTED_FLOATS)].ptr,
+            dtype=wp.int32,
+            shape=(2 * int_rows, env_count),
+            device=device,
+        )
+        ints._ref = self._reported
+        for i, name in enumerate(_REPORTED_INTS):
+            setattr(self.data, name, ints[i])
         for name in ("who", "active", "waiting", "chosen", "moving", "turning"):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
         for name in ("joint_rounds", "cuts", "inverted_before", "inverted_after"):
@@ -158,14 +171,23 @@ class ProgressArrays:
         for name in (
             ("progress", "goal", "stride", "trial_progress", "lag_change", "damping", "margin")
             + ("rounding", "limit", "alpha", "slope", "before", "after", "base", "base_after")
-            + ("joint_energy_rounding", "bend", "deviation", "reach", "boost", "last_residual")
+            + (
+                "joint_energy_rounding",
+                "sharpness",
+                "bend",
+                "deviation",
+                "reach",
+                "boost",
+                "last_residual",
+            )
         ):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.float64, device=device))
         self.data.energy_rounding = wp.array(energy_rounding_j, dtype=wp.float64, device=device)
         radii = np.tile(radii_m, (env_count // len(radii_m), 1))
         self.data.radii = wp.array(radii, dtype=wp.float64, device=device)
         self.data.turns = wp.zeros_like(self.data.radii)
-        self.data.any_turning = wp.zeros(1, dtype=wp.int32, device=device)
+        for name in ("any_turning", "any_flight"):
+            setattr(self.data, name, wp.zeros(1, dtype=wp.int32, device=device))
         self.data.any_curved = wp.zeros(1, dtype=wp.int32, device=device)
         self.flags = wp.zeros(5, dtype=wp.int32, device=device)
         for i, name in enumerate(("running", "searching", "freezing", "closing", "reopened")):
@@ -173,7 +195,8 @@ class ProgressArrays:
 
     def read(self) -> dict[str, np.ndarray]:
         """What a report needs, by name; waits for the device."""
-        ints, floats = self._ints.numpy(), self._floats.numpy()
+        floats = self._reported.numpy()
+        ints = floats[len(_REPORTED_FLOATS) :].view(np.int32).reshape(-1, floats.shape[1])
         found = {name: ints[i].copy() for i, name in enumerate(_REPORTED_INTS)}
         return found | {name: floats[i].copy() for i, name in enumerate(_REPORTED_FLOATS)}
 

@@ -16,6 +16,8 @@ wp.set_module_options({"enable_backward": False})
 
 _LINE_SEARCH = wp.constant(int(EnvStatus.LINE_SEARCH))
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
+SHARPENING = 0.5
+"""What a full step adds to the curvature of friction that the next direction counts."""
 LARGEST_BOOST = 64.0
 """Longest step along Newton's direction."""
 
@@ -24,7 +26,7 @@ LARGEST_BOOST = 64.0
 
 @wp.func
 def boosted(env: int, p: Progress) -> wp.float64:
-    """Twice the last multiple after a full step that hardly lowered the residual, else one.
+    """Four times the last multiple after a full step that hardly lowered the residual, else one.
 
     Near a saddle, where a gel snaps over an edge, the projected matrix is stiffer than the body:
     whole steps go on for dozens of iterations and each takes the same small part of the way.
@@ -198,6 +200,10 @@ def accept_kernel(smallest_bend: wp.float64, collisions: ListRoom, p: Progress, 
         p.progress[env] = p.trial_progress[env]
         p.smallest_step[env] = wp.min(p.smallest_step[env], alpha)
         p.stride[env] = adapted_stride(p.stride[env], alpha)
+        if p.cuts[env] > 0 and p.progress[env] >= one:
+            p.sharpness[env] = wp.float64(0.0)
+        else:
+            p.sharpness[env] = wp.min(p.sharpness[env] + wp.float64(SHARPENING), one)
         return
     p.alpha[env] = wp.float64(0.5) * alpha
     p.cuts[env] += 1
@@ -235,6 +241,7 @@ def choose_flight_kernel(bends: wp.array(dtype=wp.float64), least: wp.float64, p
     p.chosen[env] = 0
     if p.active[env] != 0 and bends[env] > least:
         p.chosen[env] = 1
+        p.any_flight[0] = 1
 
 
 @wp.kernel

@@ -113,6 +113,8 @@ class SolverIPC:
         self.reduced = wp.zeros((model.env_count, model.free_count), dtype=wp.vec3d, device=device)
         """Gradient of the total energy by the unknowns [N]."""
         self.dts = wp.zeros(model.env_count, dtype=wp.float64, device=device)
+        self._dt = 0.0
+        self._who = np.zeros(model.env_count, dtype=bool)
         self._separate = np.zeros(model.env_count, dtype=bool)
         """Environments known to have started without overlaps."""
         poses = (model.env_count, len(model.kinematic))
@@ -265,10 +267,14 @@ class SolverIPC:
         if (state.external_forces is not None or state.wrenches is not None) and self.load is None:
             self.load = ExternalLoad(self.model)
             self._share_energies()
-        self.dts.fill_(dt)
+        if dt != self._dt:
+            self._dt = dt
+            self.dts.fill_(dt)
         report: StepReport | None = None
         while True:
-            self.progress.data.who.assign(who.astype(np.int32))
+            if not np.array_equal(who, self._who):
+                self._who = who.copy()
+                self.progress.data.who.assign(who.astype(np.int32))
             self.graphs.launch(state)
             part = self._read_report(who)
             report = part if report is None else report.retaken(part, who)

@@ -197,7 +197,7 @@ def _friction_kernel(
     u_out[i] = u
     value[i] = friction.friction_potential(u, mu_lambda, eps_u)
     gradient[i] = friction.friction_gradient(u, mu_lambda, eps_u)
-    hessian[i] = friction.friction_hessian(n[i], u, mu_lambda, eps_u)
+    hessian[i] = friction.friction_hessian(n[i], u, mu_lambda, eps_u, wp.float64(1.0))
 
 
 @wp.kernel

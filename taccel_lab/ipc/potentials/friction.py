@@ -205,6 +205,7 @@ def _hessian_kernel(
     frozen: FrozenContacts,
     motion: StepMotion,
     eps_u: wp.float64,
+    sharpness: wp.array(dtype=wp.float64),
     parts: int,
     system: NewtonSystem,
 ):
@@ -219,7 +220,7 @@ def _hessian_kernel(
             w = frozen.weights[env, slot]
             n = frozen.normals[env, slot]
             u = sliding(env, nodes, w, n, motion)
-            core = friction_hessian(n, u, mu_lambda, eps_u)
+            core = friction_hessian(n, u, mu_lambda, eps_u, sharpness[env])
             add_weighted_block(env, nodes, w, core, part, parts, system)
 
 
@@ -310,14 +311,23 @@ class FrictionPotential(EnergyTerm):
         """Add d energy / dx [N] of all nodes."""
         self._launch(_gradient_kernel, active, [self.frozen, motion, self.eps_u_m, gradient])
 
-    def add_hessian(self, active: wp.array, motion: StepMotion, system: NewtonSystem) -> None:
-        """Add the positive part of the Hessian to the Newton system."""
+    def add_hessian(
+        self,
+        active: wp.array,
+        motion: StepMotion,
+        system: NewtonSystem,
+        sharpness: wp.array | None = None,
+    ) -> None:
+        """Add the positive part of the Hessian to the Newton system; ``sharpness``: see
+        ``friction_hessian``, float64, [env_count]; 1 when None."""
         m = self.model
+        if sharpness is None:
+            sharpness = wp.full(m.env_count, 1.0, dtype=wp.float64, device=m.device)
         lanes = lane_count(m.device, m.env_count, self.energies.shape[1])
         parts = row_parts(m.device, m.env_count, lanes)
         wp.launch(
             _hessian_kernel,
             dim=(m.env_count, lanes, parts),
-            inputs=[active, lanes, self.frozen, motion, self.eps_u_m, parts, system],
+            inputs=[active, lanes, self.frozen, motion, self.eps_u_m, sharpness] + [parts, system],
             device=m.device,
         )
