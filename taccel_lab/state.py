@@ -25,8 +25,8 @@ class State:
     positions: wp.array
     """Node positions [m], vec3d, shape [env_count, node_count]."""
     velocities: wp.array
-    """Node velocities [m/s], vec3d, shape [env_count, node_count]; in quasi-static scenes the mean of
-    the last step, which only decides where the next one starts to search."""
+    """Node velocities [m/s], vec3d, shape [env_count, node_count]; in quasi-static scenes the mean
+    of the last step, which only decides where the next one starts to search."""
     poses: wp.array
     """world_from_body of the kinematic bodies, transformd, shape [env_count, kinematic_count]."""
     history: StepHistory | None = None

@@ -78,9 +78,9 @@ def friction_hessian(
     """Second derivative [N/m] by the relative displacement; block (i, j) is w_i w_j times it.
 
     In the frame (along u, across u, n) it is mu lambda diag(f0'', f0' / |u|, 0) for a ``sharpness``
-    of 1. For 0 it is mu lambda f0' / |u| diag(1, 1, 0), that of a parabola through u that lies above
-    the potential everywhere, so that no full step overshoots where sliding turns round; between the
-    two it is the mean with these weights.
+    of 1. For 0 it is mu lambda f0' / |u| diag(1, 1, 0), that of a parabola through u that lies
+    above the potential everywhere, so that no full step overshoots where sliding turns round;
+    between the two it is the mean with these weights.
     """
     size = wp.length(u)
     across = friction_f1_over_u(size, eps_u)

@@ -27,7 +27,7 @@ _SMALL_TURN_SQ = 1e-6
 
 def start_in_free_flight(run: StepRun) -> None:
     """Move the state of the active environments to free flight where that is a better start."""
-    s, p, x, poses = run.s, run.p, run.state.positions, run.state.poses
+    s, p, x = run.s, run.p, run.state.positions
     if s.inertia is None or s.affine is None:
         return
     copy_rows(p.active, x, s.trial)
