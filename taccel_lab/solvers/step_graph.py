@@ -23,7 +23,7 @@ class StepGraphs:
 
     def __init__(self, solver: SolverIPC) -> None:
         self._solver = solver
-        self.graphs: dict[tuple, wp.Graph | None] = {}
+        self._graphs: dict[tuple, wp.Graph | None] = {}
         self.launches = 0
         """Graphs launched so far."""
 
@@ -39,7 +39,7 @@ class StepGraphs:
 
     def clear(self) -> None:
         """Forget all graphs: arrays that they use have moved."""
-        self.graphs.clear()
+        self._graphs.clear()
 
     def launch(self, state: State) -> None:
         """Take a step of the environments in ``progress.who`` to ``end_poses``."""
@@ -51,17 +51,17 @@ class StepGraphs:
         # Lists that have grown since have moved, whoever made room in them.
         room = [part.capacity for part in s.lists]
         key = (s.load is not None, *room, *_pointers(state))
-        if key not in self.graphs:
-            if len(self.graphs) >= _MOST:
-                self.graphs.pop(next(iter(self.graphs)))
-            self.graphs[key] = None
+        if key not in self._graphs:
+            if len(self._graphs) >= _MOST:
+                self._graphs.pop(next(iter(self._graphs)))
+            self._graphs[key] = None
             run.run()
             return
-        graph = self.graphs[key]
+        graph = self._graphs[key]
         if graph is None:
             with wp.ScopedCapture(self._solver.model.device) as capture:
                 run.run()
-            graph = self.graphs[key] = capture.graph
+            graph = self._graphs[key] = capture.graph
         wp.capture_launch(graph)
         self.launches += 1
 
