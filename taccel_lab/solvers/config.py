@@ -42,8 +42,9 @@ class SolverConfig:
     """Sliding per step below which friction is static (eps_v * dt)."""
     max_friction_lags: int = 100
     """How often friction may be frozen anew within a step."""
-    max_substep_halvings: int = 5
-    """How often a step that fails is halved, in the environments where it fails."""
+    max_substep_halvings: int = 8
+    """How often a step that fails is halved, in the environments where it fails. With 5 one rough
+    press in 1,000 (sharp edges, friction of 1, a range of 5 um) stayed unsolved."""
     max_joint_rounds: int = 20
     """How often Newton may be repeated until the joints are closed."""
     max_collisions: int = 1 << 20
