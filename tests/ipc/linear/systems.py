@@ -127,3 +127,28 @@ def solve_batch(
     flags = wp.array(active.astype(np.int32), dtype=wp.int32, device=device)
     system.solve(flags, max_iterations)
     return system.solution.numpy(), system.report()
+
+
+def touch_elsewhere(system: LinearSystem, dense: np.ndarray, bodies: int) -> None:
+    """Add contacts that a ``contact_system`` of one environment lacks, to it and to ``dense``.
+
+    They join two bodies where there are two, else nodes of the gel whose block the pattern lacks.
+    """
+    rng = np.random.default_rng(bodies)
+    counts, places = system.extra.counts.numpy(), system.extra.places.numpy()
+    values, matrix = system.extra.values.numpy(), system.values.numpy()
+    n = system.pattern.free_count
+    gels = n - 4 * bodies
+    pairs = [(gels - 1, 0), (gels - 3, 2)] if bodies < 2 else [(n - 1, n - 7), (n - 3, n - 8)]
+    for i, j in pairs:
+        normal = rng.normal(size=3)
+        block = 100 * np.outer(normal, normal)
+        places[0, counts[0]], values[0, counts[0]] = (i, j), -block
+        counts[0] += 1
+        matrix[0, system.pattern.diagonal[[i, j]]] += block
+        for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+            dense[0, 3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * block
+    system.values.assign(matrix)
+    system.extra.places.assign(places)
+    system.extra.values.assign(values)
+    system.extra.counts.assign(counts)

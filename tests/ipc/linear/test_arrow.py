@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.ipc.linear.arrow_cg import ArrowCG
 from taccel_lab.ipc.linear.elimination import eliminate, least_degree_order
-from tests.ipc.linear.systems import contact_system, delaunay_pattern, random_spd
+from tests.ipc.linear.systems import contact_system, delaunay_pattern, random_spd, touch_elsewhere
 
 CPU = wp.get_device("cpu")
 LANES = 32
@@ -111,25 +111,8 @@ def test_one_iteration_solves_a_gel_and_a_body(many_lanes: None) -> None:
 @pytest.mark.parametrize("bodies", [0, 1, 2])
 def test_contact_between_bodies_and_between_gels(many_lanes: None, bodies: int) -> None:
     """Blocks between bodies belong to the border; those between gels are left to CG."""
-    rng = np.random.default_rng(bodies)
     system, dense = contact_system(1, contacts=10, bodies=bodies)
-    counts, places = system.extra.counts.numpy(), system.extra.places.numpy()
-    values, matrix = system.extra.values.numpy(), system.values.numpy()
-    n = system.pattern.free_count
-    gels = n - 4 * bodies
-    pairs = [(gels - 1, 0), (gels - 3, 2)] if bodies < 2 else [(n - 1, n - 7), (n - 3, n - 8)]
-    for i, j in pairs:
-        normal = rng.normal(size=3)
-        block = 100 * np.outer(normal, normal)
-        places[0, counts[0]], values[0, counts[0]] = (i, j), -block
-        counts[0] += 1
-        matrix[0, system.pattern.diagonal[[i, j]]] += block
-        for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
-            dense[0, 3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * block
-    system.values.assign(matrix)
-    system.extra.places.assign(places)
-    system.extra.values.assign(values)
-    system.extra.counts.assign(counts)
+    touch_elsewhere(system, dense, bodies)
     system._solver = ArrowCG(system, system.clusters, LANES)
     system.tolerances.fill_(1e-9)
     system.solve(wp.full(1, 1, dtype=wp.int32, device=CPU), 100)
