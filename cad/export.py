@@ -21,8 +21,8 @@ from OCP.TDocStd import TDocStd_Document
 from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool
 
 from cad.mesh.surface import LabelledSurface
-from cad.parts.gel_pad import GelPad
-from cad.parts.gel_pad_solid import GelPadSolid
+from cad.parts.labelled_solid import LabelledSolid
+from cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -35,7 +35,7 @@ REGION_COLORS: dict[Region, tuple[float, float, float]] = {
 """RGB of each region, 0..1, in files and pictures."""
 
 
-def write_step(part: GelPadSolid, path: Path, *, name: str = "gel_pad") -> None:
+def write_step(part: LabelledSolid, path: Path, *, name: str = "gel_pad") -> None:
     """Write the solid as STEP AP214 in mm; each face carries the name and colour of its region."""
     document = TDocStd_Document(TCollection_ExtendedString("XmlXCAF"))
     shapes = XCAFDoc_DocumentTool.ShapeTool_s(document.Main())
@@ -72,7 +72,7 @@ def write_stl(surface: LabelledSurface, path: Path) -> None:
         file.write(triangles.tobytes())
 
 
-def dimensions(part: GelPadSolid, pad: GelPad) -> dict[str, Any]:
+def dimensions(part: LabelledSolid, pad: Pad) -> dict[str, Any]:
     """Measured dimensions of the solid [mm, mm^2, mm^3], for the workshop's drawing."""
     box = part.solid.bounding_box()
     return {
@@ -82,9 +82,6 @@ def dimensions(part: GelPadSolid, pad: GelPad) -> dict[str, Any]:
         "bounding_box_max": [box.max.X, box.max.Y, box.max.Z],
         "volume_mm3": part.solid.volume,
         "area_mm2": {region.name.lower(): part.area_mm2(region) for region in Region},
-        "wall_height_min": pad.min_wall_mm(),
-        "crown_drop_at_window_corner": -float(
-            pad.crown_mm([[pad.window_x_mm / 2, pad.window_y_mm / 2]])[0]  # type: ignore[arg-type]
-        ),
+        **pad.figures(),
         "pad": pad.values(),
     }

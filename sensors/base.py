@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every sensor family provides: parameters, pad, pixel grid, material, sources."""
+"""What every sensor family provides: parameters, pad, optics, housing, material, sources."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from cad.parameters import ParameterSet
-from cad.parts.gel_pad import GelPad
+from cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.optics.description import MarkerGrid, OpticalDesign
 
 
 @dataclass(frozen=True)
 class GelMaterial:
-    """The gel as a Neo-Hookean solid and its friction against indenters."""
+    """A layer of the gel as a Neo-Hookean solid and its friction against indenters."""
 
     young_modulus_pa: float
     """Young's modulus at small strain [Pa]."""
@@ -26,11 +27,25 @@ class GelMaterial:
     """Coulomb friction coefficient."""
 
 
+@dataclass(frozen=True)
+class Housing:
+    """The rigid body that holds window, lights and camera: a box with the gel on its front."""
+
+    size_mm: tuple[float, float, float]
+    """Outer extents along x, y and z."""
+    wall_mm: float
+    corner_radius_mm: float = 1.0
+    front_z_mm: float = 0.0
+    """z of the front face in the gel frame [mm], at or below the back of the gel's contact face."""
+    offset_mm: tuple[float, float] = (0.0, 0.0)
+    """Centre of the box in gel xy."""
+
+
 class FamilyParameters(ParameterSet, ABC):
     """Parameters of one sensor of a family; subclasses are frozen dataclasses of ``parameter``."""
 
     @abstractmethod
-    def pad(self) -> GelPad:
+    def pad(self) -> Pad:
         """The gel pad [mm]; raises InputError for dimensions that cannot be built."""
 
     @abstractmethod
@@ -39,7 +54,23 @@ class FamilyParameters(ParameterSet, ABC):
 
     @abstractmethod
     def material(self) -> GelMaterial:
-        """The gel's material."""
+        """The gel's material (layer 0)."""
+
+    def layer_materials(self) -> tuple[GelMaterial, ...]:
+        """Materials of the pad's layers, in the order of ``pad().layer_names``."""
+        return (self.material(),)
+
+    def optics(self) -> OpticalDesign | None:
+        """Camera, lights, coating and window; None while the family has no optical model."""
+        return None
+
+    def markers(self) -> MarkerGrid | None:
+        """Dots painted on the contact face; None for a sensor without."""
+        return None
+
+    def housing(self) -> Housing | None:
+        """The rigid housing; None while the family models none."""
+        return None
 
 
 @dataclass(frozen=True)
@@ -59,18 +90,18 @@ class SensorFamily:
     def parameters(self, overrides: Mapping[str, Any] | None = None) -> FamilyParameters:
         """Parameters of the family, the defaults where ``overrides`` says nothing.
 
-        Values may be text. The pad, grid and material are built once, so that parameters which
+        Values may be text. All parts are built once as formulas, so that parameters which
         contradict each other are refused here.
         """
         try:
             found = self.parameters_type().with_values(overrides or {})
-            found.pad()
-            found.grid()
+            for part in ("pad", "grid", "layer_materials", "optics", "markers", "housing"):
+                getattr(found, part)()
         except InputError as error:
             raise InputError(f"sensor {self.name}: {error}") from error
         return found
 
-    def pad(self, parameters: FamilyParameters | None = None) -> GelPad:
+    def pad(self, parameters: FamilyParameters | None = None) -> Pad:
         """The gel pad [mm] of ``parameters``, or of the defaults."""
         return (parameters or self.parameters()).pad()
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cad.mesh.gel_mesh import gel_mesh
 from cad.mesh.quality import MeshQuality, measure_quality, require_quality
-from cad.mesh.structured import even_gel_mesh
-from cad.parts.gel_pad import GelPad
+from cad.parts.pad import Pad
 from sensors.base import FamilyParameters, SensorFamily
 from sensors.profile import designed_profile
 from taccel_lab.errors import InputError
@@ -35,7 +35,7 @@ class DesignResult:
 
     family: SensorFamily
     parameters: FamilyParameters
-    pad: GelPad
+    pad: Pad
     mesh: TetMesh
     quality: MeshQuality
     profile: SensorProfile
@@ -71,17 +71,16 @@ def design_sensor(
     tell("cad")
     from cad.export import dimensions, write_step, write_stl
     from cad.mesh.tessellate import tessellate_solid
-    from cad.parts.gel_pad_solid import gel_pad_solid
     from cad.preview import write_preview
 
-    part = gel_pad_solid(pad)
+    part = pad.labelled_solid()
     tell("mesh")
     if mesher == "tetwild":
         from cad.mesh.tetrahedralize import tetwild_gel_mesh
 
         mesh = tetwild_gel_mesh(pad, edge_mm, part=part)
     else:
-        mesh = even_gel_mesh(pad, edge_mm)
+        mesh = gel_mesh(pad, edge_mm)
     tell("quality")
     surface = tessellate_solid(part)
     quality = measure_quality(mesh, pad, cad_volume_mm3=part.solid.volume, cad_surface=surface)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cad.mesh.structured import structured_gel_mesh
+from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from sensors.registry import sensor_family
 from taccel_lab.geometry import TetMesh
 
@@ -40,12 +40,12 @@ def press_mesh(
     """
     options = options or PressMeshOptions()
     found = sensor_family(family)
-    return structured_gel_mesh(
-        found.pad(found.parameters(parameters)),
-        focus_mm=at_mm,
-        focus_radius_mm=options.fine_radii * contact_radius_mm,
-        focus_size_mm=contact_radius_mm / options.elements_per_radius,
+    focus = FocusOptions(
+        at_mm=at_mm,
+        radius_mm=options.fine_radii * contact_radius_mm,
+        size_mm=contact_radius_mm / options.elements_per_radius,
         core=options.core,
         rings=options.rings,
         layers=options.layers,
     )
+    return focused_gel_mesh(found.pad(found.parameters(parameters)), focus)

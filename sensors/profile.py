@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+from cad.mesh.gel_mesh import gel_mesh
 from cad.mesh.quality import MeshQuality, measure_quality, require_quality
-from cad.mesh.structured import even_gel_mesh
 from sensors.base import FamilyParameters, SensorFamily
 from sensors.registry import sensor_family
 from taccel_lab.geometry import TetMesh
@@ -87,7 +87,7 @@ def catalogue_profile(name: str) -> SensorProfile:
     """Profile of a catalogue sensor with its default parameters and the structured mesh."""
     family = sensor_family(name)
     parameters = family.parameters()
-    mesh = even_gel_mesh(parameters.pad())
+    mesh = gel_mesh(parameters.pad())
     quality = measure_quality(mesh, parameters.pad())
     require_quality(mesh, quality)
     return designed_profile(family, parameters, mesh, quality, mesher="structured")

@@ -43,6 +43,7 @@ ALLOWED = {
         "taccel_lab.geometry",
         "taccel_lab.errors",
         "taccel_lab.output",
+        "taccel_lab.optics.description",
     ),
     "calibration": ("calibration", "sensors", "taccel_lab"),
     "benchmarks": ("benchmarks", "calibration", "sensors", "cad", "taccel_lab"),

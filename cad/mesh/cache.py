@@ -19,7 +19,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.output import atomic_file, to_jsonable
 
 CACHE_VARIABLE = "TACCEL_LAB_CACHE"
-_ARRAYS = ("nodes_m", "tets", "faces", "face_regions")
+_ARRAYS = ("nodes_m", "tets", "faces", "face_regions", "tet_layers")
 
 
 def cache_folder() -> Path:

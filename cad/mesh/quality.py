@@ -16,7 +16,7 @@ import numpy as np
 from cad.mesh.closest import ClosestPoint, surface_samples
 from cad.mesh.quality_measures import dihedral_angles_deg, mean_ratios
 from cad.mesh.surface import LabelledSurface, check_closed
-from cad.parts.gel_pad import GelPad
+from cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
@@ -44,9 +44,9 @@ class MeshQuality:
     """Longest edge of the boundary [mm]."""
     volume_mm3: float
     back_plane_error_mm: float
-    """Greatest distance of a glued node from the plane z = -thickness [mm]."""
+    """Greatest distance of a glued node from the surface it is glued to [mm]."""
     contact_error_mm: float
-    """Greatest vertical distance of a contact node from the pad's height formula [mm]."""
+    """Greatest distance of a contact node from the formula of the contact face [mm]."""
     region_areas_mm2: dict[str, float]
     volume_error_percent: float | None = None
     """Volume against the CAD solid, negative when the mesh is smaller."""
@@ -62,7 +62,7 @@ class MeshQuality:
 
 def measure_quality(
     mesh: TetMesh,
-    pad: GelPad,
+    pad: Pad,
     *,
     cad_volume_mm3: float | None = None,
     cad_surface: LabelledSurface | None = None,
@@ -75,7 +75,7 @@ def measure_quality(
     ratios = mean_ratios(nodes, mesh.tets)
     edges = np.linalg.norm(nodes[mesh.faces] - nodes[np.roll(mesh.faces, 1, axis=1)], axis=-1)
     volume = float(mesh.volumes_m3().sum() * 1e9)
-    contact = nodes[mesh.region_nodes(Region.CONTACT)]
+    contact, bonded = nodes[mesh.region_nodes(Region.CONTACT)], nodes[mesh.bonded_nodes()]
     surface = LabelledSurface(nodes, mesh.faces, mesh.face_regions)
     areas = surface.areas_mm2()
     hausdorff = rms = volume_error = None
@@ -97,11 +97,9 @@ def measure_quality(
         max_edge_mm=float(edges.max()),
         volume_mm3=volume,
         back_plane_error_mm=float(
-            np.abs(nodes[mesh.bonded_nodes(), 2] + pad.thickness_mm).max(initial=0)
+            np.linalg.norm(bonded - pad.bond_projection_mm(bonded), axis=1).max(initial=0)
         ),
-        contact_error_mm=float(
-            np.abs(contact[:, 2] - pad.height_mm(contact[:, :2])).max(initial=0)
-        ),
+        contact_error_mm=float(pad.contact_error_mm(contact).max(initial=0)),
         region_areas_mm2={
             r.name.lower(): float(areas[mesh.face_regions == int(r)].sum()) for r in Region
         },

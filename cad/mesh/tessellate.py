@@ -13,14 +13,14 @@ from OCP.TopAbs import TopAbs_Orientation
 from OCP.TopLoc import TopLoc_Location
 
 from cad.mesh.surface import LabelledSurface, check_closed, weld
-from cad.parts.gel_pad_solid import GelPadSolid
+from cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.errors import InputError
 
 _WELD_MM = 1e-5
 
 
 def tessellate_solid(
-    part: GelPadSolid, *, tolerance_mm: float = 0.003, angle_rad: float = 0.05
+    part: LabelledSolid, *, tolerance_mm: float = 0.003, angle_rad: float = 0.05
 ) -> LabelledSurface:
     """Triangulate ``part`` to about ``tolerance_mm``, faces welded, each triangle labelled.
 

@@ -16,7 +16,8 @@ from cad.mesh.regions import transfer_regions
 from cad.mesh.surface import LabelledSurface
 from cad.mesh.tessellate import tessellate_solid
 from cad.parts.gel_pad import GelPad
-from cad.parts.gel_pad_solid import GelPadSolid, gel_pad_solid
+from cad.parts.gel_pad_solid import gel_pad_solid
+from cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
@@ -30,7 +31,7 @@ def tetwild_gel_mesh(
     edge_mm: float = 1.0,
     *,
     epsilon: float = 5e-4,
-    part: GelPadSolid | None = None,
+    part: LabelledSolid | None = None,
     use_cache: bool = True,
 ) -> TetMesh:
     """Mesh ``pad`` with tets of about ``edge_mm``; its surface keeps within epsilon x diagonal.
@@ -51,7 +52,7 @@ def tetwild_gel_mesh(
     if not use_cache:
         return _mesh(pad, surface, edge_mm, epsilon)
     recipe = {
-        "mesher": "tetwild-1",
+        "mesher": "tetwild-2",
         "vertices": surface.vertices_mm.round(6),
         "triangles": surface.triangles,
         "regions": surface.regions,

@@ -12,21 +12,27 @@ along the edge between the wall and the tangent plane of the crown, exact for a 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cad.parameters import ParameterSet, parameter
+from cad.parameters import parameter
+from cad.parts.pad import Pad
 from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    from cad.parts.labelled_solid import LabelledSolid
 
 _NEUTRAL = "neutral value; a sensor family sets its own"
 MIN_WALL_MM = 0.3
 """Least height of the wall above the glued back [mm]: thinner edges tear and mesh badly."""
 MIN_WINDOW_MARGIN_MM = 0.2
 """Least distance between the window and the outline [mm]."""
+_SLOPE_STEP_MM = 1e-4
 
 
 @dataclass(frozen=True)
-class GelPad(ParameterSet):
+class GelPad(Pad):
     """Dimensions of one gel pad [mm]."""
 
     length_x_mm: float = parameter(
@@ -199,3 +205,49 @@ class GelPad(ParameterSet):
     def min_wall_mm(self) -> float:
         """Least height of the wall above the glued back [mm]."""
         return float(self.thickness_mm + self.height_mm(self.outline_mm(64)).min())
+
+    def bounds_mm(self) -> np.ndarray:
+        """Lowest and highest corner of the bounding box [mm], shape [2, 3]."""
+        x, y = self.length_x_mm / 2, self.length_y_mm / 2
+        return np.array([[-x, -y, -self.thickness_mm], [x, y, 0.0]])
+
+    def top_mm(self, xy_mm: np.ndarray) -> np.ndarray:
+        """z of the contact face over gel xy [mm], NaN beside the pad; [..., 2] -> [...]."""
+        inside = self.inside_distance_mm(xy_mm) >= 0
+        return np.where(inside, self.height_mm(xy_mm), np.nan)
+
+    def top_normal(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Outward unit normal of the contact face, NaN beside the pad; [..., 2] -> [..., 3]."""
+        xy = np.asarray(xy_mm, dtype=np.float64)
+        steps = _SLOPE_STEP_MM * np.eye(2)
+        slopes = [
+            (self.height_mm(xy + step) - self.height_mm(xy - step)) / (2 * _SLOPE_STEP_MM)
+            for step in steps
+        ]
+        normal = np.stack([-slopes[0], -slopes[1], np.ones_like(slopes[0])], axis=-1)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        return np.where(self.inside_distance_mm(xy)[..., None] >= 0, normal, np.nan)
+
+    def contact_error_mm(self, points_mm: np.ndarray) -> np.ndarray:
+        """Vertical distance of points from the contact face's formula [mm], [n, 3] -> [n]."""
+        return np.abs(points_mm[:, 2] - self.height_mm(points_mm[:, :2]))
+
+    def bond_projection_mm(self, points_mm: np.ndarray) -> np.ndarray:
+        """Points moved to the plane z = -thickness [mm], [n, 3] -> [n, 3]."""
+        moved = np.array(points_mm, dtype=np.float64)
+        moved[:, 2] = -self.thickness_mm
+        return moved
+
+    def labelled_solid(self) -> LabelledSolid:
+        """The body as a CAD solid with labelled faces; see ``gel_pad_solid``."""
+        from cad.parts.gel_pad_solid import gel_pad_solid
+
+        return gel_pad_solid(self)
+
+    def figures(self) -> dict[str, float]:
+        """What a drawing states beside the parameters [mm]."""
+        corner = np.array([[self.window_x_mm / 2, self.window_y_mm / 2]])
+        return {
+            "wall_height_min": self.min_wall_mm(),
+            "crown_drop_at_window_corner": -float(self.crown_mm(corner)[0]),
+        }

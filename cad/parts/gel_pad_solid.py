@@ -6,8 +6,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from build123d import (
     Axis,
@@ -30,6 +28,7 @@ from OCP.Standard import Standard_Failure
 from OCP.StdFail import StdFail_NotDone
 
 from cad.parts.gel_pad import GelPad
+from cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -39,25 +38,7 @@ _SURFACE_TOLERANCE_MM = 1e-4
 _PLANE_TOLERANCE_MM = 1e-6
 
 
-@dataclass(frozen=True)
-class GelPadSolid:
-    """A solid in millimetres and what each of its faces is for."""
-
-    solid: Solid
-    regions: list[Region]
-    """Region of each face, in the order of ``solid.faces()``."""
-
-    def faces(self, region: Region) -> list[Face]:
-        """Faces of one region."""
-        pairs = zip(self.solid.faces(), self.regions, strict=True)
-        return [face for face, found in pairs if found == region]
-
-    def area_mm2(self, region: Region) -> float:
-        """Area of one region [mm^2]."""
-        return float(sum(face.area for face in self.faces(region)))
-
-
-def gel_pad_solid(pad: GelPad) -> GelPadSolid:
+def gel_pad_solid(pad: GelPad) -> LabelledSolid:
     """Build the solid of ``pad``: extruded outline, crowned top, rim, window imprinted on the back.
 
     Raises InputError when the CAD kernel cannot build the combination.
@@ -80,7 +61,7 @@ def gel_pad_solid(pad: GelPad) -> GelPadSolid:
             f"the CAD kernel built an invalid solid for rim {pad.rim!r} of {pad.rim_mm:g} mm; "
             "use a smaller rim_mm or larger crown radii"
         )
-    return GelPadSolid(body, [_face_region(pad, face) for face in body.faces()])
+    return LabelledSolid(body, [_face_region(pad, face) for face in body.faces()])
 
 
 def _single(part: Shape | ShapeList | None) -> Solid:

@@ -36,6 +36,9 @@ class TetMesh:
     """Boundary triangles, outward (right-hand rule), int32, shape [face_count, 3]."""
     face_regions: np.ndarray
     """``Region`` of each face, int32, shape [face_count]."""
+    tet_layers: np.ndarray = None  # type: ignore[assignment]  # __post_init__ fills it in
+    """Layer of each tet, int32, shape [tet_count]: 0 the gel proper, 1 a skin over it; all 0 when
+    None."""
 
     def __post_init__(self) -> None:
         for name, dtype, width in (
@@ -53,6 +56,14 @@ class TetMesh:
                 f"TetMesh.face_regions has shape {regions.shape}, expected [{len(self.faces)}]"
             )
         object.__setattr__(self, "face_regions", regions)
+        given = self.tet_layers
+        layers = np.zeros(len(self.tets), np.int32) if given is None else np.asarray(given)
+        if layers.shape != (len(self.tets),) or layers.min() < 0:
+            raise InputError(
+                f"TetMesh.tet_layers must be {len(self.tets)} whole numbers from 0, got shape "
+                f"{layers.shape}"
+            )
+        object.__setattr__(self, "tet_layers", np.ascontiguousarray(layers, dtype=np.int32))
         if not np.isfinite(self.nodes_m).all():
             raise InputError("TetMesh.nodes_m holds NaN or infinite coordinates")
         if self.tets.min() < 0 or self.tets.max() >= len(self.nodes_m):

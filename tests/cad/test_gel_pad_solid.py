@@ -13,7 +13,8 @@ from build123d import import_step
 from cad.export import dimensions, write_step, write_stl
 from cad.mesh.tessellate import tessellate_solid
 from cad.parts.gel_pad import GelPad
-from cad.parts.gel_pad_solid import GelPadSolid, gel_pad_solid
+from cad.parts.gel_pad_solid import gel_pad_solid
+from cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -22,7 +23,7 @@ OUTLINE_AREA = 24 * 20 - (4 - np.pi) * 2**2
 
 
 @pytest.fixture(scope="module")
-def dome() -> GelPadSolid:
+def dome() -> LabelledSolid:
     return gel_pad_solid(GelPad(**DOME))
 
 
@@ -71,7 +72,7 @@ def test_solid_and_formulas_agree(values: dict[str, object], tolerance: float) -
     np.testing.assert_allclose(top[inside, 2], pad.height_mm(top[inside, :2]), atol=2e-4)
 
 
-def test_step_comes_back_with_volume_and_face_names(dome: GelPadSolid, tmp_path: Path) -> None:
+def test_step_comes_back_with_volume_and_face_names(dome: LabelledSolid, tmp_path: Path) -> None:
     path = tmp_path / "pad.step"
     write_step(dome, path)
     again = import_step(path)
@@ -81,7 +82,7 @@ def test_step_comes_back_with_volume_and_face_names(dome: GelPadSolid, tmp_path:
     assert set(names) == {"contact", "bond", "window", "side"}
 
 
-def test_stl_is_closed_and_in_millimetres(dome: GelPadSolid, tmp_path: Path) -> None:
+def test_stl_is_closed_and_in_millimetres(dome: LabelledSolid, tmp_path: Path) -> None:
     import pyvista as pv
 
     path = tmp_path / "pad.stl"
@@ -92,7 +93,7 @@ def test_stl_is_closed_and_in_millimetres(dome: GelPadSolid, tmp_path: Path) -> 
     assert surface.volume == pytest.approx(dome.solid.volume, rel=5e-4)
 
 
-def test_tessellation_is_closed_outward_and_close(dome: GelPadSolid) -> None:
+def test_tessellation_is_closed_outward_and_close(dome: LabelledSolid) -> None:
     surface = tessellate_solid(dome)
     assert surface.volume_mm3() == pytest.approx(dome.solid.volume, rel=5e-4)
     normals = surface.normals()
@@ -102,7 +103,7 @@ def test_tessellation_is_closed_outward_and_close(dome: GelPadSolid) -> None:
     assert np.abs(normals[surface.regions == Region.SIDE, 2]).max() < 1e-3
 
 
-def test_dimensions_measure_the_solid(dome: GelPadSolid) -> None:
+def test_dimensions_measure_the_solid(dome: LabelledSolid) -> None:
     found = dimensions(dome, GelPad(**DOME))
     np.testing.assert_allclose(found["bounding_box_min"], [-12, -10, -5], atol=1e-6)
     # The box of an analytic sphere face may be padded by the kernel's tolerance.
@@ -111,6 +112,6 @@ def test_dimensions_measure_the_solid(dome: GelPadSolid) -> None:
     assert found["crown_drop_at_window_corner"] == pytest.approx(drop)
 
 
-def test_tessellation_tolerance_has_bounds(dome: GelPadSolid) -> None:
+def test_tessellation_tolerance_has_bounds(dome: LabelledSolid) -> None:
     with pytest.raises(InputError, match="tolerance_mm"):
         tessellate_solid(dome, tolerance_mm=0)

@@ -256,7 +256,7 @@ def test_foreign_outputs_are_refused_before_any_work(
     for name in (
         "calibration.capture.load_captures",
         "taccel_lab.cli.press.load_sensor",
-        "sensors.design.GelPad",
+        "sensors.design.gel_mesh",
     ):
         monkeypatch.setattr(name, never)
     refuse(command, words, capsys, (out,))

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One door to the structured meshers: the mesh of any pad, even or fine around a contact.
+
+Structured meshes keep their connectivity over every change of a pad's dimensions, and their size is
+known beforehand, so that a sweep over designs is one batch of environments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cad.mesh.structured import even_gel_mesh, structured_gel_mesh
+from cad.parts.gel_pad import GelPad
+from cad.parts.pad import Pad
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+
+DEFAULT_EDGE_MM = 1.0
+
+
+@dataclass(frozen=True)
+class FocusOptions:
+    """Where and how finely a mesh resolves a contact; counts alone set the connectivity."""
+
+    at_mm: tuple[float, float]
+    """Gel xy of the contact."""
+    radius_mm: float
+    """Radius of the fine part."""
+    size_mm: float
+    """Element size in the fine part."""
+    core: int = 12
+    rings: int = 20
+    layers: int = 4
+
+
+def gel_mesh(pad: Pad, edge_mm: float = DEFAULT_EDGE_MM) -> TetMesh:
+    """Structured mesh of ``pad`` whose elements are about ``edge_mm`` long."""
+    if isinstance(pad, GelPad):
+        return even_gel_mesh(pad, edge_mm)
+    raise InputError(f"no structured mesher for {type(pad).__name__}; use the mesher tetwild")
+
+
+def focused_gel_mesh(pad: Pad, focus: FocusOptions) -> TetMesh:
+    """Structured mesh of ``pad``, fine around a contact, of the same connectivity anywhere."""
+    if isinstance(pad, GelPad):
+        return structured_gel_mesh(
+            pad,
+            focus_mm=focus.at_mm,
+            focus_radius_mm=focus.radius_mm,
+            focus_size_mm=focus.size_mm,
+            core=focus.core,
+            rings=focus.rings,
+            layers=focus.layers,
+        )
+    raise InputError(f"no focused mesher for {type(pad).__name__}")

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A B-rep solid whose faces know what they are for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from build123d import Face, Solid
+
+from taccel_lab.geometry import Region
+
+
+@dataclass(frozen=True)
+class LabelledSolid:
+    """A solid in millimetres and what each of its faces is for."""
+
+    solid: Solid
+    regions: list[Region]
+    """Region of each face, in the order of ``solid.faces()``."""
+
+    def faces(self, region: Region) -> list[Face]:
+        """Faces of one region."""
+        pairs = zip(self.solid.faces(), self.regions, strict=True)
+        return [face for face, found in pairs if found == region]
+
+    def area_mm2(self, region: Region) -> float:
+        """Area of one region [mm^2]."""
+        return float(sum(face.area for face in self.faces(region)))

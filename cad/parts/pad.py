@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every gel pad provides: formulas of its surfaces, its solid, its layers.
+
+The gel frame in millimetres: x right and y down in the tactile image, z out of the gel, origin at
+the apex of the undeformed contact face. Solid, meshes, quality and tests all read the shape from
+here, so that each formula stands once.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from cad.parameters import ParameterSet
+
+if TYPE_CHECKING:
+    from cad.parts.labelled_solid import LabelledSolid
+
+
+class Pad(ParameterSet, ABC):
+    """A gel body [mm]; subclasses are frozen dataclasses of ``parameter``."""
+
+    layer_names: ClassVar[tuple[str, ...]] = ("gel",)
+    """Materials of the body by layer index; 0 is the gel proper, 1 a skin over it."""
+
+    thickness_mm: float
+    """Gel under the apex, down to what it is glued to [mm]."""
+
+    @abstractmethod
+    def bounds_mm(self) -> np.ndarray:
+        """Lowest and highest corner of the bounding box [mm], shape [2, 3]."""
+
+    @abstractmethod
+    def top_mm(self, xy_mm: np.ndarray) -> np.ndarray:
+        """z of the contact face over gel xy [mm], NaN beside it; [..., 2] -> [...]."""
+
+    @abstractmethod
+    def top_normal(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Outward unit normal of the contact face over gel xy, NaN beside it; [..., 2] ->
+        [..., 3]."""
+
+    @abstractmethod
+    def contact_error_mm(self, points_mm: np.ndarray) -> np.ndarray:
+        """Distance of points from the contact face's formula [mm], [n, 3] -> [n]."""
+
+    @abstractmethod
+    def bond_projection_mm(self, points_mm: np.ndarray) -> np.ndarray:
+        """Closest points on the glued surface (bond and window) [mm], [n, 3] -> [n, 3]."""
+
+    @abstractmethod
+    def labelled_solid(self) -> LabelledSolid:
+        """The body as a CAD solid with labelled faces.
+
+        Raises:
+            InputError: The CAD kernel cannot build the combination; says which bound it breaks.
+        """
+
+    @abstractmethod
+    def figures(self) -> dict[str, float]:
+        """What a drawing states beside the parameters, such as wall heights [mm]."""
+
+    def layer_of(self, points_mm: np.ndarray) -> np.ndarray:
+        """Index into ``layer_names`` of points inside the body, int32, [n, 3] -> [n]."""
+        return np.zeros(len(points_mm), dtype=np.int32)

@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camera, lights and what a sensor would look like before it is built."""
+
+from taccel_lab.optics.description import Camera, Coating, Light, MarkerGrid, OpticalDesign, Window
+
+__all__ = ["Camera", "Coating", "Light", "MarkerGrid", "OpticalDesign", "Window"]

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The optics of a sensor as plain, checked data: camera, lights, coating, window, markers.
+
+Lengths in millimetres in the gel frame (x right and y down in the image, z out of the gel, origin
+at the apex of the contact face): the camera sits at negative z and looks along +z.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+Triple = tuple[float, float, float]
+
+
+def _finite(name: str, values: tuple[float, ...], count: int | None = None) -> None:
+    if count is not None and len(values) != count:
+        raise InputError(f"{name} must be {count} numbers, got {values}")
+    if not all(math.isfinite(v) for v in values):
+        raise InputError(f"{name} must be finite, got {values}")
+
+
+def _in_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        raise InputError(f"{name} must lie in [{low:g}, {high:g}]{unit}, got {value}")
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A physical camera: intrinsics, distortion, pose and what decides its depth of field."""
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    """Column of the principal point; pixel centres are whole numbers."""
+    cy_px: float
+    position_mm: Triple
+    """Centre of projection in the gel frame."""
+    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """gel_from_camera, quaternion x, y, z, w; the camera looks along its +z, x right, y down."""
+    model: Literal["pinhole", "fisheye"] = "pinhole"
+    """pinhole: OpenCV's rational model; fisheye: OpenCV's (Kannala and Brandt) model."""
+    distortion: tuple[float, ...] = ()
+    """OpenCV's order: pinhole k1 k2 p1 p2 [k3 [k4 k5 k6]], fisheye k1 k2 k3 k4; () for none."""
+    focus_mm: float = 0.0
+    """Distance of sharp focus along the optical axis; 0 when unknown."""
+    aperture_mm: float = 0.0
+    """Diameter of the entrance pupil; 0 when unknown, a pinhole."""
+
+    def __post_init__(self) -> None:
+        for name in ("width_px", "height_px"):
+            _in_range(f"camera {name}", getattr(self, name), 2, 20_000)
+        for name in ("fx_px", "fy_px"):
+            _in_range(f"camera {name}", getattr(self, name), 1.0, 1e6, " px")
+        _finite("camera cx_px, cy_px", (self.cx_px, self.cy_px))
+        _finite("camera position_mm", self.position_mm, 3)
+        _finite("camera rotation", self.rotation, 4)
+        if abs(math.hypot(*self.rotation) - 1) > 1e-6:
+            raise InputError(f"camera rotation must be a unit quaternion, got {self.rotation}")
+        allowed = {"pinhole": (0, 4, 5, 8), "fisheye": (0, 4)}
+        if self.model not in allowed:
+            raise InputError(f"camera model must be pinhole or fisheye, got {self.model!r}")
+        if len(self.distortion) not in allowed[self.model]:
+            raise InputError(
+                f"a {self.model} camera takes {allowed[self.model]} distortion coefficients, got "
+                f"{len(self.distortion)}"
+            )
+        _finite("camera distortion", self.distortion)
+        _in_range("camera focus_mm", self.focus_mm, 0.0, 1e4, " mm")
+        _in_range("camera aperture_mm", self.aperture_mm, 0.0, 100.0, " mm")
+
+    def gel_from_camera(self) -> np.ndarray:
+        """Rotation matrix that turns directions of the camera into the gel frame, [3, 3]."""
+        x, y, z, w = self.rotation
+        return np.array([
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Light:
+    """A rectangular LED (a point when its size is zero) with a cos^n lobe."""
+
+    position_mm: Triple
+    direction: Triple
+    """Axis of emission, unit length."""
+    rgb: Triple
+    """Radiant power by colour channel of the camera, relative to the other lights."""
+    size_mm: tuple[float, float] = (0.0, 0.0)
+    """Width and height of the emitting face; its width lies as near to the xy plane as can be."""
+    lobe: float = 1.0
+    """Exponent n of the lobe cos^n; 1 is a Lambertian emitter."""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _finite("light position_mm", self.position_mm, 3)
+        _finite("light direction", self.direction, 3)
+        if abs(math.hypot(*self.direction) - 1) > 1e-6:
+            raise InputError(f"light direction must have unit length, got {self.direction}")
+        _finite("light rgb", self.rgb, 3)
+        if min(self.rgb) < 0 or max(self.rgb) <= 0:
+            raise InputError(f"light rgb must be >= 0 with at least one above, got {self.rgb}")
+        for value in self.size_mm:
+            _in_range("light size_mm", value, 0.0, 200.0, " mm")
+        _in_range("light lobe", self.lobe, 0.0, 200.0)
+
+
+@dataclass(frozen=True)
+class Coating:
+    """The reflective skin under the contact face: a Lambertian part and a glossy lobe."""
+
+    albedo_rgb: Triple = (0.5, 0.5, 0.5)
+    """Diffuse reflectance by channel, 0..1."""
+    specular: float = 0.0
+    """Weight of the glossy lobe, 0..1."""
+    roughness: float = 0.5
+    """Width of the glossy lobe (GGX alpha), 0.02..1."""
+    thickness_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        _finite("coating albedo_rgb", self.albedo_rgb, 3)
+        for value in self.albedo_rgb:
+            _in_range("coating albedo_rgb", value, 0.0, 1.0)
+        _in_range("coating specular", self.specular, 0.0, 1.0)
+        _in_range("coating roughness", self.roughness, 0.02, 1.0)
+        _in_range("coating thickness_mm", self.thickness_mm, 0.0, 5.0, " mm")
+
+
+@dataclass(frozen=True)
+class Window:
+    """The rigid transparent part behind the gel: a plate, or a dome shell of given radius."""
+
+    thickness_mm: float
+    size_mm: tuple[float, float]
+    """Extents along x and y."""
+    refractive_index: float = 1.49
+    shape: Literal["plate", "dome"] = "plate"
+    outer_radius_mm: float = 0.0
+    """Of a dome: radius of the face that the gel is glued to."""
+
+    def __post_init__(self) -> None:
+        _in_range("window thickness_mm", self.thickness_mm, 0.05, 100.0, " mm")
+        for value in self.size_mm:
+            _in_range("window size_mm", value, 0.5, 300.0, " mm")
+        _in_range("window refractive_index", self.refractive_index, 1.0, 2.5)
+        if self.shape not in ("plate", "dome"):
+            raise InputError(f"window shape must be plate or dome, got {self.shape!r}")
+        if self.shape == "dome" and not self.thickness_mm < self.outer_radius_mm <= 200:
+            raise InputError(
+                f"a dome window needs an outer_radius_mm above its thickness "
+                f"{self.thickness_mm:g} mm and up to 200 mm, got {self.outer_radius_mm:g}"
+            )
+
+
+@dataclass(frozen=True)
+class MarkerGrid:
+    """Dots painted on the contact face in a regular grid centred on the image."""
+
+    rows: int
+    columns: int
+    pitch_x_mm: float
+    pitch_y_mm: float
+    radius_mm: float
+    offset_mm: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "columns"):
+            _in_range(f"marker {name}", getattr(self, name), 1, 500)
+        for name in ("pitch_x_mm", "pitch_y_mm"):
+            _in_range(f"marker {name}", getattr(self, name), 0.1, 50.0, " mm")
+        least = min(self.pitch_x_mm, self.pitch_y_mm)
+        _in_range("marker radius_mm", self.radius_mm, 0.01, least / 2, " mm (half of the pitch)")
+        _finite("marker offset_mm", self.offset_mm, 2)
+
+    def points_mm(self) -> np.ndarray:
+        """Gel xy of the dots [mm], row by row, shape [rows * columns, 2]."""
+        x = (np.arange(self.columns) - (self.columns - 1) / 2) * self.pitch_x_mm
+        y = (np.arange(self.rows) - (self.rows - 1) / 2) * self.pitch_y_mm
+        grid = np.stack(np.meshgrid(x, y, indexing="xy"), axis=-1).reshape(-1, 2)
+        return grid + np.array(self.offset_mm)
+
+
+@dataclass(frozen=True)
+class OpticalDesign:
+    """Everything that decides what the camera sees of the gel."""
+
+    camera: Camera
+    lights: tuple[Light, ...]
+    coating: Coating = Coating()
+    window: Window | None = None
+    """None when nothing rigid and transparent stands between camera and gel."""
+    gel_refractive_index: float = 1.41
+    ambient_rgb: Triple = (0.0, 0.0, 0.0)
+    """Light that reaches every point of the coating alike (many times reflected in the housing)."""
+
+    def __post_init__(self) -> None:
+        if not self.lights:
+            raise InputError("an optical design needs at least one light")
+        _in_range("gel_refractive_index", self.gel_refractive_index, 1.0, 2.5)
+        _finite("ambient_rgb", self.ambient_rgb, 3)
