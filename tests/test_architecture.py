@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("taccel_lab", "sensors", "calibration", "cad", "benchmarks")
+PACKAGES = ("taccel_lab", "sensors", "calibration", "cad", "studies", "benchmarks")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 HEAVY = (
@@ -46,9 +46,10 @@ ALLOWED = {
         "taccel_lab.optics.description",
     ),
     "calibration": ("calibration", "sensors", "taccel_lab"),
-    "benchmarks": ("benchmarks", "calibration", "sensors", "cad", "taccel_lab"),
+    "studies": ("studies", "sensors", "cad", "taccel_lab"),
+    "benchmarks": ("benchmarks", "calibration", "studies", "sensors", "cad", "taccel_lab"),
     "taccel_lab": ("taccel_lab",),
-    "taccel_lab.cli": ("taccel_lab", "calibration", "sensors", "cad"),
+    "taccel_lab.cli": ("taccel_lab", "calibration", "studies", "sensors", "cad"),
     "taccel_lab.cli.bench": ("taccel_lab", "benchmarks"),
 }
 

@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of merit of a design, one concept a file; importing this package registers them all."""
+
+from studies.metrics.base import METRICS, Metric, Unavailable
+
+__all__ = ["METRICS", "Metric", "Unavailable"]

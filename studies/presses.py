@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The standard presses: what every design of a study goes through.
+
+Indenters have fixed sizes, so that designs are compared on the same objects; depths follow the
+thickness of the gel, so that thin and thick gels are loaded alike.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.envs import parse_indenter
+from taccel_lab.errors import InputError
+
+CENTRE = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """Where the indenter stands at the end of a step."""
+
+    depth: float
+    """Part of the full depth."""
+    shear: float = 0.0
+    """Part of the full shear."""
+    twist: float = 0.0
+    """Part of the full twist."""
+
+
+@dataclass(frozen=True)
+class StandardPress:
+    """One press of a study: an indenter, or several that differ in size, in one or more places."""
+
+    name: str
+    indenters: tuple[str, ...]
+    """As ``parse_indenter`` reads them; each one is a simulation of its own."""
+    contact_mm: float
+    """Half of the widest part of the contact that the mesh has to resolve [mm]."""
+    feature_mm: float
+    """Smallest detail of the contact [mm]: a radius, a ridge, a gap."""
+    depth_fraction: float = 0.0
+    """Full depth as a part of the gel's thickness under the press; or else ``depth_mm``."""
+    depth_mm: float = 0.0
+    """Full depth past first touch [mm]; or else ``depth_fraction``."""
+    depth_limit_mm: float = math.inf
+    """Largest full depth [mm], whatever ``depth_fraction`` gives."""
+    steps: int = 6
+    """Steps down to the full depth."""
+    shear_fraction: float = 0.0
+    """Sideways motion along x at full depth, as a part of that depth."""
+    twist_deg: float = 0.0
+    """Turn about the press's axis at full depth."""
+    shear_steps: int = 4
+    twist_steps: int = 2
+    shear_back: bool = False
+    """Whether the indenter goes back sideways before it turns."""
+    release: bool = False
+    """Whether the indenter goes up again, by the steps it came down."""
+    places: tuple[tuple[float, float], ...] = (CENTRE,)
+    """Where, in parts of half of the camera's view along x and y: (0, 0) is its centre."""
+
+    def __post_init__(self) -> None:
+        if not self.name or not self.name.isidentifier():
+            raise InputError(f"the name of a press must be a word, got {self.name!r}")
+        if not self.indenters or not self.places:
+            raise InputError(f"press {self.name}: needs at least one indenter and one place")
+        for text in self.indenters:
+            parse_indenter(text)
+        if (self.depth_fraction > 0) == (self.depth_mm > 0):
+            raise InputError(
+                f"press {self.name}: give either depth_fraction or depth_mm, got "
+                f"{self.depth_fraction:g} and {self.depth_mm:g}"
+            )
+        for name, low, high in (
+            ("depth_fraction", 0.0, 0.8), ("depth_mm", 0.0, 50.0), ("shear_fraction", -4.0, 4.0),
+            ("twist_deg", -90.0, 90.0), ("contact_mm", 0.05, 50.0), ("feature_mm", 0.01, 50.0),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not (math.isfinite(value) and low <= value <= high):
+                raise InputError(
+                    f"press {self.name}: {name} must lie in [{low:g}, {high:g}], got {value}"
+                )
+        if not self.depth_limit_mm > 0:
+            raise InputError(
+                f"press {self.name}: depth_limit_mm must be above 0, got {self.depth_limit_mm}"
+            )
+        for name in ("steps", "shear_steps", "twist_steps"):
+            if not 1 <= getattr(self, name) <= 200:
+                raise InputError(
+                    f"press {self.name}: {name} must lie in 1..200, got {getattr(self, name)}"
+                )
+        if not (np.abs(np.asarray(self.places)) <= 1).all():
+            raise InputError(
+                f"press {self.name}: places are parts of half of the view, in [-1, 1], got "
+                f"{self.places}"
+            )
+
+    def full_depth_mm(self, thickness_mm: float) -> float:
+        """Full depth [mm] on a gel that is ``thickness_mm`` thick under the press."""
+        wanted = self.depth_mm or self.depth_fraction * thickness_mm
+        return min(wanted, self.depth_limit_mm)
+
+    def waypoints(self) -> list[Waypoint]:
+        """End of each step: down, sideways [and back], turned, up."""
+        path = [Waypoint((i + 1) / self.steps) for i in range(self.steps)]
+        shear = 0.0
+        if self.shear_fraction:
+            n = self.shear_steps
+            path += [Waypoint(1.0, (i + 1) / n) for i in range(n)]
+            if self.shear_back:
+                path += [Waypoint(1.0, (n - 1 - i) / n) for i in range(n)]
+            shear = path[-1].shear
+        if self.twist_deg:
+            path += [
+                Waypoint(1.0, shear, (i + 1) / self.twist_steps) for i in range(self.twist_steps)
+            ]
+        if self.release:
+            twist = path[-1].twist
+            path += [Waypoint(i / self.steps, shear, twist) for i in range(self.steps - 1, -1, -1)]
+        return path
+
+
+_CORNERS = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+
+STANDARD_PRESSES: dict[str, StandardPress] = {
+    press.name: press
+    for press in (
+        StandardPress(
+            "sphere", ("sphere:3",), contact_mm=3.0, feature_mm=3.0, depth_fraction=0.4,
+            depth_limit_mm=2.4, steps=6,
+        ),
+        StandardPress(
+            "punch", ("cylinder:2",), contact_mm=2.0, feature_mm=1.0, depth_fraction=0.15,
+            depth_limit_mm=0.8, steps=4,
+        ),
+        StandardPress(
+            "cylinder", ("roller:2x6",), contact_mm=3.0, feature_mm=2.0, depth_fraction=0.2,
+            depth_limit_mm=1.0, steps=4,
+        ),
+        StandardPress(
+            "edge", ("edge:90x6x0.1",), contact_mm=3.0, feature_mm=1.0, depth_fraction=0.15,
+            depth_limit_mm=0.6, steps=4,
+        ),
+        StandardPress(
+            "grating", ("grating:1.5x5x6",), contact_mm=3.5, feature_mm=0.75,
+            depth_fraction=0.1, depth_limit_mm=0.4, steps=3,
+        ),
+        StandardPress(
+            "shear", ("sphere:3",), contact_mm=2.0, feature_mm=3.0, depth_fraction=0.2,
+            depth_limit_mm=1.2, steps=3, shear_fraction=0.6, shear_back=True, twist_deg=8.0,
+        ),
+        StandardPress(
+            "pairs", ("pair:0.5x0.25", "pair:0.5x0.75", "pair:0.5x1.75"), contact_mm=2.0,
+            feature_mm=0.5, depth_fraction=0.1, depth_limit_mm=0.4, steps=3,
+        ),
+        StandardPress(
+            "places", ("sphere:3",), contact_mm=2.0, feature_mm=3.0, depth_fraction=0.15,
+            depth_limit_mm=0.8, steps=3, places=(CENTRE, *_CORNERS),
+        ),
+        StandardPress(
+            "release", ("sphere:3",), contact_mm=2.5, feature_mm=3.0, depth_fraction=0.3,
+            depth_limit_mm=1.8, steps=6, release=True,
+        ),
+    )
+}  # fmt: skip
+"""Known presses by name; the first six are those of a study that names none."""
+
+DEFAULT_PRESSES = tuple(list(STANDARD_PRESSES)[:6])
+
+
+def standard_presses(names: tuple[str, ...] | list[str] | None = None) -> list[StandardPress]:
+    """Presses by name, the default six when None; InputError lists the known ones."""
+    names = DEFAULT_PRESSES if names is None else names
+    for name in names:
+        if name not in STANDARD_PRESSES:
+            raise InputError(f"no press {name!r}; known: {', '.join(STANDARD_PRESSES)}")
+    return [STANDARD_PRESSES[name] for name in names]
