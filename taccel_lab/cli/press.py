@@ -37,7 +37,8 @@ class Press:
     depth_mm: float
     """Depth past first touch [mm]."""
     indenter: str = "sphere:2.0"
-    """sphere:RADIUS, cylinder:RADIUS, box:XxY or mesh:FILE (STL, PLY, OBJ), in mm."""
+    """sphere:RADIUS, cylinder:RADIUS, box:XxY, roller:RADIUSxLENGTH, edge:ANGLExLENGTH[xRADIUS],
+    grating:PITCHxRIDGESxLENGTH, pair:RADIUSxGAP or mesh:FILE (STL, PLY, OBJ), in mm and degrees."""
     at_mm: tuple[float, float] = (0.0, 0.0)
     """Gel x and y of the indenter's axis [mm]."""
     shear_mm: tuple[float, float] = (0.0, 0.0)

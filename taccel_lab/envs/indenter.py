@@ -1,24 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Indenters by name: ``sphere:2.0``, ``cylinder:3.0``, ``box:4x2``, ``mesh:part.stl`` (in mm)."""
+"""Indenters by name, such as ``sphere:2.0`` or ``edge:90x6x0.1``; lengths in mm, angles in deg."""
 
 from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from taccel_lab.envs.prisms import edge_mesh, grating_mesh, pair_mesh, roller_mesh
 from taccel_lab.errors import InputError
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
 
 ALLOWED = (
-    "sphere:RADIUS, cylinder:RADIUS (flat end), box:XxY (flat end) or mesh:FILE "
-    "(STL, PLY or OBJ; its -z side touches the gel); lengths in mm"
+    "sphere:RADIUS, cylinder:RADIUS (flat end), box:XxY (flat end), roller:RADIUSxLENGTH (lies "
+    "along y), edge:ANGLExLENGTH[xRADIUS] (wedge along y, opening angle in degrees), "
+    "grating:PITCHxRIDGESxLENGTH (ridges along y, half a pitch wide), pair:RADIUSxGAP (two round "
+    "pins along x) or mesh:FILE (STL, PLY or OBJ; its -z side touches the gel); lengths in mm"
 )
 _HEIGHT_M = 4e-3
 _SIZE_LIMITS_MM = (0.05, 100.0)
+_ANGLE_LIMITS_DEG = (10.0, 170.0)
+_RIDGE_LIMITS = (2, 100)
 
 
 @dataclass(frozen=True)
@@ -33,27 +39,91 @@ class Indenter:
 def parse_indenter(text: str) -> Indenter:
     """Read an indenter description; raises InputError that lists what is allowed."""
     kind, _, value = text.partition(":")
-    if kind == "sphere":
-        return Indenter(text, Ball(_length_m(text, value)))
-    if kind == "cylinder":
-        return Indenter(text, cylinder_mesh(_length_m(text, value), _HEIGHT_M))
-    if kind == "box":
-        x, cross, y = value.partition("x")
-        if not cross:
-            raise InputError(f"indenter {text!r} is not understood; allowed: {ALLOWED}")
-        return Indenter(text, box_mesh((_length_m(text, x), _length_m(text, y), _HEIGHT_M)))
     if kind == "mesh":
         return Indenter(text, _read_mesh(Path(value)))
-    raise InputError(f"indenter {text!r} is not understood; allowed: {ALLOWED}")
+    if kind not in _SHAPES:
+        raise InputError(f"indenter {text!r} is not understood; allowed: {ALLOWED}")
+    counts, build = _SHAPES[kind]
+    words = value.split("x", max(counts) - 1)
+    if len(words) not in counts:
+        raise InputError(f"indenter {text!r} is not understood; allowed: {ALLOWED}")
+    return Indenter(text, build(text, *words))
 
 
-def _length_m(text: str, value: str) -> float:
+def _sphere(text: str, radius: str) -> Ball:
+    return Ball(_length_m(text, radius))
+
+
+def _cylinder(text: str, radius: str) -> TriangleMesh:
+    return cylinder_mesh(_length_m(text, radius), _HEIGHT_M)
+
+
+def _box(text: str, x: str, y: str) -> TriangleMesh:
+    return box_mesh((_length_m(text, x), _length_m(text, y), _HEIGHT_M))
+
+
+def _roller(text: str, radius: str, length: str) -> TriangleMesh:
+    return roller_mesh(_length_m(text, radius), _length_m(text, length))
+
+
+def _edge(text: str, angle: str, length: str, radius: str = "") -> TriangleMesh:
+    opening = _number(text, angle)
+    low, high = _ANGLE_LIMITS_DEG
+    if not low <= opening <= high:
+        raise InputError(
+            f"indenter {text!r}: an opening angle must lie in [{low:g}, {high:g}] deg, got "
+            f"{angle} deg"
+        )
+    rounding = _length_m(text, radius) if radius else 0.0
     try:
-        length_mm = float(value)
+        return edge_mesh(opening, _length_m(text, length), rounding)
+    except InputError as error:
+        raise InputError(f"indenter {text!r}: {error}") from None
+
+
+def _grating(text: str, pitch: str, ridges: str, length: str) -> TriangleMesh:
+    count = _number(text, ridges)
+    low, high = _RIDGE_LIMITS
+    if count % 1 or not low <= count <= high:
+        raise InputError(
+            f"indenter {text!r}: the ridges must be a whole number in [{low}, {high}], got {ridges}"
+        )
+    pitch_m = _length_m(text, pitch)
+    if pitch_m * count * 1e3 > _SIZE_LIMITS_MM[1]:
+        raise InputError(
+            f"indenter {text!r} is {pitch_m * count * 1e3:g} mm wide; at most "
+            f"{_SIZE_LIMITS_MM[1]:g} mm is allowed"
+        )
+    return grating_mesh(pitch_m, int(count), _length_m(text, length))
+
+
+def _pair(text: str, radius: str, gap: str) -> TriangleMesh:
+    return pair_mesh(_length_m(text, radius), _length_m(text, gap))
+
+
+_SHAPES: dict[str, tuple[tuple[int, ...], Callable[..., Ball | TriangleMesh]]] = {
+    "sphere": ((1,), _sphere),
+    "cylinder": ((1,), _cylinder),
+    "box": ((2,), _box),
+    "roller": ((2,), _roller),
+    "edge": ((2, 3), _edge),
+    "grating": ((3,), _grating),
+    "pair": ((2,), _pair),
+}
+"""How many numbers follow each name, and what makes the shape of them."""
+
+
+def _number(text: str, value: str) -> float:
+    try:
+        return float(value)
     except ValueError:
         raise InputError(
             f"indenter {text!r}: {value!r} is not a number; allowed: {ALLOWED}"
         ) from None
+
+
+def _length_m(text: str, value: str) -> float:
+    length_mm = _number(text, value)
     low, high = _SIZE_LIMITS_MM
     if not (math.isfinite(length_mm) and low <= length_mm <= high):
         raise InputError(
