@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""STL files in millimetres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cad.mesh.surface import LabelledSurface
+
+
+def write_stl(surface: LabelledSurface, path: Path, *, name: str = "gel pad") -> None:
+    """Write a closed surface as binary STL in mm; STL itself names no unit."""
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    triangles = np.zeros(len(surface.triangles), dtype=record)
+    triangles["normal"] = surface.normals()
+    triangles["corners"] = surface.vertices_mm[surface.triangles]
+    with path.open("wb") as file:
+        header = f"taccel_lab {name}, millimetres".encode("ascii", "replace")
+        file.write(header[:80].ljust(80, b"\0"))
+        file.write(np.array(len(triangles), dtype="<u4").tobytes())
+        file.write(triangles.tobytes())

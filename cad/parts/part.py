@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A body of an assembly: solid, names of its faces, colour, material."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from build123d import Face, Solid
+
+from cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.geometry import Region
+
+Rgb = tuple[float, float, float]
+"""Red, green and blue, 0..1, sRGB."""
+
+REGION_COLORS: dict[Region, Rgb] = {
+    Region.SIDE: (0.62, 0.64, 0.67),
+    Region.CONTACT: (0.90, 0.55, 0.20),
+    Region.BOND: (0.20, 0.42, 0.70),
+    Region.WINDOW: (0.45, 0.78, 0.85),
+}
+"""Colour of each region in files and pictures."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One body [mm] and what a workshop has to know of it."""
+
+    name: str
+    solid: Solid
+    face_names: tuple[str, ...]
+    """Name of each face, in the order of ``solid.faces()``."""
+    color: Rgb
+    material: str
+    """Material in words, for drawings."""
+    face_colors: Mapping[str, Rgb] = field(default_factory=dict)
+    """Colours by face name that differ from the part's own."""
+    placeholder: bool = False
+    """True for a body that only reserves room, such as a bought camera."""
+
+    def __post_init__(self) -> None:
+        count = len(self.solid.faces())
+        if len(self.face_names) != count:
+            raise ValueError(f"{self.name}: {len(self.face_names)} names for {count} faces")
+
+    def faces(self, name: str) -> list[Face]:
+        """Faces of one name."""
+        pairs = zip(self.solid.faces(), self.face_names, strict=True)
+        return [face for face, found in pairs if found == name]
+
+    def face_color(self, name: str) -> Rgb:
+        """Colour of the faces of one name."""
+        return self.face_colors.get(name, self.color)
+
+
+def gel_part(gel: LabelledSolid, name: str = "gel_pad", material: str = "silicone gel") -> Part:
+    """The gel as a part; its faces are named and coloured by region."""
+    return Part(
+        name=name,
+        solid=gel.solid,
+        face_names=tuple(region.name.lower() for region in gel.regions),
+        color=REGION_COLORS[Region.CONTACT],
+        material=material,
+        face_colors={region.name.lower(): color for region, color in REGION_COLORS.items()},
+    )
