@@ -200,10 +200,16 @@ class OpticalDesign:
     """None when nothing rigid and transparent stands between camera and gel."""
     gel_refractive_index: float = 1.41
     ambient_rgb: Triple = (0.0, 0.0, 0.0)
-    """Light that reaches every point of the coating alike (many times reflected in the housing)."""
+    """Light that reaches every point of the coating alike (many times reflected in the housing), by
+    channel, as a share of the mean direct light on the visible gel at rest."""
+    gel_scattering_per_mm: float = 0.0
+    """Scattering coefficient of a turbid gel (Kubelka and Munk's S); 0 for a clear one."""
 
     def __post_init__(self) -> None:
         if not self.lights:
             raise InputError("an optical design needs at least one light")
         _in_range("gel_refractive_index", self.gel_refractive_index, 1.0, 2.5)
         _finite("ambient_rgb", self.ambient_rgb, 3)
+        for value in self.ambient_rgb:
+            _in_range("ambient_rgb", value, 0.0, 100.0)
+        _in_range("gel_scattering_per_mm", self.gel_scattering_per_mm, 0.0, 100.0, " /mm")

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Refraction of sight lines on their way from the camera into the gel: air, window, gel.
+
+Flat media are planes of constant z, domes are concentric spheres; both bend rays by Snell's law in
+vector form (A. S. Glassner, "An Introduction to Ray Tracing", 1989, section 2.4). Backwards, from a
+gel point to the direction in which the camera sees it, flat media have one unknown per point, the
+conserved p = n sin(theta), and a dome two, which Newton's method finds by shooting.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+_NEWTON_STEPS = 60
+
+
+class Media(Protocol):
+    """What lies between the camera and the gel."""
+
+    def trace(
+        self, origin_mm: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rays from ``origin_mm`` [3] or [..., 3] along unit ``directions`` [..., 3], in the gel.
+
+        Returns:
+            Where each ray enters the gel [mm], its unit direction there, both [..., 3] and NaN for
+            a ray that never gets there, and the share of light that the interfaces let through
+            (Fresnel, unpolarised), [...].
+        """
+        ...
+
+    def sight(self, origin_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
+        """Unit direction at ``origin_mm`` [3] in which gel points [..., 3] are seen."""
+        ...
+
+
+def refract(
+    directions: np.ndarray, normals: np.ndarray, n_from: float, n_to: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Snell's law in vector form with Fresnel's transmittance.
+
+    Args:
+        directions: Unit rays, shape [..., 3].
+        normals: Unit normals of the interface, either way round, shape [..., 3].
+        n_from: Index that the rays come from.
+        n_to: Index that they go into.
+
+    Returns:
+        Unit directions beyond the interface, NaN on total reflection, and the unpolarised
+        transmittance, 0 there.
+    """
+    cos_in = np.sum(directions * normals, axis=-1)
+    normals = np.where((cos_in < 0)[..., None], -normals, normals)
+    cos_in = np.abs(cos_in)
+    ratio = n_from / n_to
+    with np.errstate(invalid="ignore"):
+        sin2 = ratio * ratio * (1 - cos_in * cos_in)
+        cos_out = np.sqrt(np.where(sin2 <= 1, 1 - sin2, np.nan))
+        bent = ratio * directions + (cos_out - ratio * cos_in)[..., None] * normals
+        across = (n_from * cos_in - n_to * cos_out) / (n_from * cos_in + n_to * cos_out)
+        along = (n_to * cos_in - n_from * cos_out) / (n_to * cos_in + n_from * cos_out)
+    transmitted = np.nan_to_num(1 - 0.5 * (across**2 + along**2), nan=0.0)
+    return bent, transmitted
+
+
+@dataclass(frozen=True)
+class FlatMedia:
+    """Layers of constant z between a camera at lower z and the gel; no planes for none."""
+
+    planes_mm: tuple[float, ...]
+    """z of the interfaces, ascending."""
+    indices: tuple[float, ...]
+    """Refractive indices from the camera's medium to the gel, one more than planes."""
+
+    def __post_init__(self) -> None:
+        if len(self.indices) != len(self.planes_mm) + 1:
+            raise InputError(
+                f"{len(self.planes_mm)} interfaces separate {len(self.planes_mm) + 1} media, got "
+                f"{len(self.indices)} refractive indices"
+            )
+        if list(self.planes_mm) != sorted(self.planes_mm):
+            raise InputError(f"interfaces must ascend in z, got {self.planes_mm}")
+
+    def trace(
+        self, origin_mm: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rays in the gel; see ``Media.trace``."""
+        direction = np.array(directions, dtype=np.float64)
+        point = np.broadcast_to(np.asarray(origin_mm, dtype=np.float64), direction.shape).copy()
+        share = np.ones(direction.shape[:-1])
+        up = np.array([0.0, 0.0, 1.0])
+        for plane, n_from, n_to in zip(
+            self.planes_mm, self.indices[:-1], self.indices[1:], strict=True
+        ):
+            rise = np.where(direction[..., 2] > 0, direction[..., 2], np.nan)
+            point = point + direction * ((plane - point[..., 2]) / rise)[..., None]
+            direction, passed = refract(direction, np.broadcast_to(up, point.shape), n_from, n_to)
+            share = share * passed
+        return point, direction, np.where(np.isnan(direction[..., 0]), 0.0, share)
+
+    def sight(self, origin_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
+        """Unit direction in which gel points are seen; see ``Media.sight``."""
+        offset = np.asarray(points_mm, dtype=np.float64) - origin_mm
+        across = np.linalg.norm(offset[..., :2], axis=-1)
+        edges = [float(np.asarray(origin_mm)[2]), *self.planes_mm]
+        heights = [np.full_like(across, b - a) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        heights.append(np.asarray(points_mm, dtype=np.float64)[..., 2] - edges[-1])
+        p = snell_invariant(across, heights, list(self.indices))
+        sine = p / self.indices[0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            flat = np.where((across > 0)[..., None], offset[..., :2] / across[..., None], 0.0)
+        return np.concatenate([flat * sine[..., None], np.sqrt(1 - sine**2)[..., None]], axis=-1)
+
+
+def snell_invariant(
+    across_mm: np.ndarray, heights_mm: list[np.ndarray], indices: list[float]
+) -> np.ndarray:
+    """p = n sin(theta) of the ray that crosses flat layers with a given horizontal offset.
+
+    Solves ``sum_i h_i p / sqrt(n_i^2 - p^2) = r`` for the tangent t in the layer of least index
+    among those that the ray crosses. The sum is concave and rises with t, so Newton's method
+    climbs to the root from the straight line's t, which lies below it.
+
+    Args:
+        across_mm: Horizontal offset r, shape [...].
+        heights_mm: Height of each layer, each of shape [...]; 0 for a layer that is not crossed.
+        indices: Refractive index of each layer.
+    """
+    layers = list(zip(heights_mm, indices, strict=True))
+    least = np.min([np.where(h > 0, n, np.inf) for h, n in layers], axis=0)
+    total = np.sum(heights_mm, axis=0)
+    if np.any(total <= 0):
+        raise InputError("the camera must lie below the gel points that it is to see")
+    tangent = across_mm / total
+    for _ in range(_NEWTON_STEPS):
+        secant = np.sqrt(1 + tangent**2)
+        p = least * tangent / secant
+        reach, slope = np.zeros_like(p), np.zeros_like(p)
+        for height, n in layers:
+            root2 = np.where(height > 0, n * n - p * p, 1.0)
+            reach += height * p / np.sqrt(root2)
+            slope += height * n * n / root2**1.5 * (least / secant**3)
+        step = (across_mm - reach) / slope
+        tangent = tangent + step
+        if np.max(np.abs(step) / (1 + np.abs(tangent)), initial=0.0) < 1e-15:
+            break
+    else:
+        worst = float(np.max(np.abs(across_mm - reach), initial=0.0))
+        if worst > 1e-9 * float(np.max(total)):
+            raise InputError(f"Snell's equation left {worst:g} mm after {_NEWTON_STEPS} steps")
+    return least * tangent / np.sqrt(1 + tangent**2)
+
+
+@dataclass(frozen=True)
+class DomeMedia:
+    """Concentric spheres around the camera: what is inside the window, the window, the gel."""
+
+    centre_mm: tuple[float, float, float]
+    radii_mm: tuple[float, ...]
+    """Of the interfaces, ascending; the camera lies inside the first."""
+    indices: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.indices) != len(self.radii_mm) + 1:
+            raise InputError(
+                f"{len(self.radii_mm)} interfaces separate {len(self.radii_mm) + 1} media, got "
+                f"{len(self.indices)} refractive indices"
+            )
+        if list(self.radii_mm) != sorted(self.radii_mm) or min(self.radii_mm, default=1.0) <= 0:
+            raise InputError(f"radii must be positive and ascend, got {self.radii_mm}")
+
+    def trace(
+        self, origin_mm: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rays in the gel; see ``Media.trace``."""
+        direction = np.array(directions, dtype=np.float64)
+        centre = np.array(self.centre_mm)
+        point = np.broadcast_to(np.asarray(origin_mm, dtype=np.float64), direction.shape) - centre
+        share = np.ones(direction.shape[:-1])
+        for radius, n_from, n_to in zip(
+            self.radii_mm, self.indices[:-1], self.indices[1:], strict=True
+        ):
+            along = np.sum(point * direction, axis=-1)
+            root2 = along**2 - np.sum(point * point, axis=-1) + radius**2
+            reach = -along + np.sqrt(np.where(root2 > 0, root2, np.nan))
+            point = point + direction * reach[..., None]
+            direction, passed = refract(direction, point / radius, n_from, n_to)
+            share = share * passed
+        return point + centre, direction, np.where(np.isnan(direction[..., 0]), 0.0, share)
+
+    def sight(self, origin_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
+        """Unit direction in which gel points are seen; see ``Media.sight``.
+
+        The miss of a ray is where it passes its point, in the plane across the ray at the point.
+        """
+        points = np.asarray(points_mm, dtype=np.float64)
+        direct = points - origin_mm
+        distance = np.linalg.norm(direct, axis=-1, keepdims=True)
+        direct = direct / distance
+        helper = np.where(np.abs(direct[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+        first = np.cross(direct, helper)
+        first /= np.linalg.norm(first, axis=-1, keepdims=True)
+        second = np.cross(direct, first)
+
+        def shoot(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            aim = direct + slopes[..., :1] * first + slopes[..., 1:] * second
+            aim = aim / np.linalg.norm(aim, axis=-1, keepdims=True)
+            entry, direction, _ = self.trace(np.asarray(origin_mm), aim)
+            along = np.sum((points - entry) * direction, axis=-1, keepdims=True)
+            away = entry + along * direction - points
+            return aim, np.stack([np.sum(away * first, -1), np.sum(away * second, -1)], -1)
+
+        slopes, step = np.zeros((*points.shape[:-1], 2)), 1e-6
+        for _ in range(_NEWTON_STEPS):
+            aim, miss = shoot(slopes)
+            if np.nanmax(np.abs(miss), initial=0.0) < 1e-11:
+                break
+            a = (shoot(slopes + [step, 0.0])[1] - miss) / step
+            b = (shoot(slopes + [0.0, step])[1] - miss) / step
+            det = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+            slopes = slopes - np.stack(
+                [
+                    (b[..., 1] * miss[..., 0] - b[..., 0] * miss[..., 1]) / det,
+                    (a[..., 0] * miss[..., 1] - a[..., 1] * miss[..., 0]) / det,
+                ],
+                axis=-1,
+            )
+        aim, miss = shoot(slopes)
+        return np.where(np.all(np.abs(miss) < 1e-7, axis=-1, keepdims=True), aim, np.nan)
+
+
+def apparent_depth_mm(heights_mm: list[float], indices: list[float]) -> float:
+    """Depth at which a point under flat layers appears from straight above: ``sum h_i / n_i``,
+    seen from the medium of index 1 (Hecht, "Optics", section 4.4)."""
+    return float(sum(h / n for h, n in zip(heights_mm, indices, strict=True)))
