@@ -2,8 +2,11 @@
 """Ready-made experiments on a sensor: what happens, not what is measured or drawn."""
 
 from taccel_lab.envs.indenter import Indenter, parse_indenter
-from taccel_lab.envs.press import PressEnv, PressPath
+from taccel_lab.envs.layers import layered_material
+from taccel_lab.envs.press import PressEnv
+from taccel_lab.envs.press_frame import normal_frame
 from taccel_lab.envs.press_outcome import PressOutcome, PressStep, simulate_press
+from taccel_lab.envs.press_path import PressPath
 
 __all__ = [
     "Indenter",
@@ -11,6 +14,8 @@ __all__ = [
     "PressOutcome",
     "PressPath",
     "PressStep",
+    "layered_material",
+    "normal_frame",
     "parse_indenter",
     "simulate_press",
 ]

@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from taccel_lab.envs.indenter import Indenter
-from taccel_lab.envs.touch import first_touch_m
+from taccel_lab.envs.press_frame import PressFrames
+from taccel_lab.envs.press_path import PressPath
+from taccel_lab.envs.touch import first_touch_m, gel_below_m
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.ipc.intersection import require_separated
-from taccel_lab.scene import Element, KinematicBody, Material, Scene, SoftBody
+from taccel_lab.scene import Element, KinematicBody, Material, MaterialField, Scene, SoftBody
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
@@ -27,64 +29,6 @@ MAX_DEPTH_FRACTION = 0.9
 """Deepest press as a part of the gel's thickness."""
 START_CLEARANCE_M = 5e-6
 """Gap between first touch and the start, on top of two dhat."""
-MAX_STEPS = 10_000
-"""Longest path: a step length mistaken for another unit would keep a machine busy for days."""
-
-
-@dataclass(frozen=True)
-class PressPath:
-    """Where the indenter goes: down, then sideways and about its vertical axis."""
-
-    depth_mm: float
-    """Depth past first touch."""
-    shear_mm: tuple[float, float] = (0.0, 0.0)
-    """Sideways motion at full depth, gel x and y."""
-    twist_deg: float = 0.0
-    """Turn about +z at full depth, right-handed in the gel frame."""
-    step_mm: float = 0.2
-    """Largest motion in one step."""
-    step_deg: float = 2.0
-    """Largest turn in one step."""
-
-    def __post_init__(self) -> None:
-        values = (self.depth_mm, *self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
-        if not all(math.isfinite(v) for v in values):
-            raise InputError(f"a press path must be finite numbers, got {values}")
-        if self.depth_mm <= 0:
-            raise InputError(f"depth must be above 0 mm, got {self.depth_mm:g} mm")
-        if self.depth_mm > 100:
-            raise InputError(f"depth must be at most 100 mm, got {self.depth_mm:g} mm")
-        if max(abs(v) for v in self.shear_mm) > 20:
-            raise InputError(f"shear must lie within +-20 mm, got {self.shear_mm}")
-        if abs(self.twist_deg) > 180:
-            raise InputError(f"twist must lie within +-180 deg, got {self.twist_deg:g}")
-        if self.step_mm <= 0 or self.step_deg <= 0:
-            raise InputError(
-                f"step_mm and step_deg must be above 0, got {self.step_mm:g} and {self.step_deg:g}"
-            )
-        motion_mm = max(self.depth_mm, math.hypot(*self.shear_mm))
-        least_mm, least_deg = motion_mm / MAX_STEPS, abs(self.twist_deg) / MAX_STEPS
-        if self.step_mm < least_mm or self.step_deg < least_deg:
-            raise InputError(
-                f"step_mm {self.step_mm:g} and step_deg {self.step_deg:g} make more than "
-                f"{MAX_STEPS} steps of this path; at least {least_mm:.3g} mm and {least_deg:.3g} "
-                "deg are needed"
-            )
-
-    def waypoints(self) -> list[tuple[float, tuple[float, float], float]]:
-        """(depth [mm], shear [mm], twist [deg]) at the end of each step."""
-        down = max(1, math.ceil(self.depth_mm / self.step_mm - 1e-9))
-        side = max(
-            math.ceil(math.hypot(*self.shear_mm) / self.step_mm - 1e-9),
-            math.ceil(abs(self.twist_deg) / self.step_deg - 1e-9),
-            int(any((*self.shear_mm, self.twist_deg))),
-        )
-        path = [(self.depth_mm * ((i + 1) / down), (0.0, 0.0), 0.0) for i in range(down)]
-        for i in range(side):
-            t = (i + 1) / side
-            shear = (self.shear_mm[0] * t, self.shear_mm[1] * t)
-            path.append((self.depth_mm, shear, self.twist_deg * t))
-        return path
 
 
 class PressEnv:
@@ -96,12 +40,13 @@ class PressEnv:
     def __init__(
         self,
         mesh: TetMesh,
-        material: Material,
+        material: Material | MaterialField,
         indenter: Indenter,
         at_mm: np.ndarray,
         *,
         friction_coefficient: float = 0.0,
         rest_positions_m: np.ndarray | None = None,
+        gel_from_press: np.ndarray | None = None,
         element: Element = Element.LINEAR,
         config: SolverConfig | None = None,
         device: str = "cpu",
@@ -109,11 +54,13 @@ class PressEnv:
         """
         Args:
             mesh: Gel pad in the gel frame.
-            material: Of the gel.
+            material: Of the gel, uniform or by tet.
             indenter: Rigid body that is pressed.
-            at_mm: Gel xy of the indenter's axis [mm], shape [env_count, 2].
+            at_mm: xy of the indenter's axis in the press frame [mm], shape [env_count, 2].
             friction_coefficient: Between indenter and gel.
             rest_positions_m: Rest shape of each environment [m], [env_count, node_count, 3].
+            gel_from_press: Frames in which the indenters come down along -z, shear and twist
+                [env_count, 7], see ``press_frame``; the gel frame when None.
             element: Of the gel. With quadratic ones ``positions`` and forces are those of the nodes
                 of ``mesh`` here, which has more than the one passed in.
             config: Tolerances of the solver.
@@ -135,44 +82,39 @@ class PressEnv:
         self.solver = SolverIPC(self.model, replace(config or SolverConfig(), check_start=False))
         rest = self.model.rest_positions.numpy()[:, : self.model.soft_count]
         contact = self.mesh.region_faces(Region.CONTACT)
+        bonded = self.mesh.region_faces(Region.BOND, Region.WINDOW)
+        self._frames = PressFrames(gel_from_press, env_count)
+        points = [self._frames.points_in_press(i, rest[i % len(rest)]) for i in range(env_count)]
         self.touch_m = np.array(
             [
-                first_touch_m(indenter.shape, rest[env % len(rest)], contact, self.at_m[env])
-                for env in range(env_count)
+                first_touch_m(indenter.shape, seen, contact, at)
+                for seen, at in zip(points, self.at_m, strict=True)
             ]
         )
-        """Height of the indenter's origin at first touch [m], shape [env_count]."""
+        """z of the indenter's origin in the press frame at first touch [m], shape [env_count]."""
         if not np.isfinite(self.touch_m).all():
             env = int(np.flatnonzero(~np.isfinite(self.touch_m))[0])
             x, y = self.at_m[env] * 1e3
-            low, high = rest[0].min(axis=0)[:2] * 1e3, rest[0].max(axis=0)[:2] * 1e3
+            low, high = points[env].min(axis=0)[:2] * 1e3, points[env].max(axis=0)[:2] * 1e3
             raise InputError(
                 f"at ({x:g}, {y:g}) mm the indenter {indenter.name} misses the gel; x must lie in "
                 f"[{low[0]:g}, {high[0]:g}] mm and y in [{low[1]:g}, {high[1]:g}] mm"
             )
-        self._thickness_m = self._gel_depth(rest, contact)
+        self.thickness_m = np.array(
+            [
+                gel_below_m(seen, contact, bonded, at)
+                for seen, at in zip(points, self.at_m, strict=True)
+            ]
+        )
+        """Gel along the press between contact face and bond [m], shape [env_count]."""
         clearance = 2 * self.solver.config.dhat_m + START_CLEARANCE_M
         self._start = self._poses(np.full(env_count, -clearance), np.zeros((env_count, 2)), 0.0)
         self.state = initial_state(self.model, self._start)
         require_separated(self.model, self.state)
 
-    def _gel_depth(self, rest: np.ndarray, contact: np.ndarray) -> np.ndarray:
-        """Gel below the contact face nearest to each press [m], shape [env_count]."""
-        nodes = np.unique(contact)
-        depth = np.zeros(len(self.at_m))
-        for env, at in enumerate(self.at_m):
-            points = rest[env % len(rest)]
-            nearest = nodes[np.argmin(((points[nodes, :2] - at) ** 2).sum(axis=1))]
-            depth[env] = points[nearest, 2] - points[:, 2].min()
-        return depth
-
     def _poses(self, depth_m: np.ndarray, shear_m: np.ndarray, twist_rad: float) -> np.ndarray:
-        poses = np.zeros((len(self.at_m), 1, 7))
-        poses[:, 0, :2] = self.at_m + shear_m
-        poses[:, 0, 2] = self.touch_m - depth_m
-        poses[:, 0, 5] = math.sin(twist_rad / 2)
-        poses[:, 0, 6] = math.cos(twist_rad / 2)
-        return poses
+        place = np.column_stack([self.at_m + shear_m, self.touch_m - depth_m])
+        return self._frames.poses_in_gel(place, twist_rad)[:, None]
 
     def reset(self) -> None:
         """Back to rest, the indenter above the gel."""
@@ -183,12 +125,12 @@ class PressEnv:
         depth_m = np.broadcast_to(np.asarray(depth_mm, dtype=np.float64), (len(self.at_m),)) * 1e-3
         if not np.isfinite(depth_m).all():
             raise InputError("the depth of a press must be finite numbers in mm")
-        limit = MAX_DEPTH_FRACTION * self._thickness_m
+        limit = MAX_DEPTH_FRACTION * self.thickness_m
         if (depth_m > limit).any():
             env = int(np.argmax(depth_m - limit))
             raise InputError(
                 f"depth {depth_m[env] * 1e3:g} mm goes past the gel, which is "
-                f"{self._thickness_m[env] * 1e3:g} mm thick there; at most "
+                f"{self.thickness_m[env] * 1e3:g} mm thick there; at most "
                 f"{limit[env] * 1e3:.3g} mm ({MAX_DEPTH_FRACTION:.0%}) is allowed"
             )
         return depth_m
@@ -205,21 +147,39 @@ class PressEnv:
             InputError: A depth past the gel's thickness.
             SimulationError: An environment did not converge even in small steps.
         """
+        report = self.try_to(depth_mm, shear_mm, twist_deg)
+        if not report.converged.all():
+            env = int(np.flatnonzero(~report.converged)[0])
+            raise SimulationError(self.failure(env, report, depth_mm))
+        return report
+
+    def try_to(
+        self,
+        depth_mm: np.ndarray | float,
+        shear_mm: np.ndarray | tuple[float, float] = (0.0, 0.0),
+        twist_deg: float = 0.0,
+        stay: np.ndarray | None = None,
+    ) -> StepReport:
+        """As ``move_to``, but an environment that does not converge is left where it was, for the
+        caller to see in the report. Those of ``stay`` (bool, [env_count]) are not moved."""
         count = len(self.at_m)
         depth_m = self.checked_depth_m(depth_mm)
         shear_m = np.broadcast_to(np.asarray(shear_mm, dtype=np.float64), (count, 2)) * 1e-3
         target = self._poses(depth_m, shear_m, math.radians(twist_deg))
-        report = self.solver.step(self.state, target)
-        if not report.converged.all():
-            env = int(np.flatnonzero(~report.converged)[0])
-            raise SimulationError(
-                f"the press at ({self.at_m[env, 0] * 1e3:.3g}, {self.at_m[env, 1] * 1e3:.3g}) mm, "
-                f"depth {depth_m[env] * 1e3:.4g} mm did not converge: "
-                f"{EnvStatus(report.status[env]).name}, residual {report.residual_n[env]:.2e} N of "
-                f"{report.contact_force_n[env]:.3g} N after {report.newton_iterations[env]} Newton "
-                f"iterations and {self.solver.config.max_substep_halvings} halvings of the step"
-            )
-        return report
+        if stay is not None:
+            target[stay] = self.poses[stay]
+        return self.solver.step(self.state, target)
+
+    def failure(self, env: int, report: StepReport, depth_mm: np.ndarray | float) -> str:
+        """Why an environment did not converge on its way to a depth, in words."""
+        depth = float(np.broadcast_to(depth_mm, (len(self.at_m),))[env])
+        return (
+            f"the press at ({self.at_m[env, 0] * 1e3:.3g}, {self.at_m[env, 1] * 1e3:.3g}) mm, "
+            f"depth {depth:.4g} mm did not converge: "
+            f"{EnvStatus(report.status[env]).name}, residual {report.residual_n[env]:.2e} N of "
+            f"{report.contact_force_n[env]:.3g} N after {report.newton_iterations[env]} Newton "
+            f"iterations and {self.solver.config.max_substep_halvings} halvings of the step"
+        )
 
     def follow(
         self, path: PressPath, progress: Callable[[int, int, StepReport], None] | None = None
@@ -256,3 +216,8 @@ class PressEnv:
     def wrench(self) -> np.ndarray:
         """Force [N] and moment about the origin [N m] of the gel on the indenter, [env, 6]."""
         return -resultant_wrench(self.positions, self.contact_forces)
+
+    @property
+    def press_force(self) -> np.ndarray:
+        """Force of the gel on the indenter [N] in the press frame, shape [env_count, 3]."""
+        return self._frames.vectors_in_press(self.wrench[:, :3])

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.envs.indenter import Indenter
-from taccel_lab.envs.press import PressEnv, PressPath
+from taccel_lab.envs.press import PressEnv
+from taccel_lab.envs.press_path import PressPath
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
-from taccel_lab.scene import Ball, Element, Material
+from taccel_lab.scene import Ball, Element, Material, MaterialField
 from taccel_lab.signals import (
     HeightFieldSurface,
     SignalFusedSurface,
@@ -116,7 +117,7 @@ class PressOutcome:
 
 def simulate_press(
     mesh: TetMesh,
-    material: Material,
+    material: Material | MaterialField,
     indenter: Indenter,
     at_mm: tuple[float, float],
     path: PressPath,

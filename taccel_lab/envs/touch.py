@@ -37,6 +37,33 @@ def first_touch_m(
     return _mesh_touch(shape, points, near)
 
 
+def gel_below_m(
+    positions: np.ndarray, contact: np.ndarray, bonded: np.ndarray, at_m: np.ndarray
+) -> float:
+    """Gel below the contact node nearest to an axis, straight down to a bonded face [m].
+
+    ``positions`` [node, 3], ``contact`` and ``bonded`` [face, 3], ``at_m`` [2] the xy of the axis.
+    Where no bonded face lies below, as at the overhanging rim of a shell, it is the distance to
+    the nearest bonded node.
+    """
+    nodes = np.unique(contact)
+    points = positions[nodes]
+    apart = ((points[:, :2] - at_m) ** 2).sum(axis=1)
+    # The far side of a dome may lie on the same axis: the indenter meets the upper one.
+    near = np.flatnonzero(apart <= apart.min() + 1e-18)
+    top = points[near[np.argmax(points[near, 2])]]
+    if len(bonded) == 0:
+        return float(top[2] - positions[:, 2].min())
+    corners = positions[bonded]
+    low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
+    around = bonded[((low <= top[:2] + 1e-9) & (high >= top[:2] - 1e-9)).all(axis=1)]
+    heights = [_height_over(top[None, :2], positions, face[None], lowest=False) for face in around]
+    below = np.array([h[0] for h in heights if h[0] <= top[2]])
+    if len(below):
+        return float(top[2] - below.max())
+    return float(np.linalg.norm(positions[np.unique(bonded)] - top, axis=1).min())
+
+
 def _reach(shape: Ball | TriangleMesh) -> float:
     if isinstance(shape, Ball):
         return shape.radius_m

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the indenter of a press goes, step by step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from taccel_lab.errors import InputError
+
+MAX_STEPS = 10_000
+"""Longest path: a step length mistaken for another unit would keep a machine busy for days."""
+
+
+@dataclass(frozen=True)
+class PressPath:
+    """Where the indenter goes: down, then sideways and about its vertical axis."""
+
+    depth_mm: float
+    """Depth past first touch."""
+    shear_mm: tuple[float, float] = (0.0, 0.0)
+    """Sideways motion at full depth, gel x and y."""
+    twist_deg: float = 0.0
+    """Turn about +z at full depth, right-handed in the gel frame."""
+    step_mm: float = 0.2
+    """Largest motion in one step."""
+    step_deg: float = 2.0
+    """Largest turn in one step."""
+    back: bool = False
+    """Whether the indenter then goes back the way it came, to first touch."""
+
+    def __post_init__(self) -> None:
+        values = (self.depth_mm, *self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
+        if not all(math.isfinite(v) for v in values):
+            raise InputError(f"a press path must be finite numbers, got {values}")
+        if self.depth_mm <= 0:
+            raise InputError(f"depth must be above 0 mm, got {self.depth_mm:g} mm")
+        if self.depth_mm > 100:
+            raise InputError(f"depth must be at most 100 mm, got {self.depth_mm:g} mm")
+        if max(abs(v) for v in self.shear_mm) > 20:
+            raise InputError(f"shear must lie within +-20 mm, got {self.shear_mm}")
+        if abs(self.twist_deg) > 180:
+            raise InputError(f"twist must lie within +-180 deg, got {self.twist_deg:g}")
+        if self.step_mm <= 0 or self.step_deg <= 0:
+            raise InputError(
+                f"step_mm and step_deg must be above 0, got {self.step_mm:g} and {self.step_deg:g}"
+            )
+        motion_mm = max(self.depth_mm, math.hypot(*self.shear_mm))
+        least_mm, least_deg = motion_mm / MAX_STEPS, abs(self.twist_deg) / MAX_STEPS
+        if self.step_mm < least_mm or self.step_deg < least_deg:
+            raise InputError(
+                f"step_mm {self.step_mm:g} and step_deg {self.step_deg:g} make more than "
+                f"{MAX_STEPS} steps of this path; at least {least_mm:.3g} mm and {least_deg:.3g} "
+                "deg are needed"
+            )
+
+    def waypoints(self) -> list[tuple[float, tuple[float, float], float]]:
+        """(depth [mm], shear [mm], twist [deg]) at the end of each step."""
+        down = max(1, math.ceil(self.depth_mm / self.step_mm - 1e-9))
+        side = max(
+            math.ceil(math.hypot(*self.shear_mm) / self.step_mm - 1e-9),
+            math.ceil(abs(self.twist_deg) / self.step_deg - 1e-9),
+            int(any((*self.shear_mm, self.twist_deg))),
+        )
+        path = [(self.depth_mm * ((i + 1) / down), (0.0, 0.0), 0.0) for i in range(down)]
+        for i in range(side):
+            t = (i + 1) / side
+            shear = (self.shear_mm[0] * t, self.shear_mm[1] * t)
+            path.append((self.depth_mm, shear, self.twist_deg * t))
+        if self.back:
+            path += [*reversed(path[:-1]), (0.0, (0.0, 0.0), 0.0)]
+        return path
