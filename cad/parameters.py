@@ -2,7 +2,9 @@
 """Parameters with bounds, unit and source: the fields of frozen dataclasses that users may set.
 
 ``parameter(...)`` declares a dataclass field; ``ParameterSet`` checks every value when an instance
-is made, lists what can be set and reads overrides written as ``name=value``.
+is made, lists what can be set and reads overrides written as ``name=value``. Sets that share
+parameters inherit them from common bases; ``restated(...)`` gives an inherited one another default
+with its own source.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from taccel_lab.errors import InputError
 
@@ -32,6 +34,8 @@ class Parameter:
     choices: tuple[str, ...] = ()
     zero_means: str = ""
     """When not empty, 0 is allowed besides [minimum, maximum] and means this."""
+    group: str = ""
+    """Heading under which it is listed: the ``parameter_group`` of the class that declares it."""
 
     def allowed(self) -> str:
         """The allowed values in words."""
@@ -96,8 +100,51 @@ def parameter(
     return dataclasses.field(default=default, metadata={_KEY: details})
 
 
+@dataclass(frozen=True)
+class _Restated:
+    default: float | int | str
+    changes: dict[str, Any]
+
+
+def restated(
+    default: float | int | str,
+    *,
+    source: str,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    description: str | None = None,
+    zero_means: str | None = None,
+) -> Any:
+    """Declare an inherited parameter again with another default and the source of that.
+
+    What is left out (unit, bounds, description) stays as the base class has it.
+    """
+    given = {
+        "source": source,
+        "minimum": minimum,
+        "maximum": maximum,
+        "description": description,
+        "zero_means": zero_means,
+    }
+    return _Restated(default, {key: value for key, value in given.items() if value is not None})
+
+
 class ParameterSet:
     """Base of frozen dataclasses whose fields are declared with ``parameter``."""
+
+    parameter_group: ClassVar[str] = ""
+    """Heading of the parameters that a class declares itself, not those that it inherits."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        group = vars(cls).get("parameter_group", "")
+        for name, value in list(vars(cls).items()):
+            if isinstance(value, _Restated):
+                details = {**_inherited_details(cls, name), **value.changes}
+                changed = dataclasses.field(default=value.default, metadata={_KEY: details})
+                setattr(cls, name, changed)
+            elif isinstance(value, dataclasses.Field) and _KEY in value.metadata:
+                value.metadata[_KEY]["group"] = group
 
     @classmethod
     def parameters(cls) -> dict[str, Parameter]:
@@ -136,11 +183,20 @@ class ParameterSet:
                 "choices": list(spec.choices) or None,
                 "zero_means": spec.zero_means or None,
                 "unit": spec.unit,
+                "group": spec.group,
                 "description": spec.description,
                 "source": spec.source if getattr(self, name) == spec.default else "set by the user",
             }
             for name, spec in self.parameters().items()
         }
+
+
+def _inherited_details(cls: type[ParameterSet], name: str) -> dict[str, Any]:
+    for base in cls.__mro__[1:]:
+        field = vars(base).get("__dataclass_fields__", {}).get(name)
+        if field is not None:
+            return field.metadata[_KEY]
+    raise TypeError(f"{cls.__name__}.{name} is restated, but no base class has that parameter")
 
 
 def parse_overrides(items: Sequence[str]) -> dict[str, str]:

@@ -82,8 +82,6 @@ class SensorFamily:
     title: str
     """One line for people."""
     parameters_type: type[FamilyParameters]
-    material_names: tuple[str, ...] = ()
-    """Names of the parameters that make up the material."""
     references: tuple[str, ...] = ()
     """Publications and data the family rests on."""
 

@@ -67,7 +67,7 @@ def designed_profile(
                 source="; ".join(
                     f"{name}: {item['source']}"
                     for name, item in described.items()
-                    if name in family.material_names
+                    if item["group"] == "material"
                 ),
             ),
         ),

@@ -2,36 +2,100 @@
 """The families known here: the built-in ones and those of installed packages.
 
 A package adds a family with an entry point of the group ``taccel_lab.sensors`` whose object is a
-``SensorFamily``.
+``SensorFamily`` (docs/sensors.md shows one). A package that cannot be loaded takes nothing from the
+others: it is kept aside with the reason, which whoever asks for its sensor is told.
 """
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
 
 from sensors.base import SensorFamily
 from taccel_lab.errors import InputError
 
 ENTRY_POINT_GROUP = "taccel_lab.sensors"
 
+_BUILT_IN = (
+    "digit",
+    "gelsight",
+    "gelsight_mini",
+)
+"""Modules of this package, each with a ``FAMILY``."""
+
+
+@dataclass(frozen=True)
+class BrokenFamily:
+    """An entry point that gives no family."""
+
+    name: str
+    """Name of the entry point."""
+    package: str
+    """Installed distribution that declares it."""
+    reason: str
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """All families, and the entry points that give none."""
+
+    families: dict[str, SensorFamily]
+    """By name, sorted."""
+    broken: dict[str, BrokenFamily]
+    """By name of the entry point, sorted."""
+
+
+def catalogue() -> Catalogue:
+    """Load the built-in families and those of installed packages."""
+    built_in = [import_module(f"sensors.{module}").FAMILY for module in _BUILT_IN]
+    families = {family.name: family for family in built_in}
+    broken = {}
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        found = _load(entry)
+        if isinstance(found, SensorFamily) and families.setdefault(found.name, found) is not found:
+            found = _broken(
+                entry, f"the sensor {found.name} exists already; give the family another name"
+            )
+        if isinstance(found, BrokenFamily):
+            broken[found.name] = found
+    return Catalogue(dict(sorted(families.items())), dict(sorted(broken.items())))
+
 
 def sensor_families() -> dict[str, SensorFamily]:
-    """All families by name, sorted. Raises InputError when two packages claim one name."""
-    from sensors.gelsight import FAMILY as gelsight
-
-    families = {family.name: family for family in (gelsight,)}
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
-        family = entry.load()
-        if not isinstance(family, SensorFamily):
-            raise InputError(f"entry point {entry.name} = {entry.value} is not a SensorFamily")
-        if families.setdefault(family.name, family) is not family:
-            raise InputError(f"entry point {entry.value}: the sensor {family.name} exists already")
-    return dict(sorted(families.items()))
+    """All families that could be loaded, by name, sorted."""
+    return catalogue().families
 
 
 def sensor_family(name: str) -> SensorFamily:
-    """The family called ``name``; raises InputError with the known names."""
-    families = sensor_families()
-    if name not in families:
-        raise InputError(f"no sensor {name!r}; known: {', '.join(families)}")
-    return families[name]
+    """The family called ``name``.
+
+    Raises:
+        InputError: Unknown, with the known names; or its package cannot be loaded, with the reason.
+    """
+    known = catalogue()
+    if name in known.families:
+        return known.families[name]
+    if name in known.broken:
+        found = known.broken[name]
+        raise InputError(f"the sensor {name} of the package {found.package}: {found.reason}")
+    raise InputError(f"no sensor {name!r}; known: {', '.join(known.families)}")
+
+
+def _broken(entry: EntryPoint, reason: str) -> BrokenFamily:
+    package = entry.dist.name if entry.dist is not None else "unknown"
+    return BrokenFamily(entry.name, package, f"the entry point {entry.value} {reason}")
+
+
+def _load(entry: EntryPoint) -> SensorFamily | BrokenFamily:
+    try:
+        found = entry.load()
+    except Exception as error:  # a foreign module may raise anything while it is imported
+        return _broken(entry, f"cannot be loaded: {type(error).__name__}: {error}")
+    if not isinstance(found, SensorFamily):
+        return _broken(entry, f"is a {type(found).__name__}, not a SensorFamily")
+    if found.name != entry.name:
+        return _broken(
+            entry, f"gives a sensor called {found.name}; entry point and sensor need one name"
+        )
+    return found

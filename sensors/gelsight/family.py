@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cad.parameters import parameter
+from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
-from sensors.base import FamilyParameters, GelMaterial, SensorFamily
-from taccel_lab.geometry import PixelGrid
+from sensors.base import SensorFamily
+from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
+from taccel_lab.optics.description import Light
 
 _GELMAP = "taxim 1.4.1, calib/gelsight/gelmap.npy"
 _TAXIM = "Taxim (Si and Yuan, RA-L 2022), Basics/sensorParams.py and calib/gelsight/params.json"
@@ -25,7 +26,7 @@ _ASSUMED_PLAN = (
 
 
 @dataclass(frozen=True)
-class GelSightParameters(FamilyParameters):
+class GelSightParameters(CameraSensorParameters):
     """Parameters of a classic GelSight."""
 
     length_x_mm: float = parameter(
@@ -61,38 +62,9 @@ class GelSightParameters(FamilyParameters):
         0.5, minimum=0.05, maximum=5, unit="mm", source="without effect while rim is none",
         description="leg of the chamfer or radius of the fillet",
     )  # fmt: skip
-    width_px: int = parameter(
-        640, minimum=16, maximum=8192, unit="px", source=_TAXIM, description="image width"
-    )
-    height_px: int = parameter(
-        480, minimum=16, maximum=8192, unit="px", source=_TAXIM, description="image height"
-    )
-    mm_per_px: float = parameter(
-        0.0295, minimum=1e-3, maximum=1.0, unit="mm/px", source=f"{_TAXIM}: pixmm",
-        description="size of a pixel on the contact face",
-    )  # fmt: skip
-    young_modulus_mpa: float = parameter(
-        0.15, minimum=0.005, maximum=5, unit="MPa",
-        source="assumption: XP-565 gel as in EstimateModulus (0.15 MPa; earlier versions 0.275 and "
-        "0.54). Simulators of GelSight gels use 0.01 to 1 MPa, 55 Shore 00 means about 0.4 by "
-        "Gent's formula; forces scale with it, shapes do not",
-        description="Young's modulus of the gel at small strain",
-    )  # fmt: skip
-    poisson_ratio: float = parameter(
-        0.46, minimum=0.0, maximum=0.499,
-        source="assumption: nearly incompressible silicone; 0.3 to 0.49 are in use",
-        description="Poisson's ratio of the gel",
-    )  # fmt: skip
-    density_kg_m3: float = parameter(
-        1000.0, minimum=500, maximum=3000, unit="kg/m3",
-        source="Taccel and TacEx defaults; without effect on a quasi-static press",
-        description="density of the gel",
-    )  # fmt: skip
-    friction: float = parameter(
-        1.0, minimum=0.0, maximum=5.0,
-        source="assumption: FEATS and Taccel use 1.0, gelsight_ansys_sim 0.5",
-        description="Coulomb friction coefficient between gel and indenter",
-    )  # fmt: skip
+    width_px: int = restated(640, source=_TAXIM)
+    height_px: int = restated(480, source=_TAXIM)
+    mm_per_px: float = restated(0.0295, source=f"{_TAXIM}: pixmm")
 
     def pad(self) -> GelPad:
         """The gel pad; its window is what the camera sees."""
@@ -109,17 +81,12 @@ class GelSightParameters(FamilyParameters):
             window_y_mm=self.height_px * self.mm_per_px,
         )
 
-    def grid(self) -> PixelGrid:
-        """Square pixels, the image centre over the apex."""
-        return PixelGrid(self.width_px, self.height_px, self.mm_per_px, self.mm_per_px)
-
-    def material(self) -> GelMaterial:
-        """The gel's material."""
-        return GelMaterial(
-            young_modulus_pa=self.young_modulus_mpa * 1e6,
-            poisson_ratio=self.poisson_ratio,
-            density_kg_m3=self.density_kg_m3,
-            friction_coefficient=self.friction,
+    def lights(self) -> tuple[Light, ...]:
+        """One LED of each colour, 120 degrees apart."""
+        return (
+            self.led(90, RED, "red"),
+            self.led(210, GREEN, "green"),
+            self.led(330, BLUE, "blue"),
         )
 
 
@@ -127,7 +94,6 @@ FAMILY = SensorFamily(
     name="gelsight",
     title="Classic GelSight: domed gel, 640 x 480 px, 18.9 x 14.2 mm view",
     parameters_type=GelSightParameters,
-    material_names=("young_modulus_mpa", "poisson_ratio", "density_kg_m3", "friction"),
     references=(
         "Si and Yuan, Taxim: An Example-based Simulation Model for GelSight Tactile Sensors, "
         "RA-L 2022 (PyPI package taxim 1.4.1, MIT)",

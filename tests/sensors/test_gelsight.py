@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import importlib.util
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sensors import sensor_families, sensor_family
+from sensors import sensor_family
 from sensors.gelsight import FAMILY, GelSightParameters
 from taccel_lab.errors import InputError
 
@@ -90,27 +89,3 @@ def test_registry_knows_the_family_and_lists_it() -> None:
     assert sensor_family("gelsight") is FAMILY
     with pytest.raises(InputError, match=r"'gelsigth'; known: .*gelsight"):
         sensor_family("gelsigth")
-
-
-def test_entry_points_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Entry:
-        name = value = "x"
-
-        def __init__(self, item: object) -> None:
-            self._item = item
-
-        def load(self) -> object:
-            return self._item
-
-    def serve(*items: object) -> None:
-        monkeypatch.setattr("sensors.registry.entry_points", lambda group: [*map(Entry, items)])
-
-    mini = replace(FAMILY, name="mini")
-    serve(mini, FAMILY)
-    assert sensor_families() == {"gelsight": FAMILY, "mini": mini}
-    serve(replace(FAMILY, title="another"))
-    with pytest.raises(InputError, match="exists already"):
-        sensor_families()
-    serve("no family")
-    with pytest.raises(InputError, match="not a SensorFamily"):
-        sensor_families()

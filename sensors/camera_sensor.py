@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The usual sensor: gel on a window, LEDs around it, one camera behind.
+
+A family derives from ``CameraSensorParameters``, adds the dimensions of its gel, restates the
+shared parameters whose figures it knows and says which lights stand where.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from sensors.base import FamilyParameters
+from sensors.parameter_groups import (
+    CameraParameters,
+    CoatingParameters,
+    HousingParameters,
+    LightParameters,
+    MarkerParameters,
+    MaterialParameters,
+    WindowParameters,
+)
+from taccel_lab.errors import InputError
+from taccel_lab.optics.description import Light, MarkerGrid, OpticalDesign, Window
+
+RED, GREEN, BLUE, WHITE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
+"""Ideal LEDs: each colour reaches one channel of the camera only."""
+
+
+@dataclass(frozen=True)
+class CameraSensorParameters(
+    HousingParameters,
+    MarkerParameters,
+    WindowParameters,
+    CoatingParameters,
+    LightParameters,
+    CameraParameters,
+    MaterialParameters,
+    FamilyParameters,
+):
+    """Parameters of a sensor with one camera; see the groups for the parameters themselves."""
+
+    @abstractmethod
+    def lights(self) -> tuple[Light, ...]:
+        """The LEDs, made with ``led``."""
+
+    def window(self) -> Window | None:
+        """The window: a plate as large as the gel."""
+        (x0, y0, _), (x1, y1, _) = self.pad().bounds_mm()
+        return Window(
+            thickness_mm=self.window_thickness_mm,
+            size_mm=(float(x1 - x0), float(y1 - y0)),
+            refractive_index=self.window_index,
+        )
+
+    def optics(self) -> OpticalDesign:
+        """Camera, lights, coating and window; raises InputError for a camera inside of them."""
+        window = self.window()
+        self._check_camera(window)
+        return OpticalDesign(
+            camera=self.camera(),
+            lights=self.lights(),
+            coating=self.coating(),
+            window=window,
+            gel_refractive_index=self.gel_index,
+            ambient_rgb=(self.ambient, self.ambient, self.ambient),
+        )
+
+    def _check_camera(self, window: Window | None) -> None:
+        solid = 0.0 if window is None else self.pad().thickness_mm + window.thickness_mm
+        if self.camera_distance_mm <= solid:
+            raise InputError(
+                f"camera_distance_mm = {self.camera_distance_mm:g} puts the camera inside the gel "
+                f"or the window (window_thickness_mm = {self.window_thickness_mm:g}); allowed: "
+                f"above {solid:g} mm"
+            )
+
+    def markers(self) -> MarkerGrid | None:
+        """The dots; raises InputError for one that would lie beside the gel."""
+        grid = self.marker_grid()
+        if grid is None:
+            return None
+        points = grid.points_mm()
+        # The four extreme points of each dot, so that all of its paint lies on the gel.
+        reach = grid.radius_mm * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+        inside = np.isfinite(self.pad().top_mm(points[:, None] + reach)).all(axis=1)
+        if not inside.all():
+            x, y = points[np.flatnonzero(~inside)[0]]
+            raise InputError(
+                f"marker_area_x_mm x marker_area_y_mm = {self.marker_area_x_mm:g} x "
+                f"{self.marker_area_y_mm:g} mm puts a dot at ({x:.3g}, {y:.3g}) mm, beside the gel "
+                "or across its edge; make the area smaller"
+            )
+        return grid
+
+    def seen_mm(
+        self, length_x_mm: float, length_y_mm: float, margin_mm: float = 1.0
+    ) -> tuple[float, float]:
+        """Extents of the back that the camera looks through [mm]: what the image shows, cut
+        ``margin_mm`` inside a gel of the given size."""
+        view_x, view_y = self.view_mm()
+        return (
+            min(view_x, length_x_mm - 2 * margin_mm),
+            min(view_y, length_y_mm - 2 * margin_mm),
+        )

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""DIGIT: a thumb-shaped gel on a D-shaped outline in a moulded finger."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from cad.parameters import parameter, restated
+from cad.parts.gel_pad import GelPad
+from sensors.base import SensorFamily
+from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
+from taccel_lab.optics.description import Light, Window
+
+_GEL = "measured on the gel of digit-design (facebookresearch, figures only)"
+_PARTS = "measured on the parts of digit-design (facebookresearch, figures only)"
+_CANFNET = "camera calibration of CANFNet, 240 x 320 px"
+
+
+@dataclass(frozen=True)
+class DigitParameters(CameraSensorParameters):
+    """Parameters of a DIGIT; the fingertip points to +y."""
+
+    width_mm: float = parameter(
+        18.4, minimum=10, maximum=40, unit="mm", source=f"{_GEL}: 18.4 mm, tip semicircle R 9.2",
+        description="gel size along x; the tip is a semicircle of that diameter",
+    )  # fmt: skip
+    length_mm: float = parameter(
+        25.0, minimum=14, maximum=60, unit="mm", source=f"{_GEL}: 25.0 mm",
+        description="gel size along y, from the base to the tip",
+    )  # fmt: skip
+    thickness_mm: float = parameter(
+        4.07, minimum=2.5, maximum=12, unit="mm", source=f"{_GEL}: 4.07 mm",
+        description="gel thickness at the apex",
+    )  # fmt: skip
+    mid_radius_mm: float = parameter(
+        21.4, minimum=12, maximum=400, unit="mm",
+        source=f"{_GEL}: circular arc, rms 0.001 mm; 21 to 24 along the length",
+        description="radius of the cross-section in the middle",
+    )  # fmt: skip
+    young_modulus_mpa: float = restated(
+        0.3,
+        source="assumption: Smooth-On Solaris with Slacker, Shore A 10 to 15 by the build guide "
+        "before Slacker; no modulus of this gel is published. TACTO has none, Taccel's default "
+        "is 0.5",
+    )
+    width_px: int = restated(240, source="usual stream of a DIGIT, portrait")
+    height_px: int = restated(320, source="usual stream of a DIGIT, portrait")
+    mm_per_px: float = restated(
+        0.0536,
+        source=f"{_CANFNET}: 17.62 mm over 328.57 px, 12.9 x 17.2 mm. Others: 0.0582 (AUROVA, by "
+        "ball), 0.0532 (Taxim, 0.0266 at 640), 0.0405 at 320 (gs_sdk, cropped); the paper "
+        "speaks of 19 x 16 mm",
+    )
+    raw_width_px: int = restated(480, source="OVM7692: 640 x 480 at 60 Hz, turned upright")
+    raw_height_px: int = restated(640, source="OVM7692: 640 x 480 at 60 Hz, turned upright")
+    camera_distance_mm: float = restated(17.62, minimum=11, maximum=60, source=_CANFNET)
+    focal_px: float = restated(328.57, source=_CANFNET)
+    principal_x_px: float = restated(-5.0, source=f"{_CANFNET}: column 114.5")
+    principal_y_px: float = restated(-1.9, source=f"{_CANFNET}: row 157.6")
+    window_thickness_mm: float = restated(
+        6.15, maximum=8,
+        source="acrylic of digit-design: 6.15 in its CAD, 5.5 as shipped, 4 in the build guide; "
+        "4 to 6.2 are accepted",
+    )  # fmt: skip
+    led_x_mm: float = restated(10.0, source="assumption: around the window's edge")
+    led_y_mm: float = restated(13.0, source="assumption: around the window's edge")
+    housing_x_mm: float = restated(26.95, source=f"{_PARTS}: 26.95 mm")
+    housing_y_mm: float = restated(34.01, source=f"{_PARTS}: 34.01 mm")
+    housing_z_mm: float = restated(28.4, source=f"{_PARTS}: 28.4 mm in three parts")
+    housing_front_mm: float = restated(4.1, source="assumption: level with the back of the gel")
+    lens_distortion: ClassVar[tuple[float, ...]] = (-0.0066, -0.398, 0.0029, -0.0049, 1.169)
+
+    def pad(self) -> GelPad:
+        """The gel pad."""
+        window_x, window_y = self.seen_mm(self.width_mm, self.length_mm, 2.5)
+        return GelPad(
+            length_x_mm=self.width_mm,
+            length_y_mm=self.length_mm,
+            corner_radius_mm=0.4 * self.width_mm,
+            thickness_mm=self.thickness_mm,
+            crown_radius_x_mm=self.mid_radius_mm,
+            crown_radius_y_mm=105.0,
+            window_x_mm=window_x,
+            window_y_mm=window_y,
+        )
+
+    def window(self) -> Window:
+        """The acrylic plate, 0.1 mm narrower than the gel."""
+        return Window(
+            thickness_mm=self.window_thickness_mm,
+            size_mm=(self.width_mm - 0.1, self.length_mm),
+            refractive_index=self.window_index,
+        )
+
+    def lights(self) -> tuple[Light, ...]:
+        """One LED of each colour, 120 degrees apart."""
+        return (
+            self.led(90, RED, "red 625 nm"),
+            self.led(210, GREEN, "green 530 nm"),
+            self.led(330, BLUE, "blue 470 nm"),
+        )
+
+
+FAMILY = SensorFamily(
+    name="digit",
+    title="DIGIT: thumb-shaped gel 18.4 x 25.0 x 4.07 mm, mid-section R 21.4, 240 x 320 px",
+    parameters_type=DigitParameters,
+    references=(
+        "Lambeta et al., DIGIT, RA-L 2020; digit-design (facebookresearch, CC BY-NC 4.0: figures "
+        "only, no file or drawing is taken over)",
+        "CANFNet (paulotto/canfnet): camera calibration",
+    ),
+)

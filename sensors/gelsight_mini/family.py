@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""GelSight Mini: a crowned pad whose edge is one wide arc, in a case of 32 x 28 mm.
+
+The pad's shape was measured on the STEP file of the gel that FEATS publishes: plan 25.25 x 20.75
+mm, vertical walls of 2.75 mm, a rim about 3 mm wide, apex 4.00 mm above the flange of the cap. The
+case was measured on the STEP file of the shell in gsrobotics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from cad.parameters import parameter, restated
+from cad.parts.gel_pad import GelPad
+from sensors.base import SensorFamily
+from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
+from taccel_lab.optics.description import Light
+
+_GEL = "measured on gelsight_mini.step of FEATS (feats-ai/feats, MIT)"
+_CASE = "measured on gsmini_shell of gsrobotics (gelsightinc/gsrobotics)"
+_ANSYS = "gelsight_ansys_sim (irisxu02)"
+
+
+@dataclass(frozen=True)
+class GelSightMiniParameters(CameraSensorParameters):
+    """Parameters of a GelSight Mini; the gel with markers."""
+
+    length_x_mm: float = parameter(
+        25.25, minimum=12, maximum=50, unit="mm", source=f"{_GEL}: 25.25 mm",
+        description="gel size along x (image columns)",
+    )  # fmt: skip
+    length_y_mm: float = parameter(
+        20.75, minimum=12, maximum=50, unit="mm", source=f"{_GEL}: 20.75 mm",
+        description="gel size along y (image rows)",
+    )  # fmt: skip
+    corner_radius_mm: float = parameter(
+        1.5, minimum=0.5, maximum=5, unit="mm", source=f"{_GEL}: vertical corners R 1.5",
+        description="corner radius of the gel's outline",
+    )  # fmt: skip
+    thickness_mm: float = parameter(
+        4.0, minimum=2.0, maximum=10, unit="mm",
+        source=f"{_GEL}: apex 4.00 mm above the cap's flange. The data sheet's 4.25 +- 0.20 mm "
+        "(by third parties) counts from the top of the case, 0.25 mm lower",
+        description="gel thickness at the apex",
+    )  # fmt: skip
+    # Special to this sensor among the shared parameters.
+    young_modulus_mpa: float = restated(
+        0.3,
+        source="assumption: middle of what simulators of this gel use (0.01 to 1.0 MPa: TacEx "
+        "0.01, Taccel and gelsight_ansys_sim 0.1, ManiSkill-ViTac 0.3 and 1.0); the vendor states "
+        "55 Shore 00, about 0.4 MPa by Gent's formula. Identify it from captures",
+    )
+    width_px: int = restated(320, source="gsrobotics default_config.json")
+    height_px: int = restated(240, source="gsrobotics default_config.json")
+    mm_per_px: float = restated(
+        0.0634,
+        source="gsrobotics README, by ruler, and gs_sdk gsmini.yaml: 20.3 x 15.2 mm. Others: data "
+        "sheet 0.058 x 0.060, Taxim-like 0.059, ManiSkill-ViTac 0.060, TacSL 0.065: crop and the "
+        "unit's focus differ",
+    )
+    raw_width_px: int = restated(3280, source="gsrobotics: 8 MP camera, 3280 x 2464, 25 Hz")
+    raw_height_px: int = restated(2464, source="gsrobotics: 8 MP camera, 3280 x 2464, 25 Hz")
+    crop_x: float = restated(
+        1.0,
+        source="assumption: 0.0634 mm/px holds for the whole picture; gsrobotics can cut 0.15 of "
+        "it on every side",
+    )
+    crop_y: float = restated(1.0, source="assumption: as crop_x")
+    camera_distance_mm: float = restated(
+        24.0, minimum=12, maximum=80,
+        source=f"{_ANSYS}, TacEx and ManiSkill-ViTac: 24; TacSL 26.7",
+    )  # fmt: skip
+    focal_px: float = restated(
+        378.5,
+        source="24.0 mm over 0.0634 mm/px. gelsight_ansys_sim uses 412.9 / 402.8 px, "
+        "ManiSkill-ViTac and TacEx 340 / 325 px: pictures of other scales",
+    )
+    led_x_mm: float = restated(13.0, source="assumption: beside the window, inside the case")
+    led_y_mm: float = restated(11.0, source="assumption: beside the window, inside the case")
+    marker_pitch_mm: float = restated(
+        1.97,
+        source=f"{_ANSYS}: 9 dots between margins of 24 px of 320; ManiSkill-ViTac 2.0625",
+    )
+    marker_pitch_y_mm: float = restated(
+        1.90, source=f"{_ANSYS}: 7 dots between margins of 24 px of 240"
+    )
+    marker_area_x_mm: float = restated(16.5, source=f"{_ANSYS}: 9 columns")
+    marker_area_y_mm: float = restated(12.0, source=f"{_ANSYS}: 7 rows")
+    marker_radius_mm: float = restated(0.35, source=f"{_ANSYS}: 6 px of 0.0581 mm")
+    housing_x_mm: float = restated(32.0, source=f"{_CASE}: 32.0 mm")
+    housing_y_mm: float = restated(28.0, source=f"{_CASE}: 28.0 mm")
+    housing_z_mm: float = restated(24.0, source=f"{_CASE}: 24.0 mm up to the top of the cap")
+    housing_front_mm: float = restated(4.25, source=f"{_CASE}: apex 4.25 mm above the case")
+    housing_wall_mm: float = restated(1.25, source=f"{_CASE}: walls of 1 to 1.25 mm")
+    housing_offset_mm: ClassVar[tuple[float, float]] = (0.25, -0.5)
+
+    def pad(self) -> GelPad:
+        """The gel pad."""
+        window_x, window_y = self.seen_mm(self.length_x_mm, self.length_y_mm)
+        return GelPad(
+            length_x_mm=self.length_x_mm,
+            length_y_mm=self.length_y_mm,
+            corner_radius_mm=self.corner_radius_mm,
+            thickness_mm=self.thickness_mm,
+            crown_radius_x_mm=242.0,
+            crown_radius_y_mm=147.0,
+            rim="fillet",
+            rim_mm=1.0,
+            window_x_mm=window_x,
+            window_y_mm=window_y,
+        )
+
+    def lights(self) -> tuple[Light, ...]:
+        """A bar of one colour along three sides."""
+        bar = (0.6 * self.length_y_mm, self.led_size_mm)
+        return (
+            self.led(0, RED, "red", size_mm=bar),
+            self.led(90, GREEN, "green", size_mm=bar),
+            self.led(180, BLUE, "blue", size_mm=bar),
+        )
+
+
+FAMILY = SensorFamily(
+    name="gelsight_mini",
+    title="GelSight Mini: crowned gel 25.25 x 20.75 x 4.0 mm with a wide rim, 320 x 240 px, dots",
+    parameters_type=GelSightMiniParameters,
+    references=(
+        "Helmut et al., FEATS: gelsight_mini.step (feats-ai/feats, MIT)",
+        "GelSight, gsrobotics: shell, README and default_config.json (gelsightinc/gsrobotics)",
+        "gelsight_ansys_sim (irisxu02), TacEx, TacSL, ManiSkill-ViTac 2024/2025, Taccel: models of "
+        "this sensor with other figures",
+    ),
+)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The camera behind the gel and the tactile image that is made of its pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from cad.parameters import ParameterSet, parameter
+from sensors.parameter_groups.unstated import NO_FIGURE
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.optics.description import Camera
+
+
+@dataclass(frozen=True)
+class CameraParameters(ParameterSet):
+    """The camera over the middle of the gel, and the tactile image that is made of its pictures.
+
+    The tactile image is orthographic over gel xy. Its scale and the focal length describe the same
+    thing, seen from the image and from the lens; ``scale_from`` says which of them rules.
+    """
+
+    parameter_group: ClassVar[str] = "camera"
+
+    width_px: int = parameter(
+        640, minimum=16, maximum=8192, unit="px", source=NO_FIGURE,
+        description="width of the tactile image",
+    )  # fmt: skip
+    height_px: int = parameter(
+        480, minimum=16, maximum=8192, unit="px", source=NO_FIGURE,
+        description="height of the tactile image",
+    )  # fmt: skip
+    mm_per_px: float = parameter(
+        0.03, minimum=1e-3, maximum=1.0, unit="mm/px", source=NO_FIGURE,
+        description="size of a pixel on the contact face along x",
+    )  # fmt: skip
+    mm_per_px_y: float = parameter(
+        0.0, minimum=1e-3, maximum=1.0, unit="mm/px", zero_means="as along x",
+        source="assumption: square pixels",
+        description="size of a pixel on the contact face along y",
+    )  # fmt: skip
+    raw_width_px: int = parameter(
+        640, minimum=16, maximum=16384, unit="px", source=NO_FIGURE,
+        description="width of the camera's own pictures",
+    )  # fmt: skip
+    raw_height_px: int = parameter(
+        480, minimum=16, maximum=16384, unit="px", source=NO_FIGURE,
+        description="height of the camera's own pictures",
+    )  # fmt: skip
+    crop_x: float = parameter(
+        1.0, minimum=0.05, maximum=1.0, source="assumption: the whole picture is used",
+        description="share of the camera's picture that the tactile image shows, along x, centred",
+    )  # fmt: skip
+    crop_y: float = parameter(
+        1.0,
+        minimum=0.05,
+        maximum=1.0,
+        source="assumption: the whole picture is used",
+        description="the same along y",
+    )
+    camera_distance_mm: float = parameter(
+        24.0, minimum=1.0, maximum=200, unit="mm", source=NO_FIGURE,
+        description="from the apex of the contact face back to the camera's centre of projection",
+    )  # fmt: skip
+    scale_from: str = parameter(
+        "mm_per_px", choices=("mm_per_px", "focal_px"),
+        source="what the sources state for this sensor",
+        description="what fixes the image's scale; with focal_px it follows the camera's distance",
+    )  # fmt: skip
+    focal_px: float = parameter(
+        800.0, minimum=5, maximum=1e5, unit="px", source=NO_FIGURE,
+        description="focal length in pixels of the tactile image, used when scale_from is focal_px",
+    )  # fmt: skip
+    principal_x_px: float = parameter(
+        0.0, minimum=-200, maximum=200, unit="px", source="assumption: centred lens",
+        description="column of the principal point, counted from the middle of the image",
+    )  # fmt: skip
+    principal_y_px: float = parameter(
+        0.0, minimum=-200, maximum=200, unit="px", source="assumption: centred lens",
+        description="row of the principal point, counted from the middle of the image",
+    )  # fmt: skip
+    aperture_mm: float = parameter(
+        0.0, minimum=0.05, maximum=20, unit="mm", zero_means="unknown, all in focus",
+        source=NO_FIGURE, description="diameter of the entrance pupil",
+    )  # fmt: skip
+    lens_model: ClassVar[str] = "pinhole"
+    """Of ``Camera``: pinhole or fisheye."""
+    lens_distortion: ClassVar[tuple[float, ...]] = ()
+    """Of ``Camera``."""
+
+    def scale_mm_per_px(self) -> tuple[float, float]:
+        """Size of a pixel on the contact face along x and y [mm]."""
+        if self.scale_from == "focal_px":
+            scale = self.camera_distance_mm / self.focal_px
+            return scale, scale
+        return self.mm_per_px, self.mm_per_px_y or self.mm_per_px
+
+    def focal_lengths_px(self) -> tuple[float, float]:
+        """Focal lengths fx and fy in pixels of the tactile image."""
+        x, y = self.scale_mm_per_px()
+        return self.camera_distance_mm / x, self.camera_distance_mm / y
+
+    def grid(self) -> PixelGrid:
+        """The pixel grid of the tactile image; the camera's axis goes through the gel's middle."""
+        x, y = self.scale_mm_per_px()
+        if not (1e-4 <= x <= 1 and 1e-4 <= y <= 1):
+            raise InputError(
+                f"camera_distance_mm = {self.camera_distance_mm:g} and focal_px = "
+                f"{self.focal_px:g} make {x:g} mm/px; allowed: 0.0001 to 1 mm/px"
+            )
+        u, v = self._principal_point_px()
+        return PixelGrid(self.width_px, self.height_px, x, y, u, v)
+
+    def view_mm(self) -> tuple[float, float]:
+        """What the tactile image shows of the gel, along x and y [mm]."""
+        x, y = self.scale_mm_per_px()
+        return self.width_px * x, self.height_px * y
+
+    def camera(self) -> Camera:
+        """The camera with the intrinsics of the tactile image, focused on the apex."""
+        fx, fy = self.focal_lengths_px()
+        u, v = self._principal_point_px()
+        return Camera(
+            width_px=self.width_px,
+            height_px=self.height_px,
+            fx_px=fx,
+            fy_px=fy,
+            cx_px=u,
+            cy_px=v,
+            position_mm=(0.0, 0.0, -self.camera_distance_mm),
+            model=self.lens_model,  # type: ignore[arg-type]
+            distortion=self.lens_distortion,
+            focus_mm=self.camera_distance_mm,
+            aperture_mm=self.aperture_mm,
+        )
+
+    def _principal_point_px(self) -> tuple[float, float]:
+        return (
+            (self.width_px - 1) / 2 + self.principal_x_px,
+            (self.height_px - 1) / 2 + self.principal_y_px,
+        )

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The box that holds window, lights and camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from cad.parameters import ParameterSet, parameter
+from sensors.base import Housing
+from sensors.parameter_groups.unstated import NO_FIGURE
+from taccel_lab.errors import InputError
+
+
+@dataclass(frozen=True)
+class HousingParameters(ParameterSet):
+    """The box behind the gel that holds window, lights and camera."""
+
+    parameter_group: ClassVar[str] = "housing"
+
+    housing_x_mm: float = parameter(
+        30.0, minimum=2, maximum=300, unit="mm", source=NO_FIGURE, description="size along x"
+    )
+    housing_y_mm: float = parameter(
+        30.0, minimum=2, maximum=300, unit="mm", source=NO_FIGURE, description="size along y"
+    )
+    housing_z_mm: float = parameter(
+        30.0, minimum=2, maximum=300, unit="mm", source=NO_FIGURE,
+        description="size along z, from its front face backwards",
+    )  # fmt: skip
+    housing_front_mm: float = parameter(
+        5.0, minimum=0.0, maximum=100, unit="mm", source=NO_FIGURE,
+        description="distance of the front face behind the apex of the contact face",
+    )  # fmt: skip
+    housing_wall_mm: float = parameter(
+        1.2, minimum=0.3, maximum=20, unit="mm",
+        source="assumption: a usual wall of printed and moulded housings",
+        description="wall thickness",
+    )  # fmt: skip
+    housing_corner_mm: float = parameter(
+        1.0, minimum=0.0, maximum=50, unit="mm", source=NO_FIGURE,
+        description="radius of the upright edges",
+    )  # fmt: skip
+    housing_offset_mm: ClassVar[tuple[float, float]] = (0.0, 0.0)
+    """Centre of the box in gel xy."""
+
+    def housing(self) -> Housing | None:
+        """The housing; raises InputError when its walls or corners do not fit its size."""
+        inner = min(self.housing_x_mm, self.housing_y_mm, self.housing_z_mm)
+        if 2 * self.housing_wall_mm >= inner:
+            raise InputError(
+                f"housing_wall_mm = {self.housing_wall_mm:g} fills a housing of {inner:g} mm; "
+                f"allowed: below {inner / 2:g} mm"
+            )
+        least = min(self.housing_x_mm, self.housing_y_mm) / 2
+        if self.housing_corner_mm >= least:
+            raise InputError(
+                f"housing_corner_mm = {self.housing_corner_mm:g} does not fit the housing; "
+                f"allowed: below {least:g} mm"
+            )
+        return Housing(
+            size_mm=(self.housing_x_mm, self.housing_y_mm, self.housing_z_mm),
+            wall_mm=self.housing_wall_mm,
+            corner_radius_mm=self.housing_corner_mm,
+            front_z_mm=-self.housing_front_mm,
+            offset_mm=self.housing_offset_mm,
+        )

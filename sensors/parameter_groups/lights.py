@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""LEDs around the optical axis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from cad.parameters import ParameterSet, parameter
+from sensors.parameter_groups.unstated import NO_FIGURE
+from taccel_lab.optics.description import Light, Triple
+
+
+@dataclass(frozen=True)
+class LightParameters(ParameterSet):
+    """LEDs around the optical axis, all of one kind; a family says which colours stand where."""
+
+    parameter_group: ClassVar[str] = "lights"
+
+    led_x_mm: float = parameter(
+        12.0, minimum=1, maximum=100, unit="mm", source=NO_FIGURE,
+        description="distance of the LEDs at the sides +x and -x from the optical axis",
+    )  # fmt: skip
+    led_y_mm: float = parameter(
+        12.0, minimum=1, maximum=100, unit="mm", source=NO_FIGURE,
+        description="distance of the LEDs at the sides +y and -y from the optical axis",
+    )  # fmt: skip
+    led_depth_mm: float = parameter(
+        8.0, minimum=0.1, maximum=100, unit="mm", source=NO_FIGURE,
+        description="distance of the LEDs behind the apex of the contact face",
+    )  # fmt: skip
+    led_tilt_deg: float = parameter(
+        60.0, minimum=0.0, maximum=120, unit="deg", source=NO_FIGURE,
+        description="angle between an LED's axis and the normal of the gel: 0 shines straight at "
+        "the gel, 90 across it",
+    )  # fmt: skip
+    led_size_mm: float = parameter(
+        1.0, minimum=0.0, maximum=50, unit="mm", source=NO_FIGURE,
+        description="edge of an LED's square emitting face",
+    )  # fmt: skip
+    led_lobe: float = parameter(
+        1.0, minimum=0.0, maximum=60,
+        source="assumption: a bare LED is close to a Lambertian emitter",
+        description="exponent n of the emission lobe cos^n",
+    )  # fmt: skip
+    ambient: float = parameter(
+        0.05, minimum=0.0, maximum=10,
+        source="assumption: a little light from the walls of the housing reaches every point",
+        description="light that reaches all of the coating alike, per channel, as a multiple of "
+        "what one LED of power 1 sends on its axis to a distance of 10 mm",
+    )  # fmt: skip
+
+    def led(
+        self,
+        angle_deg: float,
+        rgb: Triple,
+        name: str,
+        *,
+        along_mm: float = 0.0,
+        size_mm: tuple[float, float] | None = None,
+    ) -> Light:
+        """An LED seen at ``angle_deg`` from +x towards +y, moved ``along_mm`` along its side."""
+        angle, tilt = math.radians(angle_deg), math.radians(self.led_tilt_deg)
+        c, s = math.cos(angle), math.sin(angle)
+        x, y = self.led_x_mm * c - along_mm * s, self.led_y_mm * s + along_mm * c
+        side = math.sin(tilt)
+        return Light(
+            position_mm=(x, y, -self.led_depth_mm),
+            direction=(-side * c, -side * s, math.cos(tilt)),
+            rgb=rgb,
+            size_mm=size_mm or (self.led_size_mm, self.led_size_mm),
+            lobe=self.led_lobe,
+            name=name,
+        )

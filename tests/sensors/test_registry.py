@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Families of other packages join the catalogue; one that cannot be loaded harms no other."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sensors import sensor_families, sensor_family
+from sensors.gelsight import FAMILY
+from sensors.registry import catalogue
+from taccel_lab.cli import app
+from taccel_lab.errors import InputError
+
+
+class Installed:
+    """A folder on sys.path in which packages are installed, by their metadata."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def add(self, package: str, entry: str, text: str) -> None:
+        info = self.folder / f"{package}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(
+            f"[taccel_lab.sensors]\n{entry} = {package}_family:FAMILY\n"
+        )
+        (self.folder / f"{package}_family.py").write_text(text)
+        importlib.invalidate_caches()
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Installed:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return Installed(tmp_path)
+
+
+GOOD = """
+from dataclasses import replace
+from sensors.gelsight import FAMILY as gelsight
+FAMILY = replace(gelsight, name="{name}", title="{title}")
+"""
+
+
+def test_an_installed_family_is_in_the_catalogue(installed: Installed) -> None:
+    installed.add("good_a", "soft_thumb", GOOD.format(name="soft_thumb", title="a thumb"))
+    assert sensor_family("soft_thumb").title == "a thumb"
+    assert list(sensor_families()) == sorted(sensor_families())
+    assert not catalogue().broken
+
+
+@pytest.mark.parametrize(
+    ("package", "text", "words"),
+    [
+        ("raising_b", "raise OSError('no licence file')", ["OSError", "no licence file"]),
+        ("missing_b", "import a_module_that_is_not_there", ["ModuleNotFoundError"]),
+        ("empty_b", "", ["AttributeError", "FAMILY"]),
+        ("wrong_b", "FAMILY = 'a thumb'", ["is a str, not a SensorFamily"]),
+        ("other_b", GOOD.format(name="toe", title="t"), ["called toe", "one name"]),
+    ],
+)
+def test_a_broken_package_is_named_and_harms_no_other(
+    installed: Installed,
+    package: str,
+    text: str,
+    words: list[str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = set(sensor_families())
+    installed.add(package, "soft_thumb", text)
+    assert set(sensor_families()) == before
+    with pytest.raises(InputError) as error:
+        sensor_family("soft_thumb")
+    for word in ["soft_thumb", package, *words]:
+        assert word in str(error.value)
+    assert app.main(["sensors", "list"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "gelsight_mini" in printed and package in printed and "broken" in printed
+    assert app.main(["sensors", "show", "soft_thumb"]) == 2
+    assert package in capsys.readouterr().err
+
+
+def test_a_built_in_sensor_is_not_replaced(installed: Installed) -> None:
+    installed.add("thief_c", "gelsight", GOOD.format(name="gelsight", title="stolen"))
+    assert sensor_family("gelsight") is FAMILY
+    assert "exists already" in catalogue().broken["gelsight"].reason
+
+
+def test_two_packages_cannot_share_a_name(installed: Installed) -> None:
+    for package in ("first_d", "second_d"):
+        installed.add(package, "soft_thumb", GOOD.format(name="soft_thumb", title=package))
+    assert sensor_family("soft_thumb").title in ("first_d", "second_d")
+    assert "exists already" in catalogue().broken["soft_thumb"].reason
+
+
+def test_unknown_sensor_names_the_known() -> None:
+    with pytest.raises(InputError, match=r"'gelsigth'; known: .*gelsight"):
+        sensor_family("gelsigth")
+
+
+def test_families_are_values() -> None:
+    assert sensor_family("gelsight") == replace(FAMILY)
