@@ -8,18 +8,17 @@ the rim band, so that a chamfer or fillet keeps its edges whatever the focus is.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import product
 
 import numpy as np
 
 from cad.mesh.conformal import DiscMap, disc_automorphism, disc_map
+from cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii
 from cad.mesh.plan_smoothing import smooth_plan
 from cad.mesh.structured_topology import core_perimeter, plan_quads, ring_of_node
 from cad.parts.gel_pad import GelPad
 
 _ANGLE_WEIGHT = 0.6
-_BULGE = 0.45
 _HELD_RINGS = 2
 _BOUNDARY_DECAY = 3
 _SEEN_WEIGHT = 0.8
@@ -101,14 +100,14 @@ def focus_plan(pad: GelPad, core: int, rings: int, focus: Focus) -> np.ndarray:
     # The core keeps the wanted cells, unless the outline is too near for them.
     half = min(core * focus.size_mm / 2 * per_mm, 0.3)
     size = 2 * half / core
-    start = half * _bulged_radius(theta - theta[0] - 0.75 * np.pi)
+    start = half * bulged_radius(theta - theta[0] - 0.75 * np.pi)
     wanted = round((focus.radius_mm * per_mm - half) / size)
     # At least half of the core's half width, so that the first ring clears the core's corners.
     even = int(np.clip(wanted, np.ceil(core / 4), max(1, free - 2)))
-    rho = _ring_radii(start, float(np.clip(half + even * size, 1.5 * half, 0.7)), even, free)
+    rho = ring_radii(start, float(np.clip(half + even * size, 1.5 * half, 0.7)), even, free)
     angle = theta + rho**_BOUNDARY_DECAY * (boundary - theta)
     zeta = np.concatenate([
-        half * np.exp(1j * (theta[0] + 0.75 * np.pi)) * (_bulged_core(core) @ [1, 1j]).ravel(),
+        half * np.exp(1j * (theta[0] + 0.75 * np.pi)) * (bulged_core(core) @ [1, 1j]).ravel(),
         (rho * np.exp(1j * angle)).ravel(),
     ])  # fmt: skip
     plan = chart.plan_from_disc(disc_automorphism(zeta, center))
@@ -122,50 +121,9 @@ def focus_plan(pad: GelPad, core: int, rings: int, focus: Focus) -> np.ndarray:
     return np.concatenate([xy, *(outline - normals * d for d in rim_distances_mm(pad))])
 
 
-def _ring_radii(start: np.ndarray, edge: float, even: int, rings: int) -> np.ndarray:
-    """Radius of every ring in the disc along every spoke, shape [rings, spokes]; the last is 1.
-
-    The first ``even`` rings lead from ``start`` to ``edge`` in equal steps; the others grow by one
-    factor.
-    """
-    inner = start + (edge - start) * np.arange(1, even + 1)[:, None] / even
-    step = (edge - float(start.mean())) / even
-    powers = np.arange(1, rings - even + 1)
-    low, high = 0.05, 50.0
-    for _ in range(80):
-        growth = 0.5 * (low + high)
-        low, high = (low, growth) if (step * growth**powers).sum() > 1 - edge else (growth, high)
-    outer = edge + np.cumsum(step * low**powers)
-    return np.concatenate([inner, np.tile(outer[:, None], (1, len(start)))])
-
-
 def _unwrap_near(angle: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Add full turns so that every angle is the one nearest to its reference."""
     return angle - 2 * np.pi * np.round((angle - reference) / (2 * np.pi))
-
-
-def _bulged_radius(theta: np.ndarray) -> np.ndarray:
-    """Edge of a unit square (half width 1) bulged towards a circle, in polar form."""
-    square = 1 / np.maximum(np.abs(np.cos(theta)), np.abs(np.sin(theta)))
-    return (1 - _BULGE) * square + _BULGE * 1.12
-
-
-@lru_cache(maxsize=16)
-def _bulged_core(core: int) -> np.ndarray:
-    """Nodes of the unit core, equal angles on its edge, Coons patch inside: [n+1, n+1, 2]."""
-    theta = -0.75 * np.pi + 0.5 * np.pi * np.arange(core + 1) / core
-    sides = []
-    for k in range(4):
-        a = theta + k * np.pi / 2
-        sides.append(_bulged_radius(a)[:, None] * np.stack([np.cos(a), np.sin(a)], axis=-1))
-    low_y, high_x, high_y, low_x = sides[0], sides[1], sides[2][::-1], sides[3][::-1]
-    t = np.linspace(0, 1, core + 1)
-    u, v = t[:, None, None], t[None, :, None]
-    ruled = (1 - v) * low_y[:, None] + v * high_y[:, None]
-    ruled += (1 - u) * low_x[None, :] + u * high_x[None, :]
-    corner = (1 - u) * ((1 - v) * low_y[0] + v * high_y[0])
-    corner += u * ((1 - v) * low_y[-1] + v * high_y[-1])
-    return ruled - corner
 
 
 def _half_arc_cells(pad: GelPad, core: int) -> int:
