@@ -38,9 +38,8 @@ class StandardPress:
     indenters: tuple[str, ...]
     """As ``parse_indenter`` reads them; each one is a simulation of its own."""
     contact_mm: float
-    """Half of the widest part of the contact that the mesh has to resolve [mm]."""
-    feature_mm: float
-    """Smallest detail of the contact [mm]: a radius, a ridge, a gap."""
+    """Half of the widest part of the contact that the mesh has to resolve [mm]; of a ball it is
+    what the full depth makes it, up to this."""
     depth_fraction: float = 0.0
     """Full depth as a part of the gel's thickness under the press; or else ``depth_mm``."""
     depth_mm: float = 0.0
@@ -61,6 +60,12 @@ class StandardPress:
     """Whether the indenter goes up again, by the steps it came down."""
     places: tuple[tuple[float, float], ...] = (CENTRE,)
     """Where, in parts of half of the camera's view along x and y: (0, 0) is its centre."""
+    cells: float = 4.0
+    """Elements (quadratic ones) along ``contact_mm``."""
+    core: int = 6
+    rings: int = 8
+    layers: int = 3
+    """Core, rings and layers of the focused mesh; they alone set its number of nodes."""
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isidentifier():
@@ -76,7 +81,7 @@ class StandardPress:
             )
         for name, low, high in (
             ("depth_fraction", 0.0, 0.8), ("depth_mm", 0.0, 50.0), ("shear_fraction", -4.0, 4.0),
-            ("twist_deg", -90.0, 90.0), ("contact_mm", 0.05, 50.0), ("feature_mm", 0.01, 50.0),
+            ("twist_deg", -90.0, 90.0), ("contact_mm", 0.05, 50.0), ("cells", 0.5, 100.0),
         ):  # fmt: skip
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
@@ -129,39 +134,39 @@ STANDARD_PRESSES: dict[str, StandardPress] = {
     press.name: press
     for press in (
         StandardPress(
-            "sphere", ("sphere:3",), contact_mm=3.0, feature_mm=3.0, depth_fraction=0.4,
+            "sphere", ("sphere:3",), contact_mm=3.0, depth_fraction=0.4,
             depth_limit_mm=2.4, steps=6,
         ),
         StandardPress(
-            "punch", ("cylinder:2",), contact_mm=2.0, feature_mm=1.0, depth_fraction=0.15,
+            "punch", ("cylinder:2",), contact_mm=2.0, depth_fraction=0.15,
             depth_limit_mm=0.8, steps=4,
         ),
         StandardPress(
-            "cylinder", ("roller:2x6",), contact_mm=3.0, feature_mm=2.0, depth_fraction=0.2,
+            "cylinder", ("roller:2x6",), contact_mm=3.0, depth_fraction=0.2,
             depth_limit_mm=1.0, steps=4,
         ),
         StandardPress(
-            "edge", ("edge:90x6x0.1",), contact_mm=3.0, feature_mm=1.0, depth_fraction=0.15,
+            "edge", ("edge:90x6x0.1",), contact_mm=3.0, depth_fraction=0.15,
             depth_limit_mm=0.6, steps=4,
         ),
         StandardPress(
-            "grating", ("grating:1.5x5x6",), contact_mm=3.5, feature_mm=0.75,
+            "grating", ("grating:1.5x5x6",), contact_mm=3.5,
             depth_fraction=0.1, depth_limit_mm=0.4, steps=3,
         ),
         StandardPress(
-            "shear", ("sphere:3",), contact_mm=2.0, feature_mm=3.0, depth_fraction=0.2,
+            "shear", ("sphere:3",), contact_mm=2.0, depth_fraction=0.2,
             depth_limit_mm=1.2, steps=3, shear_fraction=0.6, shear_back=True, twist_deg=8.0,
         ),
         StandardPress(
             "pairs", ("pair:0.5x0.25", "pair:0.5x0.75", "pair:0.5x1.75"), contact_mm=2.0,
-            feature_mm=0.5, depth_fraction=0.1, depth_limit_mm=0.4, steps=3,
+            depth_fraction=0.1, depth_limit_mm=0.4, steps=3,
         ),
         StandardPress(
-            "places", ("sphere:3",), contact_mm=2.0, feature_mm=3.0, depth_fraction=0.15,
+            "places", ("sphere:3",), contact_mm=2.0, depth_fraction=0.15,
             depth_limit_mm=0.8, steps=3, places=(CENTRE, *_CORNERS),
         ),
         StandardPress(
-            "release", ("sphere:3",), contact_mm=2.5, feature_mm=3.0, depth_fraction=0.3,
+            "release", ("sphere:3",), contact_mm=2.5, depth_fraction=0.3,
             depth_limit_mm=1.8, steps=6, release=True,
         ),
     )

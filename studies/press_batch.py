@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulate presses: jobs of one connectivity, indenter and path are environments of one batch."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from studies.press_job import PressJob
+from studies.press_record import PressRecord
+from taccel_lab.envs import PressEnv, layered_material, parse_indenter
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import QuadraticMesh, TetMesh
+from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.outputs import Outputs
+from taccel_lab.scene import Element, Material
+from taccel_lab.signals import ContactSurface
+from taccel_lab.solvers import SolverConfig
+
+REFERENCE_PA = 1e5
+"""Young's modulus of layer 0 in every simulation."""
+CONFIG = SolverConfig(relative_tolerance=1e-3)
+"""A thousandth of the contact force is far below what the mesh leaves."""
+CPU_BATCH, GPU_BATCH = 8, 256
+"""Environments a batch. One core gains nothing from more; a failure to build splits a batch."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulated:
+    """The record of a job, and its share of the wall time."""
+
+    record: PressRecord
+    seconds: float
+
+
+def batch_size(device: str) -> int:
+    """How many environments go well together on a device."""
+    return CPU_BATCH if device == "cpu" else GPU_BATCH
+
+
+def simulate(jobs: Sequence[PressJob], device: str = "cpu") -> list[Simulated]:
+    """Simulate jobs of one ``batch_key``; forces are those of ``REFERENCE_PA``.
+
+    A job that fails has a record with a cause and the steps before. Where one of a batch cannot
+    even be set up, each is taken on its own.
+    """
+    started = time.perf_counter()
+    try:
+        records = _press(jobs, device)
+    except InputError as error:
+        if len(jobs) > 1:
+            return [simulate([job], device)[0] for job in jobs]
+        records = [_nothing(jobs[0], str(error))]
+    seconds = (time.perf_counter() - started) / len(jobs)
+    return [Simulated(record, seconds) for record in records]
+
+
+def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
+    first = jobs[0]
+    materials = [
+        Material(REFERENCE_PA * ratio, nu)
+        for ratio, nu in zip(first.modulus_ratios, first.poisson_ratios, strict=True)
+    ]
+    env = PressEnv(
+        first.mesh,
+        layered_material(materials, first.mesh),
+        parse_indenter(first.indenter),
+        np.zeros((len(jobs), 2)),
+        friction_coefficient=first.friction,
+        rest_positions_m=np.stack([job.mesh.nodes_m for job in jobs]),
+        gel_from_press=np.stack([job.gel_from_press for job in jobs]),
+        element=Element.QUADRATIC,
+        config=CONFIG,
+        device=device,
+    )
+    press = first.press
+    thickness_mm = env.thickness_m * 1e3
+    depth_mm = np.array([press.full_depth_mm(t) for t in thickness_mm])
+    meshes = [_nodal(env.mesh, job.mesh) for job in jobs]
+    surface = ContactSurface.from_mesh(env.mesh)
+    rest = np.stack([mesh.nodes_m for mesh in meshes])
+    outputs = Outputs(env.solver)
+    steps: list[list[dict[str, np.ndarray | float]]] = [[] for _ in jobs]
+    causes = [""] * len(jobs)
+    failed = np.zeros(len(jobs), dtype=bool)
+    waypoints = press.waypoints()
+    for number, point in enumerate(waypoints):
+        shear_mm = np.column_stack([point.shear * press.shear_fraction * depth_mm, 0 * depth_mm])
+        twist_deg = point.twist * press.twist_deg
+        report = env.try_to(depth_mm * point.depth, shear_mm, twist_deg, stay=failed)
+        lost = ~report.converged & ~failed
+        for i in np.flatnonzero(lost):
+            why = env.failure(int(i), report, depth_mm * point.depth)
+            causes[i] = f"step {number + 1} of {len(waypoints)}: {why}"
+        failed |= lost
+        if failed.all():
+            break
+        wrench, poses, positions = env.wrench, env.poses[:, 0], env.positions
+        force, peaks = env.press_force, outputs.update(env.state).bond_peak()[0].numpy()
+        for i in np.flatnonzero(~failed):
+            frame = jobs[i].gel_from_press
+            moment = wrench[i, 3:] - np.cross(frame[:3], wrench[i, :3])
+            axis = rotate(frame[3:], np.array([0.0, 0.0, 1.0]))
+            steps[i].append({
+                "depth_mm": depth_mm[i] * point.depth,
+                "shear_mm": shear_mm[i, 0],
+                "twist_deg": twist_deg,
+                "force_n": force[i],
+                "torque_nm": float(moment @ axis),
+                "indenter_poses": poses[i],
+                "moved_m": (positions[i] - rest[i]).astype(np.float32),
+                "bond_peak_pa": peaks[i],
+                "residual_n": report.residual_n[i],
+                "newton_iterations": report.newton_iterations[i],
+            })  # fmt: skip
+    return [
+        PressRecord(
+            press=job.press.name,
+            indenter=job.indenter,
+            place=job.place,
+            mesh=meshes[i],
+            surface=surface,
+            gel_from_press=job.gel_from_press,
+            thickness_mm=float(thickness_mm[i]),
+            step_count=len(waypoints),
+            cause=causes[i],
+            **_stacked(steps[i], meshes[i].node_count),
+        )
+        for i, job in enumerate(jobs)
+    ]
+
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "depth_mm": (),
+    "shear_mm": (),
+    "twist_deg": (),
+    "force_n": (3,),
+    "torque_nm": (),
+    "indenter_poses": (7,),
+    "bond_peak_pa": (),
+    "residual_n": (),
+    "newton_iterations": (),
+}
+
+
+def _stacked(steps: list[dict[str, np.ndarray | float]], node_count: int) -> dict[str, np.ndarray]:
+    """Arrays over the steps; of length 0 where there is none."""
+    shapes = {**_SHAPES, "moved_m": (node_count, 3)}
+    return {
+        name: np.array([step[name] for step in steps]).reshape(-1, *shape)
+        for name, shape in shapes.items()
+    }
+
+
+def _nodal(nodal: TetMesh | QuadraticMesh, mesh: TetMesh) -> TetMesh | QuadraticMesh:
+    """``mesh`` with all its nodes; ``nodal`` is that of another mesh of the same connectivity."""
+    if isinstance(nodal, QuadraticMesh):
+        return dataclasses.replace(nodal, base=mesh)
+    return mesh
+
+
+def _nothing(job: PressJob, cause: str) -> PressRecord:
+    """The record of a press that could not be set up."""
+    return PressRecord(
+        press=job.press.name,
+        indenter=job.indenter,
+        place=job.place,
+        mesh=job.mesh,
+        surface=ContactSurface.from_mesh(job.mesh),
+        gel_from_press=job.gel_from_press,
+        thickness_mm=math.nan,
+        step_count=len(job.press.waypoints()),
+        cause=cause,
+        **_stacked([], job.mesh.node_count),
+    )

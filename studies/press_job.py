@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One press of one design, ready to simulate, and a key that is equal where the result is.
+
+A quasi-static press at given depths depends on the ratios of the layers' moduli alone: contact
+stiffness, elastic forces and friction all scale with Young's modulus, so that positions stay and
+forces scale. Jobs therefore hold no modulus of their own; density has no effect at all.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
+from cad.parts.pad import Pad
+from sensors.base import FamilyParameters
+from studies.presses import StandardPress
+from taccel_lab.envs import Indenter, normal_frame, parse_indenter
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.scene import Ball
+
+FINE_RADII = 1.15
+"""Radius of the fine part of a mesh in half widths of the contact."""
+
+
+@dataclass(frozen=True, eq=False)
+class PressJob:
+    """One indenter in one place on one gel."""
+
+    press: StandardPress
+    indenter: str
+    place: tuple[float, float]
+    """As in ``StandardPress.places``."""
+    mesh: TetMesh
+    gel_from_press: np.ndarray
+    """Origin on the contact face, z along its normal, [7]."""
+    modulus_ratios: tuple[float, ...]
+    """Young's modulus of each layer over that of layer 0."""
+    poisson_ratios: tuple[float, ...]
+    friction: float
+
+    @cached_property
+    def _path(self) -> str:
+        """What moves how, and the meshes' connectivity apart."""
+        p = self.press
+        path = [dataclasses.astuple(point) for point in p.waypoints()]
+        rule = [p.depth_fraction, p.depth_mm, min(p.depth_limit_mm, 1e3), p.shear_fraction]
+        return json.dumps([self.indenter, path, rule, p.twist_deg, self.friction])
+
+    @cached_property
+    def batch_key(self) -> str:
+        """Equal for jobs that can be environments of one batch."""
+        digest = hashlib.sha256(self._path.encode())
+        digest.update(json.dumps([self.modulus_ratios, self.poisson_ratios]).encode())
+        for array in (self.mesh.tets, self.mesh.faces, self.mesh.face_regions):
+            digest.update(array.tobytes())
+        digest.update(self.mesh.tet_layers.tobytes())
+        return digest.hexdigest()
+
+    @cached_property
+    def key(self) -> str:
+        """Equal for jobs whose results are, up to the modulus."""
+        digest = hashlib.sha256(self.batch_key.encode())
+        digest.update(self.mesh.nodes_m.tobytes())
+        digest.update(self.gel_from_press.tobytes())
+        return digest.hexdigest()
+
+
+def press_jobs(press: StandardPress, parameters: FamilyParameters) -> list[PressJob]:
+    """The simulations of a standard press on a design: each indenter in each place.
+
+    Raises InputError for a place beside the pad or too near to its edge to be meshed.
+    """
+    pad, grid = parameters.pad(), parameters.grid()
+    layers = parameters.layer_materials()
+    jobs = []
+    for text in press.indenters:
+        indenter = parse_indenter(text)
+        for place in press.places:
+            at = place_mm(grid, place)
+            jobs.append(
+                PressJob(
+                    press=press,
+                    indenter=text,
+                    place=place,
+                    mesh=_mesh(press, indenter, pad, at),
+                    gel_from_press=_frame(pad, at),
+                    modulus_ratios=tuple(
+                        m.young_modulus_pa / layers[0].young_modulus_pa for m in layers
+                    ),
+                    poisson_ratios=tuple(m.poisson_ratio for m in layers),
+                    friction=layers[-1].friction_coefficient,
+                )
+            )
+    return jobs
+
+
+def place_mm(grid: PixelGrid, place: tuple[float, float]) -> tuple[float, float]:
+    """Gel xy [mm] of a place in parts of half of the camera's view; (0, 0) is its centre."""
+    half = 0.5 * np.array([grid.width_px - 1, grid.height_px - 1])
+    x, y = grid.gel_from_pixel(half + half * np.array(place))
+    return float(x), float(y)
+
+
+def _frame(pad: Pad, at_mm: tuple[float, float]) -> np.ndarray:
+    xy = np.array(at_mm)
+    top, normal = float(pad.top_mm(xy)), pad.top_normal(xy)
+    if not (math.isfinite(top) and np.isfinite(normal).all()):
+        raise InputError(f"({at_mm[0]:.3g}, {at_mm[1]:.3g}) mm lies beside the contact face")
+    return normal_frame(np.append(xy, top) * 1e-3, normal)
+
+
+def _mesh(
+    press: StandardPress, indenter: Indenter, pad: Pad, at_mm: tuple[float, float]
+) -> TetMesh:
+    contact = contact_mm(press, indenter, pad.thickness_mm)
+    return focused_gel_mesh(
+        pad,
+        FocusOptions(
+            at_mm=at_mm,
+            radius_mm=FINE_RADII * contact,
+            size_mm=contact / press.cells,
+            core=press.core,
+            rings=press.rings,
+            layers=press.layers,
+        ),
+    )
+
+
+def contact_mm(press: StandardPress, indenter: Indenter, thickness_mm: float) -> float:
+    """Half width of the contact at full depth [mm]: of a ball where it crosses the surface."""
+    if not isinstance(indenter.shape, Ball):
+        return press.contact_mm
+    radius, depth = indenter.shape.radius_m * 1e3, press.full_depth_mm(thickness_mm)
+    sunk = min(depth, radius)
+    return min(math.sqrt(sunk * (2 * radius - sunk)), press.contact_mm)

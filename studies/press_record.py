@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a press leaves behind: forces, depths and the shape of the gel at every step."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.geometry import QuadraticMesh, TetMesh
+from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.output import atomic_file
+from taccel_lab.signals import ContactSurface
+
+
+@dataclass(frozen=True, eq=False)
+class PressRecord:
+    """Converged steps of one press; of one that failed half way those before."""
+
+    press: str
+    indenter: str
+    place: tuple[float, float]
+    mesh: TetMesh | QuadraticMesh
+    """The gel at rest, with all its nodes."""
+    surface: ContactSurface
+    """Of ``mesh``."""
+    gel_from_press: np.ndarray
+    """[7]."""
+    thickness_mm: float
+    """Gel under the press."""
+    depth_mm: np.ndarray
+    """Past first touch, shape [step]."""
+    shear_mm: np.ndarray
+    """Along x of the press frame, shape [step]."""
+    twist_deg: np.ndarray
+    """Shape [step]."""
+    force_n: np.ndarray
+    """Of the gel on the indenter, in the press frame, shape [step, 3]."""
+    torque_nm: np.ndarray
+    """About the press's axis, shape [step]."""
+    indenter_poses: np.ndarray
+    """gel_from_indenter, shape [step, 7]."""
+    moved_m: np.ndarray
+    """Displacement of every node, float32, shape [step, node, 3]."""
+    bond_peak_pa: np.ndarray
+    """Largest von Mises stress at a bonded node, shape [step]."""
+    residual_n: np.ndarray
+    newton_iterations: np.ndarray
+    step_count: int
+    """Steps that were wanted."""
+    cause: str = ""
+    """Why there are fewer steps; empty when all converged."""
+
+    @property
+    def down(self) -> slice:
+        """The steps straight down, up to the greatest depth."""
+        side = np.flatnonzero((self.shear_mm != 0) | (self.twist_deg != 0))
+        last = int(side[0]) if len(side) else len(self.depth_mm)
+        return slice(0, int(np.argmax(self.depth_mm[:last])) + 1 if last else 0)
+
+    @property
+    def normal_n(self) -> np.ndarray:
+        """Normal force of the steps straight down [N]."""
+        return self.force_n[self.down, 2]
+
+    @cached_property
+    def rest_m(self) -> np.ndarray:
+        """Nodes at rest, shape [node, 3]."""
+        return self.mesh.nodes_m
+
+    def positions_m(self, step: int) -> np.ndarray:
+        """Nodes at the end of a step [m], shape [node, 3]."""
+        return self.rest_m + self.moved_m[step]
+
+    def in_press(self, points_m: np.ndarray) -> np.ndarray:
+        """Points of the gel frame in the press frame [m]."""
+        pose = self.gel_from_press
+        return rotate(pose[3:] * [-1, -1, -1, 1], points_m - pose[:3])
+
+    def scaled(self, factor: float) -> PressRecord:
+        """The press of a gel whose moduli are all ``factor`` times these."""
+        if factor == 1.0:
+            return self
+        loads = ("force_n", "torque_nm", "bond_peak_pa", "residual_n")
+        return dataclasses.replace(self, **{name: getattr(self, name) * factor for name in loads})
+
+    def curve(self) -> dict[str, Any]:
+        """Steps, ready for JSON."""
+        return {
+            "indenter": self.indenter,
+            "place": self.place,
+            "thickness_mm": self.thickness_mm,
+            "depth_mm": self.depth_mm,
+            "shear_mm": self.shear_mm,
+            "twist_deg": self.twist_deg,
+            "force_n": self.force_n,
+            "torque_nmm": self.torque_nm * 1e3,
+            "bond_peak_kpa": self.bond_peak_pa * 1e-3,
+            "residual_n": self.residual_n,
+            "newton_iterations": self.newton_iterations,
+            "nodes": self.mesh.node_count,
+            "cause": self.cause,
+        }
+
+    def save(self, path: Path) -> None:
+        """Write the contact face's nodes and the steps as a compressed npz."""
+        idx = self.surface.node_idx
+        with atomic_file(path) as staging:
+            np.savez_compressed(
+                staging,
+                indenter=self.indenter,
+                place=np.array(self.place),
+                gel_from_press=self.gel_from_press,
+                thickness_mm=self.thickness_mm,
+                depth_mm=self.depth_mm,
+                shear_mm=self.shear_mm,
+                twist_deg=self.twist_deg,
+                force_n=self.force_n,
+                torque_nm=self.torque_nm,
+                indenter_poses=self.indenter_poses,
+                bond_peak_pa=self.bond_peak_pa,
+                residual_n=self.residual_n,
+                contact_rest_m=self.rest_m[idx],
+                contact_moved_m=self.moved_m[:, idx],
+                contact_faces=self.surface.faces,
+                cause=self.cause,
+            )
+            staging.chmod(0o644)
