@@ -19,8 +19,14 @@ ENTRY_POINT_GROUP = "taccel_lab.sensors"
 
 _BUILT_IN = (
     "digit",
+    "digit_360",
     "gelsight",
+    "gelsight_40",
     "gelsight_mini",
+    "gelsight_r15",
+    "gelsight_wedge",
+    "ninedtact",
+    "rtac",
 )
 """Modules of this package, each with a ``FAMILY``."""
 

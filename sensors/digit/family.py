@@ -95,11 +95,7 @@ class DigitParameters(CameraSensorParameters):
 
     def lights(self) -> tuple[Light, ...]:
         """One LED of each colour, 120 degrees apart."""
-        return (
-            self.led(90, RED, "red 625 nm"),
-            self.led(210, GREEN, "green 530 nm"),
-            self.led(330, BLUE, "blue 470 nm"),
-        )
+        return self.led_triple(RED, GREEN, BLUE)
 
 
 FAMILY = SensorFamily(

@@ -15,6 +15,7 @@ from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
 from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
+from sensors.parameter_groups import RectangleGelParameters
 from taccel_lab.optics.description import Light
 
 _GELMAP = "taxim 1.4.1, calib/gelsight/gelmap.npy"
@@ -26,28 +27,19 @@ _ASSUMED_PLAN = (
 
 
 @dataclass(frozen=True)
-class GelSightParameters(CameraSensorParameters):
+class GelSightParameters(RectangleGelParameters, CameraSensorParameters):
     """Parameters of a classic GelSight."""
 
-    length_x_mm: float = parameter(
-        24.0, minimum=10, maximum=60, unit="mm", source=_ASSUMED_PLAN,
-        description="gel size along x (image columns)",
-    )  # fmt: skip
-    length_y_mm: float = parameter(
-        20.0, minimum=10, maximum=60, unit="mm", source=_ASSUMED_PLAN,
-        description="gel size along y (image rows)",
-    )  # fmt: skip
-    corner_radius_mm: float = parameter(
-        2.0, minimum=0.3, maximum=30, unit="mm",
-        source="assumption: of the order of the 1.5 mm of the GelSight Mini's gel",
-        description="corner radius of the gel's outline",
-    )  # fmt: skip
-    thickness_mm: float = parameter(
-        5.0, minimum=1.5, maximum=20, unit="mm",
+    length_x_mm: float = restated(24.0, source=_ASSUMED_PLAN)
+    length_y_mm: float = restated(20.0, source=_ASSUMED_PLAN)
+    corner_radius_mm: float = restated(
+        2.0, source="assumption: of the order of the 1.5 mm of the GelSight Mini's gel"
+    )
+    thickness_mm: float = restated(
+        5.0,
         source=f"{_GELMAP}: apex height 4.9997 mm in a sphere fit; that the map counts from the "
         "glued back is an assumption (GelSight gels are 4 to 5.5 mm thick)",
-        description="gel thickness at the apex",
-    )  # fmt: skip
+    )
     crown_radius_mm: float = parameter(
         50.0, minimum=20, maximum=1e5, unit="mm", zero_means="flat",
         source=f"{_GELMAP}: sphere fit 50.011 mm, rms 0.0008 mm",
@@ -83,11 +75,7 @@ class GelSightParameters(CameraSensorParameters):
 
     def lights(self) -> tuple[Light, ...]:
         """One LED of each colour, 120 degrees apart."""
-        return (
-            self.led(90, RED, "red"),
-            self.led(210, GREEN, "green"),
-            self.led(330, BLUE, "blue"),
-        )
+        return self.led_triple(RED, GREEN, BLUE)
 
 
 FAMILY = SensorFamily(

@@ -11,10 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cad.parameters import parameter, restated
+from cad.parameters import restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
 from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
+from sensors.parameter_groups import RectangleGelParameters
 from taccel_lab.optics.description import Light
 
 _GEL = "measured on gelsight_mini.step of FEATS (feats-ai/feats, MIT)"
@@ -23,28 +24,19 @@ _ANSYS = "gelsight_ansys_sim (irisxu02)"
 
 
 @dataclass(frozen=True)
-class GelSightMiniParameters(CameraSensorParameters):
+class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
     """Parameters of a GelSight Mini; the gel with markers."""
 
-    length_x_mm: float = parameter(
-        25.25, minimum=12, maximum=50, unit="mm", source=f"{_GEL}: 25.25 mm",
-        description="gel size along x (image columns)",
-    )  # fmt: skip
-    length_y_mm: float = parameter(
-        20.75, minimum=12, maximum=50, unit="mm", source=f"{_GEL}: 20.75 mm",
-        description="gel size along y (image rows)",
-    )  # fmt: skip
-    corner_radius_mm: float = parameter(
-        1.5, minimum=0.5, maximum=5, unit="mm", source=f"{_GEL}: vertical corners R 1.5",
-        description="corner radius of the gel's outline",
-    )  # fmt: skip
-    thickness_mm: float = parameter(
-        4.0, minimum=2.0, maximum=10, unit="mm",
+    length_x_mm: float = restated(25.25, minimum=12, maximum=50, source=f"{_GEL}: 25.25 mm")
+    length_y_mm: float = restated(20.75, minimum=12, maximum=50, source=f"{_GEL}: 20.75 mm")
+    corner_radius_mm: float = restated(
+        1.5, minimum=0.5, maximum=5, source=f"{_GEL}: vertical corners R 1.5"
+    )
+    thickness_mm: float = restated(
+        4.0, minimum=2.0, maximum=10,
         source=f"{_GEL}: apex 4.00 mm above the cap's flange. The data sheet's 4.25 +- 0.20 mm "
         "(by third parties) counts from the top of the case, 0.25 mm lower",
-        description="gel thickness at the apex",
     )  # fmt: skip
-    # Special to this sensor among the shared parameters.
     young_modulus_mpa: float = restated(
         0.3,
         source="assumption: middle of what simulators of this gel use (0.01 to 1.0 MPa: TacEx "
@@ -112,13 +104,8 @@ class GelSightMiniParameters(CameraSensorParameters):
         )
 
     def lights(self) -> tuple[Light, ...]:
-        """A bar of one colour along three sides."""
-        bar = (0.6 * self.length_y_mm, self.led_size_mm)
-        return (
-            self.led(0, RED, "red", size_mm=bar),
-            self.led(90, GREEN, "green", size_mm=bar),
-            self.led(180, BLUE, "blue", size_mm=bar),
-        )
+        """A strip of one colour along each of three sides."""
+        return self.led_sides(RED, GREEN, BLUE)
 
 
 FAMILY = SensorFamily(

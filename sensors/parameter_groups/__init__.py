@@ -6,8 +6,9 @@ A family inherits them through ``sensors.camera_sensor`` and restates what is sp
 anything about a sensor, and say so.
 """
 
-from sensors.parameter_groups.camera import CameraParameters
+from sensors.parameter_groups.camera import CameraParameters, FisheyeParameters
 from sensors.parameter_groups.coating import CoatingParameters
+from sensors.parameter_groups.gel import RectangleGelParameters
 from sensors.parameter_groups.housing import HousingParameters
 from sensors.parameter_groups.lights import LightParameters
 from sensors.parameter_groups.markers import MarkerParameters
@@ -17,10 +18,12 @@ from sensors.parameter_groups.window import WindowParameters
 __all__ = [
     "CameraParameters",
     "CoatingParameters",
+    "FisheyeParameters",
     "HousingParameters",
     "LightParameters",
     "MarkerParameters",
     "MaterialParameters",
+    "RectangleGelParameters",
     "SkinParameters",
     "WindowParameters",
 ]

@@ -88,6 +88,8 @@ class CameraParameters(ParameterSet):
     """Of ``Camera``: pinhole or fisheye."""
     lens_distortion: ClassVar[tuple[float, ...]] = ()
     """Of ``Camera``."""
+    camera_offset_mm: ClassVar[tuple[float, float]] = (0.0, 0.0)
+    """Gel xy of the centre of projection."""
 
     def scale_mm_per_px(self) -> tuple[float, float]:
         """Size of a pixel on the contact face along x and y [mm]."""
@@ -102,7 +104,7 @@ class CameraParameters(ParameterSet):
         return self.camera_distance_mm / x, self.camera_distance_mm / y
 
     def grid(self) -> PixelGrid:
-        """The pixel grid of the tactile image; the camera's axis goes through the gel's middle."""
+        """The pixel grid of the tactile image, with the apex where the camera sees it."""
         x, y = self.scale_mm_per_px()
         if not (1e-4 <= x <= 1 and 1e-4 <= y <= 1):
             raise InputError(
@@ -110,7 +112,16 @@ class CameraParameters(ParameterSet):
                 f"{self.focal_px:g} make {x:g} mm/px; allowed: 0.0001 to 1 mm/px"
             )
         u, v = self._principal_point_px()
-        return PixelGrid(self.width_px, self.height_px, x, y, u, v)
+        fx, fy = self.focal_lengths_px()
+        offset_x, offset_y = self.camera_offset_mm
+        return PixelGrid(
+            width_px=self.width_px,
+            height_px=self.height_px,
+            mm_per_px_x=x,
+            mm_per_px_y=y,
+            center_u_px=u - fx * offset_x / self.camera_distance_mm,
+            center_v_px=v - fy * offset_y / self.camera_distance_mm,
+        )
 
     def view_mm(self) -> tuple[float, float]:
         """What the tactile image shows of the gel, along x and y [mm]."""
@@ -128,7 +139,7 @@ class CameraParameters(ParameterSet):
             fy_px=fy,
             cx_px=u,
             cy_px=v,
-            position_mm=(0.0, 0.0, -self.camera_distance_mm),
+            position_mm=(*self.camera_offset_mm, -self.camera_distance_mm),
             model=self.lens_model,  # type: ignore[arg-type]
             distortion=self.lens_distortion,
             focus_mm=self.camera_distance_mm,
@@ -140,3 +151,18 @@ class CameraParameters(ParameterSet):
             (self.width_px - 1) / 2 + self.principal_x_px,
             (self.height_px - 1) / 2 + self.principal_y_px,
         )
+
+
+@dataclass(frozen=True)
+class FisheyeParameters(CameraParameters):
+    """A fisheye lens: its focal length stands apart from the scale of the tactile image.
+
+    The tactile image shows the gel from above, which no single scale of the picture does: the lens
+    makes equal angles equally large.
+    """
+
+    lens_model: ClassVar[str] = "fisheye"
+
+    def focal_lengths_px(self) -> tuple[float, float]:
+        """Focal lengths in pixels for each radian of angle."""
+        return self.focal_px, self.focal_px

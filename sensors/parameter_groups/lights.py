@@ -73,3 +73,19 @@ class LightParameters(ParameterSet):
             lobe=self.led_lobe,
             name=name,
         )
+
+    def led_triple(self, first: Triple, second: Triple, third: Triple) -> tuple[Light, ...]:
+        """Three LEDs, 120 degrees apart, the first at the lower side of the image."""
+        colors = (first, second, third)
+        return tuple(
+            self.led(90 + 120 * k, color, f"led {k + 1}") for k, color in enumerate(colors)
+        )
+
+    def led_sides(self, right: Triple, bottom: Triple, left: Triple) -> tuple[Light, ...]:
+        """Strips of one colour along three sides, as long as two thirds of the side."""
+        lengths = (4 / 3 * self.led_y_mm, 4 / 3 * self.led_x_mm, 4 / 3 * self.led_y_mm)
+        sides = zip((right, bottom, left), lengths, ("right", "bottom", "left"), strict=True)
+        return tuple(
+            self.led(90 * k, color, name, size_mm=(length, self.led_size_mm))
+            for k, (color, length, name) in enumerate(sides)
+        )

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""DIGIT 360: a full hemisphere of gel, glued to a hyper-fisheye lens that looks into it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from cad.parameters import parameter, restated
+from cad.parts.dome_pad import SolidDomePad
+from sensors.base import SensorFamily
+from sensors.camera_sensor import CameraSensorParameters
+from sensors.parameter_groups import FisheyeParameters
+from taccel_lab.optics.description import Light
+
+_TIP = "measured on the fingertip of digit360 (facebookresearch, figures only)"
+_LEDS = 8
+
+
+@dataclass(frozen=True)
+class Digit360Parameters(FisheyeParameters, CameraSensorParameters):
+    """Parameters of a DIGIT 360; its lens is glued into a pocket in the base of the gel."""
+
+    dome_radius_mm: float = parameter(
+        12.5, minimum=6, maximum=30, unit="mm", source=f"{_TIP}: hemisphere R 12.5",
+        description="radius of the hemisphere and of the cylinder under it",
+    )  # fmt: skip
+    wall_height_mm: float = parameter(
+        13.5, minimum=4, maximum=40, unit="mm", source=f"{_TIP}: 26.0 mm in all",
+        description="height of the cylinder under the hemisphere",
+    )  # fmt: skip
+    pocket_radius_mm: float = parameter(
+        4.927, minimum=1.5, maximum=12, unit="mm",
+        source=f"{_TIP}: cone of 2 deg from 4.927 to 4.879 mm",
+        description="radius of the lens pocket at the base",
+    )  # fmt: skip
+    pocket_depth_mm: float = parameter(
+        1.55, minimum=0.8, maximum=6, unit="mm", source=f"{_TIP}: about 1.55 mm",
+        description="depth of the edge of the pocket's ceiling",
+    )  # fmt: skip
+    pocket_dome_radius_mm: float = parameter(
+        7.439, minimum=2, maximum=100, unit="mm",
+        source=f"{_TIP}: sphere R 7.439, the lens's outer element",
+        description="radius of the pocket's domed ceiling",
+    )  # fmt: skip
+    young_modulus_mpa: float = restated(
+        0.3, source="assumption: hardness and modulus of this gel are not published"
+    )
+    width_px: int = restated(640, source="assumption: the dome from above in 640 x 640 px")
+    height_px: int = restated(640, source="assumption: the dome from above in 640 x 640 px")
+    mm_per_px: float = restated(
+        0.04,
+        source="assumption: 25.6 mm, the whole dome. The picture of the fisheye itself is finer at "
+        "the rim and coarser at the apex, see focal_px",
+    )
+    raw_width_px: int = restated(4208, source="AR1335: 13 MP, 4208 x 3120 px")
+    raw_height_px: int = restated(3120, source="AR1335: 13 MP, 4208 x 3120 px")
+    crop_x: float = restated(0.74, source="assumption: the image circle, as high as the picture")
+    camera_distance_mm: float = restated(
+        24.2, minimum=8, maximum=70,
+        source="assumption: entrance pupil 1.5 mm behind the pocket's ceiling, which lies 22.7 mm "
+        "below the apex",
+    )  # fmt: skip
+    focal_px: float = restated(203.7, source="assumption: equidistant fisheye, 180 deg over 640 px")
+    led_x_mm: float = restated(9.0, source=f"{_TIP}: ring PCB, bore 11.6, outside 24.9 mm")
+    led_y_mm: float = restated(9.0, source=f"{_TIP}: ring PCB, bore 11.6, outside 24.9 mm")
+    led_depth_mm: float = restated(26.0, source=f"{_TIP}: ring PCB at the base of the gel")
+    led_tilt_deg: float = restated(0.0, source="assumption: LEDs face the gel")
+    housing_x_mm: float = restated(33.0, source="digit360_mesh: 33 x 28 x 53 mm with the gel")
+    housing_y_mm: float = restated(28.0, source="digit360_mesh: 33 x 28 x 53 mm with the gel")
+    housing_z_mm: float = restated(27.0, source="digit360_mesh: 53 mm less 26 mm of gel")
+    housing_front_mm: float = restated(26.0, source=f"{_TIP}: base of the gel")
+
+    def pad(self) -> SolidDomePad:
+        """The gel: hemisphere on a cylinder with the lens pocket."""
+        return SolidDomePad(
+            dome_radius_mm=self.dome_radius_mm,
+            wall_height_mm=self.wall_height_mm,
+            pocket_radius_mm=self.pocket_radius_mm,
+            pocket_taper_deg=2.0,
+            pocket_depth_mm=self.pocket_depth_mm,
+            pocket_edge_radius_mm=0.25,
+            pocket_dome_radius_mm=self.pocket_dome_radius_mm,
+        )
+
+    def window(self) -> None:
+        """None: the lens itself is glued into the gel."""
+        return None
+
+    def lights(self) -> tuple[Light, ...]:
+        """Eight RGB LEDs in a ring, their hue going once round the colours."""
+        angles = [360.0 * k / _LEDS for k in range(_LEDS)]
+        return tuple(self.led(angle, _hue(angle), f"rgb {k}") for k, angle in enumerate(angles))
+
+
+def _hue(angle_deg: float) -> tuple[float, float, float]:
+    """Red at 0, green at 120, blue at 240 deg, mixed between."""
+    red, green, blue = (
+        max(0.0, math.cos(math.radians(angle_deg - at)) + 0.5) / 1.5 for at in (0.0, 120.0, 240.0)
+    )
+    return red, green, blue
+
+
+FAMILY = SensorFamily(
+    name="digit_360",
+    title="DIGIT 360: gel hemisphere R 12.5 mm on a cylinder, 26 mm high, hyper-fisheye inside",
+    parameters_type=Digit360Parameters,
+    references=(
+        "Lambeta et al., Digitizing Touch with an Artificial Multimodal Fingertip, arXiv "
+        "2411.02479; digit360 (facebookresearch, CC BY-NC 4.0: figures only, no file or drawing "
+        "is taken over)",
+    ),
+)

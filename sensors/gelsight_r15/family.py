@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""GelSight R1.5, a flat gel on a robot finger, as TacSL models it; no longer sold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cad.parameters import restated
+from cad.parts.gel_pad import GelPad
+from sensors.base import SensorFamily
+from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
+from sensors.parameter_groups import RectangleGelParameters
+from taccel_lab.optics.description import Light
+
+_TACSL = "TacSL, tacsl_gelsight_r15.yaml"
+_NOT_PUBLISHED = "assumption: no drawing of this sensor is published"
+
+
+@dataclass(frozen=True)
+class GelSightR15Parameters(RectangleGelParameters, CameraSensorParameters):
+    """Parameters of a GelSight R1.5."""
+
+    length_x_mm: float = restated(23.977, source=f"{_TACSL}: elastomer 23.977 x 32 mm")
+    length_y_mm: float = restated(32.0, source=f"{_TACSL}: elastomer 23.977 x 32 mm")
+    corner_radius_mm: float = restated(1.5, source=f"{_NOT_PUBLISHED}; as the GelSight Mini's")
+    thickness_mm: float = restated(
+        4.0, source=f"{_NOT_PUBLISHED}; GelSight gels are 4 to 5.5 mm thick"
+    )
+    width_px: int = restated(240, source=f"{_TACSL}: 240 x 320 px")
+    height_px: int = restated(320, source=f"{_TACSL}: 240 x 320 px")
+    mm_per_px: float = restated(0.0877, source=f"{_TACSL}: 21.0 x 28.1 mm")
+    camera_distance_mm: float = restated(
+        20.343, minimum=12, maximum=80, source=f"{_TACSL}: camera_dist 20.343 mm"
+    )
+    focal_px: float = restated(232.0, source=f"{_TACSL}: 20.343 mm over 0.0877 mm/px")
+    led_x_mm: float = restated(12.5, source=_NOT_PUBLISHED)
+    led_y_mm: float = restated(16.5, source=_NOT_PUBLISHED)
+    housing_x_mm: float = restated(30.0, source=_NOT_PUBLISHED)
+    housing_y_mm: float = restated(38.0, source=_NOT_PUBLISHED)
+
+    def pad(self) -> GelPad:
+        """The flat gel pad."""
+        window_x, window_y = self.seen_mm(self.length_x_mm, self.length_y_mm)
+        return GelPad(
+            length_x_mm=self.length_x_mm,
+            length_y_mm=self.length_y_mm,
+            corner_radius_mm=self.corner_radius_mm,
+            thickness_mm=self.thickness_mm,
+            window_x_mm=window_x,
+            window_y_mm=window_y,
+        )
+
+    def lights(self) -> tuple[Light, ...]:
+        """One LED of each colour, 120 degrees apart."""
+        return self.led_triple(RED, GREEN, BLUE)
+
+
+FAMILY = SensorFamily(
+    name="gelsight_r15",
+    title="GelSight R1.5: flat gel 24.0 x 32 mm, 240 x 320 px (as in TacSL)",
+    parameters_type=GelSightR15Parameters,
+    references=(
+        "Akinola et al., TacSL: A Library for Visuotactile Sensor Simulation and Learning, 2024 "
+        "(IsaacGymEnvs, BSD-3; IsaacLab)",
+    ),
+)

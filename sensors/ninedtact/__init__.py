@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The 9DTact."""
+
+from sensors.ninedtact.family import FAMILY, NineDTactParameters
+
+__all__ = ["FAMILY", "NineDTactParameters"]

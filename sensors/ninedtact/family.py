@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""9DTact: a flat translucent gel under a black skin; white light, grey stands for depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cad.parameters import parameter, restated
+from cad.parts.gel_pad import GelPad
+from sensors.base import GelMaterial, SensorFamily
+from sensors.camera_sensor import WHITE, CameraSensorParameters
+from sensors.parameter_groups import RectangleGelParameters, SkinParameters
+from taccel_lab.optics.description import Light
+
+_MOULD = "measured on the mould drawings of 9DTact (linchangyi1/9DTact, MIT)"
+_SHELL = "measured on the shell of 9DTact (linchangyi1/9DTact, MIT)"
+_CALIBRATION = "rectification maps of 9DTact (linchangyi1/9DTact, MIT)"
+_SAME_SILICONE = "assumption: the same silicone as the core with black pigment; none is published"
+
+
+@dataclass(frozen=True)
+class NineDTactParameters(RectangleGelParameters, SkinParameters, CameraSensorParameters):
+    """Parameters of a 9DTact; its outer dimensions include the skin."""
+
+    length_x_mm: float = restated(31.1, minimum=14, source=f"{_MOULD}: black skin 31.1 x 24.1 mm")
+    length_y_mm: float = restated(24.1, minimum=14, source=f"{_MOULD}: black skin 31.1 x 24.1 mm")
+    corner_radius_mm: float = restated(
+        1.8, minimum=1.2, maximum=6, source=f"{_MOULD}: outside of the skin R 1.8, core R 1.0"
+    )
+    thickness_mm: float = restated(
+        2.8, minimum=1.2, maximum=8, source=f"{_MOULD}: mould of 2.8 mm, core of 2.5 mm",
+        description="gel thickness with the skin",
+    )  # fmt: skip
+    skin_top_mm: float = parameter(
+        0.3, minimum=0.1, maximum=1.0, unit="mm", source=f"{_MOULD}: 2.8 mm less 2.5 mm",
+        description="thickness of the skin on the contact face",
+    )  # fmt: skip
+    skin_side_mm: float = parameter(
+        0.8, minimum=0.2, maximum=1.0, unit="mm",
+        source=f"{_MOULD}: (31.1 - 29.5) / 2 = (24.1 - 22.5) / 2 mm",
+        description="thickness of the skin on the walls",
+    )  # fmt: skip
+    young_modulus_mpa: float = restated(
+        0.2, source="assumption: soft translucent silicone; no modulus of this gel is published"
+    )
+    skin_young_modulus_mpa: float = restated(0.2, source=_SAME_SILICONE)
+    skin_density_kg_m3: float = restated(1000.0, source=_SAME_SILICONE)
+    width_px: int = restated(460, source=f"{_CALIBRATION}: crop of 460 x 345 px")
+    height_px: int = restated(345, source=f"{_CALIBRATION}: crop of 460 x 345 px")
+    mm_per_px: float = restated(
+        0.0505,
+        source=f"{_CALIBRATION}: 0.0510 and 0.0500 mm/px of two units, 23.2 x 17.4 mm",
+    )
+    raw_width_px: int = restated(640, source="9DTact configuration: 640 x 480 px at 30 Hz")
+    raw_height_px: int = restated(480, source="9DTact configuration: 640 x 480 px at 30 Hz")
+    crop_x: float = restated(0.71875, source=f"{_CALIBRATION}: 460 of 640 px")
+    crop_y: float = restated(0.71875, source=f"{_CALIBRATION}: 345 of 480 px")
+    camera_distance_mm: float = restated(
+        15.0, minimum=8, maximum=60, source="9DTact: lens focused at about 15 mm"
+    )
+    focal_px: float = restated(297.0, source="15 mm over 0.0505 mm/px, both see there")
+    window_thickness_mm: float = restated(
+        3.5, maximum=8,
+        source=f"{_SHELL}: rim 6.3 mm above the floor, less the gel; the acrylic's own drawing "
+        "could not be read",
+    )  # fmt: skip
+    led_x_mm: float = restated(9.0, source="assumption: white LEDs round the aperture of 12 mm")
+    led_y_mm: float = restated(9.0, source="assumption: white LEDs round the aperture of 12 mm")
+    led_tilt_deg: float = restated(0.0, source="assumption: LEDs face the gel")
+    coating_albedo: float = restated(0.05, source="assumption: black skin")
+    coating_thickness_mm: float = restated(
+        0.0, source="the skin is a solid of its own, see skin_top_mm"
+    )
+    housing_x_mm: float = restated(32.5, source=f"{_SHELL}: 32.5 x 25.5 mm")
+    housing_y_mm: float = restated(25.5, source=f"{_SHELL}: 32.5 x 25.5 mm")
+    housing_z_mm: float = restated(22.7, source=f"{_SHELL}: 25.5 mm in all less 2.8 mm of gel")
+    housing_front_mm: float = restated(2.8, source="assumption: level with the back of the gel")
+    housing_corner_mm: float = restated(2.0, source=f"{_SHELL}: R 2")
+
+    def pad(self) -> GelPad:
+        """The flat pad: translucent core and black skin."""
+        inside = 2 * self.skin_side_mm
+        window_x, window_y = self.seen_mm(self.length_x_mm - inside, self.length_y_mm - inside)
+        return GelPad(
+            length_x_mm=self.length_x_mm,
+            length_y_mm=self.length_y_mm,
+            corner_radius_mm=self.corner_radius_mm,
+            thickness_mm=self.thickness_mm,
+            window_x_mm=window_x,
+            window_y_mm=window_y,
+        )
+
+    def layer_materials(self) -> tuple[GelMaterial, ...]:
+        """Translucent core, black skin."""
+        return (self.material(), self.skin_material(self.friction))
+
+    def lights(self) -> tuple[Light, ...]:
+        """White LEDs on four sides."""
+        return tuple(self.led(90.0 * k, WHITE, f"white {k}") for k in range(4))
+
+
+FAMILY = SensorFamily(
+    name="9dtact",
+    title="9DTact: flat gel 31.1 x 24.1 x 2.8 mm, translucent under a black skin, 460 x 345 px",
+    parameters_type=NineDTactParameters,
+    references=(
+        "Lin et al., 9DTact: A Compact Vision-Based Tactile Sensor for Accurate 3D Shape "
+        "Reconstruction and Generalizable 6D Force Estimation, RA-L 2023 (linchangyi1/9DTact, MIT)",
+    ),
+)
