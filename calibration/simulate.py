@@ -150,10 +150,11 @@ def _require_view_on_pad(captures: CaptureSet, profile: SensorProfile) -> None:
     corners = grid.gel_from_pixel(np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * last)
     if pad.inside_distance_mm(corners).min() < 0:
         width_mm, height_mm = last * (grid.mm_per_px_x, grid.mm_per_px_y)
+        size_x_mm, size_y_mm = np.diff(pad.bounds_mm()[:, :2], axis=0)[0]
         raise InputError(
             f"{captures.source}: at {grid.mm_per_px_x:g} x {grid.mm_per_px_y:g} mm/px the image "
-            f"shows {width_mm:.1f} x {height_mm:.1f} mm, more than the pad of {pad.length_x_mm:g} "
-            f"x {pad.length_y_mm:g} mm; check the scale, or design a larger pad"
+            f"shows {width_mm:.1f} x {height_mm:.1f} mm, more than the pad of {size_x_mm:g} x "
+            f"{size_y_mm:g} mm; check the scale, or design a larger pad"
         )
 
 

@@ -71,6 +71,11 @@ class DomePad(Pad):
         normal = np.concatenate([np.where(np.isnan(height), np.nan, xy), height], axis=-1)
         return normal / self.dome_radius_mm
 
+    def inside_distance_mm(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Distance in plan to the edge of the contact face [mm], positive inside;
+        [..., 2] -> [...]."""
+        return self.cap_radius_mm - np.linalg.norm(np.asarray(xy_mm, dtype=np.float64), axis=-1)
+
     def contact_error_mm(self, points_mm: np.ndarray) -> np.ndarray:
         """Distance of points from the contact face's sphere [mm], [n, 3] -> [n]."""
         center = np.array([0, 0, -self.dome_radius_mm])

@@ -5,34 +5,36 @@ The gel frame in millimetres: origin at the apex of the contact face, z out of t
 back at z = -thickness. Solid, meshes and tests all read their shape from here.
 
 The crown is the biconic sag ``(x^2/Rx + y^2/Ry) / (1 + sqrt(1 - x^2/Rx^2 - y^2/Ry^2))``, which is
-an exact sphere when Rx = Ry (ISO 10110-12 with zero conic constants). A fillet is the ball rolled
-along the edge between the wall and the tangent plane of the crown, exact for a plane crown.
+an exact sphere when Rx = Ry (ISO 10110-12 with zero conic constants), plus ``pillow sx sy / s``
+with sx = x^2/2Rx, sy = y^2/2Ry and s their mean where the rim begins: with pillow = 1 the edge of
+a crown with sx = sy there is level, as where a cast gel springs from a level frame.
+
+A rim is a chamfer, a rolled fillet or an arc: a circular arc that rises from a wall of given height
+and meets the crown's edge level, scaled to the height of that edge.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
 
 import numpy as np
 
 from cad.parameters import parameter
-from cad.parts.pad import Pad
+from cad.parts.height_pad import MIN_WALL_MM, HeightPad
+from cad.parts.pad_outline import PadOutline, rounded_rectangle
+from cad.parts.rim_band import RimBand
+from cad.parts.rim_fillet import fillet_height_mm
 from taccel_lab.errors import InputError
 
-if TYPE_CHECKING:
-    from cad.parts.labelled_solid import LabelledSolid
-
 _NEUTRAL = "neutral value; a sensor family sets its own"
-MIN_WALL_MM = 0.3
-"""Least height of the wall above the glued back [mm]: thinner edges tear and mesh badly."""
-MIN_WINDOW_MARGIN_MM = 0.2
-"""Least distance between the window and the outline [mm]."""
-_SLOPE_STEP_MM = 1e-4
+_MAX_RIM_PER_CORNER = 0.9
+"""Widest rim that rolls around a corner, in units of the corner radius."""
+_MIN_RISE_MM = 0.05
 
 
 @dataclass(frozen=True)
-class GelPad(Pad):
+class GelPad(HeightPad):
     """Dimensions of one gel pad [mm]."""
 
     length_x_mm: float = parameter(
@@ -61,13 +63,40 @@ class GelPad(Pad):
         0.0, minimum=5, maximum=1e5, unit="mm", source=_NEUTRAL, zero_means="flat",
         description="radius of curvature of the contact face along y at the apex",
     )  # fmt: skip
+    crown_pillow: float = parameter(
+        0.0, minimum=0, maximum=1, source=_NEUTRAL,
+        description="how far the crown's edge is level all around: 0 each point drops by both "
+        "curvatures, 1 level where both drop the same",
+    )  # fmt: skip
     rim: str = parameter(
-        "none", choices=("none", "chamfer", "fillet"), source=_NEUTRAL,
+        "none", choices=("none", "chamfer", "fillet", "arc"), source=_NEUTRAL,
         description="treatment of the edge between the contact face and the wall",
     )  # fmt: skip
     rim_mm: float = parameter(
         0.5, minimum=0.05, maximum=10, unit="mm", source=_NEUTRAL,
-        description="leg of the chamfer or radius of the fillet, without effect when rim is none",
+        description="leg of the chamfer, radius of the fillet or width of the arc in plan, without "
+        "effect when rim is none",
+    )  # fmt: skip
+    wall_mm: float = parameter(
+        0.0, minimum=MIN_WALL_MM, maximum=40, unit="mm", source=_NEUTRAL,
+        zero_means="as the rim leaves it",
+        description="height of the wall at which a chamfer or arc begins",
+    )  # fmt: skip
+    rim_radius_mm: float = parameter(
+        5.0, minimum=0.06, maximum=1000, unit="mm", source=_NEUTRAL,
+        description="radius of the arc, level where it meets the crown; for rim arc only",
+    )  # fmt: skip
+    bond_sides: str = parameter(
+        "no", choices=("no", "yes"), source=_NEUTRAL,
+        description="whether the wall is glued to the housing, too",
+    )  # fmt: skip
+    skin_mm: float = parameter(
+        0.0, minimum=0.05, maximum=5, unit="mm", source=_NEUTRAL, zero_means="no skin",
+        description="thickness along z of a skin of another material on the contact face",
+    )  # fmt: skip
+    skin_side_mm: float = parameter(
+        0.0, minimum=0.1, maximum=5, unit="mm", source=_NEUTRAL, zero_means="no skin there",
+        description="thickness of the skin on the wall",
     )  # fmt: skip
     window_x_mm: float = parameter(
         18.0, minimum=1, maximum=100, unit="mm", source=_NEUTRAL,
@@ -85,20 +114,76 @@ class GelPad(Pad):
                 f"corner_radius_mm = {self.corner_radius_mm:g} does not fit the outline "
                 f"{self.length_x_mm:g} x {self.length_y_mm:g} mm; allowed: up to {half - 0.05:g} mm"
             )
-        if self.rim != "none" and self.rim_mm > 0.9 * self.corner_radius_mm:
+        self._check_crown()
+        self._check_rim(half)
+        self._check_wall()
+        self._check_skin()
+        self._check_window()
+
+    def _check_rim(self, half_mm: float) -> None:
+        rolls = self.rim == "fillet" or (self.rim == "chamfer" and not self.wall_mm)
+        rolled = _MAX_RIM_PER_CORNER * self.corner_radius_mm
+        if rolls and self.rim_mm > rolled:
             raise InputError(
                 f"rim_mm = {self.rim_mm:g} cannot be built with corner_radius_mm = "
-                f"{self.corner_radius_mm:g}; allowed: up to {0.9 * self.corner_radius_mm:g} mm"
+                f"{self.corner_radius_mm:g}; allowed: up to {rolled:g} mm"
             )
-        self._check_crown()
-        wall = self.min_wall_mm()
-        if wall < MIN_WALL_MM:
+        if self.rim not in ("chamfer", "arc") or rolls:
+            return
+        if self.rim_mm > 0.8 * half_mm:
             raise InputError(
-                f"the crown and rim drop {self.thickness_mm - wall:.3f} mm at the lowest point of "
-                f"the edge and leave {wall:.3f} mm of wall; thickness_mm must be at least "
-                f"{self.thickness_mm - wall + MIN_WALL_MM:.3f} mm, or the crown radii larger"
+                f"rim_mm = {self.rim_mm:g} is too wide for the outline {self.length_x_mm:g} x "
+                f"{self.length_y_mm:g} mm; allowed: up to {0.8 * half_mm:g} mm"
             )
-        self._check_window()
+        if self.rim == "chamfer" and not self.is_flat:
+            raise InputError(
+                f"wall_mm = {self.wall_mm:g} with rim chamfer needs a flat contact face; allowed: "
+                "0, or rim arc, or crown radii 0"
+            )
+        if self.rim == "arc" and self.rim_radius_mm < 1.05 * self.rim_mm:
+            raise InputError(
+                f"rim_radius_mm = {self.rim_radius_mm:g} is too small for a rim_mm of "
+                f"{self.rim_mm:g}; allowed: at least {1.05 * self.rim_mm:g} mm"
+            )
+        edge = self.outline_mm(64)
+        highest = self.thickness_mm + float(
+            self.crown_mm(self._band.fraction_and_foot(edge)[1]).min()
+        )
+        if not MIN_WALL_MM <= self.wall_mm <= highest - _MIN_RISE_MM:
+            raise InputError(
+                f"wall_mm = {self.wall_mm:g} with rim {self.rim}: the crown's edge lies at "
+                f"{highest:.3f} mm over the back; allowed: {MIN_WALL_MM:g} to "
+                f"{highest - _MIN_RISE_MM:.3f} mm"
+            )
+
+    def _check_skin(self) -> None:
+        if not self.skin_mm and not self.skin_side_mm:
+            return
+        rolled = _MAX_RIM_PER_CORNER * self.corner_radius_mm
+        if not self.skin_mm:
+            raise InputError(
+                f"skin_side_mm = {self.skin_side_mm:g} needs a skin on the contact face, too; set "
+                "skin_mm, or skin_side_mm to 0"
+            )
+        if self.rim == "fillet":
+            raise InputError("a skin cannot have rim fillet; allowed: rim none, chamfer or arc")
+        if self.skin_side_mm > rolled:
+            raise InputError(
+                f"skin_side_mm = {self.skin_side_mm:g} does not fit corner_radius_mm = "
+                f"{self.corner_radius_mm:g}; allowed: up to {rolled:g} mm"
+            )
+        if self.skin_side_mm and self.rim != "none" and self.rim_mm > rolled:
+            raise InputError(
+                f"rim_mm = {self.rim_mm:g} is too wide for a skin on the wall; allowed: up to "
+                f"{rolled:g} mm, or skin_side_mm = 0"
+            )
+        core = self.outline.inset(self.skin_side_mm).points_mm(64)
+        gel = self.thickness_mm + float(self.height_mm(core).min()) - self.skin_mm
+        if gel < MIN_WALL_MM:
+            raise InputError(
+                f"skin_mm = {self.skin_mm:g} leaves {gel:.3f} mm of gel under the skin's edge; "
+                f"allowed: up to {self.skin_mm + gel - MIN_WALL_MM:.3f} mm"
+            )
 
     def _check_crown(self) -> None:
         # Inside this bound the top stays less than 53 degrees steep, so that it is a height map.
@@ -110,16 +195,6 @@ class GelPad(Pad):
                 f"crown radii {self.crown_radius_x_mm:g} / {self.crown_radius_y_mm:g} mm are too "
                 f"small for a pad of {self.length_x_mm:g} x {self.length_y_mm:g} mm: "
                 f"hypot(x/Rx, y/Ry) at the corner is {steep:.3f}, allowed: up to 0.8"
-            )
-
-    def _check_window(self) -> None:
-        corner = np.array([[self.window_x_mm / 2, self.window_y_mm / 2]])
-        margin = float(self.inside_distance_mm(corner)[0])
-        if margin < MIN_WINDOW_MARGIN_MM:
-            raise InputError(
-                f"window_x_mm x window_y_mm = {self.window_x_mm:g} x {self.window_y_mm:g} mm comes "
-                f"within {margin:.3f} mm of the outline {self.length_x_mm:g} x "
-                f"{self.length_y_mm:g} mm; allowed: at least {MIN_WINDOW_MARGIN_MM} mm away"
             )
 
     @property
@@ -134,26 +209,45 @@ class GelPad(Pad):
         rx, ry = self.crown_radius_x_mm, self.crown_radius_y_mm
         return (1 / rx if rx else 0.0), (1 / ry if ry else 0.0)
 
-    def inside_distance_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Distance to the outline [mm], positive inside, shape [...]; xy [mm], shape [..., 2]."""
-        r = self.corner_radius_mm
-        core = np.array([self.length_x_mm / 2 - r, self.length_y_mm / 2 - r])
-        q = np.abs(np.asarray(xy_mm, dtype=np.float64)) - core
-        outside = np.linalg.norm(np.maximum(q, 0), axis=-1)
-        return r - outside - np.minimum(q.max(axis=-1), 0)
+    @cached_property
+    def outline(self) -> PadOutline:
+        """Outline in plan."""
+        return rounded_rectangle(self.length_x_mm, self.length_y_mm, self.corner_radius_mm)
 
-    def outward_normal(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Unit outward normal of the outline at the nearest outline point, shape [..., 2]."""
-        xy = np.asarray(xy_mm, dtype=np.float64)
-        r = self.corner_radius_mm
-        q = np.abs(xy) - np.array([self.length_x_mm / 2 - r, self.length_y_mm / 2 - r])
-        on_arc = q.min(axis=-1, keepdims=True) > 0
-        along_x = q[..., 0] >= q[..., 1]
-        straight = np.stack([along_x, ~along_x], axis=-1).astype(np.float64)
-        beyond = np.maximum(q, 0)
-        length = np.linalg.norm(beyond, axis=-1, keepdims=True)
-        arc = beyond / np.maximum(length, 1e-300)
-        return np.where(on_arc, arc, straight) * np.where(xy < 0, -1.0, 1.0)
+    @property
+    def has_fillet(self) -> bool:
+        return self.rim == "fillet"
+
+    @property
+    def has_band(self) -> bool:
+        """True when the rim rises from a wall of given height to the crown's edge."""
+        return self.rim == "arc" or (self.rim == "chamfer" and self.wall_mm > 0)
+
+    @property
+    def sides_bonded(self) -> bool:
+        return self.bond_sides == "yes"
+
+    @property
+    def skin_top_mm(self) -> float:
+        return self.skin_mm
+
+    @property
+    def skin_wall_mm(self) -> float:
+        return self.skin_side_mm
+
+    @cached_property
+    def _band(self) -> RimBand:
+        half_x, half_y = self.length_x_mm / 2, self.length_y_mm / 2
+        return RimBand(half_x, half_y, self.corner_radius_mm, self.rim_mm)
+
+    @cached_property
+    def _pillow_per_mm(self) -> float:
+        """Factor of sx sy in the crown [1/mm]."""
+        cx, cy = self._curvatures()
+        inset = self.rim_mm if self.has_band else 0.0
+        x, y = self.length_x_mm / 2 - inset, self.length_y_mm / 2 - inset
+        edge = (cx * x**2 + cy * y**2) / 4
+        return self.crown_pillow / edge if edge else 0.0
 
     def crown_mm(self, xy_mm: np.ndarray) -> np.ndarray:
         """Height of the crown without its rim [mm], 0 at the apex, shape [...]."""
@@ -161,7 +255,8 @@ class GelPad(Pad):
         cx, cy = self._curvatures()
         x2, y2 = xy[..., 0] ** 2, xy[..., 1] ** 2
         root = np.sqrt(np.maximum(1 - cx**2 * x2 - cy**2 * y2, 0))
-        return -(cx * x2 + cy * y2) / (1 + root)
+        level = self._pillow_per_mm * cx * cy * x2 * y2 / 4
+        return level - (cx * x2 + cy * y2) / (1 + root)
 
     def crown_slope(self, xy_mm: np.ndarray) -> np.ndarray:
         """Gradient of the crown (dh/dx, dh/dy), shape [..., 2]."""
@@ -169,85 +264,34 @@ class GelPad(Pad):
         c = np.array(self._curvatures())
         root = np.sqrt(np.maximum(1 - (c**2 * xy**2).sum(axis=-1), 1e-12))[..., None]
         sag = (c * xy**2).sum(axis=-1)[..., None]
-        return -(2 * c * xy * (1 + root) + sag * c**2 * xy / root) / (1 + root) ** 2
+        level = 0.5 * self._pillow_per_mm * c[0] * c[1] * xy * xy[..., ::-1] ** 2
+        return level - (2 * c * xy * (1 + root) + sag * c**2 * xy / root) / (1 + root) ** 2
 
     def height_mm(self, xy_mm: np.ndarray) -> np.ndarray:
         """Height of the contact face with its rim [mm] (z in the gel frame), shape [...]."""
         xy = np.asarray(xy_mm, dtype=np.float64)
-        height = self.crown_mm(xy)
         if self.rim == "none":
-            return height
-        distance = np.maximum(self.inside_distance_mm(xy), 0)
+            return self.crown_mm(xy)
+        if self.has_band:
+            fraction, foot = self._band.fraction_and_foot(xy)
+            wall = self.wall_mm - self.thickness_mm
+            return wall + (self.crown_mm(foot) - wall) * self._rise(fraction)
         if self.rim == "chamfer":
-            return height - np.maximum(self.rim_mm - distance, 0)
-        r = self.rim_mm
-        # Slope of the crown towards the inside: the fillet touches the plane of that slope.
-        slope = -(self.crown_slope(xy) * self.outward_normal(xy)).sum(axis=-1)
-        root = np.sqrt(1 + slope**2)
-        arc = slope * (r - distance) - r * root + np.sqrt(np.maximum(r**2 - (distance - r) ** 2, 0))
-        return np.where(distance < r - r * slope / root, height + arc, height)
+            distance = np.maximum(self.inside_distance_mm(xy), 0)
+            return self.crown_mm(xy) - np.maximum(self.rim_mm - distance, 0)
+        return fillet_height_mm(self.outline, self.rim_mm, self.crown_mm, self.crown_slope, xy)
+
+    def _rise(self, fraction: np.ndarray) -> np.ndarray:
+        """Height of the band over the wall in units of the crown's edge: 1 at 0, 0 at 1."""
+        if self.rim == "chamfer":
+            return 1 - fraction
+        ratio = (self.rim_mm / self.rim_radius_mm) ** 2
+        low = np.sqrt(1 - ratio)
+        inside = np.minimum(fraction, 1)
+        arc = (np.sqrt(1 - ratio * inside**2) - low) / (1 - low)
+        # Beyond the wall on along the tangent: solids are cut from a top larger than the pad.
+        return arc - ratio / low / (1 - low) * (fraction - inside)
 
     def rim_setback_mm(self) -> float:
         """Greatest width of the rim band in plan [mm]; 0 without a rim."""
         return 0.0 if self.rim == "none" else self.rim_mm
-
-    def outline_mm(self, points_per_arc: int = 16) -> np.ndarray:
-        """Points on the outline, counter-clockwise [mm], shape [4 points_per_arc, 2]."""
-        angle = np.linspace(0, np.pi / 2, points_per_arc)
-        r = self.corner_radius_mm
-        arcs = []
-        for k, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
-            center = np.array([sx * (self.length_x_mm / 2 - r), sy * (self.length_y_mm / 2 - r)])
-            a = angle + k * np.pi / 2
-            arcs.append(center + r * np.stack([np.cos(a), np.sin(a)], axis=-1))
-        return np.concatenate(arcs)
-
-    def min_wall_mm(self) -> float:
-        """Least height of the wall above the glued back [mm]."""
-        return float(self.thickness_mm + self.height_mm(self.outline_mm(64)).min())
-
-    def bounds_mm(self) -> np.ndarray:
-        """Lowest and highest corner of the bounding box [mm], shape [2, 3]."""
-        x, y = self.length_x_mm / 2, self.length_y_mm / 2
-        return np.array([[-x, -y, -self.thickness_mm], [x, y, 0.0]])
-
-    def top_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """z of the contact face over gel xy [mm], NaN beside the pad; [..., 2] -> [...]."""
-        inside = self.inside_distance_mm(xy_mm) >= 0
-        return np.where(inside, self.height_mm(xy_mm), np.nan)
-
-    def top_normal(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Outward unit normal of the contact face, NaN beside the pad; [..., 2] -> [..., 3]."""
-        xy = np.asarray(xy_mm, dtype=np.float64)
-        steps = _SLOPE_STEP_MM * np.eye(2)
-        slopes = [
-            (self.height_mm(xy + step) - self.height_mm(xy - step)) / (2 * _SLOPE_STEP_MM)
-            for step in steps
-        ]
-        normal = np.stack([-slopes[0], -slopes[1], np.ones_like(slopes[0])], axis=-1)
-        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        return np.where(self.inside_distance_mm(xy)[..., None] >= 0, normal, np.nan)
-
-    def contact_error_mm(self, points_mm: np.ndarray) -> np.ndarray:
-        """Vertical distance of points from the contact face's formula [mm], [n, 3] -> [n]."""
-        return np.abs(points_mm[:, 2] - self.height_mm(points_mm[:, :2]))
-
-    def bond_projection_mm(self, points_mm: np.ndarray) -> np.ndarray:
-        """Points moved to the plane z = -thickness [mm], [n, 3] -> [n, 3]."""
-        moved = np.array(points_mm, dtype=np.float64)
-        moved[:, 2] = -self.thickness_mm
-        return moved
-
-    def labelled_solid(self) -> LabelledSolid:
-        """The body as a CAD solid with labelled faces; see ``gel_pad_solid``."""
-        from cad.parts.gel_pad_solid import gel_pad_solid
-
-        return gel_pad_solid(self)
-
-    def figures(self) -> dict[str, float]:
-        """What a drawing states beside the parameters [mm]."""
-        corner = np.array([[self.window_x_mm / 2, self.window_y_mm / 2]])
-        return {
-            "wall_height_min": self.min_wall_mm(),
-            "crown_drop_at_window_corner": -float(self.crown_mm(corner)[0]),
-        }

@@ -42,6 +42,11 @@ class Pad(ParameterSet, ABC):
         [..., 3]."""
 
     @abstractmethod
+    def inside_distance_mm(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Distance in plan to the edge of the contact face [mm], positive inside;
+        [..., 2] -> [...]."""
+
+    @abstractmethod
     def contact_error_mm(self, points_mm: np.ndarray) -> np.ndarray:
         """Distance of points from the contact face's formula [mm], [n, 3] -> [n]."""
 
