@@ -53,6 +53,9 @@ class Camera:
     """Distance of sharp focus along the optical axis; 0 when unknown."""
     aperture_mm: float = 0.0
     """Diameter of the entrance pupil; 0 when unknown, a pinhole."""
+    falloff: float = 4.0
+    """Exponent of cos^n by which a pinhole camera's image darkens off the axis: 4 for a simple
+    lens, 0 for an image whose shading is corrected."""
 
     def __post_init__(self) -> None:
         for name in ("width_px", "height_px"):
@@ -75,6 +78,7 @@ class Camera:
         _finite("camera distortion", self.distortion)
         _in_range("camera focus_mm", self.focus_mm, 0.0, 1e4, " mm")
         _in_range("camera aperture_mm", self.aperture_mm, 0.0, 100.0, " mm")
+        _in_range("camera falloff", self.falloff, 0.0, 8.0)
 
     def gel_from_camera(self) -> np.ndarray:
         """Rotation matrix that turns directions of the camera into the gel frame, [3, 3]."""

@@ -9,34 +9,14 @@ conserved p = n sin(theta), and a dome two, which Newton's method finds by shoot
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 
 _NEWTON_STEPS = 60
-
-
-class Media(Protocol):
-    """What lies between the camera and the gel."""
-
-    def trace(
-        self, origin_mm: np.ndarray, directions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rays from ``origin_mm`` [3] or [..., 3] along unit ``directions`` [..., 3], in the gel.
-
-        Returns:
-            Where each ray enters the gel [mm], its unit direction there, both [..., 3] and NaN for
-            a ray that never gets there, and the share of light that the interfaces let through
-            (Fresnel, unpolarised), [...].
-        """
-        ...
-
-    def sight(self, origin_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
-        """Unit direction at ``origin_mm`` [3] in which gel points [..., 3] are seen."""
-        ...
 
 
 def refract(
@@ -89,7 +69,13 @@ class FlatMedia:
     def trace(
         self, origin_mm: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rays in the gel; see ``Media.trace``."""
+        """Rays from ``origin_mm`` [3] or [..., 3] along unit ``directions`` [..., 3], in the gel.
+
+        Returns:
+            Where each ray enters the gel [mm] and its unit direction there, both [..., 3] and NaN
+            for a ray that never gets there, and the share of light that the interfaces let through
+            (Fresnel, unpolarised), [...].
+        """
         direction = np.array(directions, dtype=np.float64)
         point = np.broadcast_to(np.asarray(origin_mm, dtype=np.float64), direction.shape).copy()
         share = np.ones(direction.shape[:-1])
@@ -104,11 +90,11 @@ class FlatMedia:
         return point, direction, np.where(np.isnan(direction[..., 0]), 0.0, share)
 
     def sight(self, origin_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
-        """Unit direction in which gel points are seen; see ``Media.sight``."""
+        """Unit direction at ``origin_mm`` [3] in which gel points [..., 3] are seen."""
         offset = np.asarray(points_mm, dtype=np.float64) - origin_mm
         across = np.linalg.norm(offset[..., :2], axis=-1)
         edges = [float(np.asarray(origin_mm)[2]), *self.planes_mm]
-        heights = [np.full_like(across, b - a) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        heights = [np.full_like(across, b - a) for a, b in itertools.pairwise(edges)]
         heights.append(np.asarray(points_mm, dtype=np.float64)[..., 2] - edges[-1])
         p = snell_invariant(across, heights, list(self.indices))
         sine = p / self.indices[0]
@@ -177,7 +163,7 @@ class DomeMedia:
     def trace(
         self, origin_mm: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rays in the gel; see ``Media.trace``."""
+        """Rays in the gel; as ``FlatMedia.trace``."""
         direction = np.array(directions, dtype=np.float64)
         centre = np.array(self.centre_mm)
         point = np.broadcast_to(np.asarray(origin_mm, dtype=np.float64), direction.shape) - centre
@@ -194,7 +180,7 @@ class DomeMedia:
         return point + centre, direction, np.where(np.isnan(direction[..., 0]), 0.0, share)
 
     def sight(self, origin_mm: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
-        """Unit direction in which gel points are seen; see ``Media.sight``.
+        """Unit direction at ``origin_mm`` [3] in which gel points [..., 3] are seen.
 
         The miss of a ray is where it passes its point, in the plane across the ray at the point.
         """
@@ -232,6 +218,10 @@ class DomeMedia:
             )
         aim, miss = shoot(slopes)
         return np.where(np.all(np.abs(miss) < 1e-7, axis=-1, keepdims=True), aim, np.nan)
+
+
+Media = FlatMedia | DomeMedia
+"""What lies between the camera and the gel."""
 
 
 def apparent_depth_mm(heights_mm: list[float], indices: list[float]) -> float:

@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The face that the camera sees from inside, as fine triangles with smooth normals.
+
+A gel's elements are larger than a pixel, so each triangle of the contact face becomes a curved
+patch through its corners and their normals (PN triangle: A. Vlachos, J. Peters, C. Boyd, J. L.
+Mitchell, "Curved PN triangles", I3D 2001) that is cut into small flat ones. Corner normals follow
+the least bent network of curves where the face is a smooth function of x and y, else the mean of
+the triangles around weighted by their angles (G. Thuermer, C. A. Wuethrich, "Computing vertex
+normals from polygonal facets", J. Graphics Tools 3, 1998). Creases of the design, such as a bevel,
+stay sharp.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
+from taccel_lab.geometry.tet_mesh import boundary_faces
+
+CREASE_DEG = 30.0
+"""Faces that meet more sharply than this at rest are not smoothed into one another."""
+FINE_EDGE_MM = 0.3
+MAX_CUTS = 4
+_STEEPEST = 0.1
+"""Least z of a unit face normal for the face to count as a function of x and y."""
+
+
+class FineFace:
+    """Triangles of the seen face with their normals, for one state of the gel."""
+
+    def __init__(
+        self, points_mm: np.ndarray, normals: np.ndarray, triangles: np.ndarray, edge_mm: float
+    ) -> None:
+        self.points_mm = points_mm
+        """Vertices [mm], shape [vertex, 3]."""
+        self.normals = normals
+        """Outward unit normals, shape [vertex, 3]."""
+        self.triangles = triangles
+        """Vertex indices, outward, int32, shape [triangle, 3]."""
+        self.edge_mm = edge_mm
+        """Typical length of a triangle's edge."""
+
+
+class GelFace:
+    """Turns node positions of a tet mesh into the fine face that the camera sees."""
+
+    def __init__(self, mesh: TetMesh | QuadraticMesh, cuts: int | None = None) -> None:
+        """
+        Args:
+            mesh: Gel at rest. The contact face is seen, or with several layers the inner side of
+                the skin: where layer 0 meets the others.
+            cuts: Parts that each edge is cut into; as many as make them ``FINE_EDGE_MM`` long, at
+                most ``MAX_CUTS``, when None.
+
+        Raises:
+            InputError: The mesh has no contact face.
+        """
+        faces = seen_faces(mesh)
+        self._node_idx, local = np.unique(faces, return_inverse=True)
+        self._faces = local.reshape(-1, 3)
+        self._node_count = mesh.node_count
+        rest = mesh.nodes_m[self._node_idx] * 1e3
+        edges = rest[self._faces] - rest[np.roll(self._faces, -1, axis=1)]
+        edge = float(np.median(np.linalg.norm(edges, axis=2)))
+        if cuts is None:
+            cuts = int(np.clip(math.ceil(edge / FINE_EDGE_MM), 1, MAX_CUTS))
+        self._edge_mm = edge / cuts
+        self._pair_of, self._pair_start, self._split = _smoothing_pairs(rest, self._faces)
+        self._rings = self._smooth_rings(rest)
+        barycentric, pattern = _subdivision(cuts)
+        self._positions_from_controls = _bernstein(barycentric, _CUBIC)
+        self._normals_from_controls = _bernstein(barycentric, _QUADRATIC)
+        offsets = np.arange(len(self._faces))[:, None, None] * len(barycentric)
+        self.triangles = (pattern[None] + offsets).reshape(-1, 3).astype(np.int32)
+        self.rest = self.at(mesh.nodes_m)
+        """The face of the undeformed gel."""
+
+    def at(self, positions_m: np.ndarray) -> FineFace:
+        """The fine face of node positions in the gel frame [m], shape [node, 3]."""
+        positions = np.asarray(positions_m, dtype=np.float64)
+        if positions.shape != (self._node_count, 3):
+            raise InputError(
+                f"positions has shape {positions.shape}; [{self._node_count}, 3] is needed"
+            )
+        nodes = positions[self._node_idx] * 1e3
+        if not np.isfinite(nodes).all():
+            raise InputError("positions holds NaN or infinite coordinates")
+        corners = nodes[self._faces]
+        normals = self._corner_normals(nodes, corners)
+        controls, quadratic = _pn_controls(corners, normals, self._split[self._faces])
+        points = np.einsum("kc,fcx->fkx", self._positions_from_controls, controls)
+        fine = np.einsum("kc,fcx->fkx", self._normals_from_controls, quadratic)
+        return FineFace(
+            points.reshape(-1, 3), _unit(fine.reshape(-1, 3)), self.triangles, self._edge_mm
+        )
+
+    def _corner_normals(self, nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:
+        """Unit normal of every corner of every face, [face, 3, 3]."""
+        weighted = _angle_weighted_normals(corners)
+        summed = np.add.reduceat(weighted[self._pair_of], self._pair_start, axis=0)
+        normals = _unit(summed).reshape(-1, 3, 3)
+        slopes = self._network_slopes(nodes, corners)
+        if slopes is not None:
+            smooth = _unit(np.concatenate([-slopes, np.ones((len(slopes), 1))], axis=1))
+            normals = np.where(self._split[self._faces][..., None], normals, smooth[self._faces])
+        return normals
+
+    def _smooth_rings(self, rest: np.ndarray) -> tuple[Any, Any] | None:
+        """Edge neighbours on the device for the network of curves; None on folded faces."""
+        if not _is_function_of_xy(rest[self._faces]):
+            return None
+        import warp as wp
+
+        from taccel_lab.signals.contact_surface import ContactSurface
+
+        surface = ContactSurface.from_faces(self._faces, len(rest))
+        return (
+            wp.array(surface.ring_start, dtype=wp.int32, device="cpu"),
+            wp.array(surface.ring_nodes, dtype=wp.int32, device="cpu"),
+        )
+
+    def _network_slopes(self, nodes: np.ndarray, corners: np.ndarray) -> np.ndarray | None:
+        """Slopes of z over x and y at the nodes by the least bent network, [node, 2]."""
+        if self._rings is None or not _is_function_of_xy(corners):
+            return None
+        import warp as wp
+
+        from taccel_lab.signals.gradient_recovery import recover_gradients
+
+        points = wp.array(nodes[None], dtype=wp.vec3d, device="cpu")
+        height = wp.array(np.ascontiguousarray(nodes[None, :, 2]), dtype=wp.float64, device="cpu")
+        return recover_gradients(points, height, *self._rings).numpy()[0]
+
+
+def seen_faces(mesh: TetMesh | QuadraticMesh) -> np.ndarray:
+    """Triangles that the camera sees, outward, int32, shape [n, 3]; see ``GelFace``."""
+    base = mesh if isinstance(mesh, TetMesh) else mesh.base
+    if base.tet_layers.any():
+        return _interface_faces(base)
+    faces = mesh.region_faces(Region.CONTACT)
+    if len(faces) == 0:
+        raise InputError(
+            "TetMesh.face_regions holds no face of region CONTACT; the camera needs one to see "
+            f"(value {int(Region.CONTACT)})"
+        )
+    return faces
+
+
+def _interface_faces(mesh: TetMesh) -> np.ndarray:
+    """Faces between layer 0 and the skin over it that lie under the contact face."""
+    core = boundary_faces(mesh.tets[mesh.tet_layers == 0])
+    outer = {tuple(face) for face in np.sort(mesh.faces, axis=1).tolist()}
+    inner = core[np.array([tuple(face) not in outer for face in np.sort(core, axis=1).tolist()])]
+    from scipy.spatial import KDTree
+
+    centroids = mesh.nodes_m[mesh.faces].mean(axis=1)
+    nearest = KDTree(centroids).query(mesh.nodes_m[inner].mean(axis=1))[1]
+    under = inner[mesh.face_regions[nearest] == int(Region.CONTACT)]
+    if len(under) == 0:
+        raise InputError("no face between layer 0 and the skin lies under the contact face")
+    return under
+
+
+def height_face(
+    top_mm: Callable[[np.ndarray], np.ndarray], x_mm: np.ndarray, y_mm: np.ndarray
+) -> FineFace:
+    """The face ``z = top_mm(xy)`` on a grid, from a formula such as ``Pad.top_mm``.
+
+    Args:
+        top_mm: Height over gel xy, [..., 2] -> [...], NaN beside the pad.
+        x_mm: Columns of the grid, ascending, shape [nx].
+        y_mm: Rows, ascending, shape [ny].
+    """
+    xy = np.stack(np.meshgrid(x_mm, y_mm, indexing="xy"), axis=-1)
+    z = top_mm(xy)
+    step = 1e-3 * float(min(np.diff(x_mm).min(), np.diff(y_mm).min()))
+    slopes = []
+    for offset in (np.array([step, 0.0]), np.array([0.0, step])):
+        ahead, behind = top_mm(xy + offset), top_mm(xy - offset)
+        central = (ahead - behind) / (2 * step)
+        one_sided = np.where(np.isnan(ahead), z - behind, ahead - z) / step
+        slopes.append(np.where(np.isnan(central), one_sided, central))
+    index = np.arange(z.size).reshape(z.shape)
+    a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
+    c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
+    triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    points = np.concatenate([xy, z[..., None]], axis=-1).reshape(-1, 3)
+    normals = np.stack([-slopes[0], -slopes[1], np.ones_like(z)], axis=-1).reshape(-1, 3)
+    good = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
+    triangles = triangles[np.all(good[triangles], axis=1)]
+    if len(triangles) == 0:
+        raise InputError("the height formula is nowhere defined on the given grid")
+    points[~good], normals[~good] = 0.0, [0.0, 0.0, 1.0]
+    edge = float(np.median(np.diff(x_mm)))
+    return FineFace(points, _unit(normals), triangles.astype(np.int32), edge)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+
+
+def _face_normals(corners: np.ndarray) -> np.ndarray:
+    return _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+
+
+def _is_function_of_xy(corners: np.ndarray) -> bool:
+    return bool((_face_normals(corners)[:, 2] > _STEEPEST).all())
+
+
+def _angle_weighted_normals(corners: np.ndarray) -> np.ndarray:
+    """Face normal times the angle at each corner, [3 face, 3]."""
+    ahead = _unit(np.roll(corners, -1, axis=1) - corners)
+    behind = _unit(np.roll(corners, 1, axis=1) - corners)
+    angle = np.arccos(np.clip(np.sum(ahead * behind, axis=-1), -1.0, 1.0))
+    return (angle[..., None] * _face_normals(corners)[:, None]).reshape(-1, 3)
+
+
+def _smoothing_pairs(
+    rest: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners whose normals are summed for each corner, and the nodes that lie on creases.
+
+    Returns:
+        Corner numbers (3 face + corner), where those of each corner start, and a flag a node.
+    """
+    corner_node = faces.ravel()
+    order = np.argsort(corner_node, kind="stable")
+    counts = np.bincount(corner_node, minlength=len(rest))
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    per_corner = counts[corner_node]
+    first = np.repeat(np.arange(len(corner_node)), per_corner)
+    within = np.arange(len(first)) - np.repeat(np.cumsum(per_corner) - per_corner, per_corner)
+    second = order[starts[corner_node[first]] + within]
+    normals = _face_normals(rest[faces])
+    cosine = np.sum(normals[first // 3] * normals[second // 3], axis=1)
+    together = cosine >= math.cos(math.radians(CREASE_DEG))
+    split = np.zeros(len(rest), dtype=bool)
+    split[corner_node[first[~together]]] = True
+    first, second = first[together], second[together]
+    return second, np.searchsorted(first, np.arange(len(corner_node))), split
+
+
+def _subdivision(cuts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric points of a triangle cut ``cuts`` times an edge, and its small triangles."""
+    index, points = {}, []
+    for i in range(cuts + 1):
+        for j in range(cuts + 1 - i):
+            index[i, j] = len(points)
+            points.append(((cuts - i - j) / cuts, i / cuts, j / cuts))
+    small = []
+    for i in range(cuts):
+        for j in range(cuts - i):
+            small.append((index[i, j], index[i + 1, j], index[i, j + 1]))
+            if i + j < cuts - 1:
+                small.append((index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]))
+    return np.array(points), np.array(small)
+
+
+_CUBIC = ((3, 0, 0), (0, 3, 0), (0, 0, 3), (2, 1, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2), (1, 0, 2),
+          (2, 0, 1), (1, 1, 1))  # fmt: skip
+_QUADRATIC = ((2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (0, 1, 1), (1, 0, 1))
+
+
+def _bernstein(barycentric: np.ndarray, powers: tuple[tuple[int, int, int], ...]) -> np.ndarray:
+    degree = sum(powers[0])
+    columns = [
+        math.factorial(degree)
+        / math.prod(math.factorial(e) for e in power)
+        * np.prod(barycentric ** np.array(power), axis=1)
+        for power in powers
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _pn_controls(
+    corners: np.ndarray, normals: np.ndarray, on_crease: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Control points [face, 10, 3] and control normals [face, 6, 3] in the order of the weights.
+
+    An edge with an end on a crease stays straight, so that both its faces have the same.
+    """
+    inner, middles = [], []
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        pa, pb, na, nb = corners[:, a], corners[:, b], normals[:, a], normals[:, b]
+        edge = pb - pa
+        straight = (on_crease[:, a] | on_crease[:, b])[:, None]
+        rise_a = np.sum(edge * na, axis=1, keepdims=True)
+        rise_b = np.sum(-edge * nb, axis=1, keepdims=True)
+        inner.append((2 * pa + pb - np.where(straight, 0.0, rise_a * na)) / 3)
+        inner.append((2 * pb + pa - np.where(straight, 0.0, rise_b * nb)) / 3)
+        both = na + nb
+        tilt = 2 * np.sum(edge * both, axis=1) / np.maximum(np.sum(edge * edge, axis=1), 1e-30)
+        bent = both - np.where(straight, 0.0, tilt[:, None] * edge)
+        middles.append(_unit(bent))
+    mean = sum(inner) / 6
+    centre = mean + 0.5 * (mean - corners.mean(axis=1))
+    controls = np.stack([corners[:, 0], corners[:, 1], corners[:, 2], *inner, centre], axis=1)
+    return controls, np.stack([normals[:, 0], normals[:, 1], normals[:, 2], *middles], axis=1)
