@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One swept parameter: its values, or its range mapped to [0, 1], linear or logarithmic."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from cad.parameters import Parameter
+from studies.spec import ParameterRange
+from taccel_lab.errors import InputError
+
+SIGNIFICANT_DIGITS = 9
+"""Of values that are computed: a design's identity must not hang on the last bit."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A swept parameter of a family."""
+
+    parameter: Parameter
+    values: tuple[Any, ...] | None
+    """Listed values, or those of a range with a count; None for a range without."""
+    low: float = math.nan
+    high: float = math.nan
+    """Of a range."""
+    log: bool = False
+    start: float | None = None
+
+    @property
+    def name(self) -> str:
+        return self.parameter.name
+
+    @property
+    def whole(self) -> bool:
+        """Whether values are whole numbers."""
+        return isinstance(self.parameter.default, int)
+
+    @property
+    def numeric(self) -> bool:
+        """Whether values are numbers rather than choices."""
+        return not self.parameter.choices
+
+    def at(self, unit: float) -> Any:
+        """The value at ``unit`` in [0, 1]: of the range, or of the list cut into equal parts."""
+        unit = min(max(unit, 0.0), 1.0)
+        if self.values is not None:
+            return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
+        if self.whole:
+            return min(int(self.low + unit * (self.high - self.low + 1)), int(self.high))
+        return self._between(unit)
+
+    def _between(self, unit: float) -> float:
+        if unit in (0.0, 1.0):
+            return float(self.high if unit else self.low)
+        if self.log:
+            value = self.low * (self.high / self.low) ** unit
+        else:
+            value = self.low + unit * (self.high - self.low)
+        return significant(value)
+
+    def unit_of(self, value: float) -> float:
+        """Where in [0, 1] a value of the range lies; inverse of ``at``."""
+        if self.whole:
+            return (value + 0.5 - self.low) / (self.high - self.low + 1)
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+def significant(value: float) -> float:
+    """``value`` rounded to ``SIGNIFICANT_DIGITS``."""
+    return float(f"{value:.{SIGNIFICANT_DIGITS}g}")
+
+
+def axis_of(parameter: Parameter, wanted: ParameterRange) -> Axis:
+    """The axis that a study file asks for.
+
+    Raises InputError for values outside the family's bounds, of the wrong type, or ranges that
+    give fewer whole numbers than asked for.
+    """
+    if wanted.values is not None:
+        values = tuple(parameter.check(value) for value in wanted.values)
+        if len(set(values)) < len(values):
+            raise InputError(f"{parameter.name}: values repeat themselves: {list(values)}")
+        return Axis(parameter, values)
+    if parameter.choices:
+        raise InputError(
+            f"{parameter.name} takes {parameter.allowed()}; give values = [...] and no range"
+        )
+    low, high = float(wanted.min or 0.0), float(wanted.max or 0.0)
+    for end in (wanted.min, wanted.max):
+        parameter.check(end)
+    minimum = float(parameter.minimum or 0.0)
+    if parameter.zero_means and low < minimum:
+        raise InputError(
+            f"{parameter.name}: 0 means {parameter.zero_means} and is no end of a range; "
+            f"give values = [0, ...] or min at least {minimum:g}"
+        )
+    axis = Axis(parameter, None, low, high, wanted.scale == "log", wanted.start)
+    if wanted.count is None:
+        return axis
+    steps = range(wanted.count)
+    units = [step / (wanted.count - 1) for step in steps] if wanted.count > 1 else [0.5]
+    values = tuple(axis._between(unit) for unit in units)
+    if axis.whole:
+        values = tuple(dict.fromkeys(round(value) for value in values))
+    if len(values) < wanted.count:
+        raise InputError(
+            f"{parameter.name} is a whole number: {low:g} to {high:g} gives {len(values)} "
+            f"different values, not count = {wanted.count}"
+        )
+    return Axis(parameter, values)

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Designs gathered into batches: those that can share simulations go together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sensors.base import SensorFamily
+from studies.design_point import DesignPoint
+from studies.work import Batch
+from taccel_lab.errors import InputError
+
+Needs = tuple[tuple[str, ...], tuple[str, ...]]
+"""Metrics and presses."""
+MAX_BATCH = 32
+"""Designs in a batch: what is lost at most, with every process, when a run is killed."""
+GROUPS_ON_GPU = 16
+"""Groups of designs in a batch on a GPU, which wants many environments at once. On a CPU each
+group goes alone, so that rows appear early and cores share the work evenly."""
+
+
+def sharing_key(family: SensorFamily, design: DesignPoint) -> str:
+    """Equal for designs whose presses are the same but for the scale of the forces.
+
+    Quasi-static presses scale with Young's modulus, and optics do not touch them: what counts is
+    the pad, the camera's view (it places the presses), and the layers' other properties.
+    """
+    try:
+        parameters = family.parameters(design.parameters)
+    except InputError:
+        return f"cannot be built: {design.id}"
+    layers = parameters.layer_materials()
+    modulus = layers[0].young_modulus_pa
+    return repr(
+        (
+            parameters.pad(),
+            parameters.grid(),
+            [
+                (m.young_modulus_pa / modulus, m.poisson_ratio, m.friction_coefficient)
+                for m in layers
+            ],
+        )
+    )
+
+
+def gather(family: SensorFamily, wanted: Sequence[Batch], device: str) -> list[Batch]:
+    """Batches made of others, in the order of each one's first design."""
+    groups: dict[tuple[str, Needs], list[DesignPoint]] = {}
+    for batch in wanted:
+        for design in batch.designs:
+            key = sharing_key(family, design)
+            groups.setdefault((key, (batch.metrics, batch.presses)), []).append(design)
+    merged = GROUPS_ON_GPU if device.startswith("cuda") else 1
+    batches: list[Batch] = []
+    room = 0
+    for (_, needs), group in groups.items():
+        for start in range(0, len(group), MAX_BATCH):
+            part = Batch(tuple(group[start : start + MAX_BATCH]), *needs)
+            if room and (batches[-1].metrics, batches[-1].presses) == needs:
+                batches[-1] = replace(part, designs=batches[-1].designs + part.designs)
+                room -= 1
+            else:
+                batches.append(part)
+                room = merged - 1
+    return batches

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of a study: grown design by design, never replaced as a whole, one run at a time.
+
+::
+
+    .taccel_lab_study     marks the folder, and is locked while a run works in it
+    study.toml            the study file as last run
+    designs.csv           the table, a row each design
+    designs/ID/           result.json and what is kept of the design
+    report.html           and report.json, figures/
+
+Each file appears whole or not at all, so that a run may be killed at any time.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from studies.stored import StoredDesign, stored_from_json
+from taccel_lab.errors import InputError
+from taccel_lab.output import atomic_file, write_json
+
+STUDY_MARKER = ".taccel_lab_study"
+"""A marker of its own: no other command takes the folder for an output that it may replace."""
+RESULT = "result.json"
+
+
+class StudyFolder:
+    """Results of a study on disk."""
+
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(os.path.abspath(root))
+
+    @property
+    def designs(self) -> Path:
+        return self.root / "designs"
+
+    def design(self, design_id: str) -> Path:
+        """Folder of one design."""
+        return self.designs / design_id
+
+    def require_usable(self) -> None:
+        """Refuse a path with a file in the way, or a folder with files of somebody else."""
+        for path in (self.root, *self.root.parents):
+            if path.exists() and not path.is_dir():
+                raise InputError(f"{path} is a file; an output folder is needed")
+        if not self.is_study() and self.root.is_dir() and any(self.root.iterdir()):
+            raise InputError(
+                f"{self.root} holds files and no study; name a new folder, an empty one, or that "
+                "of an earlier study to go on with it"
+            )
+
+    def is_study(self) -> bool:
+        """Whether a study has been begun here."""
+        return (self.root / STUDY_MARKER).is_file()
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the folder; raises InputError while another run does.
+
+        The lock goes with the process, so that a killed run leaves none behind.
+        """
+        self.require_usable()
+        self.root.mkdir(parents=True, exist_ok=True)
+        with open(self.root / STUDY_MARKER, "a+", encoding="utf-8") as marker:
+            try:
+                fcntl.flock(marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                marker.seek(0)
+                raise InputError(
+                    f"another run works in {self.root} (process {marker.read().strip() or '?'}); "
+                    "wait for its end or name another folder"
+                ) from None
+            marker.seek(0)
+            marker.truncate()
+            marker.write(f"{os.getpid()}\n")
+            marker.flush()
+            self._sweep_up()
+            yield
+
+    def _sweep_up(self) -> None:
+        """Remove temporary files of a run that was killed while it wrote."""
+        self.designs.mkdir(exist_ok=True)
+        for path in (*self.root.glob(".designs.*"), *self.designs.glob("*/.*")):
+            if path.is_file():
+                path.unlink()
+
+    def add_result(self, stored: StoredDesign) -> None:
+        """Write the result of a design, its last file: with it the design counts as evaluated.
+
+        What an earlier result knows besides is kept.
+        """
+        earlier = self.read(stored.id)
+        stored = stored if earlier is None else earlier.merged(stored)
+        write_json(self.design(stored.id) / RESULT, stored.to_json())
+
+    def read(self, design_id: str) -> StoredDesign | None:
+        """What is kept of a design; None for one that has not been evaluated."""
+        path = self.design(design_id) / RESULT
+        if not path.is_file():
+            return None
+        stored = stored_from_json(path.read_text(encoding="utf-8"), str(path))
+        if stored.id != design_id:
+            raise InputError(f"{path} is that of another design, {stored.id}")
+        return stored
+
+    def ids(self) -> list[str]:
+        """Of all designs that are kept, sorted."""
+        if not self.designs.is_dir():
+            return []
+        return sorted(path.parent.name for path in self.designs.glob(f"[!.]*/{RESULT}"))
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a text file of the study."""
+        with atomic_file(self.root / name) as staging:
+            staging.write_text(text, encoding="utf-8")
+            staging.chmod(0o644)

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Optimiser-driven sweeps with NLopt: every design that it tries is a row, none is tried twice.
+
+The variables are the axes mapped to [0, 1]. Objective and constraints are divided by the size of
+their first value, so that algorithms which weigh them against each other are not misled by units.
+NLopt is deterministic for a given seed: a resumed study replays its stored designs and goes on
+where it stopped. Algorithms without nonlinear constraints run inside an augmented Lagrangian
+(Conn, Gould and Toint 1991; Birgin and Martinez 2008).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from studies.axis import Axis
+from studies.spec import Constraint, Objective, Sweep, nearest
+from taccel_lab.errors import InputError
+
+CONSTRAINED = ("LN_COBYLA", "GN_ISRES", "GN_ORIG_DIRECT", "GN_ORIG_DIRECT_L")
+"""Methods that take nonlinear constraints themselves."""
+UNCONSTRAINED = (
+    "LN_SBPLX", "LN_NELDERMEAD", "LN_BOBYQA", "LN_PRAXIS", "GN_DIRECT", "GN_DIRECT_L",
+    "GN_DIRECT_L_RAND", "GN_CRS2_LM", "GN_ESCH",
+)  # fmt: skip
+METHODS = CONSTRAINED + UNCONSTRAINED
+"""Methods without gradients, which simulated metrics do not have."""
+CONSTRAINT_TOLERANCE = 1e-6
+"""Violation, as a part of the bound, that is none to NLopt."""
+
+Figures = Mapping[str, float | None]
+Try = Callable[[dict[str, Any]], Figures]
+"""Figures of the design with these values; a missing one is None."""
+
+
+@dataclass
+class OptimiserState:
+    """How far an optimiser got."""
+
+    tried: list[dict[str, Any]] = field(default_factory=list)
+    """Different designs, in the order of the first try."""
+    stopped: str = ""
+    """Why it ended, in words."""
+
+
+def require_method(method: str, dimensions: int) -> None:
+    """Refuse an unknown method, one that cannot do it, or a machine without NLopt."""
+    if method not in METHODS:
+        hint = " needs gradients" if method.startswith(("LD_", "GD_")) else " is not allowed"
+        raise InputError(
+            f"[sweep] method {method!r}{hint}{nearest(method, METHODS)}; use one of "
+            f"{', '.join(METHODS)}"
+        )
+    if method in ("LN_BOBYQA", "LN_PRAXIS") and dimensions < 2:
+        raise InputError(f"[sweep] method {method!r} needs two parameters or more")
+    _nlopt()
+
+
+def _nlopt() -> Any:
+    try:
+        import nlopt
+    except ImportError as error:
+        raise InputError(
+            "kind = 'optimize' needs NLopt, which is not installed: pip install 'nlopt>=2.9', or "
+            "taccel-lab with its extra 'optimize'"
+        ) from error
+    return nlopt
+
+
+def optimise(
+    axes: Sequence[Axis],
+    objective: Objective,
+    constraints: Sequence[Constraint],
+    sweep: Sweep,
+    seed: int,
+    attempt: Try,
+) -> OptimiserState:
+    """Try designs until the method is content or ``sweep.count`` different ones are tried."""
+    nlopt = _nlopt()
+    problem = _Problem(axes, objective, constraints, sweep.count or 1, attempt)
+    nlopt.srand(seed)
+    inner = nlopt.opt(getattr(nlopt, sweep.method), len(axes))
+    outer = inner
+    if constraints and sweep.method in UNCONSTRAINED:
+        outer = nlopt.opt(nlopt.AUGLAG, len(axes))
+        _limit(inner, sweep)
+        inner.set_maxeval(max(20 * len(axes), 20))
+        outer.set_local_optimizer(inner)
+    _limit(outer, sweep)
+    outer.set_lower_bounds(0.0)
+    outer.set_upper_bounds(1.0)
+    guard = _Guard(outer.force_stop)
+    outer.set_min_objective(lambda x, gradient: guard(problem.cost, x))
+    for place in range(len(problem.sides)):
+        outer.add_inequality_constraint(
+            lambda x, gradient, place=place: guard(problem.excess, x, place), CONSTRAINT_TOLERANCE
+        )
+    # A replayed or rounded design costs nothing, so that the count of tries is no limit by itself.
+    outer.set_maxeval(50 * (sweep.count or 1) + 1000)
+    stopped = "steps became as small as rounding errors"
+    try:
+        outer.optimize([_start(axis) for axis in axes])
+        code = outer.last_optimize_result()
+        stopped = _RESULTS.get(code, f"NLopt ended with code {code}")
+    except (nlopt.RoundoffLimited, nlopt.ForcedStop):
+        pass
+    if isinstance(guard.error, _OutOfDesigns):
+        stopped = "the count of designs was used up"
+    elif guard.error is not None:
+        raise guard.error
+    problem.state.stopped = stopped
+    return problem.state
+
+
+class _OutOfDesigns(Exception):
+    """The study's count of designs is used up."""
+
+
+class _Guard:
+    """Keeps errors out of NLopt, some of whose methods call on after one: the first stops it."""
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        self._stop = stop
+        self.error: BaseException | None = None
+
+    def __call__(self, function: Callable[..., float], *arguments: Any) -> float:
+        if self.error is None:
+            try:
+                return function(*arguments)
+            except BaseException as error:
+                self.error = error
+        self._stop()
+        return 0.0
+
+
+_RESULTS = {
+    3: "the objective no longer changed",
+    4: "steps fell below the tolerance",
+    5: "designs repeated themselves",
+}
+
+
+def _limit(optimizer: Any, sweep: Sweep) -> None:
+    optimizer.set_xtol_abs(sweep.tolerance)
+    if sweep.method.startswith("LN_"):
+        optimizer.set_initial_step(0.25)
+
+
+def _start(axis: Axis) -> float:
+    """Where the search begins, in [0, 1]."""
+    value = axis.start
+    if value is None:
+        default = axis.parameter.default
+        value = default if axis.low <= float(default) <= axis.high else None
+    if value is None:
+        return 0.5
+    return min(max(axis.unit_of(float(value)), 0.0), 1.0)
+
+
+class _Problem:
+    """The objective and constraints that NLopt sees, with the designs tried so far."""
+
+    def __init__(
+        self,
+        axes: Sequence[Axis],
+        objective: Objective,
+        constraints: Sequence[Constraint],
+        count: int,
+        attempt: Try,
+    ) -> None:
+        self._axes, self._objective, self._count = axes, objective, count
+        self._attempt = attempt
+        self._known: dict[tuple[Any, ...], Figures] = {}
+        self._scales: dict[str, float] = {}
+        self._worst: dict[str, float] = {}
+        self._missing: dict[tuple[Any, str], float] = {}
+        self.state = OptimiserState()
+        self.sides = [
+            (constraint, side)
+            for constraint in constraints
+            for side in ("min", "max")
+            if getattr(constraint, side) is not None
+        ]
+
+    def _figures(self, x: Sequence[float]) -> Figures:
+        values = tuple(axis.at(float(unit)) for axis, unit in zip(self._axes, x, strict=True))
+        if values not in self._known:
+            if len(self._known) >= self._count:
+                raise _OutOfDesigns
+            swept = {axis.name: value for axis, value in zip(self._axes, values, strict=True)}
+            self.state.tried.append(swept)
+            self._known[values] = self._attempt(swept)
+        return self._known[values]
+
+    def cost(self, x: Sequence[float]) -> float:
+        """The objective, less is better."""
+        figures = self._figures(x)
+        value = figures.get(self._objective.metric)
+        name = "objective"
+        if value is None:
+            return self._penalty(figures, name)
+        return self._seen(name, self._objective.sign * value / self._scale(name, value))
+
+    def excess(self, x: Sequence[float], place: int) -> float:
+        """How far a constraint is exceeded; at most 0 where it is kept."""
+        constraint, side = self.sides[place]
+        bound = float(getattr(constraint, side))
+        figures = self._figures(x)
+        value = figures.get(constraint.metric)
+        name = f"{constraint.metric} {side}"
+        if value is None:
+            return max(self._penalty(figures, name), 1.0)
+        beyond = value - bound if side == "max" else bound - value
+        return self._seen(name, beyond / self._scale(name, bound or value))
+
+    def _scale(self, name: str, value: float) -> float:
+        if name not in self._scales:
+            self._scales[name] = abs(value) if math.isfinite(value) and value else 1.0
+        return self._scales[name]
+
+    def _seen(self, name: str, value: float) -> float:
+        self._worst[name] = max(self._worst.get(name, value), value)
+        return value
+
+    def _penalty(self, figures: Figures, name: str) -> float:
+        """In the place of a figure that a design does not have: worse than the worst so far.
+
+        The same design keeps its penalty, whatever comes later.
+        """
+        worst = self._worst.get(name, 1.0)
+        return self._missing.setdefault((id(figures), name), worst + max(abs(worst), 1.0))

@@ -1,0 +1,343 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The study file: what is swept, pressed and measured, as read from TOML.
+
+Only the form is checked here; ``studies.plan`` checks the names and bounds against the catalogue.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StrictStr,
+    StringConstraints,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from taccel_lab.errors import InputError
+from taccel_lab.profile.schema import Name, describe_errors
+
+MAX_DESIGNS = 10_000
+"""Largest study: more is a slip of the keyboard rather than a plan."""
+PlainName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=80)]
+
+
+def _check_value(value: Any) -> int | float | str:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError("must be a finite number or a text")
+    return value
+
+
+Value = Annotated[Any, AfterValidator(_check_value)]
+"""A parameter's value: a finite number or a text."""
+
+
+class _Block(BaseModel):
+    """Immutable, no unknown keys, no NaN."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class StudyBlock(_Block):
+    """What the study is about."""
+
+    name: Name
+    sensor: PlainName
+    """Family of the catalogue."""
+    metrics: list[PlainName] = Field(default_factory=list)
+    """Columns of the table; the objective's and the constraints' are added."""
+    presses: list[PlainName] = Field(default_factory=list)
+    """Standard presses; those that the metrics read when left out."""
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    """Of random draws and of the optimiser."""
+
+    @field_validator("metrics", "presses")
+    @classmethod
+    def _check_repeats(cls, names: list[str]) -> list[str]:
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(f"named twice: {', '.join(repeated)}")
+        return names
+
+
+class ParameterRange(_Block):
+    """Values of one parameter: a list, or a range."""
+
+    values: list[Value] | None = None
+    min: float | None = None
+    max: float | None = None
+    count: int | None = Field(default=None, ge=1, le=MAX_DESIGNS)
+    """Values of a range in a grid."""
+    scale: Literal["linear", "log"] = "linear"
+    """How a range is divided: equal steps, or equal ratios."""
+    start: float | None = None
+    """Where an optimiser begins; the family's default, or the middle, when left out."""
+
+    @model_validator(mode="after")
+    def _check_form(self) -> ParameterRange:
+        if self.values is not None:
+            extra = [n for n in ("min", "max", "count", "start") if getattr(self, n) is not None]
+            if extra or self.scale != "linear":
+                raise ValueError("give either values, or min and max, not both")
+            if not self.values:
+                raise ValueError("values is empty; give at least one")
+            if len(set(self.values)) < len(self.values):
+                raise ValueError(f"values repeat themselves: {self.values}")
+            return self
+        if self.min is None or self.max is None:
+            raise ValueError("give values = [...], or min and max (and count for a grid)")
+        if not self.min < self.max:
+            raise ValueError(f"min {self.min:g} must be below max {self.max:g}")
+        if self.scale == "log" and self.min <= 0:
+            raise ValueError(f"a log scale needs min above 0, got {self.min:g}")
+        if self.start is not None and not self.min <= self.start <= self.max:
+            raise ValueError(f"start {self.start:g} lies outside [{self.min:g}, {self.max:g}]")
+        return self
+
+
+class Tie(_Block):
+    """A parameter that follows a swept one: factor * x^power + offset."""
+
+    to: PlainName
+    factor: float = 1.0
+    power: float = 1.0
+    offset: float = 0.0
+
+
+class Sweep(_Block):
+    """How designs are chosen."""
+
+    kind: Literal["grid", "random", "optimize"]
+    count: int | None = Field(default=None, ge=1, le=MAX_DESIGNS)
+    """Designs of a random sweep, or the most that an optimiser may try."""
+    sampler: Literal["latin-hypercube", "sobol"] = "latin-hypercube"
+    """Of a random sweep."""
+    method: StrictStr = "LN_COBYLA"
+    """Algorithm of NLopt of an optimiser-driven sweep."""
+    tolerance: float = Field(default=1e-3, gt=0, lt=1)
+    """Step, as a part of each parameter's range, at which an optimiser is done."""
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> Sweep:
+        if self.kind == "grid" and self.count is not None:
+            raise ValueError("a grid has as many designs as its values make; leave out count")
+        if self.kind != "grid" and self.count is None:
+            raise ValueError(f"kind = {self.kind!r} needs count, the number of designs")
+        given = self.model_fields_set
+        for name, kind in (
+            ("sampler", "random"),
+            ("method", "optimize"),
+            ("tolerance", "optimize"),
+        ):
+            if name in given and self.kind != kind:
+                raise ValueError(f"{name} belongs to kind = {kind!r}, not {self.kind!r}")
+        return self
+
+
+class Objective(_Block):
+    """What makes a design better."""
+
+    minimize: PlainName | None = None
+    maximize: PlainName | None = None
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Objective:
+        if (self.minimize is None) == (self.maximize is None):
+            raise ValueError("give either minimize or maximize, with the name of a metric")
+        return self
+
+    @property
+    def metric(self) -> str:
+        return self.minimize or self.maximize or ""
+
+    @property
+    def sign(self) -> float:
+        """1 where less is better, -1 where more is."""
+        return 1.0 if self.minimize is not None else -1.0
+
+
+class Constraint(_Block):
+    """Bounds that a design has to keep."""
+
+    metric: PlainName
+    min: float | None = None
+    max: float | None = None
+
+    @model_validator(mode="after")
+    def _check_bounds(self) -> Constraint:
+        if self.min is None and self.max is None:
+            raise ValueError("give min, max or both")
+        if self.min is not None and self.max is not None and self.min > self.max:
+            raise ValueError(f"unreachable: min {self.min:g} is above max {self.max:g}")
+        return self
+
+    def violation(self, value: float) -> float:
+        """How far ``value`` lies outside, in the metric's unit; 0 inside."""
+        below = self.min - value if self.min is not None else 0.0
+        above = value - self.max if self.max is not None else 0.0
+        return max(below, above, 0.0)
+
+    def text(self) -> str:
+        """In words: ``stiffness_n_per_mm from 1 to 2``."""
+        if self.min is None:
+            return f"{self.metric} at most {self.max:g}"
+        if self.max is None:
+            return f"{self.metric} at least {self.min:g}"
+        return f"{self.metric} from {self.min:g} to {self.max:g}"
+
+
+class Output(_Block):
+    """What is kept of each design besides its row."""
+
+    meshes: bool = True
+    """The gel's mesh, as VTU."""
+    pictures: bool = True
+    """Contact pressures and previews, as PNG."""
+    records: bool = True
+    """Curves and fields of each press, as NPZ."""
+    step: bool = False
+    """The gel pad as a STEP file."""
+
+
+class Run(_Block):
+    """Where it is computed; the command line overrides."""
+
+    device: StrictStr = "cpu"
+    processes: int | None = Field(default=None, ge=1, le=1024)
+    """One a core when left out; one for a GPU."""
+
+
+class StudySpec(_Block):
+    """A whole study file."""
+
+    study: StudyBlock
+    parameters: dict[PlainName, ParameterRange] = Field(default_factory=dict)
+    fixed: dict[PlainName, Value] = Field(default_factory=dict)
+    """Parameters other than the family's defaults, the same in all designs."""
+    tied: dict[PlainName, Tie] = Field(default_factory=dict)
+    sweep: Sweep
+    objective: Objective | None = None
+    constraints: list[Constraint] = Field(default_factory=list)
+    press: dict[PlainName, dict[PlainName, Any]] = Field(default_factory=dict)
+    """Settings of single presses other than the standard ones."""
+    output: Output = Output()
+    run: Run = Run()
+
+    @model_validator(mode="after")
+    def _check_whole(self) -> StudySpec:
+        if not self.parameters:
+            raise ValueError("no [parameters.NAME] table: there is nothing to sweep")
+        for one, two in (("fixed", "parameters"), ("tied", "parameters"), ("tied", "fixed")):
+            both = sorted(set(getattr(self, one)) & set(getattr(self, two)))
+            if both:
+                raise ValueError(f"{', '.join(both)} stands in [{one}] and in [{two}]")
+        for name, tie in self.tied.items():
+            if tie.to not in self.parameters:
+                raise ValueError(
+                    f"tied.{name}.to: {tie.to!r} is not swept; "
+                    f"swept are {', '.join(self.parameters)}"
+                )
+        self._check_ranges()
+        wanted = [c.metric for c in self.constraints]
+        if len(set(wanted)) < len(wanted):
+            raise ValueError("two constraints name one metric; give its min and max together")
+        if not self.metrics():
+            raise ValueError("no metrics: name at least one in study.metrics")
+        if self.sweep.kind == "optimize" and self.objective is None:
+            raise ValueError("kind = 'optimize' needs [objective] minimize or maximize = a metric")
+        return self
+
+    def _check_ranges(self) -> None:
+        kind = self.sweep.kind
+        for name, axis in self.parameters.items():
+            if kind == "grid" and axis.values is None and axis.count is None:
+                raise ValueError(f"parameters.{name}: a range in a grid needs count")
+            if kind != "grid" and axis.count is not None:
+                raise ValueError(
+                    f"parameters.{name}: count belongs to a grid; the sweep has its own"
+                )
+            if kind == "optimize" and axis.values is not None:
+                raise ValueError(f"parameters.{name}: an optimiser needs min and max, not values")
+            if kind != "optimize" and axis.start is not None:
+                raise ValueError(f"parameters.{name}: start belongs to kind = 'optimize'")
+
+    def metrics(self) -> tuple[str, ...]:
+        """Names of all metrics that the study reads, the listed ones first."""
+        names = [*self.study.metrics]
+        if self.objective is not None:
+            names.append(self.objective.metric)
+        names += [constraint.metric for constraint in self.constraints]
+        return tuple(dict.fromkeys(names))
+
+
+_TABLES: dict[str, type[BaseModel]] = {
+    "study": StudyBlock,
+    "parameters": ParameterRange,
+    "tied": Tie,
+    "sweep": Sweep,
+    "objective": Objective,
+    "constraints": Constraint,
+    "output": Output,
+    "run": Run,
+}
+
+
+def load_study(path: Path | str) -> StudySpec:
+    """Read a study file. Raises InputError with every wrong key: what is there, what is allowed."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such study file")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is not TOML: {error}") from error
+    return study_of(table, str(path))
+
+
+def study_of(table: dict[str, Any], source: str = "study") -> StudySpec:
+    """The study in a table as of TOML; ``source`` names it in messages."""
+    try:
+        return StudySpec.model_validate(table)
+    except ValidationError as error:
+        lines = describe_errors(error, StudySpec).splitlines()
+        details = error.errors(include_url=False)
+        if len(lines) == len(details):
+            lines = [_with_hint(line, item) for line, item in zip(lines, details, strict=True)]
+        raise InputError("\n".join(f"{source}: {line}" for line in lines)) from None
+
+
+def _with_hint(line: str, item: Any) -> str:
+    """Of an unknown key inside a table: what is allowed there, and the nearest of it."""
+    place = item["loc"]
+    if item["type"] != "extra_forbidden":
+        return line.removeprefix("StudySpec: ")
+    known = list(StudySpec.model_fields if len(place) == 1 else _TABLES[place[0]].model_fields)
+    if "allowed" not in line:
+        line += f"; allowed: {', '.join(known)}"
+    return line + nearest(str(place[-1]), known)
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """`` (did you mean NAME?)`` for the most similar known name, or nothing."""
+    found = get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f" (did you mean {found[0]}?)" if found else ""
+
+
+def require_known(what: str, name: str, known: Iterable[str]) -> None:
+    """Refuse an unknown name, with what is known and the nearest of it."""
+    known = list(known)
+    if name not in known:
+        raise InputError(f"no {what} {name!r}{nearest(name, known)}; known: {', '.join(known)}")

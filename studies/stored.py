@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is kept of one design: the content of its ``result.json``."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from taccel_lab.errors import InputError
+from taccel_lab.output import to_jsonable
+
+if TYPE_CHECKING:
+    from studies.design_point import DesignResult
+
+Status = Literal["done", "failed", "broken"]
+"""done: at least one figure. failed: none, for a cause that lies in the design (a pad that cannot
+be built). broken: the process died or a fault of the program; tried again by the next run."""
+
+
+@dataclass(frozen=True)
+class StoredDesign:
+    """One design and its figures, as they stand in a file."""
+
+    id: str
+    family: str
+    parameters: dict[str, Any]
+    """Overrides of the family's defaults."""
+    status: Status
+    figures: dict[str, float | None] = field(default_factory=dict)
+    """By metric; None where there is a cause."""
+    causes: dict[str, str] = field(default_factory=dict)
+    """By metric, ``press NAME``, or ``design``."""
+    seconds: float = 0.0
+    """Wall time of the design's process; work that designs share counts in equal parts."""
+    simulations: int = 0
+    curves: dict[str, Any] = field(default_factory=dict)
+    """Steps of each press."""
+    figure_keys: dict[str, str] = field(default_factory=dict)
+    """By metric: stands for the settings of the presses that it was read from."""
+    press_keys: dict[str, str] = field(default_factory=dict)
+    """By press: stands for its settings."""
+    files: dict[str, str] = field(default_factory=dict)
+    """What was kept, by kind, relative to the design's folder."""
+    tool_version: str = ""
+    finished: str = ""
+    """UTC."""
+
+    @property
+    def cause(self) -> str:
+        """Why there are figures missing; empty when none is."""
+        whole = self.causes.get("design")
+        if whole:
+            return whole
+        return "; ".join(f"{name}: {cause}" for name, cause in self.causes.items())
+
+    @property
+    def unbuildable(self) -> bool:
+        """Whether the design has no figures at all, and never will."""
+        return self.status == "failed" and "design" in self.causes
+
+    def missing(self, figure_keys: Mapping[str, str]) -> tuple[str, ...]:
+        """Metrics that were not evaluated, or from presses with other settings."""
+        if self.unbuildable:
+            return ()
+        return tuple(n for n, key in figure_keys.items() if self.figure_keys.get(n) != key)
+
+    def missing_presses(self, press_keys: Mapping[str, str]) -> tuple[str, ...]:
+        """Presses that were not made, or with other settings."""
+        if self.unbuildable:
+            return ()
+        return tuple(n for n, key in press_keys.items() if self.press_keys.get(n) != key)
+
+    def merged(self, newer: StoredDesign) -> StoredDesign:
+        """``newer``, with what is only known here."""
+        again = {"design", *newer.figures, *(f"press {name}" for name in newer.press_keys)}
+        causes = {name: cause for name, cause in self.causes.items() if name not in again}
+        figures = {**self.figures, **newer.figures}
+        known = any(value is not None for value in figures.values())
+        return replace(
+            newer,
+            status="done" if known and newer.status != "broken" else newer.status,
+            figures=figures,
+            causes={**causes, **newer.causes},
+            seconds=self.seconds + newer.seconds,
+            simulations=self.simulations + newer.simulations,
+            curves={**self.curves, **newer.curves},
+            files={**self.files, **newer.files},
+            figure_keys={**self.figure_keys, **newer.figure_keys},
+            press_keys={**self.press_keys, **newer.press_keys},
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        return to_jsonable(asdict(self))
+
+
+def stored_from_json(text: str, source: str) -> StoredDesign:
+    """Read a ``result.json``; raises InputError for one that is damaged."""
+    try:
+        values = json.loads(text)
+        known = {item.name for item in fields(StoredDesign)}
+        if set(values) != known:
+            raise ValueError(f"keys {sorted(set(values) ^ known)} are missing or unknown")
+        if values["status"] not in ("done", "failed", "broken"):
+            raise ValueError(f"status {values['status']!r}")
+        return StoredDesign(**values)
+    except (ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{source} is damaged: {error}") from error
+
+
+def stored_of(
+    result: DesignResult,
+    figure_keys: Mapping[str, str],
+    press_keys: Mapping[str, str],
+    tool_version: str,
+    finished: str,
+) -> StoredDesign:
+    """What is kept of an evaluated design; the keys name its metrics and presses."""
+    figures = {name: result.figures.get(name) for name in figure_keys}
+    causes = dict(result.causes)
+    whole = causes.get("design")
+    for name, value in figures.items():
+        if value is None and not whole and name not in causes:
+            causes[name] = "no value, and no cause was given"
+    return StoredDesign(
+        id=result.point.id,
+        family=result.point.family,
+        parameters=to_jsonable(result.point.parameters),
+        status="done" if any(value is not None for value in figures.values()) else "failed",
+        figures=to_jsonable(figures),
+        causes=causes,
+        seconds=result.seconds,
+        simulations=result.simulations,
+        curves=to_jsonable(result.curves),
+        figure_keys=dict(figure_keys),
+        press_keys=dict(press_keys),
+        tool_version=tool_version,
+        finished=finished,
+    )
+
+
+def identity(content: Any) -> str:
+    """Twelve hex digits that stand for ``content``: equal content, equal digits."""
+    text = json.dumps(to_jsonable(content), sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

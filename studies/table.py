@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of a study: one row a design, as CSV and, where pyarrow is installed, as Parquet."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.output import atomic_file
+
+if TYPE_CHECKING:
+    from studies.plan import Study
+    from studies.stored import StoredDesign
+
+CSV_NAME = "designs.csv"
+PARQUET_NAME = "designs.parquet"
+
+
+def columns(study: Study) -> list[str]:
+    """Names of the columns: design, its parameters, metrics, and how it went."""
+    swept = [axis.name for axis in study.axes]
+    names = ["design", *swept, *study.spec.tied, *study.metrics]
+    names += ["feasible"] if study.spec.constraints else []
+    return [*names, "status", "cause", "simulations", "seconds"]
+
+
+def table_rows(study: Study, designs: Sequence[StoredDesign]) -> list[dict[str, Any]]:
+    """Rows of the table; None where a figure is missing."""
+    from studies.judge import is_feasible
+
+    names = columns(study)
+    rows = []
+    for design in designs:
+        row: dict[str, Any] = {"design": design.id, **design.parameters, **design.figures}
+        row["feasible"] = is_feasible(design, study.spec.constraints)
+        row |= {"status": design.status, "cause": design.cause}
+        row |= {"simulations": design.simulations, "seconds": round(design.seconds, 3)}
+        rows.append({name: row.get(name) for name in names})
+    return rows
+
+
+def write_table(root: Path, study: Study, designs: Sequence[StoredDesign]) -> None:
+    """Write ``designs.csv`` and, with pyarrow, ``designs.parquet``, each whole or not at all."""
+    rows, names = table_rows(study, designs), columns(study)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
+    with atomic_file(root / CSV_NAME) as staging:
+        staging.write_text(text.getvalue(), encoding="utf-8")
+        staging.chmod(0o644)
+    if has_parquet():
+        _write_parquet(root / PARQUET_NAME, rows, names)
+
+
+def has_parquet() -> bool:
+    """Whether pyarrow is installed."""
+    return find_spec("pyarrow") is not None
+
+
+def _write_parquet(path: Path, rows: list[dict[str, Any]], names: list[str]) -> None:
+    import pyarrow  # pyright: ignore[reportMissingImports]
+    import pyarrow.parquet  # pyright: ignore[reportMissingImports]
+
+    table = pyarrow.table({name: [row[name] for row in rows] for name in names})
+    with atomic_file(path) as staging:
+        pyarrow.parquet.write_table(table, staging)
+        staging.chmod(0o644)
+
+
+def _cell(value: Any) -> Any:
+    """A cell of the CSV: empty for None, all digits of a number."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, float) else value
