@@ -73,6 +73,27 @@ def ring_of_node(core: int, rings: int) -> np.ndarray:
     return np.repeat(np.arange(rings + 1), [(core + 1) ** 2] + [4 * core] * rings)
 
 
+def prism_tets(triangles: np.ndarray, low: int, high: int) -> np.ndarray:
+    """Three tets of each prism between the plan ``triangles`` of two levels, shape [3 n, 4].
+
+    Nodes of the levels are the plan's plus ``low`` and ``high``.
+    """
+    # Ascending plan nodes p < q < r: the side over p q is cut from p below to q above, whichever
+    # prism looks at it. Sorting may turn a triangle over, which the tets must undo.
+    order = np.argsort(triangles, axis=1)
+    p, q, r = np.take_along_axis(triangles, order, axis=1).T
+    turned = (order[:, 1] - order[:, 0]) % 3 == 2
+    tets = []
+    for corners in (
+        (p + low, q + low, r + low, r + high),
+        (p + low, q + high, q + low, r + high),
+        (p + low, p + high, q + high, r + high),
+    ):
+        tet = np.stack(corners, axis=1)
+        tets.append(np.where(turned[:, None], tet[:, [0, 2, 1, 3]], tet))
+    return np.concatenate(tets)
+
+
 @lru_cache(maxsize=16)
 def grid_topology(core: int, rings: int, layers: int, window_ring: int) -> GridTopology:
     """Connectivity for a core of ``core`` x ``core`` cells, ``rings`` rings and ``layers`` layers.
@@ -81,21 +102,10 @@ def grid_topology(core: int, rings: int, layers: int, window_ring: int) -> GridT
     """
     triangles = plan_triangles(core, rings)
     plan_count = (core + 1) ** 2 + 4 * core * rings
-    # Ascending plan nodes p < q < r: the side over p q is cut from p below to q above, whichever
-    # prism looks at it. Sorting may turn a triangle over, which the tets must undo.
-    order = np.argsort(triangles, axis=1)
-    p, q, r = np.take_along_axis(triangles, order, axis=1).T
-    turned = (order[:, 1] - order[:, 0]) % 3 == 2
-    tets = []
-    for layer in range(layers):
-        low, high = layer * plan_count, (layer + 1) * plan_count
-        for corners in (
-            (p + low, q + low, r + low, r + high),
-            (p + low, q + high, q + low, r + high),
-            (p + low, p + high, q + high, r + high),
-        ):
-            tet = np.stack(corners, axis=1)
-            tets.append(np.where(turned[:, None], tet[:, [0, 2, 1, 3]], tet))
+    tets = [
+        prism_tets(triangles, layer * plan_count, (layer + 1) * plan_count)
+        for layer in range(layers)
+    ]
     all_tets = np.concatenate(tets).astype(np.int32)
     faces = boundary_faces(all_tets)
     regions = _face_regions(faces, core, layers, plan_count, window_ring)
