@@ -63,7 +63,8 @@ def base_outline(solid: Solid) -> Wire:
 def grown(wire: Wire, distance_mm: float, z_mm: float) -> Face:
     """The area inside ``wire`` (a plane one), grown by a distance, moved to ``z_mm``, facing +z."""
     if abs(distance_mm) > 1e-9:
-        wire = wire.offset_2d(distance_mm, kind=Kind.ARC)
+        moved = wire.offset_2d(distance_mm, kind=Kind.ARC)
+        wire = moved if isinstance(moved, Wire) else Wire([moved])
     face = Face(wire)
     if face.normal_at().Z < 0:
         face = -face

@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Moulds for casting gels: cavity and lid with draft, gates, pins and shrinkage."""
+
+from cad.moulds.checks import MouldReport, check_mould
+from cad.moulds.options import MouldOptions
+from cad.moulds.two_part import Mould, gel_mould
+
+__all__ = ["Mould", "MouldOptions", "MouldReport", "check_mould", "gel_mould"]
