@@ -18,6 +18,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 
 MESH_KEYS = ("nodes_m", "tets", "faces", "face_regions")
+LAYER_KEY = "tet_layers"
+"""Stored beside them for a gel of several layers."""
 
 
 def _encode_npz(arrays: Mapping[str, np.ndarray]) -> bytes:
@@ -27,13 +29,15 @@ def _encode_npz(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def _decode_npz(data: bytes, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
+def _decode_npz(
+    data: bytes, keys: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> dict[str, np.ndarray]:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             found = set(archive.files)
-            if found != set(keys):
+            if not set(keys) <= found <= {*keys, *optional}:
                 raise InputError(f"must hold the arrays {sorted(keys)}, found {sorted(found)}")
-            arrays = {key: archive[key] for key in keys}
+            arrays = {key: archive[key] for key in archive.files}
     except InputError:
         raise
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, KeyError) as error:
@@ -43,15 +47,17 @@ def _decode_npz(data: bytes, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
 
 def encode_mesh(mesh: TetMesh) -> bytes:
     """Bytes of ``mesh.npz``."""
-    return _encode_npz({key: getattr(mesh, key) for key in MESH_KEYS})
+    keys = (*MESH_KEYS, LAYER_KEY) if mesh.tet_layers.any() else MESH_KEYS
+    return _encode_npz({key: getattr(mesh, key) for key in keys})
 
 
 def decode_mesh(data: bytes) -> TetMesh:
     """The mesh in ``mesh.npz``; raises InputError when it is damaged or not a valid mesh."""
-    arrays = _decode_npz(data, MESH_KEYS)
-    for key, kind in zip(MESH_KEYS, "fiii", strict=True):
-        if arrays[key].dtype.kind != kind:
-            raise InputError(f"{key} has type {arrays[key].dtype}, which is not a {kind}-type")
+    arrays = _decode_npz(data, MESH_KEYS, (LAYER_KEY,))
+    for key, array in arrays.items():
+        kind = "f" if key == "nodes_m" else "i"
+        if array.dtype.kind != kind:
+            raise InputError(f"{key} has type {array.dtype}, which is not a {kind}-type")
     return TetMesh(**arrays)
 
 

@@ -14,8 +14,9 @@ from typing import Any, Literal
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_directory
 from taccel_lab.profile import arrays
+from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
 from taccel_lab.profile.migrate import migrate
-from taccel_lab.profile.schema import BLOCK_TYPES, OPTIONAL_BLOCKS, SCHEMA_VERSION, Block
+from taccel_lab.profile.schema import SCHEMA_VERSION, Block
 from taccel_lab.profile.sensor_profile import ARRAY_FIELDS, SensorProfile
 
 PROFILE_FILE = "profile.toml"
@@ -96,9 +97,10 @@ def validate_profile(path: Path | str) -> list[Finding]:
 
 
 def _toml_table(block: Block) -> dict[str, Any]:
-    """The block's values, then its provenance, whose empty tables are left out."""
+    """The block's values without empty lists, then its provenance without empty tables."""
     table = block.model_dump(mode="python")
     provenance = table.pop("provenance")
+    table = {key: value for key, value in table.items() if value != ()}
     table["provenance"] = {key: value for key, value in provenance.items() if value != {}}
     return table
 

@@ -2,8 +2,8 @@
 """Old profiles brought to the current schema, one function per version step.
 
 ``STEPS[n]`` takes the parsed ``profile.toml`` of version n and returns that of version n + 1,
-without changing its argument. Version 1 is the first, so there are no steps yet; each later step
-comes with a stored profile of the old version in ``tests/profile/old``.
+without changing its argument. Version 1 is the first. Each step comes with a stored profile of the
+old version in ``tests/profile/old``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,14 @@ from taccel_lab.profile.schema import SCHEMA_VERSION
 Document = dict[str, Any]
 Step = Callable[[Document], Document]
 
-STEPS: Mapping[int, Step] = {}
+
+def _add_optics_and_layers(document: Document) -> Document:
+    """Version 2 adds optional blocks of the optics, layers of the gel and their mesh array: a
+    profile of version 1 has none of them and stays as it is."""
+    return {**document, "schema_version": 2}
+
+
+STEPS: Mapping[int, Step] = {1: _add_optics_and_layers}
 
 
 def migrate(

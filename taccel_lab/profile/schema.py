@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The blocks of a sensor profile, schema version 1.
+"""The blocks of a sensor profile, schema version 2; those of its optics are in ``optics_blocks``.
 
 Every block is frozen, refuses unknown keys, checks its bounds and says where it comes from
 (``Provenance``). Blocks are the same in memory and in ``profile.toml``; the arrays they describe
@@ -33,7 +33,7 @@ import taccel_lab
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
@@ -58,7 +58,7 @@ def describe_errors(error: ValidationError, model: type[BaseModel]) -> str:
     return "\n".join(lines)
 
 
-class _Frozen(BaseModel):
+class Frozen(BaseModel):
     """Shared settings: immutable, no unknown keys, no NaN or infinity, InputError on bad values."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -69,7 +69,7 @@ class _Frozen(BaseModel):
         return type(self)(**{**values, **changes})
 
 
-class Provenance(_Frozen):
+class Provenance(Frozen):
     """Where a block comes from and how far it can be trusted."""
 
     tool_version: Name = Field(default_factory=lambda: taccel_lab.__version__)
@@ -111,7 +111,7 @@ class Provenance(_Frozen):
         return self
 
 
-class Block(_Frozen):
+class Block(Frozen):
     """A part of a profile, with its provenance."""
 
     key: ClassVar[str]
@@ -156,19 +156,14 @@ class GelBlock(Block):
     """Smallest dihedral angle of any tet [degrees]; a regular tet has 70.53."""
 
 
-class MaterialBlock(Block):
-    """The gel as a solid."""
+class _Solid(Frozen):
+    """A Neo-Hookean solid."""
 
-    key: ClassVar[str] = "material"
-
-    model: Literal["neo_hookean"] = "neo_hookean"
     young_modulus_pa: float = Field(ge=1e2, le=1e9)
     """Young's modulus at small strain [Pa]."""
     poisson_ratio: float
     """Poisson's ratio, above -1 and below 0.5."""
     density_kg_m3: float = Field(gt=0, le=3e4)
-    friction_coefficient: float = Field(ge=0, le=5)
-    """Coulomb friction between the gel and what presses on it."""
 
     @field_validator("poisson_ratio")
     @classmethod
@@ -181,6 +176,24 @@ class MaterialBlock(Block):
         if value <= -1.0:
             raise ValueError("must be above -1: at -1 the shear modulus E / (2 (1 + nu)) diverges")
         return value
+
+
+class LayerMaterial(_Solid):
+    """A layer over the gel proper, such as a skin."""
+
+    name: Name
+
+
+class MaterialBlock(Block, _Solid):
+    """The gel as a solid, and the layers over it, if it has any."""
+
+    key: ClassVar[str] = "material"
+
+    model: Literal["neo_hookean"] = "neo_hookean"
+    friction_coefficient: float = Field(ge=0, le=5)
+    """Coulomb friction between the gel and what presses on it."""
+    layers: tuple[LayerMaterial, ...] = ()
+    """Materials of the mesh's layers 1, 2, ...; layer 0 is the gel proper, this block's own."""
 
 
 class CameraBlock(Block):
@@ -241,16 +254,3 @@ class ColorBlock(Block):
     file: Literal["color_model.safetensors"] = "color_model.safetensors"
     architecture: dict[Name, ConfigValue]
     """What is needed to rebuild the network: features, layer widths, activation, scales."""
-
-
-BLOCK_TYPES: tuple[type[Block], ...] = (
-    SensorBlock,
-    GelBlock,
-    MaterialBlock,
-    CameraBlock,
-    BackgroundBlock,
-    ColorBlock,
-)
-"""All blocks of schema version 1, in the order of the file."""
-
-OPTIONAL_BLOCKS = frozenset({"background", "color"})

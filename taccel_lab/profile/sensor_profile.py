@@ -7,12 +7,22 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.optics.description import OpticalDesign
+from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
+from taccel_lab.profile.optics_blocks import (
+    CoatingBlock,
+    HousingBlock,
+    LightsBlock,
+    MarkersBlock,
+    OpticsBlock,
+    WindowBlock,
+)
 from taccel_lab.profile.schema import (
     BackgroundBlock,
     Block,
@@ -41,6 +51,12 @@ class SensorProfile:
     camera: CameraBlock
     mesh: TetMesh
     """The gel pad's mesh [m]."""
+    optics: OpticsBlock | None = None
+    window: WindowBlock | None = None
+    coating: CoatingBlock | None = None
+    lights: LightsBlock | None = None
+    markers: MarkersBlock | None = None
+    housing: HousingBlock | None = None
     background: BackgroundBlock | None = None
     background_rgb: np.ndarray | None = None
     """Image of the untouched sensor, RGB levels 0..255, uint8 or float32, shape [H, W, 3]."""
@@ -59,8 +75,23 @@ class SensorProfile:
 
     def blocks(self) -> dict[str, Block]:
         """The blocks that are present, by key, in the order of the file."""
-        keys = ("sensor", "gel", "material", "camera", "background", "color")
-        return {key: getattr(self, key) for key in keys if getattr(self, key) is not None}
+        found = {block.key: getattr(self, block.key) for block in BLOCK_TYPES}
+        return {key: block for key, block in found.items() if block is not None}
+
+    def optical_design(self) -> OpticalDesign | None:
+        """Camera, lights, coating and window; None without the blocks ``optics``, ``lights`` and
+        ``coating``."""
+        if self.optics is None or self.lights is None or self.coating is None:
+            return None
+        return OpticalDesign(
+            camera=self.optics.camera(),
+            lights=self.lights.lights(),
+            coating=self.coating.coating(),
+            window=None if self.window is None else self.window.window(),
+            gel_refractive_index=self.optics.gel_refractive_index,
+            ambient_rgb=self.optics.ambient_rgb,
+            gel_scattering_per_mm=self.optics.gel_scattering_per_mm,
+        )
 
     def with_block(
         self,
@@ -84,13 +115,17 @@ class SensorProfile:
             raise InputError(f"a {block.key} block takes no arrays")
         return dataclasses.replace(self, **changes)
 
-    def without(self, *keys: Literal["background", "color"]) -> SensorProfile:
+    def without(self, *keys: str) -> SensorProfile:
         """Return a profile that lacks the named optional blocks and their arrays."""
         changes: dict[str, Any] = {}
         for key in keys:
-            if key not in ("background", "color"):
-                raise InputError(f"a profile cannot lack {key!r}; optional: background, color")
-            changes |= {key: None, ARRAY_FIELDS[key]: None}
+            if key not in OPTIONAL_BLOCKS:
+                raise InputError(
+                    f"a profile cannot lack {key!r}; optional: {', '.join(sorted(OPTIONAL_BLOCKS))}"
+                )
+            changes[key] = None
+            if key in ARRAY_FIELDS:
+                changes[ARRAY_FIELDS[key]] = None
         return dataclasses.replace(self, **changes)
 
     def _check_mesh(self) -> None:
@@ -98,6 +133,11 @@ class SensorProfile:
             stated, found = getattr(self.gel, name), getattr(self.mesh, name)
             if stated != found:
                 raise InputError(f"gel.{name} is {stated} but the mesh has {found}")
+        highest, stated = int(self.mesh.tet_layers.max()), len(self.material.layers)
+        if highest > stated:
+            raise InputError(
+                f"the mesh has tets of layer {highest}, but material.layers states {stated} of them"
+            )
 
     def _check_background(self) -> None:
         if (self.background is None) != (self.background_rgb is None):

@@ -23,6 +23,7 @@ from taccel_lab.profile import (
     save_profile,
     validate_profile,
 )
+from taccel_lab.profile.blocks import OPTIONAL_BLOCKS
 
 ARRAY_FILES = ("mesh.npz", "background.npz", "color_model.safetensors")
 
@@ -32,7 +33,7 @@ reuse_fixtures = settings(suppress_health_check=[HealthCheck.function_scoped_fix
 
 def assert_same(left: SensorProfile, right: SensorProfile) -> None:
     assert left.blocks() == right.blocks()
-    for name in ("nodes_m", "tets", "faces", "face_regions"):
+    for name in ("nodes_m", "tets", "faces", "face_regions", "tet_layers"):
         np.testing.assert_array_equal(getattr(left.mesh, name), getattr(right.mesh, name))
     assert (left.background_rgb is None) == (right.background_rgb is None)
     if left.background_rgb is not None and right.background_rgb is not None:
@@ -72,7 +73,7 @@ def test_round_trip(full_profile: SensorProfile, profile_folder: Path) -> None:
 
 
 def test_round_trip_without_optional_blocks(full_profile: SensorProfile, tmp_path: Path) -> None:
-    bare = full_profile.without("background", "color")
+    bare = full_profile.without(*OPTIONAL_BLOCKS)
     save_profile(bare, tmp_path / "p")
     assert sorted(p.name for p in (tmp_path / "p").iterdir()) == ["mesh.npz", "profile.toml"]
     assert_same(load_profile(tmp_path / "p"), bare)
@@ -203,12 +204,20 @@ def test_missing_file(profile_folder: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("tables", "words"),
     [
-        ({"schema_version": 2}, "newer version of taccel-lab"),
+        ({"schema_version": 3}, "newer version of taccel-lab"),
         ({"schema_version": 0}, "version 0 is not known"),
         ({"schema_version": "1"}, "must be a whole number"),
         ({"schema_version": True}, "must be a whole number"),
         ({"schema_version": None}, "must be a whole number"),
-        ({"lights": 3}, "lights: unknown key; allowed: .*camera"),
+        ({"lamps": 3}, "lamps: unknown key; allowed: .*camera"),
+        ({"lights": 3}, "lights: must be a table"),
+        ({"lights": {"led": []}}, r"lights\.led: .*at least 1 item"),
+        ({"optics": {"fx_px": -2.0}}, r"optics\..*fx_px must lie in"),
+        ({"optics": {"model": "wide"}}, r"optics\.model: .*'pinhole' or 'fisheye'"),
+        ({"window": {"refractive_index": 9.0}}, r"window\..*refractive_index must lie in"),
+        ({"markers": {"radius_mm": 1.5}}, r"markers\..*radius_mm must lie in"),
+        ({"housing": {"wall_mm": 0.0}}, r"housing\.wall_mm: .*greater than 0"),
+        ({"material": {"layers": []}}, "tets of layer 1, but material.layers states 0"),
         ({"gel": {"colour": "red"}}, r"gel\.colour: unknown key"),
         ({"gel": {"file": "../mesh.npz"}}, r"gel\.file: .*mesh\.npz"),
         ({"gel": {"thickness_mm": 0}}, r"gel\.thickness_mm: .*greater than 0"),

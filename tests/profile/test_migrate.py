@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from taccel_lab.errors import InputError
+from taccel_lab.profile import load_profile, save_profile, validate_profile
 from taccel_lab.profile.migrate import STEPS, migrate
 from taccel_lab.profile.schema import SCHEMA_VERSION
 
@@ -62,3 +63,25 @@ def test_every_released_version_has_a_step_and_an_example() -> None:
     assert sorted(STEPS) == list(range(1, SCHEMA_VERSION))
     for version in STEPS:
         assert (OLD / f"v{version}" / "profile.toml").is_file()
+
+
+def test_version_1_is_read_as_it_was() -> None:
+    """The stored folder holds two tets of one layer, an image and a colour model."""
+    assert "schema_version = 1\n" in (OLD / "v1" / "profile.toml").read_text()
+    assert validate_profile(OLD / "v1") == []
+    profile = load_profile(OLD / "v1")
+    assert list(profile.blocks()) == ["sensor", "gel", "material", "camera", "background", "color"]
+    assert profile.material.poisson_ratio == 0.48 and profile.material.layers == ()
+    assert profile.mesh.tet_layers.tolist() == [0, 0]
+    assert profile.grid().mm_per_px_y == 0.031
+    assert profile.optical_design() is None
+
+
+def test_version_1_is_written_as_the_current_one(tmp_path: Path) -> None:
+    profile = load_profile(OLD / "v1")
+    save_profile(profile, tmp_path / "p")
+    text = (tmp_path / "p" / "profile.toml").read_text()
+    assert f"schema_version = {SCHEMA_VERSION}\n" in text
+    assert load_profile(tmp_path / "p").blocks() == profile.blocks()
+    for name in ("mesh.npz", "background.npz", "color_model.safetensors"):
+        assert (tmp_path / "p" / name).read_bytes() == (OLD / "v1" / name).read_bytes()

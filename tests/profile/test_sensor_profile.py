@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
+from taccel_lab.optics.description import Camera, Coating, Light, MarkerGrid, Window
 from taccel_lab.profile import BackgroundBlock, ColorBlock, SensorProfile
+from taccel_lab.profile.blocks import OPTIONAL_BLOCKS
+from taccel_lab.profile.optics_blocks import (
+    CoatingBlock,
+    LightEntry,
+    MarkersBlock,
+    OpticsBlock,
+    WindowBlock,
+)
 
 
 def test_with_block_leaves_the_original(full_profile: SensorProfile) -> None:
@@ -32,9 +41,11 @@ def test_without_removes_block_and_arrays(full_profile: SensorProfile) -> None:
     bare = full_profile.without("background", "color")
     assert bare.background_rgb is None
     assert bare.color_weights is None
-    assert list(bare.blocks()) == ["sensor", "gel", "material", "camera"]
+    assert "color" not in bare.blocks() and "lights" in bare.blocks()
+    required = full_profile.without(*OPTIONAL_BLOCKS)
+    assert list(required.blocks()) == ["sensor", "gel", "material", "camera"]
     with pytest.raises(InputError, match="cannot lack 'gel'"):
-        full_profile.without("gel")  # type: ignore[arg-type]
+        full_profile.without("gel")
 
 
 def test_arrays_are_read_only_copies(full_profile: SensorProfile) -> None:
@@ -106,3 +117,47 @@ def test_another_camera_needs_another_background(full_profile: SensorProfile) ->
         .with_block(ColorBlock(architecture={}, provenance=provenance), {"w": np.ones(2)})
     )
     assert changed.grid().width_px == 20
+
+
+def test_layers_need_their_materials(full_profile: SensorProfile) -> None:
+    with pytest.raises(InputError, match=r"layer 1, but material\.layers states 0"):
+        full_profile.with_block(full_profile.material.replace(layers=()))
+    softer = full_profile.with_block(full_profile.material.replace(young_modulus_pa=1e4))
+    assert softer.material.layers == full_profile.material.layers
+
+
+def test_blocks_give_back_the_optical_design(full_profile: SensorProfile) -> None:
+    design = full_profile.optical_design()
+    assert design is not None and full_profile.optics is not None
+    assert design.camera.position_mm == (0.0, 0.5, -12.0)
+    assert design.camera.distortion == (-0.1, 0.02, 0.0, 0.001)
+    assert [light.name for light in design.lights] == ["red", ""]
+    assert design.window is not None and design.window.thickness_mm == 2.0
+    assert design.coating.albedo_rgb == (0.5, 0.4, 0.5)
+    assert design.ambient_rgb == (0.1, 0.1, 0.2)
+    again = OpticsBlock.from_design(
+        design, full_profile.optics.provenance, raw_px=(640, 480), crop=(0.7, 1.0)
+    )
+    assert again == full_profile.optics
+    without_window = full_profile.without("window").optical_design()
+    assert without_window is not None and without_window.window is None
+    for key in ("optics", "lights", "coating"):
+        assert full_profile.without(key).optical_design() is None
+
+
+@pytest.mark.parametrize(
+    ("block", "described"),
+    [
+        (OpticsBlock, Camera),
+        (WindowBlock, Window),
+        (CoatingBlock, Coating),
+        (LightEntry, Light),
+        (MarkersBlock, MarkerGrid),
+    ],
+)
+def test_blocks_hold_all_that_is_described(block: Any, described: Any) -> None:
+    fields = {field.name: field for field in dataclasses.fields(described)}
+    assert set(fields) <= set(block.model_fields)
+    for name, field in fields.items():
+        if field.default is not dataclasses.MISSING and not block.model_fields[name].is_required():
+            assert block.model_fields[name].default == field.default
