@@ -21,6 +21,7 @@ _VERTICAL = 1e-4
 _ON_OUTLINE_MM = 1e-3
 _SAMPLES = (0.05, 0.275, 0.5, 0.725, 0.95)
 _LEAST_WEDGE_MM = 0.2
+_BELOW_EDGE_MM = 0.02
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ def cast_body(gel: Solid, *, draft_deg: float, shrinkage_percent: float) -> Cast
     outline = base_outline(grown_gel)
     walls = _outer_walls(grown_gel, outline, base)
     tops = _wall_tops_mm(walls, base)
-    height = float(tops.min() - base) if len(tops) else 0.0
+    # A little lower than the edge of the contact face, which the wedge must not touch.
+    height = float(tops.min() - base) - _BELOW_EDGE_MM if len(tops) else 0.0
     highest = float(tops.max() - base) if len(tops) else 0.0
     slope = math.tan(math.radians(draft_deg))
     if height < _LEAST_WEDGE_MM or draft_deg == 0:
@@ -78,13 +80,17 @@ def _wedge(outline: Wire, base: float, height: float, draft_deg: float) -> Solid
     return cone.cut(prism(grown(outline, 0.0, base), height)).solids()[0]
 
 
+def is_vertical(face: Face) -> bool:
+    """Whether the face's normals are all horizontal."""
+    points = [face.position_at(u, v) for u in _SAMPLES for v in _SAMPLES]
+    return max(abs(face.normal_at(point).Z) for point in points) < _VERTICAL
+
+
 def _outer_walls(solid: Solid, outline: Wire, base: float) -> list[Face]:
     """Vertical faces that stand on the outline."""
     walls = []
     for face in solid.faces():
-        points = [face.position_at(u, v) for u in _SAMPLES for v in _SAMPLES]
-        normals = [face.normal_at(point) for point in points]
-        if max(abs(normal.Z) for normal in normals) > _VERTICAL:
+        if not is_vertical(face):
             continue
         middle = face.position_at(0.5, 0.5)
         if outline.distance_to(Vector(middle.X, middle.Y, base)) < _ON_OUTLINE_MM:

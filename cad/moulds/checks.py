@@ -12,6 +12,7 @@ from build123d import Plane, Solid
 
 from cad.assembly import OVERLAP_MM3, common_volume_mm3
 from cad.mesh.tessellate import tessellate_solid
+from cad.moulds.cast_body import is_vertical
 from cad.moulds.two_part import Mould
 from cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.errors import InputError
@@ -106,16 +107,19 @@ def _undercut(mould: Mould) -> tuple[float, np.ndarray]:
     area, moment = 0.0, np.zeros(3)
     for part, pull in ((mould.cavity, 1.0), (mould.lid, -1.0)):
         solid = part.solid
+        # Facets of an upright curved wall lean at random where they are slivers, so that upright
+        # faces are left out as a whole.
+        labels = [Region.SIDE if is_vertical(f) else Region.CONTACT for f in solid.faces()]
         surface = tessellate_solid(
-            LabelledSolid(solid, [Region.SIDE] * len(solid.faces())), tolerance_mm=0.02,
-            angle_rad=0.1,
+            LabelledSolid(solid, labels), tolerance_mm=0.02, angle_rad=0.1
         )  # fmt: skip
         corners = surface.vertices_mm[surface.triangles]
         box = solid.bounding_box()
         outer = box.max.Z if pull > 0 else box.min.Z
         on_outer = (np.abs(corners[:, :, 2] - outer) < 1e-4).all(axis=1)
         # A half that moves along +z must not have gel above any of its faces, and so on.
-        wrong = (pull * surface.normals()[:, 2] > _UNDERCUT_SINE) & ~on_outer
+        leans = surface.regions == Region.CONTACT
+        wrong = leans & (pull * surface.normals()[:, 2] > _UNDERCUT_SINE) & ~on_outer
         sizes = surface.areas_mm2()[wrong]
         area += float(sizes.sum())
         moment += (corners[wrong].mean(axis=1) * sizes[:, None]).sum(axis=0)
