@@ -1,14 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluate designs: build and press each one, compute its figures; alike presses are one batch."""
+"""Evaluate designs: build and press each one, compute its figures; alike presses are one batch.
+
+Two designs share a simulation when the result is the same: those that differ in stiffness alone
+(forces then scale), in density, or in camera, lights and markers.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from sensors.base import FamilyParameters
+from sensors.registry import sensor_family
 from studies.design_point import DesignPoint, DesignResult
-from studies.metrics import METRICS, Metric
+from studies.evidence import LOAD_N, Evidence
+from studies.metrics import METRICS, Metric, Unavailable
+from studies.press_batch import REFERENCE_PA, Simulated, batch_size, simulate
+from studies.press_job import PressJob, press_jobs
 from studies.presses import STANDARD_PRESSES, StandardPress
+from taccel_lab.errors import InputError
+from taccel_lab.output import write_json
 
 __all__ = [
     "METRICS",
@@ -21,7 +34,17 @@ __all__ = [
 ]
 
 Progress = Callable[[str, int, int], None]
-"""Told what is going on, how many of the simulations are done, and how many there are."""
+"""Told what was done last, how many of the simulations are done, and how many there are."""
+
+
+@dataclass
+class _Design:
+    """One design on its way."""
+
+    result: DesignResult
+    parameters: FamilyParameters | None = None
+    keys: dict[str, list[str]] = field(default_factory=dict)
+    """Simulations by press."""
 
 
 def evaluate_designs(
@@ -32,6 +55,7 @@ def evaluate_designs(
     device: str = "cpu",
     progress: Progress | None = None,
     folder: Path | None = None,
+    load_n: float = LOAD_N,
 ) -> list[DesignResult]:
     """Press every design and compute its figures.
 
@@ -40,11 +64,129 @@ def evaluate_designs(
 
     Args:
         designs: Points of a study, with unique ids.
-        presses: Standard presses; those that the metrics need and that are missing leave figures
-            None.
+        presses: Standard presses; figures read from presses that are missing here stay None.
         metrics: What to compute.
         device: Warp device of the solver.
-        progress: Called after each batch of simulations.
-        folder: Where records of presses are kept (one subfolder a design); none when None.
+        progress: Called before the first and after each batch of simulations.
+        folder: Where the steps of presses are kept, in a subfolder of each design's id.
+        load_n: Load at which figures are read, where they are read at a load.
+
+    Returns:
+        One result for each design, in order.
     """
-    raise NotImplementedError
+    ids = [point.id for point in designs]
+    if len(set(ids)) != len(ids):
+        raise InputError("designs of a study need ids of their own; some are given twice")
+    if len({press.name for press in presses}) != len(presses):
+        raise InputError("presses of a study need names of their own; some are given twice")
+    jobs: dict[str, PressJob] = {}
+    owners: dict[str, _Design] = {}
+    prepared = []
+    for point in designs:
+        design = _prepare(point, presses, jobs)
+        for keys in design.keys.values():
+            for key in keys:
+                owners.setdefault(key, design)
+        prepared.append(design)
+    done: dict[str, Simulated] = {}
+    if progress is not None:
+        progress("meshed", 0, len(jobs))
+    for batch in _batches(jobs, batch_size(device)):
+        for job, simulated in zip(batch, simulate(batch, device), strict=True):
+            done[job.key] = simulated
+            owner = owners[job.key].result
+            owner.simulations += 1
+            owner.seconds += simulated.seconds
+        if progress is not None:
+            progress(f"press {batch[0].press.name}", len(done), len(jobs))
+    for design in prepared:
+        started = time.perf_counter()
+        _conclude(design, done, metrics, device, load_n)
+        if folder is not None:
+            _keep(design.result, folder / design.result.point.id)
+        design.result.seconds += time.perf_counter() - started
+    return [design.result for design in prepared]
+
+
+def _prepare(
+    point: DesignPoint, presses: Sequence[StandardPress], jobs: dict[str, PressJob]
+) -> _Design:
+    """Build a design and add the simulations that it needs, and nobody before it, to ``jobs``."""
+    started = time.perf_counter()
+    design = _Design(DesignResult(point))
+    try:
+        design.parameters = sensor_family(point.family).parameters(point.parameters)
+    except InputError as error:
+        design.result.causes["design"] = str(error)
+        return design
+    for press in presses:
+        try:
+            wanted = press_jobs(press, design.parameters)
+        except InputError as error:
+            design.result.causes[f"press {press.name}"] = str(error)
+            continue
+        design.keys[press.name] = [job.key for job in wanted]
+        for job in wanted:
+            jobs.setdefault(job.key, job)
+    design.result.seconds += time.perf_counter() - started
+    return design
+
+
+def _batches(jobs: dict[str, PressJob], size: int) -> Iterator[list[PressJob]]:
+    """Jobs that can be environments of one scene, at most ``size`` at a time."""
+    groups: dict[str, list[PressJob]] = {}
+    for job in jobs.values():
+        groups.setdefault(job.batch_key, []).append(job)
+    for group in groups.values():
+        for start in range(0, len(group), size):
+            yield group[start : start + size]
+
+
+def _conclude(
+    design: _Design,
+    done: dict[str, Simulated],
+    metrics: Sequence[Metric],
+    device: str,
+    load_n: float,
+) -> None:
+    """Figures and curves of a design from its simulations."""
+    result, parameters = design.result, design.parameters
+    if parameters is None:
+        cause = result.causes["design"]
+        for metric in metrics:
+            result.figures[metric.name] = None
+            result.causes[metric.name] = cause
+        return
+    stiffer = parameters.layer_materials()[0].young_modulus_pa / REFERENCE_PA
+    records = {
+        name: [done[key].record.scaled(stiffer) for key in keys]
+        for name, keys in design.keys.items()
+    }
+    for name, made in records.items():
+        causes = [record.cause for record in made if record.cause]
+        if causes:
+            result.causes[f"press {name}"] = "; ".join(causes)
+        result.curves[name] = [record.curve() for record in made]
+    result.records = records
+    unmade = {
+        name.removeprefix("press "): cause
+        for name, cause in result.causes.items()
+        if name.removeprefix("press ") not in records
+    }
+    evidence = Evidence(parameters, records, unmade, load_n, device)
+    for metric in metrics:
+        try:
+            result.figures[metric.name] = float(metric.compute(evidence))
+        except (Unavailable, InputError) as error:
+            result.figures[metric.name] = None
+            result.causes[metric.name] = str(error)
+
+
+def _keep(result: DesignResult, folder: Path) -> None:
+    """Write the steps of a design's presses."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, made in result.records.items():
+        for number, record in enumerate(made):
+            suffix = f"_{number}" if len(made) > 1 else ""
+            record.save(folder / f"press_{name}{suffix}.npz")
+    write_json(folder / "presses.json", result.curves)

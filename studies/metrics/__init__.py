@@ -1,6 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of merit of a design, one concept a file; importing this package registers them all."""
 
+from studies.metrics import (
+    bond_stress,
+    contact_area,
+    edge_sharpness,
+    force_range,
+    hysteresis,
+    sensitivity,
+    shear_response,
+    stiffness,
+    two_point,
+    uniformity,
+)
 from studies.metrics.base import METRICS, Metric, Unavailable
 
-__all__ = ["METRICS", "Metric", "Unavailable"]
+__all__ = [
+    "METRICS",
+    "Metric",
+    "Unavailable",
+    "bond_stress",
+    "contact_area",
+    "edge_sharpness",
+    "force_range",
+    "hysteresis",
+    "sensitivity",
+    "shear_response",
+    "stiffness",
+    "two_point",
+    "uniformity",
+]

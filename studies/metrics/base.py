@@ -7,16 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from studies.unavailable import Unavailable
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     from studies.evidence import Evidence
 
+__all__ = ["METRICS", "Better", "Metric", "Unavailable", "metric"]
+
 Better = Literal["higher", "lower", "none"]
-
-
-class Unavailable(Exception):
-    """A metric has no value for a design; the message says why."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the metrics of one design are computed from: its presses, pixels, markers and optics."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sensors.base import FamilyParameters
+from studies.press_record import PressRecord
+from studies.unavailable import Unavailable
+from taccel_lab.envs import parse_indenter
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.scene import Ball
+from taccel_lab.signals import (
+    MarkerLayout,
+    SignalFusedSurface,
+    SignalHeightMap,
+    SphereSurface,
+    SurfaceMode,
+)
+
+LOAD_N = 0.5
+"""Load at which figures are read, where they are read at a load."""
+VIRTUAL_PITCH_MM = 1.0
+"""Pitch of the points that stand for markers on a gel without."""
+DHAT_M = 2e-5
+_PROFILE_PX = 401
+_CONTACT_PX = 161
+
+
+@dataclass
+class Evidence:
+    """One design after its presses."""
+
+    parameters: FamilyParameters
+    records: dict[str, list[PressRecord]]
+    """By press, in the order of its indenters and places."""
+    causes: dict[str, str] = field(default_factory=dict)
+    """Why a press has no records, by press."""
+    load_n: float = LOAD_N
+    device: str = "cpu"
+
+    def all(self, press: str) -> list[PressRecord]:
+        """Records of a press; raises Unavailable when one did not get to its end."""
+        if press in self.causes:
+            raise Unavailable(f"press {press}: {self.causes[press]}")
+        if press not in self.records:
+            raise Unavailable(f"the press {press!r} was not asked for")
+        for record in self.records[press]:
+            if record.cause:
+                raise Unavailable(f"press {press}: {record.cause}")
+        return self.records[press]
+
+    def one(self, press: str) -> PressRecord:
+        """The first record of a press; raises Unavailable as ``all``."""
+        return self.all(press)[0]
+
+    @property
+    def mm_per_px(self) -> float:
+        """Size of a pixel [mm], the mean of both axes."""
+        grid = self.parameters.grid()
+        return 0.5 * (grid.mm_per_px_x + grid.mm_per_px_y)
+
+    def marker_points_mm(self) -> np.ndarray:
+        """Gel xy of the markers that the camera sees, shape [marker, 2].
+
+        Of a gel without markers a virtual grid of ``VIRTUAL_PITCH_MM``. Markers within 0.5 mm of
+        the contact face's outline are left out.
+        """
+        grid, design = self.parameters.grid(), self.parameters.markers()
+        corner = np.array([grid.width_px - 1, grid.height_px - 1])
+        low, high = grid.gel_from_pixel(0 * corner), grid.gel_from_pixel(corner)
+        if design is not None:
+            points = design.points_mm()
+        else:
+            count = np.floor((high - low) / 2 / VIRTUAL_PITCH_MM).astype(int)
+            x, y = (np.arange(-n, n + 1) * VIRTUAL_PITCH_MM for n in count)
+            points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) + (low + high) / 2
+        pad = self.parameters.pad()
+        around = points[:, None] + 0.5 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+        on_face = np.isfinite(pad.top_mm(around)).all(axis=1)
+        seen = ((points >= low) & (points <= high)).all(axis=1)
+        return points[on_face & seen]
+
+
+def at_load(record: PressRecord, values: np.ndarray, load_n: float) -> float:
+    """A positive quantity of the steps straight down at a normal load, by power laws between steps.
+
+    Hertz's contact is a power law in the load, so that few steps suffice. Below the first step the
+    law of the first two goes on.
+
+    Raises:
+        Unavailable: The press ends below the load, or the first step is above ten times the load.
+    """
+    force = record.normal_n
+    if not (len(force) >= 2 and (np.diff(force) > 0).all() and force[0] > 0):
+        raise Unavailable(f"press {record.press}: the force does not rise from step to step")
+    if load_n > force[-1] * (1 + 1e-9):
+        raise Unavailable(
+            f"press {record.press} ends at {force[-1]:.3g} N, below the load of {load_n:g} N"
+        )
+    if load_n < force[0] / 10:
+        raise Unavailable(
+            f"the first step of press {record.press} has {force[0]:.3g} N, more than ten times the "
+            f"load of {load_n:g} N"
+        )
+    if not (values > 0).all():
+        return float(np.interp(load_n, np.append(0.0, force), np.append(0.0, values)))
+    x, y = np.log(force), np.log(values)
+    k = int(np.clip(np.searchsorted(x, math.log(load_n)) - 1, 0, len(x) - 2))
+    slope = (y[k + 1] - y[k]) / (x[k + 1] - x[k])
+    return float(math.exp(y[k] + slope * (math.log(load_n) - x[k])))
+
+
+def dent_mm(record: PressRecord) -> np.ndarray:
+    """Largest motion of the contact face along the press at each step straight down [mm]."""
+    down = np.array([0.0, 0.0, -1.0])
+    idx = record.surface.node_idx
+    turned = [
+        record.in_press(record.positions_m(step)[idx]) - record.in_press(record.rest_m[idx])
+        for step in range(record.down.stop)
+    ]
+    return np.array([(u @ down).max() for u in turned]) * 1e3
+
+
+def contact_radius_mm(record: PressRecord) -> np.ndarray:
+    """Radius of the disc of a ball's contact area at each step straight down [mm].
+
+    Found on the surface fused from gel and ball (``SignalFusedSurface``), seen along the press.
+    """
+    ball = parse_indenter(record.indenter).shape
+    if not isinstance(ball, Ball):
+        raise InputError(f"the contact of {record.indenter} is not measured, only that of balls")
+    count = record.down.stop
+    half = 1.3 * ball.radius_m * 1e3
+    grid = PixelGrid(*2 * [_CONTACT_PX], *2 * [2 * half / (_CONTACT_PX - 1)])
+    points = np.stack([record.in_press(record.positions_m(step)) for step in range(count)])
+    centers = np.stack([record.in_press(pose[:3]) for pose in record.indenter_poses[:count]])
+    fused = SignalFusedSurface(record.mesh, grid, contact_gap_m=DHAT_M)
+    fused.update(points, SphereSurface(centers, ball.radius_m, grid))
+    return fused.contact_radius_m * 1e3
+
+
+def profile_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """Section of the gel's own surface across a press at full depth, along the press frame's x.
+
+    Returns x [mm] and the change of height along the press [mm], negative in a dent, NaN beside
+    the face; shape [``_PROFILE_PX``] each. The finite-element surface, without the indenter's.
+    """
+    grid = PixelGrid(_PROFILE_PX, 3, 2 * half_mm / (_PROFILE_PX - 1), 0.02)
+    signal = SignalHeightMap(record.mesh, grid, mode=SurfaceMode.FACET)
+    points = np.stack(
+        [record.in_press(p) for p in (record.rest_m, record.positions_m(record.down.stop - 1))]
+    )
+    signal.update(points)
+    rest, pressed = signal.height_m[:, 1] * 1e3
+    return grid.x_mm(), pressed - rest
+
+
+def marker_motion_mm(record: PressRecord, points_mm: np.ndarray, steps: list[int]) -> np.ndarray:
+    """Gel xy motion of points of the contact face since rest [mm], [len(steps), point, 2]."""
+    layout = MarkerLayout.from_points(record.mesh, points_mm)
+    moved = record.moved_m[steps][:, layout.nodes].astype(np.float64)
+    return (moved * layout.weights[..., None]).sum(axis=2)[..., :2] * 1e3

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much of a load is seen: depth of the dent, size of the contact, motion of the markers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from studies.evidence import Evidence, at_load, contact_radius_mm, dent_mm, marker_motion_mm
+from studies.metrics.base import metric
+
+
+@metric(
+    "sensitivity_um", "um/N",
+    "largest motion of the contact face along a ball's press at the load, over the load", "higher",
+    ("sphere",),
+)  # fmt: skip
+def sensitivity_um(evidence: Evidence) -> float:
+    """Peak of the dent over the load."""
+    record = evidence.one("sphere")
+    return at_load(record, dent_mm(record), evidence.load_n) * 1e3 / evidence.load_n
+
+
+@metric(
+    "sensitivity_px", "px/N", "radius of a ball's contact at the load in pixels, over the load",
+    "higher", ("sphere",),
+)  # fmt: skip
+def sensitivity_px(evidence: Evidence) -> float:
+    """Contact radius over the size of a pixel and the load."""
+    record = evidence.one("sphere")
+    radius = at_load(record, contact_radius_mm(record), evidence.load_n)
+    return radius / evidence.mm_per_px / evidence.load_n
+
+
+@metric(
+    "sensitivity_marker_px", "px/N",
+    "largest motion of a marker in the image under a ball at the load, over the load; points 1 mm "
+    "apart stand for markers on a gel without", "higher", ("sphere",),
+)  # fmt: skip
+def sensitivity_marker_px(evidence: Evidence) -> float:
+    """Largest |motion| in the image."""
+    record, grid = evidence.one("sphere"), evidence.parameters.grid()
+    steps = list(range(record.down.stop))
+    moved = marker_motion_mm(record, evidence.marker_points_mm(), steps)
+    pixels = np.linalg.norm(moved / [grid.mm_per_px_x, grid.mm_per_px_y], axis=-1).max(axis=1)
+    return at_load(record, pixels, evidence.load_n) / evidence.load_n

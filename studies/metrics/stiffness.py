@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stiffness of the gel under a ball and under a flat punch."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from studies.evidence import Evidence, at_load
+from studies.metrics.base import Unavailable, metric
+
+
+@metric(
+    "stiffness_punch", "N/mm",
+    "initial slope of force over depth under a flat punch of 2 mm radius", "none", ("punch",),
+)  # fmt: skip
+def stiffness_punch(evidence: Evidence) -> float:
+    """Slope at zero depth of a parabola through the steps.
+
+    The offset of the parabola takes up the gap at which contact begins.
+    """
+    record = evidence.one("punch")
+    depth, force = record.depth_mm[record.down], record.normal_n
+    if len(depth) < 3:
+        raise Unavailable(f"press punch has {len(depth)} steps; three are needed for a slope")
+    return float(np.polynomial.Polynomial.fit(depth, force, 2).convert().coef[1])
+
+
+@metric(
+    "stiffness_secant", "N/mm", "load over depth of a ball of 3 mm radius at the load", "none",
+    ("sphere",),
+)  # fmt: skip
+def stiffness_secant(evidence: Evidence) -> float:
+    """F / d at the load."""
+    record = evidence.one("sphere")
+    depth = at_load(record, record.depth_mm[record.down], evidence.load_n)
+    return evidence.load_n / depth
+
+
+@metric(
+    "stiffness_tangent", "N/mm", "slope of force over depth of a ball of 3 mm radius at the load",
+    "none", ("sphere",),
+)  # fmt: skip
+def stiffness_tangent(evidence: Evidence) -> float:
+    """dF/dd = (F / d) p with F ~ d^p around the load."""
+    record = evidence.one("sphere")
+    depth = record.depth_mm[record.down]
+    a, b = (at_load(record, depth, load * evidence.load_n) for load in (0.99, 1.0))
+    return 0.01 * evidence.load_n / (b - a)
