@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from cad.parameters import parameter, restated
-from cad.parts.gel_pad import GelPad
+from cad.parts.digit_pad import DigitPad
 from sensors.base import SensorFamily
 from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
 from taccel_lab.optics.description import Light, Window
@@ -37,6 +37,20 @@ class DigitParameters(CameraSensorParameters):
         21.4, minimum=12, maximum=400, unit="mm",
         source=f"{_GEL}: circular arc, rms 0.001 mm; 21 to 24 along the length",
         description="radius of the cross-section in the middle",
+    )  # fmt: skip
+    base_corner_mm: float = parameter(
+        1.3, minimum=0.8, maximum=4, unit="mm", source=f"{_GEL}: base corners R 1.3",
+        description="radius of the outline's corners at the base",
+    )  # fmt: skip
+    roll_off: float = parameter(
+        1.0, minimum=0.0, maximum=1.5,
+        source=f"{_GEL}: the centreline is flat in the middle and drops to 2.34 mm (base) and 2.65 "
+        "mm (tip) above the back",
+        description="drop of the centreline towards base and tip, in units of the DIGIT's",
+    )  # fmt: skip
+    rim_mm: float = parameter(
+        0.9, minimum=0.1, maximum=3, unit="mm", source=f"{_GEL}: fillet of about R 0.9",
+        description="radius of the fillet between contact face and wall",
     )  # fmt: skip
     young_modulus_mpa: float = restated(
         0.3,
@@ -71,16 +85,17 @@ class DigitParameters(CameraSensorParameters):
     housing_front_mm: float = restated(4.1, source="assumption: level with the back of the gel")
     lens_distortion: ClassVar[tuple[float, ...]] = (-0.0066, -0.398, 0.0029, -0.0049, 1.169)
 
-    def pad(self) -> GelPad:
+    def pad(self) -> DigitPad:
         """The gel pad."""
         window_x, window_y = self.seen_mm(self.width_mm, self.length_mm, 2.5)
-        return GelPad(
-            length_x_mm=self.width_mm,
-            length_y_mm=self.length_mm,
-            corner_radius_mm=0.4 * self.width_mm,
+        return DigitPad(
+            width_mm=self.width_mm,
+            length_mm=self.length_mm,
+            base_corner_mm=self.base_corner_mm,
             thickness_mm=self.thickness_mm,
-            crown_radius_x_mm=self.mid_radius_mm,
-            crown_radius_y_mm=105.0,
+            section_radius_mm=self.mid_radius_mm,
+            roll_off=self.roll_off,
+            rim_mm=self.rim_mm,
             window_x_mm=window_x,
             window_y_mm=window_y,
         )

@@ -32,11 +32,11 @@ class GelSight40Parameters(RectangleGelParameters, CameraSensorParameters):
         "simulates is not",
     )  # fmt: skip
     bevel_mm: float = parameter(
-        3.05, minimum=0.2, maximum=10, unit="mm", source=f"{_PAD}: top face 33.9 x 33.9 mm",
+        3.05, minimum=0.4, maximum=6, unit="mm", source=f"{_PAD}: top face 33.9 x 33.9 mm",
         description="width of the bevel in plan",
     )  # fmt: skip
     bevel_height_mm: float = parameter(
-        2.954, minimum=0.2, maximum=10, unit="mm", source=f"{_PAD}: walls upright for 2.971 mm",
+        2.954, minimum=0.4, maximum=6, unit="mm", source=f"{_PAD}: walls upright for 2.971 mm",
         description="height of the bevel",
     )  # fmt: skip
     young_modulus_mpa: float = restated(0.5, source=f"{_TACCEL}: 0.5 MPa")
@@ -74,6 +74,10 @@ class GelSight40Parameters(RectangleGelParameters, CameraSensorParameters):
             length_y_mm=self.length_y_mm,
             corner_radius_mm=self.corner_radius_mm,
             thickness_mm=self.thickness_mm,
+            rim="chamfer",
+            rim_mm=self.bevel_mm,
+            wall_mm=self.thickness_mm - self.bevel_height_mm,
+            bond_sides="yes",
             window_x_mm=window_x,
             window_y_mm=window_y,
         )

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cad.parameters import restated
+from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
 from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
@@ -19,6 +19,10 @@ from sensors.parameter_groups import RectangleGelParameters
 from taccel_lab.optics.description import Light
 
 _GEL = "measured on gelsight_mini.step of FEATS (feats-ai/feats, MIT)"
+_FIT = (
+    f"{_GEL}: fit of the closed form, greatest error 0.007 mm on both mid-sections, 0.08 mm over "
+    "the whole face"
+)
 _CASE = "measured on gsmini_shell of gsrobotics (gelsightinc/gsrobotics)"
 _ANSYS = "gelsight_ansys_sim (irisxu02)"
 
@@ -27,8 +31,8 @@ _ANSYS = "gelsight_ansys_sim (irisxu02)"
 class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
     """Parameters of a GelSight Mini; the gel with markers."""
 
-    length_x_mm: float = restated(25.25, minimum=12, maximum=50, source=f"{_GEL}: 25.25 mm")
-    length_y_mm: float = restated(20.75, minimum=12, maximum=50, source=f"{_GEL}: 20.75 mm")
+    length_x_mm: float = restated(25.25, minimum=14, maximum=40, source=f"{_GEL}: 25.25 mm")
+    length_y_mm: float = restated(20.75, minimum=14, maximum=40, source=f"{_GEL}: 20.75 mm")
     corner_radius_mm: float = restated(
         1.5, minimum=0.5, maximum=5, source=f"{_GEL}: vertical corners R 1.5"
     )
@@ -36,6 +40,32 @@ class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
         4.0, minimum=2.0, maximum=10,
         source=f"{_GEL}: apex 4.00 mm above the cap's flange. The data sheet's 4.25 +- 0.20 mm "
         "(by third parties) counts from the top of the case, 0.25 mm lower",
+    )  # fmt: skip
+    crown_radius_x_mm: float = parameter(
+        186.3, minimum=90, maximum=1e5, unit="mm", zero_means="flat", source=_FIT,
+        description="radius of curvature of the crown along x at the apex",
+    )  # fmt: skip
+    crown_radius_y_mm: float = parameter(
+        109.7, minimum=70, maximum=1e5, unit="mm", zero_means="flat", source=_FIT,
+        description="radius of curvature of the crown along y at the apex",
+    )  # fmt: skip
+    crown_pillow: float = parameter(
+        0.74, minimum=0, maximum=1, source=f"{_FIT}; chosen to give its volume of 1898.8 mm3",
+        description="how level the edge of the crown is all around, see GelPad",
+    )  # fmt: skip
+    rim_mm: float = parameter(
+        3.247, minimum=0.5, maximum=3.8, unit="mm",
+        source=f"{_FIT}; the arc itself ends 3.193 mm inside the wall",
+        description="width of the rim's arc in plan",
+    )  # fmt: skip
+    rim_radius_mm: float = parameter(
+        5.482, minimum=4.0, maximum=100, unit="mm",
+        source=f"{_FIT}; the arc itself has R 5.563 mm",
+        description="radius of the rim's arc",
+    )  # fmt: skip
+    rim_drop_mm: float = parameter(
+        1.25, minimum=0.4, maximum=1.6, unit="mm", source=f"{_GEL}: wall of 2.75 mm, apex at 4.00",
+        description="from the apex down to the upper edge of the wall",
     )  # fmt: skip
     young_modulus_mpa: float = restated(
         0.3,
@@ -95,10 +125,13 @@ class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
             length_y_mm=self.length_y_mm,
             corner_radius_mm=self.corner_radius_mm,
             thickness_mm=self.thickness_mm,
-            crown_radius_x_mm=242.0,
-            crown_radius_y_mm=147.0,
-            rim="fillet",
-            rim_mm=1.0,
+            crown_radius_x_mm=self.crown_radius_x_mm,
+            crown_radius_y_mm=self.crown_radius_y_mm,
+            crown_pillow=self.crown_pillow,
+            rim="arc",
+            rim_mm=self.rim_mm,
+            wall_mm=self.thickness_mm - self.rim_drop_mm,
+            rim_radius_mm=self.rim_radius_mm,
             window_x_mm=window_x,
             window_y_mm=window_y,
         )

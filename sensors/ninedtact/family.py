@@ -86,6 +86,8 @@ class NineDTactParameters(RectangleGelParameters, SkinParameters, CameraSensorPa
             length_y_mm=self.length_y_mm,
             corner_radius_mm=self.corner_radius_mm,
             thickness_mm=self.thickness_mm,
+            skin_mm=self.skin_top_mm,
+            skin_side_mm=self.skin_side_mm,
             window_x_mm=window_x,
             window_y_mm=window_y,
         )
