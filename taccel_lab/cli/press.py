@@ -84,7 +84,7 @@ class Press:
         from taccel_lab.solvers import SolverConfig
 
         require_replaceable(self.out)
-        _require_device(self.device)
+        require_device(self.device)
         path = PressPath(self.depth_mm, self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
         indenter = parse_indenter(self.indenter)
         config = SolverConfig(relative_tolerance=self.tolerance, dhat_m=self.dhat_mm * 1e-3)
@@ -178,7 +178,8 @@ def check_depth(depth_mm: float, profile: SensorProfile) -> None:
         )
 
 
-def _require_device(name: str) -> None:
+def require_device(name: str) -> None:
+    """Refuse a device that this machine does not have."""
     import warp as wp
 
     try:

@@ -38,7 +38,7 @@ def write_report(report: Report, directory: Path | str) -> dict[str, Any]:
     for name, draw in _figures(report):
         path = directory / "figures" / f"{name}.png"
         save_figure(draw(), path)
-        images[name] = "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
+        images[name] = data_url(path)
     values = report_values(report)
     results = judge_targets(report, values)
     verdict = reach_verdict(report, values, results)
@@ -47,7 +47,7 @@ def write_report(report: Report, directory: Path | str) -> dict[str, Any]:
     ]
     values["verdict"] = asdict(verdict)
     page = (
-        _environment()
+        report_environment()
         .get_template("report.html.j2")
         .render(report=report, values=values, results=results, verdict=verdict, images=images)
     )
@@ -56,6 +56,11 @@ def write_report(report: Report, directory: Path | str) -> dict[str, Any]:
         staging.chmod(0o644)
     write_json(directory / "report.json", values)
     return values
+
+
+def data_url(path: Path) -> str:
+    """A PNG file as text that a page embeds."""
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
 
 
 def _figures(report: Report) -> Iterator[tuple[str, FigureMaker]]:
@@ -99,11 +104,14 @@ def _press_figures(report: Report) -> Iterator[tuple[str, FigureMaker]]:
         yield "contact_forces", lambda: figures.draw_contact_forces(nodes, faces, forces)
 
 
-def _environment() -> Any:
+def report_environment(*packages: str) -> Any:
+    """Jinja2 environment of the templates here and of other packages, which come first."""
     import jinja2
 
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("taccel_lab.report", "templates"),
+        loader=jinja2.ChoiceLoader(
+            [jinja2.PackageLoader(name) for name in (*packages, "taccel_lab.report")]
+        ),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -78,8 +78,9 @@ def evaluate(designs, presses, metrics, *, device="cpu", progress=None, folder: 
         if rim == "chamfer" and "blur" in figures:
             figures["blur"] = None
             causes["blur"] = "no edge was found"
-        steps = [{"depth_mm": d, "force_n": d * found["stiffness"]} for d in (0.5, 1.0)]
-        curves = {press.name: steps for press in presses}
+        force = [[0.0, 0.0, d * found["stiffness"]] for d in (0.5, 1.0)]
+        curve = {"depth_mm": [0.5, 1.0], "force_n": force, "indenter": "ball", "place": [0, 0]}
+        curves = {press.name: [curve] for press in presses}
         results.append(DesignResult(design, figures, causes, seconds, len(presses), curves))
         if progress is not None:
             progress("pressing", number + 1, len(designs))

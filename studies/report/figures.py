@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of all designs at once: Pareto front, metrics in pairs, parallel coordinates."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from studies.report.pareto import pareto_front
+from studies.report.values import costs_of, directed
+from studies.runner import Outcome
+from studies.stored import StoredDesign
+from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, in_report_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_PAIRED = 5
+"""Metrics in the picture of pairs."""
+MOST_AXES = 10
+"""Axes of the parallel coordinates."""
+
+
+def with_unit(name: str, unit: str) -> str:
+    """``name [unit]``."""
+    return f"{name} [{unit}]" if unit not in ("", "1") else name
+
+
+def metric_label(outcome: Outcome, name: str) -> str:
+    return with_unit(name, outcome.study.metrics[name].unit)
+
+
+def parameter_label(outcome: Outcome, name: str) -> str:
+    return with_unit(name, outcome.study.parameters[name].unit)
+
+
+def done_designs(outcome: Outcome) -> list[StoredDesign]:
+    """Designs that have figures."""
+    return [row for row in outcome.rows if row.status == "done"]
+
+
+def column(designs: list[StoredDesign], name: str) -> np.ndarray:
+    """A metric or a numeric parameter of designs, NaN where there is none."""
+    cells = ({**row.parameters, **row.figures}.get(name) for row in designs)
+    return np.array([np.nan if value is None else value for value in cells], dtype=np.float64)
+
+
+def paired_metrics(outcome: Outcome) -> dict[str, float]:
+    """Metrics with a better side that differ between designs, with their signs, the goal first."""
+    designs = done_designs(outcome)
+    return {
+        name: sign
+        for name, sign in directed(outcome).items()
+        if np.unique(v := column(designs, name)[np.isfinite(column(designs, name))]).size > 1
+        and np.ptp(v) > 0
+    }
+
+
+def _axis_text(outcome: Outcome, name: str, sign: float) -> str:
+    return f"{metric_label(outcome, name)}, {'less' if sign > 0 else 'more'} is better"
+
+
+@in_report_style
+def draw_pareto(outcome: Outcome, best: list[str], worst: list[str]) -> Figure:
+    """The first two metrics against each other, the front joined, coloured by a parameter."""
+    designs = done_designs(outcome)
+    names = dict(list(paired_metrics(outcome).items())[:2])
+    (x_name, x_sign), (y_name, y_sign) = names.items()
+    x, y = column(designs, x_name), column(designs, y_name)
+    figure, axes = new_figure(7.4, 5.0)
+    axes.grid(True)
+    axes.set_axisbelow(True)
+    numeric = [axis for axis in outcome.study.axes if axis.numeric]
+    style: dict[str, Any] = {"color": BLUE}
+    if numeric:
+        shade = column(designs, numeric[0].name)
+        style = {"c": shade, "cmap": "viridis", "norm": _norm(shade, numeric[0].log)}
+    points = axes.scatter(x, y, s=34, edgecolors="white", linewidths=0.5, zorder=3, **style)
+    if numeric:
+        figure.colorbar(points, ax=axes, label=parameter_label(outcome, numeric[0].name))
+    front = pareto_front(costs_of(designs, names))
+    along = np.flatnonzero(front)[np.argsort(x[front], kind="stable")]
+    axes.plot(x[along], y[along], color=ORANGE, linewidth=1.3, zorder=2, label="Pareto front")
+    axes.scatter(x[along], y[along], s=70, facecolors="none", edgecolors=ORANGE, zorder=4)
+    where = {row.id: place for place, row in enumerate(designs)}
+    for ids, color, mark, label in ((best, GREEN, "*", "best"), (worst, GREY, "X", "worst")):
+        if ids and ids[0] in where:
+            place = where[ids[0]]
+            axes.scatter(
+                x[place], y[place], s=150, marker=mark, color=color, edgecolors="white",
+                zorder=5, label=label,
+            )  # fmt: skip
+    axes.set_xlabel(_axis_text(outcome, x_name, x_sign))
+    axes.set_ylabel(_axis_text(outcome, y_name, y_sign))
+    for values, scale in ((x, axes.set_xscale), (y, axes.set_yscale)):
+        if _wide(values):
+            scale("log")
+    axes.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")
+    return figure
+
+
+def _wide(values: np.ndarray) -> bool:
+    """Whether values want a logarithmic axis."""
+    known = values[np.isfinite(values)]
+    return bool(len(known) and (known > 0).all() and known.max() > 30 * known.min())
+
+
+def _norm(values: np.ndarray, log: bool) -> Any:
+    from matplotlib.colors import LogNorm, Normalize
+
+    low, high = np.nanmin(values), np.nanmax(values)
+    if not low < high:
+        return Normalize(low - 0.5, high + 0.5)
+    return LogNorm(low, high) if log or _wide(values) else Normalize(low, high)
+
+
+@in_report_style
+def draw_pairs(outcome: Outcome) -> Figure:
+    """Every pair of the first metrics, with the front of each pair."""
+    designs = done_designs(outcome)
+    signs = dict(list(paired_metrics(outcome).items())[:MOST_PAIRED])
+    names = list(signs)
+    count = len(names) - 1
+    figure, panels = new_figure(2.3 * count + 0.9, 2.1 * count + 0.7, count, count, squeeze=False)
+    for row, y_name in enumerate(names[1:]):
+        for col, x_name in enumerate(names[:-1]):
+            axes = panels[row][col]
+            if col > row:
+                axes.set_visible(False)
+                continue
+            x, y = column(designs, x_name), column(designs, y_name)
+            pair = {x_name: signs[x_name], y_name: signs[y_name]}
+            front = pareto_front(costs_of(designs, pair))
+            along = np.flatnonzero(front)[np.argsort(x[front], kind="stable")]
+            axes.scatter(x, y, s=11, color=BLUE, alpha=0.75, linewidths=0)
+            axes.plot(x[along], y[along], "o-", color=ORANGE, markersize=3.5, linewidth=1.0)
+            axes.tick_params(labelsize=7.5)
+            axes.locator_params(nbins=4)
+            if row == count - 1:
+                axes.set_xlabel(_two_lines(metric_label(outcome, x_name)), fontsize=8)
+            else:
+                axes.tick_params(labelbottom=False)
+            if col == 0:
+                axes.set_ylabel(_two_lines(metric_label(outcome, y_name)), fontsize=8)
+            else:
+                axes.tick_params(labelleft=False)
+    return figure
+
+
+def _two_lines(label: str) -> str:
+    """A long label, its unit on a line of its own."""
+    return label.replace(" [", "\n[") if len(label) > 16 else label
+
+
+@in_report_style
+def draw_parallel(outcome: Outcome, front: list[str], best: list[str]) -> Figure:
+    """Every design as a line over parameters and metrics; better is up for metrics."""
+    designs = done_designs(outcome)
+    signs = paired_metrics(outcome)
+    parameters = [axis.name for axis in outcome.study.axes if axis.numeric]
+    parameters = [n for n in parameters if np.nanmax(v := column(designs, n)) > np.nanmin(v)]
+    names = [*parameters, *signs][: max(MOST_AXES, len(parameters) + 1)]
+    columns = np.stack([column(designs, name) for name in names], axis=1)
+    low, high = np.nanmin(columns, axis=0), np.nanmax(columns, axis=0)
+    unit = (columns - low) / np.where(high > low, high - low, 1.0)
+    flip = np.array([signs.get(name, -1.0) > 0 for name in names])
+    unit[:, flip] = 1 - unit[:, flip]
+    figure, axes = new_figure(max(1.15 * len(names), 6.5), 4.3)
+    at = np.arange(len(names))
+    on_front, winner = set(front), best[:1]
+    for row, line in zip(designs, unit, strict=True):
+        if row.id not in on_front and row.id not in winner:
+            axes.plot(at, line, color=LIGHT, linewidth=0.9, zorder=1)
+    for row, line in zip(designs, unit, strict=True):
+        if row.id in on_front and row.id not in winner:
+            axes.plot(at, line, color=ORANGE, linewidth=1.2, alpha=0.8, zorder=2)
+        elif row.id in winner:
+            axes.plot(at, line, color=GREEN, linewidth=2.6, zorder=3)
+    for place in range(len(names)):
+        ends = (high[place], low[place]) if flip[place] else (low[place], high[place])
+        axes.axvline(place, color=GREY, linewidth=0.8, zorder=0)
+        axes.text(place, -0.035, f"{ends[0]:.3g}", ha="center", va="top", fontsize=8)
+        axes.text(place, 1.035, f"{ends[1]:.3g}", ha="center", va="bottom", fontsize=8)
+    labels = [
+        _two_lines(metric_label(outcome, n) if n in signs else parameter_label(outcome, n))
+        for n in names
+    ]
+    axes.set_xticks(at, labels, rotation=28, ha="right", fontsize=8.5)
+    axes.tick_params(axis="x", length=0, pad=12)
+    axes.set_yticks([])
+    axes.set_ylim(-0.06, 1.08)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_visible(False)
+    lines = [(LIGHT, "all designs"), (ORANGE, "Pareto-optimal in all metrics"), (GREEN, "best")]
+    for color, label in lines:
+        axes.plot([], [], color=color, label=label)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.06), ncols=3, fontsize=9)
+    return figure

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of single designs against each other: force over depth in every press."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from studies.runner import Outcome
+from studies.stored import StoredDesign
+from taccel_lab.report.style import GREEN, ORANGE, in_report_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHADES = ("-", "--", ":")
+"""Line of the first, second and third best or worst design."""
+
+
+def curves_of(design: StoredDesign, press: str) -> list[dict[str, Any]]:
+    """Records of a press with at least two steps."""
+    return [c for c in design.curves.get(press) or [] if len(c["depth_mm"]) > 1]
+
+
+def drawn_presses(outcome: Outcome, designs: list[StoredDesign]) -> list[str]:
+    """Presses of the study that any of the designs has curves of."""
+    return [name for name in outcome.study.presses if any(curves_of(d, name) for d in designs)]
+
+
+@in_report_style
+def draw_curves(outcome: Outcome, best: list[StoredDesign], worst: list[StoredDesign]) -> Figure:
+    """Normal force over depth of the first record of every press, best against worst designs."""
+    presses = drawn_presses(outcome, [*best, *worst])
+    columns = min(3, len(presses))
+    rows = -(-len(presses) // columns)
+    figure, panels = new_figure(3.2 * columns, 2.5 * rows + 0.4, rows, columns, squeeze=False)
+    for place, panel in enumerate(panels.flat):
+        if place >= len(presses):
+            panel.set_visible(False)
+            continue
+        panel.grid(True)
+        panel.set_axisbelow(True)
+        for designs, color, word in ((worst, ORANGE, "worst"), (best, GREEN, "best")):
+            for number, design in enumerate(designs):
+                for curve in curves_of(design, presses[place])[:1]:
+                    depth = np.concatenate([[0.0], curve["depth_mm"]])
+                    force = np.concatenate([[0.0], np.asarray(curve["force_n"])[:, 2]])
+                    label = f"{word} {number + 1}" if len(designs) > 1 else word
+                    panel.plot(depth, force, SHADES[number], color=color, label=label)
+        panel.set_title(presses[place])
+        panel.set_xlim(left=0)
+        panel.set_ylim(bottom=0)
+        panel.tick_params(labelsize=8)
+        panel.set_xlabel("depth [mm]", fontsize=9)
+        panel.set_ylabel("normal force [N]", fontsize=9)
+    handles, labels = panels[0][0].get_legend_handles_labels()
+    order = np.argsort(labels, kind="stable")
+    figure.legend(
+        [handles[i] for i in order], [labels[i] for i in order],
+        loc="outside lower center", ncols=6, fontsize=9,
+    )  # fmt: skip
+    return figure

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What parameters do to metrics: heat map, effects one by one, maps over two parameters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studies.report.figures import (
+    column,
+    done_designs,
+    metric_label,
+    parameter_label,
+)
+from studies.report.sensitivity import Effect, Sensitivity
+from studies.runner import Outcome
+from taccel_lab.report.style import BLUE, INK, LIGHT, ORANGE, in_report_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STRONGEST = 2.0
+"""End of the heat map's scale: an elasticity of 2 doubles a percentage."""
+MOST_METRICS = 12
+"""Rows of the pictures; the table has all metrics."""
+
+
+@in_report_style
+def draw_sensitivities(outcome: Outcome, found: dict[str, Sensitivity]) -> Figure:
+    """Metric by parameter: colour the elasticity, in words also the share or rank correlation."""
+    names = [axis.name for axis in outcome.study.axes]
+    metrics = list(found)
+    cells = np.array(
+        [[_number(found[m].effects[n].elasticity) for n in names] for m in metrics]
+    ).reshape(len(metrics), len(names))
+    figure, axes = new_figure(2.6 + 1.75 * len(names) + 1.2, 1.3 + 0.46 * len(metrics))
+    drawn = axes.imshow(
+        np.ma.masked_invalid(cells), cmap="RdBu_r", vmin=-STRONGEST, vmax=STRONGEST, aspect="auto"
+    )
+    axes.set_facecolor("#f3f4f6")
+    for row, metric in enumerate(metrics):
+        for col, name in enumerate(names):
+            dark = np.isfinite(cells[row, col]) and abs(cells[row, col]) > 1.3
+            text = cell_text(found[metric].effects[name])
+            color = "white" if dark else INK
+            axes.text(col, row, text, ha="center", va="center", fontsize=8.5, color=color)
+    axes.set_xticks(range(len(names)), names)
+    axes.set_yticks(range(len(metrics)), metrics)
+    axes.tick_params(length=0)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.set_xticks(np.arange(len(names) + 1) - 0.5, minor=True)
+    axes.set_yticks(np.arange(len(metrics) + 1) - 0.5, minor=True)
+    axes.grid(which="minor", color="white", linewidth=2)
+    axes.tick_params(which="minor", length=0)
+    figure.colorbar(drawn, ax=axes, label="elasticity [% per %]", extend="both", shrink=0.9)
+    return figure
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value
+
+
+def cell_text(effect: Effect) -> str:
+    """Of one parameter on one metric: ``+0.98  η² 64 %``."""
+    parts = []
+    if effect.elasticity is not None:
+        parts.append(f"{effect.elasticity:+.2f}")
+    if effect.share is not None:
+        parts.append(f"η² {effect.share:.0%}")
+    if effect.rank is not None:
+        parts.append(f"ρ {effect.rank:+.2f}")
+    return "   ".join(parts) or "–"
+
+
+@in_report_style
+def draw_effects(outcome: Outcome) -> Figure:
+    """A panel for each metric and parameter: all designs, and the means over levels of a grid."""
+    designs = done_designs(outcome)
+    metrics = list(outcome.study.metrics)[:MOST_METRICS]
+    axes_list = outcome.study.axes
+    grid = outcome.study.spec.sweep.kind == "grid"
+    figure, panels = new_figure(
+        2.9 * len(axes_list) + 0.8,
+        1.65 * len(metrics) + 0.5,
+        len(metrics),
+        len(axes_list),
+        squeeze=False,
+        sharey="row",
+    )
+    for row, metric in enumerate(metrics):
+        y = column(designs, metric)
+        for col, axis in enumerate(axes_list):
+            panel = panels[row][col]
+            panel.grid(True)
+            panel.set_axisbelow(True)
+            if axis.numeric:
+                x = column(designs, axis.name)
+            else:
+                choices = list(dict.fromkeys(str(d.parameters[axis.name]) for d in designs))
+                x = np.array([choices.index(str(d.parameters[axis.name])) for d in designs], float)
+                panel.set_xticks(range(len(choices)), choices)
+            panel.scatter(x, y, s=12, color=BLUE if not grid else LIGHT, linewidths=0, alpha=0.9)
+            if grid:
+                levels = np.unique(x)
+                known = np.isfinite(y)
+                means = [
+                    y[known & (x == level)].mean() if (known & (x == level)).any() else np.nan
+                    for level in levels
+                ]
+                panel.plot(levels, means, "o-", color=ORANGE, markersize=4)
+            if axis.log:
+                panel.set_xscale("log")
+            panel.tick_params(labelsize=8)
+            if col == 0:
+                panel.set_ylabel(metric_label(outcome, metric).replace(" [", "\n["), fontsize=8)
+            if row == len(metrics) - 1:
+                panel.set_xlabel(parameter_label(outcome, axis.name), fontsize=9)
+    return figure
+
+
+@in_report_style
+def draw_maps(outcome: Outcome) -> Figure:
+    """Each metric over the plane of a grid's two numeric parameters."""
+    first, second = outcome.study.axes
+    designs = done_designs(outcome)
+    metrics = [m for m in list(outcome.study.metrics)[:MOST_METRICS] if _known(outcome, m)]
+    columns = min(3, len(metrics))
+    rows = -(-len(metrics) // columns)
+    figure, panels = new_figure(3.3 * columns, 2.75 * rows, rows, columns, squeeze=False)
+    xs = sorted({row.parameters[first.name] for row in designs})
+    ys = sorted({row.parameters[second.name] for row in designs})
+    for place, panel in enumerate(panels.flat):
+        if place >= len(metrics):
+            panel.set_visible(False)
+            continue
+        cells = np.full((len(ys), len(xs)), np.nan)
+        for row, value in zip(designs, column(designs, metrics[place]), strict=True):
+            spot = ys.index(row.parameters[second.name]), xs.index(row.parameters[first.name])
+            cells[spot] = value
+        drawn = panel.pcolormesh(
+            np.arange(len(xs) + 1) - 0.5, np.arange(len(ys) + 1) - 0.5, cells, cmap="viridis"
+        )
+        figure.colorbar(drawn, ax=panel)
+        panel.set_facecolor("#f3f4f6")
+        panel.set_title(metric_label(outcome, metrics[place]), fontsize=9)
+        for ticks, values in ((panel.set_xticks, xs), (panel.set_yticks, ys)):
+            step = max(1, -(-len(values) // 5))
+            ticks(range(0, len(values), step), [f"{v:.3g}" for v in values[::step]])
+        panel.tick_params(labelsize=8)
+        panel.set_xlabel(parameter_label(outcome, first.name), fontsize=8.5)
+        panel.set_ylabel(parameter_label(outcome, second.name), fontsize=8.5)
+    return figure
+
+
+def _known(outcome: Outcome, metric: str) -> bool:
+    return bool(np.isfinite(column(done_designs(outcome), metric)).any())
+
+
+def has_maps(outcome: Outcome) -> bool:
+    """Whether the study is a grid of two numeric parameters with several values each."""
+    axes = outcome.study.axes
+    return (
+        outcome.study.spec.sweep.kind == "grid"
+        and len(axes) == 2
+        and all(axis.numeric and len(axis.values or ()) > 1 for axis in axes)
+    )

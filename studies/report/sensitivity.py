@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How strongly each parameter moves each metric.
+
+Three figures, each with its own use:
+
+- **elasticity**: percent of the metric for a percent of the parameter: the coefficients of a least
+  squares fit of log(metric) on the logs of all swept parameters (with its R^2). Parameters and
+  metrics that are not positive throughout have none.
+- **share** (grids): part of the metric's variance that the parameter's levels explain, the
+  correlation ratio eta^2 = SS_between / SS_total (Fisher 1925). Also for choices.
+- **rank correlation** (random and optimiser-driven sweeps): Spearman's rho; an optimiser's designs
+  crowd around its optimum, so that theirs holds near it only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Of one parameter on one metric."""
+
+    elasticity: float | None
+    share: float | None
+    """eta^2, of grids."""
+    rank: float | None
+    """Spearman's rho, of other sweeps."""
+    low: float | None
+    high: float | None
+    """Of the metric: smallest and largest mean over a level of the parameter (grids)."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Of one metric to all parameters."""
+
+    effects: dict[str, Effect]
+    r2: float | None
+    """Of the fit behind the elasticities."""
+    count: int
+    """Designs that it rests on."""
+
+
+def sensitivity(
+    parameters: dict[str, Sequence[Any]], values: Sequence[float | None], *, grid: bool
+) -> Sensitivity:
+    """Effects of parameters on a metric; designs without a value are left out.
+
+    Args:
+        parameters: Values by name, one for each design; numbers or texts.
+        values: Of the metric, one for each design.
+        grid: Whether parameters have levels.
+    """
+    known = [i for i, value in enumerate(values) if value is not None]
+    y = np.array([values[i] for i in known], dtype=np.float64)
+    columns = {name: [column[i] for i in known] for name, column in parameters.items()}
+    elasticities, r2 = _elasticities(columns, y)
+    effects = {}
+    for name, column in columns.items():
+        means = _level_means(column, y) if grid else {}
+        effects[name] = Effect(
+            elasticity=elasticities.get(name),
+            share=_share(column, y) if grid else None,
+            rank=None if grid else _rank(column, y),
+            low=min(means.values(), default=None),
+            high=max(means.values(), default=None),
+        )
+    return Sensitivity(effects, r2, len(known))
+
+
+def _numeric(column: Sequence[Any]) -> np.ndarray | None:
+    if any(isinstance(value, str) for value in column):
+        return None
+    return np.array(column, dtype=np.float64)
+
+
+def _elasticities(
+    columns: dict[str, list[Any]], y: np.ndarray
+) -> tuple[dict[str, float], float | None]:
+    """Elasticity by parameter, and R^2 of the fit."""
+    logs: dict[str, np.ndarray] = {}
+    for name, column in columns.items():
+        x = _numeric(column)
+        if x is not None and len(x) and (x > 0).all() and np.ptp(x) > 0:
+            logs[name] = np.log(x)
+    if not logs or len(y) < len(logs) + 2 or not (y > 0).all() or np.ptp(y) == 0:
+        return {}, None
+    design = np.column_stack([np.ones(len(y)), *logs.values()])
+    target = np.log(y)
+    coefficients, _, rank, _ = np.linalg.lstsq(design, target, rcond=None)
+    if rank < design.shape[1]:
+        return {}, None
+    residual = target - design @ coefficients
+    r2 = 1 - float(residual @ residual) / float(((target - target.mean()) ** 2).sum())
+    return {name: float(c) for name, c in zip(logs, coefficients[1:], strict=True)}, r2
+
+
+def _level_means(column: Sequence[Any], y: np.ndarray) -> dict[Any, float]:
+    levels: dict[Any, list[float]] = {}
+    for value, figure in zip(column, y, strict=True):
+        levels.setdefault(value, []).append(float(figure))
+    return {value: float(np.mean(figures)) for value, figures in levels.items()}
+
+
+def _share(column: Sequence[Any], y: np.ndarray) -> float | None:
+    if len(y) < 2 or np.ptp(y) == 0:
+        return None
+    means = _level_means(column, y)
+    between = sum((means[value] - y.mean()) ** 2 for value in column)
+    return float(between / ((y - y.mean()) ** 2).sum())
+
+
+def _rank(column: Sequence[Any], y: np.ndarray) -> float | None:
+    from scipy.stats import spearmanr
+
+    x = _numeric(column)
+    if x is None or len(y) < 3 or np.ptp(x) == 0 or np.ptp(y) == 0:
+        return None
+    return float(spearmanr(x, y).statistic)

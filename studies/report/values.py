@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of a study's report as one nested dictionary: the JSON, and what the page shows."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+import taccel_lab
+from studies.judge import (
+    goal_of,
+    is_feasible,
+    least_violating,
+    ranked,
+    violations,
+)
+from studies.report.pareto import pareto_front
+from studies.report.sensitivity import Sensitivity, sensitivity
+from studies.runner import Outcome
+from studies.stored import StoredDesign
+from studies.table import table_rows
+
+COMPARED = 3
+"""Best and worst designs that the page shows side by side, of each at most."""
+
+
+def report_values(outcome: Outcome) -> dict[str, Any]:
+    """Everything that the report says."""
+    study, rows = outcome.study, outcome.rows
+    spec = study.spec
+    done = [row for row in rows if row.status == "done"]
+    goal = goal_of(spec.objective, study.metrics)
+    order = ranked(rows, goal, spec.constraints) if goal else []
+    nearest = None
+    if spec.constraints and not any(is_feasible(row, spec.constraints) for row in rows):
+        nearest = least_violating(rows, spec.constraints)
+    best, worst = _ends(order)
+    return {
+        "study": spec.study.name,
+        "sensor": study.family.name,
+        "sensor_title": study.family.title,
+        "sweep": spec.sweep.model_dump(),
+        "seed": spec.study.seed,
+        "goal": goal.text() if goal else None,
+        "constraints": [constraint.text() for constraint in spec.constraints],
+        "counts": {
+            "designs": outcome.total,
+            "rows": len(rows),
+            "done": len(done),
+            "failed": sum(row.status == "failed" for row in rows),
+            "broken": sum(row.status == "broken" for row in rows),
+            "feasible": sum(is_feasible(row, spec.constraints) for row in rows),
+            "missing": outcome.total - len(rows),
+            "others": outcome.others,
+        },
+        "complete": outcome.complete,
+        "best": [row.id for row in best],
+        "worst": [row.id for row in worst],
+        "nearest": None
+        if nearest is None
+        else {"design": nearest.id, "violations": violations(nearest, spec.constraints)},
+        "optimiser": None if outcome.optimiser is None else outcome.optimiser.stopped,
+        "parameters": {axis.name: _parameter(outcome, axis.name) for axis in study.axes},
+        "metrics": _metrics(outcome, done),
+        "pareto": _pareto(outcome, done),
+        "sensitivities": {name: asdict(s) for name, s in sensitivities(outcome).items()},
+        "failures": [
+            {"design": row.id, "status": row.status, "cause": row.cause, **row.parameters}
+            for row in rows
+            if row.status != "done"
+        ],
+        "gaps": _gaps(done),
+        "cost": _cost(outcome),
+        "designs": table_rows(study, rows),
+    }
+
+
+def _ends(order: list[StoredDesign]) -> tuple[list[StoredDesign], list[StoredDesign]]:
+    """The best and the worst designs, no design in both."""
+    count = min(COMPARED, (len(order) + 1) // 2)
+    return order[:count], order[max(count, len(order) - count) :][::-1]
+
+
+def _parameter(outcome: Outcome, name: str) -> dict[str, Any]:
+    parameter = outcome.study.parameters[name]
+    values = [row.parameters[name] for row in outcome.rows]
+    numeric = not parameter.choices and bool(values)
+    return {
+        "unit": parameter.unit,
+        "description": parameter.description,
+        "default": parameter.default,
+        "low": min(values) if numeric else None,
+        "high": max(values) if numeric else None,
+        "values": len(set(values)),
+    }
+
+
+def _metrics(outcome: Outcome, done: list[StoredDesign]) -> dict[str, dict[str, Any]]:
+    found = {}
+    for name, metric in outcome.study.metrics.items():
+        values = [v for row in done if (v := row.figures.get(name)) is not None]
+        found[name] = {
+            "unit": metric.unit,
+            "better": metric.better,
+            "description": metric.description,
+            "presses": list(metric.presses),
+            "low": min(values, default=None),
+            "median": float(np.median(values)) if values else None,
+            "high": max(values, default=None),
+            "missing": len(done) - len(values),
+        }
+    return found
+
+
+def directed(outcome: Outcome) -> dict[str, float]:
+    """Metrics with a better side, the goal first: 1 where less is better, -1 where more is."""
+    spec = outcome.study.spec
+    signs = {}
+    if spec.objective is not None:
+        signs[spec.objective.metric] = spec.objective.sign
+    for name, metric in outcome.study.metrics.items():
+        if metric.better != "none":
+            signs.setdefault(name, 1.0 if metric.better == "lower" else -1.0)
+    return signs
+
+
+def costs_of(designs: list[StoredDesign], signs: dict[str, float]) -> np.ndarray:
+    """Less is better, NaN where a figure is missing, shape [design, metric]."""
+    table = [
+        [
+            np.nan if (v := row.figures.get(name)) is None else sign * v
+            for name, sign in signs.items()
+        ]
+        for row in designs
+    ]
+    return np.array(table, dtype=np.float64).reshape(len(designs), len(signs))
+
+
+def _pareto(outcome: Outcome, done: list[StoredDesign]) -> dict[str, Any] | None:
+    """Designs that no feasible design beats in all metrics that have a better side."""
+    spread = {
+        name: sign
+        for name, sign in directed(outcome).items()
+        if len({row.figures.get(name) for row in done} - {None}) > 1
+    }
+    if len(spread) < 2:
+        return None
+    feasible = [row for row in done if is_feasible(row, outcome.study.spec.constraints)]
+    front = pareto_front(costs_of(feasible, spread))
+    return {
+        "metrics": list(spread),
+        "designs": [row.id for row, on in zip(feasible, front, strict=True) if on],
+    }
+
+
+def sensitivities(outcome: Outcome) -> dict[str, Sensitivity]:
+    """By metric."""
+    rows = [row for row in outcome.rows if row.status == "done"]
+    columns = {a.name: [row.parameters[a.name] for row in rows] for a in outcome.study.axes}
+    grid = outcome.study.spec.sweep.kind == "grid"
+    return {
+        name: sensitivity(columns, [row.figures.get(name) for row in rows], grid=grid)
+        for name in outcome.study.metrics
+    }
+
+
+def _gaps(done: list[StoredDesign]) -> list[dict[str, Any]]:
+    """Causes of figures that designs lack, with the designs."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for row in done:
+        for name, cause in row.causes.items():
+            found.setdefault((name, cause), []).append(row.id)
+    return [{"what": k[0], "cause": k[1], "designs": ids} for k, ids in found.items()]
+
+
+def _cost(outcome: Outcome) -> dict[str, Any]:
+    rows = outcome.rows
+    return {
+        "simulations": sum(row.simulations for row in rows),
+        "presses": len(rows) * len(outcome.study.presses),
+        "process_seconds": sum(row.seconds for row in rows),
+        "this_run_seconds": outcome.seconds,
+        "this_run_designs": outcome.new,
+        "processes": outcome.processes,
+        "device": outcome.device,
+        "machine": f"{platform.system()} {platform.machine()}",
+        "tool_version": taccel_lab.__version__,
+        "versions_of_rows": sorted({row.tool_version for row in rows}),
+    }

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The outcome of a study in words: what is best, what no design reaches, what went wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from studies.runner import Outcome
+from taccel_lab.report.build import format_number
+from taccel_lab.report.verdict import Verdict
+
+
+def study_verdict(outcome: Outcome, values: dict[str, Any]) -> Verdict:
+    """Headline and sentences; good when the study is through and some design keeps the bounds."""
+    counts, spec = values["counts"], outcome.study.spec
+    sentences = []
+    if not counts["done"]:
+        headline = "No design has figures"
+        good = False
+    elif spec.constraints and not counts["feasible"]:
+        headline = "No design keeps the constraints"
+        good = False
+        sentences.append(_nearest_sentence(outcome, values))
+    elif not outcome.complete:
+        headline = f"{counts['rows']} of {counts['designs']} designs are done"
+        good = False
+    else:
+        headline = f"{counts['done']} designs compared"
+        if spec.constraints:
+            headline += f", {counts['feasible']} keep the constraints"
+        good = True
+    if not outcome.complete:
+        sentences.append("The study is not finished; the same command goes on with it.")
+    if values["best"]:
+        sentences.append(_best_sentence(outcome, values))
+    if values["optimiser"]:
+        sentences.append(
+            f"The optimiser {spec.sweep.method} tried {counts['designs']} designs and stopped: "
+            f"{values['optimiser']}."
+        )
+    sentences += _strongest(values)
+    if counts["failed"]:
+        sentences.append(f"{counts['failed']} designs cannot be built or pressed; causes below.")
+    if counts["broken"]:
+        sentences.append(
+            f"{counts['broken']} designs were lost to faults; the next run tries them again."
+        )
+    if values["gaps"]:
+        sentences.append("Some figures are missing; causes below.")
+    return Verdict(good, headline, tuple(sentences))
+
+
+def _described(outcome: Outcome, design_id: str) -> str:
+    row = next(row for row in outcome.rows if row.id == design_id)
+    parts = []
+    for axis in outcome.study.axes:
+        unit = axis.parameter.unit if axis.parameter.unit != "1" else ""
+        parts.append(f"{axis.name} {format_number(row.parameters[axis.name])} {unit}".strip())
+    return ", ".join(parts)
+
+
+def _best_sentence(outcome: Outcome, values: dict[str, Any]) -> str:
+    row = next(row for row in outcome.rows if row.id == values["best"][0])
+    metric = values["goal"].split(" ", 1)[1]
+    unit = values["metrics"][metric]["unit"]
+    return (
+        f"The {values['goal']} has design {row.id} with {format_number(row.figures[metric])} "
+        f"{unit}: {_described(outcome, row.id)}."
+    )
+
+
+def _nearest_sentence(outcome: Outcome, values: dict[str, Any]) -> str:
+    nearest = values["nearest"]
+    if nearest is None:
+        return "No design has all the figures that the constraints are about."
+    bounds = {c.metric: c.text() for c in outcome.study.spec.constraints}
+    missed = "; ".join(
+        f"{bounds[name]} is missed by {format_number(excess)} {values['metrics'][name]['unit']}"
+        for name, excess in nearest["violations"].items()
+    )
+    return (
+        f"Design {nearest['design']} comes nearest ({_described(outcome, nearest['design'])}): "
+        f"{missed}."
+    )
+
+
+def _strongest(values: dict[str, Any]) -> list[str]:
+    """Which parameter moves the goal's metric most."""
+    if not values["goal"]:
+        return []
+    metric = values["goal"].split(" ", 1)[1]
+    effects = values["sensitivities"][metric]["effects"]
+    known = {n: e["elasticity"] for n, e in effects.items() if e["elasticity"] is not None}
+    if not known:
+        return []
+    name = max(known, key=lambda key: abs(known[key]))
+    return [
+        f"{name} moves {metric} most: one percent more of it changes it by {known[name]:+.2f} "
+        "percent."
+    ]

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``taccel-lab study`` shows while it works and when it is done."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from studies.runner import Listener
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from studies.runner import Outcome
+    from studies.stored import StoredDesign
+
+
+class StudyProgress(Listener):
+    """A bar over the designs with the time left and the failures, and a line a process."""
+
+    def __init__(self, console: Console) -> None:
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        self._console = console
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}"),
+            console=console,
+            speed_estimate_period=3600,
+        )
+        self._task: Any = None
+        self._workers: dict[int, Any] = {}
+        self._lost = 0
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def begins(self, total: int, stored: int, to_do: int) -> None:
+        from rich.text import Text
+
+        if stored:
+            self._bar.console.print(
+                Text(f"{stored} of {total} designs are there already, {to_do} to do")
+            )
+        self._task = self._bar.add_task("designs", total=to_do, note="")
+
+    def finished(self, design: StoredDesign) -> None:
+        from rich.text import Text
+
+        if design.status != "done":
+            self._lost += 1
+            self._bar.console.print(Text(f"{design.id} {design.status}: {design.cause}"))
+        note = f"{self._lost} failed" if self._lost else ""
+        self._bar.update(self._task, advance=1, note=note)
+
+    def underway(self, worker: int, what: str, done: int, total: int) -> None:
+        if worker not in self._workers:
+            self._workers[worker] = self._bar.add_task(f"process {worker + 1}", note="")
+        self._bar.update(self._workers[worker], completed=done, total=total, note=what)
+
+
+def print_summary(outcome: Outcome, values: dict[str, Any]) -> None:
+    """The verdict and the best designs, on standard output."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from taccel_lab.report.build import format_number
+
+    console = Console()
+    verdict = values["verdict"]
+    console.print(Text(verdict["headline"], style="green" if verdict["good"] else "yellow"))
+    for sentence in verdict["sentences"]:
+        console.print(Text(f"- {sentence}"))
+    if not values["best"]:
+        return
+    swept = [axis.name for axis in outcome.study.axes]
+    names = [*swept, *outcome.study.metrics]
+    table = Table("design", *names, title=f"best designs: {values['goal']}", title_justify="left")
+    rows = {row.id: row for row in outcome.rows}
+    for design_id in values["best"][:5]:
+        row = rows[design_id]
+        cells = {**row.parameters, **row.figures}
+        table.add_row(design_id, *(format_number(cells.get(name)) for name in names))
+    console.print(table)
