@@ -25,9 +25,6 @@ from sensors.parameter_groups import (
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import Light, MarkerGrid, OpticalDesign, Window
 
-RED, GREEN, BLUE, WHITE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
-"""Ideal LEDs: each colour reaches one channel of the camera only."""
-
 
 @dataclass(frozen=True)
 class CameraSensorParameters(
@@ -45,6 +42,20 @@ class CameraSensorParameters(
     @abstractmethod
     def lights(self) -> tuple[Light, ...]:
         """The LEDs, made with ``led``."""
+
+    def gel_depth_mm(self) -> float:
+        """Gel on the optical axis between the apex and what lies behind it [mm]."""
+        return getattr(self, "thickness_mm")  # noqa: B009  # a parameter of most families
+
+    def apparent_distance_mm(self) -> float:
+        """Distance at which the camera sees the apex through window and gel [mm].
+
+        By paraxial refraction: a plate of thickness t looks t / n thick.
+        """
+        gel, plate = self.gel_depth_mm(), self.window_thickness_mm
+        return (
+            self.camera_distance_mm - gel - plate + gel / self.gel_index + plate / self.window_index
+        )
 
     def window(self) -> Window | None:
         """The window: a plate as large as the gel."""
@@ -66,10 +77,11 @@ class CameraSensorParameters(
             window=window,
             gel_refractive_index=self.gel_index,
             ambient_rgb=(self.ambient, self.ambient, self.ambient),
+            gel_scattering_per_mm=self.gel_scattering_per_mm,
         )
 
     def _check_camera(self, window: Window | None) -> None:
-        solid = 0.0 if window is None else self.pad().thickness_mm + window.thickness_mm
+        solid = self.gel_depth_mm() + (0.0 if window is None else window.thickness_mm)
         if self.camera_distance_mm <= solid:
             raise InputError(
                 f"camera_distance_mm = {self.camera_distance_mm:g} puts the camera inside the gel "

@@ -71,6 +71,14 @@ class Digit360Parameters(FisheyeParameters, CameraSensorParameters):
     housing_z_mm: float = restated(27.0, source="digit360_mesh: 53 mm less 26 mm of gel")
     housing_front_mm: float = restated(26.0, source=f"{_TIP}: base of the gel")
 
+    def gel_depth_mm(self) -> float:
+        """Gel between the apex and the lens."""
+        return self.pad().thickness_mm
+
+    def apparent_distance_mm(self) -> float:
+        """The camera's own distance: its lens is made for looking into the gel."""
+        return self.camera_distance_mm
+
     def pad(self) -> SolidDomePad:
         """The gel: hemisphere on a cylinder with the lens pocket."""
         return SolidDomePad(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
+from sensors.camera_sensor import CameraSensorParameters
 from sensors.parameter_groups import RectangleGelParameters
 from taccel_lab.optics.description import Light
 
@@ -48,9 +48,9 @@ class GelSight40Parameters(RectangleGelParameters, CameraSensorParameters):
     raw_width_px: int = restated(400, source=f"{_TACCEL}: no crop")
     raw_height_px: int = restated(400, source=f"{_TACCEL}: no crop")
     camera_distance_mm: float = restated(
-        27.5, minimum=15, maximum=120,
-        source="what a view of 31.75 mm and cam_fov 60 deg need; render.yml of Taccel has the eye "
-        "at 24.5 mm, where 60 deg show 28.3 mm",
+        29.9, minimum=15, maximum=120,
+        source="what a view of 31.75 mm and cam_fov 60 deg need through window and gel; render.yml "
+        "of Taccel has the eye at 24.5 mm, where 60 deg show less",
     )  # fmt: skip
     focal_px: float = restated(346.4, source=f"{_TACCEL}: cam_fov 60 deg over 400 px")
     led_x_mm: float = restated(20.5, source="assumption: strips beside the pad")
@@ -83,8 +83,8 @@ class GelSight40Parameters(RectangleGelParameters, CameraSensorParameters):
         )
 
     def lights(self) -> tuple[Light, ...]:
-        """A strip of one colour along each of three sides."""
-        return self.led_sides(RED, GREEN, BLUE)
+        """One LED of each colour, 120 degrees apart, as in the classic GelSight."""
+        return self.led_triple(0.0, -120.0, 120.0)
 
 
 FAMILY = SensorFamily(

@@ -14,8 +14,9 @@ from typing import ClassVar
 from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
+from sensors.camera_sensor import CameraSensorParameters
 from sensors.parameter_groups import RectangleGelParameters
+from sensors.parameter_groups.lights import BLUE, GREEN, RED
 from taccel_lab.optics.description import Light
 
 _GEL = "measured on gelsight_mini.step of FEATS (feats-ai/feats, MIT)"
@@ -68,10 +69,10 @@ class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
         description="from the apex down to the upper edge of the wall",
     )  # fmt: skip
     young_modulus_mpa: float = restated(
-        0.3,
-        source="assumption: middle of what simulators of this gel use (0.01 to 1.0 MPa: TacEx "
-        "0.01, Taccel and gelsight_ansys_sim 0.1, ManiSkill-ViTac 0.3 and 1.0); the vendor states "
-        "55 Shore 00, about 0.4 MPa by Gent's formula. Identify it from captures",
+        0.46,
+        source="identified with this solver (ten-node tets, nu 0.49) from the press forces that "
+        "FEATS measured, see docs/verification.md; Gent's formula gives 0.41 to 0.47 for the "
+        "vendor's 55 Shore 00. Simulators of this gel use 0.01 to 1.0 MPa",
     )
     width_px: int = restated(320, source="gsrobotics default_config.json")
     height_px: int = restated(240, source="gsrobotics default_config.json")
@@ -94,9 +95,10 @@ class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
         source=f"{_ANSYS}, TacEx and ManiSkill-ViTac: 24; TacSL 26.7",
     )  # fmt: skip
     focal_px: float = restated(
-        378.5,
-        source="24.0 mm over 0.0634 mm/px. gelsight_ansys_sim uses 412.9 / 402.8 px, "
-        "ManiSkill-ViTac and TacEx 340 / 325 px: pictures of other scales",
+        349.8,
+        source="24.0 mm seen through window and gel (22.2 mm) over 0.0634 mm/px. "
+        "gelsight_ansys_sim uses 412.9 / 402.8 px, ManiSkill-ViTac and TacEx 340 / 325 px: "
+        "pictures of other scales",
     )
     led_x_mm: float = restated(13.0, source="assumption: beside the window, inside the case")
     led_y_mm: float = restated(11.0, source="assumption: beside the window, inside the case")
@@ -137,8 +139,16 @@ class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
         )
 
     def lights(self) -> tuple[Light, ...]:
-        """A strip of one colour along each of three sides."""
-        return self.led_sides(RED, GREEN, BLUE)
+        """Strips along three sides, where ball presses of three units show them.
+
+        Least squares of the shading: red -93 to -104, green 2 to 7, blue 79 to 85 deg (captures of
+        ruihangao, gs_sdk and Taxim). Other units have the same three sides turned by 90 deg.
+        """
+        return (
+            self.led_strip(-90, RED, "red, top"),
+            self.led_strip(0, GREEN, "green, right"),
+            self.led_strip(90, BLUE, "blue, bottom"),
+        )
 
 
 FAMILY = SensorFamily(

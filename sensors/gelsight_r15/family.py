@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cad.parameters import restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
+from sensors.camera_sensor import CameraSensorParameters
 from sensors.parameter_groups import RectangleGelParameters
 from taccel_lab.optics.description import Light
 
@@ -32,7 +32,9 @@ class GelSightR15Parameters(RectangleGelParameters, CameraSensorParameters):
     camera_distance_mm: float = restated(
         20.343, minimum=12, maximum=80, source=f"{_TACSL}: camera_dist 20.343 mm"
     )
-    focal_px: float = restated(232.0, source=f"{_TACSL}: 20.343 mm over 0.0877 mm/px")
+    focal_px: float = restated(
+        211.2, source="20.343 mm seen through window and gel (18.5 mm) over 0.0877 mm/px"
+    )
     led_x_mm: float = restated(12.5, source=_NOT_PUBLISHED)
     led_y_mm: float = restated(16.5, source=_NOT_PUBLISHED)
     housing_x_mm: float = restated(30.0, source=_NOT_PUBLISHED)
@@ -51,8 +53,8 @@ class GelSightR15Parameters(RectangleGelParameters, CameraSensorParameters):
         )
 
     def lights(self) -> tuple[Light, ...]:
-        """One LED of each colour, 120 degrees apart."""
-        return self.led_triple(RED, GREEN, BLUE)
+        """One LED of each colour, 120 degrees apart, as in the classic GelSight."""
+        return self.led_triple(0.0, -120.0, 120.0)
 
 
 FAMILY = SensorFamily(

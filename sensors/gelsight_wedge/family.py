@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from cad.parameters import restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import BLUE, GREEN, RED, CameraSensorParameters
+from sensors.camera_sensor import CameraSensorParameters
 from sensors.parameter_groups import RectangleGelParameters
 from taccel_lab.optics.description import Light
 
@@ -42,7 +42,9 @@ class GelSightWedgeParameters(RectangleGelParameters, CameraSensorParameters):
     camera_distance_mm: float = restated(
         40.0, minimum=15, maximum=120, source=f"{_NOT_PUBLISHED}; path over the mirror, unfolded"
     )
-    focal_px: float = restated(470.6, source="40 mm over 0.085 mm/px, both see there")
+    focal_px: float = restated(
+        420.8, source="40 mm seen through window and gel (35.8 mm) over 0.085 mm/px"
+    )
     window_thickness_mm: float = restated(
         8.0, source=f"{_NOT_PUBLISHED}; middle of the wedge of acrylic"
     )
@@ -66,8 +68,8 @@ class GelSightWedgeParameters(RectangleGelParameters, CameraSensorParameters):
         )
 
     def lights(self) -> tuple[Light, ...]:
-        """A strip of one colour along each of three sides."""
-        return self.led_sides(RED, GREEN, BLUE)
+        """One LED of each colour, 120 degrees apart, as in the classic GelSight."""
+        return self.led_triple(0.0, -120.0, 120.0)
 
 
 FAMILY = SensorFamily(

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import GelMaterial, SensorFamily
-from sensors.camera_sensor import WHITE, CameraSensorParameters
+from sensors.camera_sensor import CameraSensorParameters
 from sensors.parameter_groups import RectangleGelParameters, SkinParameters
+from sensors.parameter_groups.lights import WHITE
 from taccel_lab.optics.description import Light
 
 _MOULD = "measured on the mould drawings of 9DTact (linchangyi1/9DTact, MIT)"
@@ -56,14 +57,18 @@ class NineDTactParameters(RectangleGelParameters, SkinParameters, CameraSensorPa
     crop_x: float = restated(0.71875, source=f"{_CALIBRATION}: 460 of 640 px")
     crop_y: float = restated(0.71875, source=f"{_CALIBRATION}: 345 of 480 px")
     camera_distance_mm: float = restated(
-        15.0, minimum=8, maximum=60, source="9DTact: lens focused at about 15 mm"
-    )
-    focal_px: float = restated(297.0, source="15 mm over 0.0505 mm/px, both see there")
+        17.0, minimum=12, maximum=60,
+        source="9DTact: lens focused at about 15 mm, which through window and gel is 17 mm",
+    )  # fmt: skip
+    focal_px: float = restated(297.0, source="15 mm over 0.0505 mm/px")
     window_thickness_mm: float = restated(
         3.5, maximum=8,
         source=f"{_SHELL}: rim 6.3 mm above the floor, less the gel; the acrylic's own drawing "
         "could not be read",
     )  # fmt: skip
+    gel_scattering_per_mm: float = restated(
+        0.5, source="assumption: turbid enough that 1 mm less gel over the skin darkens visibly"
+    )
     led_x_mm: float = restated(9.0, source="assumption: white LEDs round the aperture of 12 mm")
     led_y_mm: float = restated(9.0, source="assumption: white LEDs round the aperture of 12 mm")
     led_tilt_deg: float = restated(0.0, source="assumption: LEDs face the gel")

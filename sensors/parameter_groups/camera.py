@@ -91,17 +91,22 @@ class CameraParameters(ParameterSet):
     camera_offset_mm: ClassVar[tuple[float, float]] = (0.0, 0.0)
     """Gel xy of the centre of projection."""
 
+    def apparent_distance_mm(self) -> float:
+        """Distance at which the camera sees the apex [mm]; nearer than it is, through media."""
+        return self.camera_distance_mm
+
     def scale_mm_per_px(self) -> tuple[float, float]:
         """Size of a pixel on the contact face along x and y [mm]."""
         if self.scale_from == "focal_px":
-            scale = self.camera_distance_mm / self.focal_px
+            scale = self.apparent_distance_mm() / self.focal_px
             return scale, scale
         return self.mm_per_px, self.mm_per_px_y or self.mm_per_px
 
     def focal_lengths_px(self) -> tuple[float, float]:
         """Focal lengths fx and fy in pixels of the tactile image."""
         x, y = self.scale_mm_per_px()
-        return self.camera_distance_mm / x, self.camera_distance_mm / y
+        distance = self.apparent_distance_mm()
+        return distance / x, distance / y
 
     def grid(self) -> PixelGrid:
         """The pixel grid of the tactile image, with the apex where the camera sees it."""
@@ -114,13 +119,14 @@ class CameraParameters(ParameterSet):
         u, v = self._principal_point_px()
         fx, fy = self.focal_lengths_px()
         offset_x, offset_y = self.camera_offset_mm
+        distance = self.apparent_distance_mm()
         return PixelGrid(
             width_px=self.width_px,
             height_px=self.height_px,
             mm_per_px_x=x,
             mm_per_px_y=y,
-            center_u_px=u - fx * offset_x / self.camera_distance_mm,
-            center_v_px=v - fy * offset_y / self.camera_distance_mm,
+            center_u_px=u - fx * offset_x / distance,
+            center_v_px=v - fy * offset_y / distance,
         )
 
     def view_mm(self) -> tuple[float, float]:
@@ -142,7 +148,7 @@ class CameraParameters(ParameterSet):
             position_mm=(*self.camera_offset_mm, -self.camera_distance_mm),
             model=self.lens_model,  # type: ignore[arg-type]
             distortion=self.lens_distortion,
-            focus_mm=self.camera_distance_mm,
+            focus_mm=self.apparent_distance_mm(),
             aperture_mm=self.aperture_mm,
         )
 

@@ -11,6 +11,9 @@ from cad.parameters import ParameterSet, parameter
 from sensors.parameter_groups.unstated import NO_FIGURE
 from taccel_lab.optics.description import Light, Triple
 
+RED, GREEN, BLUE, WHITE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
+"""Ideal LEDs: each colour reaches one channel of the camera only."""
+
 
 @dataclass(frozen=True)
 class LightParameters(ParameterSet):
@@ -45,10 +48,11 @@ class LightParameters(ParameterSet):
         description="exponent n of the emission lobe cos^n",
     )  # fmt: skip
     ambient: float = parameter(
-        0.05, minimum=0.0, maximum=10,
-        source="assumption: a little light from the walls of the housing reaches every point",
-        description="light that reaches all of the coating alike, per channel, as a multiple of "
-        "what one LED of power 1 sends on its axis to a distance of 10 mm",
+        0.3, minimum=0.0, maximum=2.0,
+        source="assumption: light that the housing throws about; 0.1 to 0.5 make the shades of "
+        "ball presses as soft as captured ones",
+        description="even light on all of the coating, as a share of the mean direct light on the "
+        "visible gel at rest",
     )  # fmt: skip
 
     def led(
@@ -74,18 +78,16 @@ class LightParameters(ParameterSet):
             name=name,
         )
 
-    def led_triple(self, first: Triple, second: Triple, third: Triple) -> tuple[Light, ...]:
-        """Three LEDs, 120 degrees apart, the first at the lower side of the image."""
-        colors = (first, second, third)
-        return tuple(
-            self.led(90 + 120 * k, color, f"led {k + 1}") for k, color in enumerate(colors)
-        )
+    def led_strip(self, angle_deg: float, rgb: Triple, name: str) -> Light:
+        """A strip along the side at ``angle_deg`` (a multiple of 90), two thirds as long."""
+        along_y = abs(math.cos(math.radians(angle_deg))) > 0.5
+        length = 4 / 3 * (self.led_y_mm if along_y else self.led_x_mm)
+        return self.led(angle_deg, rgb, name, size_mm=(length, self.led_size_mm))
 
-    def led_sides(self, right: Triple, bottom: Triple, left: Triple) -> tuple[Light, ...]:
-        """Strips of one colour along three sides, as long as two thirds of the side."""
-        lengths = (4 / 3 * self.led_y_mm, 4 / 3 * self.led_x_mm, 4 / 3 * self.led_y_mm)
-        sides = zip((right, bottom, left), lengths, ("right", "bottom", "left"), strict=True)
-        return tuple(
-            self.led(90 * k, color, name, size_mm=(length, self.led_size_mm))
-            for k, (color, length, name) in enumerate(sides)
+    def led_triple(self, red_deg: float, green_deg: float, blue_deg: float) -> tuple[Light, ...]:
+        """One LED of each colour."""
+        return (
+            self.led(red_deg, RED, "red"),
+            self.led(green_deg, GREEN, "green"),
+            self.led(blue_deg, BLUE, "blue"),
         )

@@ -30,3 +30,7 @@ class WindowParameters(ParameterSet):
         source="clear silicone such as Solaris: about 1.41",
         description="refractive index of the gel",
     )  # fmt: skip
+    gel_scattering_per_mm: float = parameter(
+        0.0, minimum=0.0, maximum=20, unit="1/mm", source="assumption: a clear gel",
+        description="scattering coefficient of a turbid gel (Kubelka and Munk's S)",
+    )  # fmt: skip

@@ -9,7 +9,8 @@ from typing import ClassVar
 from cad.parameters import parameter, restated
 from cad.parts.dome_pad import ShellDomePad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import WHITE, CameraSensorParameters
+from sensors.camera_sensor import CameraSensorParameters
+from sensors.parameter_groups.lights import WHITE
 from taccel_lab.optics.description import Light, Window
 
 _SHELL = "measured on the parts of PP-Tac (bigai-ai/PP-Tac, figures only)"
@@ -37,7 +38,9 @@ class RTacParameters(CameraSensorParameters):
     width_px: int = restated(640, source=_CALIBRATION)
     height_px: int = restated(480, source=_CALIBRATION)
     mm_per_px: float = restated(
-        0.0734, source=f"{_CALIBRATION}: 22.02 mm over 300 px at the apex; finer towards the rim"
+        0.069,
+        source=f"{_CALIBRATION}: apex at 22.02 mm, seen through dome and gel at 20.7 mm, over 300 "
+        "px; the picture itself is finer towards the dome's edge",
     )
     raw_width_px: int = restated(640, source="OV9281: monochrome, 640 x 480 px at 120 Hz")
     raw_height_px: int = restated(480, source="OV9281: monochrome, 640 x 480 px at 120 Hz")
