@@ -10,7 +10,9 @@ with sx = x^2/2Rx, sy = y^2/2Ry and s their mean where the rim begins: with pill
 a crown with sx = sy there is level, as where a cast gel springs from a level frame.
 
 A rim is a chamfer, a rolled fillet or an arc: a circular arc that rises from a wall of given height
-and meets the crown's edge level, scaled to the height of that edge.
+and meets the crown's edge level, scaled to the height of that edge. With ``wall_mm`` a chamfer of a
+flat pad may have any slope; one as wide as the corner radius or wider is cut by four planes, so
+that the wall is a little higher in the corners.
 """
 
 from __future__ import annotations
@@ -238,7 +240,9 @@ class GelPad(HeightPad):
     @cached_property
     def _band(self) -> RimBand:
         half_x, half_y = self.length_x_mm / 2, self.length_y_mm / 2
-        return RimBand(half_x, half_y, self.corner_radius_mm, self.rim_mm)
+        # A bevel wider than the corner radius is cut by four planes, as if corners were sharp.
+        planes = self.rim == "chamfer" and self.rim_mm >= self.corner_radius_mm
+        return RimBand(half_x, half_y, 0.0 if planes else self.corner_radius_mm, self.rim_mm)
 
     @cached_property
     def _pillow_per_mm(self) -> float:
@@ -277,9 +281,20 @@ class GelPad(HeightPad):
             wall = self.wall_mm - self.thickness_mm
             return wall + (self.crown_mm(foot) - wall) * self._rise(fraction)
         if self.rim == "chamfer":
-            distance = np.maximum(self.inside_distance_mm(xy), 0)
-            return self.crown_mm(xy) - np.maximum(self.rim_mm - distance, 0)
+            return self._chamfered_mm(xy)
         return fillet_height_mm(self.outline, self.rim_mm, self.crown_mm, self.crown_slope, xy)
+
+    def _chamfered_mm(self, xy: np.ndarray) -> np.ndarray:
+        """Straight from ``rim_mm`` down the wall to ``rim_mm`` along the crown's slope."""
+        distance = np.maximum(self.inside_distance_mm(xy), 0)
+        normal = self.outward_normal(xy)
+        edge = xy + distance[..., None] * normal
+        slope = (self.crown_slope(edge) * normal).sum(axis=-1)
+        width = self.rim_mm / np.sqrt(1 + slope**2)
+        low = self.crown_mm(edge) - self.rim_mm
+        high = self.crown_mm(edge - width[..., None] * normal)
+        bevel = low + (high - low) * distance / width
+        return np.where(distance < width, bevel, self.crown_mm(xy))
 
     def _rise(self, fraction: np.ndarray) -> np.ndarray:
         """Height of the band over the wall in units of the crown's edge: 1 at 0, 0 at 1."""

@@ -146,14 +146,14 @@ class HeightPad(Pad):
         return (beside | above).astype(np.int32)
 
     def labelled_solid(self) -> LabelledSolid:
-        """The body as a CAD solid with labelled faces; see ``height_pad_solid``."""
-        from cad.parts.height_pad_solid import height_pad_solid
+        """The body as a CAD solid with labelled faces; see ``gel_pad_solid``."""
+        from cad.parts.gel_pad_solid import gel_pad_solid
 
-        return height_pad_solid(self)
+        return gel_pad_solid(self)
 
     def layer_solids(self) -> dict[str, Solid]:
         """The solid of each layer by its name; together they fill the body."""
-        from cad.parts.height_pad_solid import layer_solids
+        from cad.parts.gel_pad_solid import layer_solids
 
         return layer_solids(self)
 

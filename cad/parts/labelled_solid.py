@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """A B-rep solid whose faces know what they are for."""
 
+# OCP ships no type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from build123d import Face, Solid
+from OCP.BRepGProp import BRepGProp
+from OCP.GProp import GProp_GProps
 
 from taccel_lab.geometry import Region
+
+_VOLUME_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -17,6 +24,14 @@ class LabelledSolid:
     solid: Solid
     regions: list[Region]
     """Region of each face, in the order of ``solid.faces()``."""
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume [mm^3] to one in a million; ``solid.volume`` is off by up to 0.2 % under creases.
+        """
+        found = GProp_GProps()
+        BRepGProp.VolumeProperties_s(self.solid.wrapped, found, _VOLUME_TOLERANCE)
+        return float(found.Mass())
 
     def faces(self, region: Region) -> list[Face]:
         """Faces of one region."""

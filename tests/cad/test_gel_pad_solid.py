@@ -34,8 +34,12 @@ def integrated_volume(pad: GelPad, cells: int = 1200) -> float:
         for length in (pad.length_x_mm, pad.length_y_mm)
     ]
     xy = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    column = (pad.height_mm(xy) + pad.thickness_mm) * (pad.inside_distance_mm(xy) > 0)
-    return float(column.mean() * pad.length_x_mm * pad.length_y_mm)
+    inside = pad.inside_distance_mm(xy) > 0
+    column = (pad.height_mm(xy) + pad.thickness_mm) * inside
+    area = pad.length_x_mm * pad.length_y_mm
+    # What the rule misses of the rounded corners is nearly a wall high.
+    missed = (pad.outline.area_mm2 - inside.mean() * area) * pad.min_wall_mm()
+    return float(column.mean() * area + missed)
 
 
 def test_flat_pad_has_the_volume_and_areas_of_a_prism() -> None:
@@ -65,7 +69,7 @@ def test_flat_pad_has_the_volume_and_areas_of_a_prism() -> None:
 def test_solid_and_formulas_agree(values: dict[str, object], tolerance: float) -> None:
     pad = GelPad(**values)  # type: ignore[arg-type]
     part = gel_pad_solid(pad)
-    assert part.solid.volume == pytest.approx(integrated_volume(pad), rel=tolerance)
+    assert part.volume_mm3 == pytest.approx(integrated_volume(pad), rel=tolerance)
     surface = tessellate_solid(part)
     top = surface.vertices_mm[np.unique(surface.triangles[surface.regions == Region.CONTACT])]
     inside = pad.inside_distance_mm(top[:, :2]) > pad.rim_setback_mm() + 1e-3
