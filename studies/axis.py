@@ -26,6 +26,7 @@ class Axis:
     high: float = math.nan
     """Of a range."""
     log: bool = False
+    """Whether values are spread by equal ratios."""
     start: float | None = None
 
     @property
@@ -111,4 +112,4 @@ def axis_of(parameter: Parameter, wanted: ParameterRange) -> Axis:
             f"{parameter.name} is a whole number: {low:g} to {high:g} gives {len(values)} "
             f"different values, not count = {wanted.count}"
         )
-    return Axis(parameter, values)
+    return Axis(parameter, values, log=wanted.scale == "log")

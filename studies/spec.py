@@ -55,7 +55,7 @@ class StudyBlock(_Block):
     """What the study is about."""
 
     name: Name
-    sensor: PlainName
+    sensor: Name
     """Family of the catalogue."""
     metrics: list[PlainName] = Field(default_factory=list)
     """Columns of the table; the objective's and the constraints' are added."""

@@ -23,8 +23,10 @@ MOST_AXES = 10
 
 
 def with_unit(name: str, unit: str) -> str:
-    """``name [unit]``."""
-    return f"{name} [{unit}]" if unit not in ("", "1") else name
+    """``name [unit]``; the name alone where it ends with its unit already."""
+    if unit in ("", "1") or name.lower().endswith("_" + unit.lower()):
+        return name
+    return f"{name} [{unit}]"
 
 
 def metric_label(outcome: Outcome, name: str) -> str:
@@ -75,7 +77,7 @@ def draw_pareto(outcome: Outcome, best: list[str], worst: list[str]) -> Figure:
     style: dict[str, Any] = {"color": BLUE}
     if numeric:
         shade = column(designs, numeric[0].name)
-        style = {"c": shade, "cmap": "viridis", "norm": _norm(shade, numeric[0].log)}
+        style = {"c": shade, "cmap": "viridis", "norm": color_norm(shade, numeric[0].log)}
     points = axes.scatter(x, y, s=34, edgecolors="white", linewidths=0.5, zorder=3, **style)
     if numeric:
         figure.colorbar(points, ax=axes, label=parameter_label(outcome, numeric[0].name))
@@ -94,25 +96,40 @@ def draw_pareto(outcome: Outcome, best: list[str], worst: list[str]) -> Figure:
     axes.set_xlabel(_axis_text(outcome, x_name, x_sign))
     axes.set_ylabel(_axis_text(outcome, y_name, y_sign))
     for values, scale in ((x, axes.set_xscale), (y, axes.set_yscale)):
-        if _wide(values):
+        if is_wide(values):
             scale("log")
+    plain_log_ticks(axes)
     axes.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")
     return figure
 
 
-def _wide(values: np.ndarray) -> bool:
+def plain_log_ticks(axes: Any) -> None:
+    """Numbers such as 0.2 and 30 on logarithmic axes, few of them."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_scale() != "log":
+            continue
+        low, high = axis.get_view_interval()
+        marks = (1.0,) if high > 1e3 * low else (1.0, 2.0, 5.0)
+        axis.set_major_locator(LogLocator(subs=marks))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
+
+
+def is_wide(values: np.ndarray) -> bool:
     """Whether values want a logarithmic axis."""
     known = values[np.isfinite(values)]
     return bool(len(known) and (known > 0).all() and known.max() > 30 * known.min())
 
 
-def _norm(values: np.ndarray, log: bool) -> Any:
+def color_norm(values: np.ndarray, log: bool) -> Any:
     from matplotlib.colors import LogNorm, Normalize
 
     low, high = np.nanmin(values), np.nanmax(values)
     if not low < high:
         return Normalize(low - 0.5, high + 0.5)
-    return LogNorm(low, high) if log or _wide(values) else Normalize(low, high)
+    return LogNorm(low, high) if log or is_wide(values) else Normalize(low, high)
 
 
 @in_report_style

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studies.report.figures import (
+    color_norm,
     column,
     done_designs,
     metric_label,
     parameter_label,
+    plain_log_ticks,
 )
 from studies.report.sensitivity import Effect, Sensitivity
 from studies.runner import Outcome
@@ -34,7 +36,7 @@ def draw_sensitivities(outcome: Outcome, found: dict[str, Sensitivity]) -> Figur
     cells = np.array(
         [[_number(found[m].effects[n].elasticity) for n in names] for m in metrics]
     ).reshape(len(metrics), len(names))
-    figure, axes = new_figure(2.6 + 1.75 * len(names) + 1.2, 1.3 + 0.46 * len(metrics))
+    figure, axes = new_figure(2.6 + 1.75 * len(names) + 1.2, 1.0 + 0.5 * len(metrics))
     drawn = axes.imshow(
         np.ma.masked_invalid(cells), cmap="RdBu_r", vmin=-STRONGEST, vmax=STRONGEST, aspect="auto"
     )
@@ -46,7 +48,8 @@ def draw_sensitivities(outcome: Outcome, found: dict[str, Sensitivity]) -> Figur
             color = "white" if dark else INK
             axes.text(col, row, text, ha="center", va="center", fontsize=8.5, color=color)
     axes.set_xticks(range(len(names)), names)
-    axes.set_yticks(range(len(metrics)), metrics)
+    fits = [f"{m}\nR² {r2:.2f}" if (r2 := found[m].r2) is not None else m for m in metrics]
+    axes.set_yticks(range(len(metrics)), fits, fontsize=8.5)
     axes.tick_params(length=0)
     for spine in axes.spines.values():
         spine.set_visible(False)
@@ -112,6 +115,7 @@ def draw_effects(outcome: Outcome) -> Figure:
                 panel.plot(levels, means, "o-", color=ORANGE, markersize=4)
             if axis.log:
                 panel.set_xscale("log")
+                plain_log_ticks(panel)
             panel.tick_params(labelsize=8)
             if col == 0:
                 panel.set_ylabel(metric_label(outcome, metric).replace(" [", "\n["), fontsize=8)
@@ -140,7 +144,11 @@ def draw_maps(outcome: Outcome) -> Figure:
             spot = ys.index(row.parameters[second.name]), xs.index(row.parameters[first.name])
             cells[spot] = value
         drawn = panel.pcolormesh(
-            np.arange(len(xs) + 1) - 0.5, np.arange(len(ys) + 1) - 0.5, cells, cmap="viridis"
+            np.arange(len(xs) + 1) - 0.5,
+            np.arange(len(ys) + 1) - 0.5,
+            cells,
+            cmap="viridis",
+            norm=color_norm(cells, False),
         )
         figure.colorbar(drawn, ax=panel)
         panel.set_facecolor("#f3f4f6")

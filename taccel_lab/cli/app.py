@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
-Exit codes: 0 done, 1 ``doctor`` or ``bench quick`` found something broken, 2 unusable input or
-usage, 3 a simulation that did not converge, 130 interrupted. Anything else that goes wrong is a bug
-and keeps its traceback. Command modules import heavy libraries inside ``run()`` only, so that help
-is fast.
+Exit codes: 0 done, 1 ``doctor`` or ``bench quick`` found something broken or no design of a
+``study`` keeps its constraints, 2 unusable input or usage, 3 a simulation that did not converge,
+130 interrupted. Anything else that goes wrong is a bug and keeps its traceback. Command modules
+import heavy libraries inside ``run()`` only, so that help is fast.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.press import Press
     from taccel_lab.cli.profile import ProfileShow, ProfileValidate
     from taccel_lab.cli.sensors import SensorsList, SensorsShow
+    from taccel_lab.cli.study import Study
 
     calibrate = SubcommandApp()
     calibrate.command(name="color")(CalibrateColor)
@@ -59,6 +60,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(calibrate, name="calibrate", help="Fit a block of a profile to real captures.")
     app.command(profile, name="profile", help="Show or check an exported sensor profile.")
     app.command(sensors, name="sensors", help="List the sensors of the catalogue.")
+    app.command(name="study")(Study)
     app.command(bench_commands(), name="bench", help=BENCH_HELP)
     app.command(name="doctor")(Doctor)
     return app.cli(

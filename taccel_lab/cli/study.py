@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,6 +63,7 @@ class Study:
         self._run(self.study)
 
     def _run(self, file: Path) -> None:
+        import warp as wp
         from rich.console import Console
 
         from studies.plan import default_kit, plan_study
@@ -71,6 +71,7 @@ class Study:
         from studies.runner import stored_outcome
         from studies.spec import load_study
 
+        wp.config.log_level = wp.LOG_WARNING
         console = Console(stderr=True)
         study = plan_study(load_study(file), default_kit())
         root = self.out or Path("out") / file.stem
@@ -88,7 +89,7 @@ class Study:
                 soft_wrap=True,
             )
             raise SystemExit(130) from None
-        self._conclude(console, outcome, values, self._again(file, root))
+        self._conclude(console, outcome, values, root, self._again(file, root))
 
     def _again(self, file: Path, root: Path) -> str:
         words = ["taccel-lab", "study", str(file), "--out", str(root)]
@@ -108,6 +109,7 @@ class Study:
             f"{study.spec.study.name}: {study.family.name}, presses {presses}, "
             f"{len(study.metrics)} metrics, into {root}",
             highlight=False,
+            soft_wrap=True,
         )
         with StudyProgress(console) as progress:
             return run_study(
@@ -120,11 +122,12 @@ class Study:
                 listener=progress,
             )
 
-    def _conclude(self, console: Console, outcome: Outcome, values: dict, again: str) -> None:
+    def _conclude(
+        self, console: Console, outcome: Outcome, values: dict, root: Path, again: str
+    ) -> None:
         from studies.table import CSV_NAME, has_parquet
         from taccel_lab.cli.console import print_json
 
-        root = outcome.folder.root
         if self.json:
             print_json(values)
         else:
@@ -132,14 +135,13 @@ class Study:
 
             print_summary(outcome, values)
         note = "" if has_parquet() else " (Parquet too, once pyarrow is installed)"
-        place = os.path.relpath(root)
-        console.print(f"table: {place}/{CSV_NAME}{note}", highlight=False, soft_wrap=True)
-        console.print(f"report: {place}/report.html", highlight=False, soft_wrap=True)
+        console.print(f"table: {root / CSV_NAME}{note}", highlight=False, soft_wrap=True)
+        console.print(f"report: {root / 'report.html'}", highlight=False, soft_wrap=True)
         if not outcome.complete:
             console.print(f"not finished; go on with:\n  {again}", highlight=False, soft_wrap=True)
             return
         if not any(row.status == "done" for row in outcome.rows):
-            raise SimulationError(f"no design has a figure; the causes stand in {place}/{CSV_NAME}")
+            raise SimulationError(f"no design has a figure; the causes stand in {root / CSV_NAME}")
         if not values["verdict"]["good"]:
             raise SystemExit(1)
 
