@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The model's picture against a real one: backgrounds, and ball presses inside their contact.
+
+A real sensor's exposure, white balance and offset are not known, so that backgrounds are compared
+after a gain and an offset per channel, and presses by the colour that each octant of the ball turns
+to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+OCTANTS = 8
+_RING = (0.3, 0.9)
+"""Part of the contact radius in which octants are compared: the middle is flat, the edge
+uncertain."""
+
+
+@dataclass(frozen=True)
+class BackgroundMatch:
+    """How like two untouched images are."""
+
+    correlation: tuple[float, float, float]
+    """Of the low-pass images by channel."""
+    psnr_db: float
+    """Of the low-pass model after a gain and an offset per channel."""
+    flat_psnr_db: float
+    """The same for one colour in place of the model: what gain and offset reach by themselves."""
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class PressMatch:
+    """How like two ball presses are inside the contact."""
+
+    correlation: tuple[float, float, float]
+    """Of the change against the background by channel, inside the contact circle."""
+    octant_cosine: tuple[float, ...]
+    """Cosine between the colour changes of real and model, octant by octant from +x towards +y."""
+
+    @property
+    def mean_cosine(self) -> float:
+        return float(np.mean(self.octant_cosine))
+
+    def to_json(self) -> dict[str, Any]:
+        return {**asdict(self), "mean_cosine": self.mean_cosine}
+
+
+def compare_backgrounds(
+    real_rgb: np.ndarray, model_rgb: np.ndarray, mask: np.ndarray, *, blur_px: float
+) -> BackgroundMatch:
+    """Compare two untouched images of one size.
+
+    Args:
+        real_rgb: Capture, uint8, shape [H, W, 3].
+        model_rgb: Picture of the model, uint8, shape [H, W, 3].
+        mask: Pixels that count, shape [H, W].
+        blur_px: Standard deviation of the low-pass filter: dust and the coating's texture are not
+            modelled.
+    """
+    _same_size(real_rgb, model_rgb)
+    real = _low_pass(real_rgb, mask, blur_px)[mask]
+    model = _low_pass(model_rgb, mask, blur_px)[mask]
+    fitted = np.stack([_gain_offset_fit(model[:, c], real[:, c]) for c in range(3)], axis=1)
+    return BackgroundMatch(
+        correlation=_correlations(model, real),
+        psnr_db=_psnr_db(fitted - real),
+        flat_psnr_db=_psnr_db(real.mean(axis=0) - real),
+    )
+
+
+def compare_press(
+    real: tuple[np.ndarray, np.ndarray],
+    model: tuple[np.ndarray, np.ndarray],
+    center_px: tuple[float, float],
+    radius_px: float,
+) -> PressMatch:
+    """Compare two ball presses at one place.
+
+    Args:
+        real: Background and press, RGB, shape [H, W, 3].
+        model: The same of the model.
+        center_px: Centre (u, v) of the contact circle.
+        radius_px: Its radius.
+    """
+    for image in (*real, *model):
+        _same_size(real[0], image)
+    height, width = real[0].shape[:2]
+    v, u = np.mgrid[:height, :width]
+    du, dv = u - center_px[0], v - center_px[1]
+    distance = np.hypot(du, dv) / radius_px
+    octant = np.floor(np.arctan2(dv, du) / (2 * math.pi / OCTANTS) + 0.5).astype(int) % OCTANTS
+    change_real = real[1].astype(np.float64) - real[0]
+    change_model = model[1].astype(np.float64) - model[0]
+    inside = distance < _RING[1]
+    ring = inside & (distance > _RING[0])
+    cosines = []
+    for k in range(OCTANTS):
+        here = ring & (octant == k)
+        if not here.any():
+            raise InputError(
+                f"a contact of {radius_px:g} px at {center_px} has no pixel in octant {k}"
+            )
+        a, b = change_real[here].mean(axis=0), change_model[here].mean(axis=0)
+        cosines.append(float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12)))
+    return PressMatch(_correlations(change_model[inside], change_real[inside]), tuple(cosines))
+
+
+def pressed_top(
+    top_mm: Callable[[np.ndarray], np.ndarray],
+    center_mm: tuple[float, float],
+    contact_radius_mm: float,
+    ball_radius_mm: float,
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Contact face under a ball: the ball within the contact, an elastic half-space around it.
+
+    Outside of the contact radius a the face has sunk by ``a^2 / (pi R) ((2 - r^2/a^2) asin(a/r) +
+    sqrt(r^2/a^2 - 1))`` (K. L. Johnson, "Contact Mechanics", 1985, eq. 3.42). That a thin gel sinks
+    and piles up otherwise is left out.
+
+    Args:
+        top_mm: Untouched face, [..., 2] -> [...].
+        center_mm: Gel xy of the contact.
+        contact_radius_mm: a.
+        ball_radius_mm: R, larger than a.
+    """
+    a, ball = contact_radius_mm, ball_radius_mm
+    if not 0 < a < ball:
+        raise InputError(f"the contact radius must lie in (0, {ball:g}) mm, got {a:g}")
+    edge = a * a / (2 * ball)
+    drop_at_edge = ball - math.sqrt(ball * ball - a * a)
+
+    def sunk_mm(xy_mm: np.ndarray) -> np.ndarray:
+        ratio = np.linalg.norm(np.asarray(xy_mm) - np.array(center_mm), axis=-1) / a
+        inner = np.minimum(ratio, 1.0) * a
+        ball_part = edge + drop_at_edge - (ball - np.sqrt(ball * ball - inner * inner))
+        outer = np.maximum(ratio, 1.0)
+        tail = (
+            (a * a / (math.pi * ball))
+            * ((2 - outer**2) * np.arcsin(1 / outer) + np.sqrt(outer**2 - 1))
+        )  # fmt: skip
+        return top_mm(xy_mm) - np.where(ratio <= 1, ball_part, tail)
+
+    return sunk_mm
+
+
+def _same_size(first: np.ndarray, second: np.ndarray) -> None:
+    if first.shape != second.shape or first.ndim != 3 or first.shape[2] != 3:
+        raise InputError(
+            f"images of shapes {first.shape} and {second.shape} cannot be compared; both have to "
+            "be [H, W, 3] of one size"
+        )
+
+
+def _low_pass(image: np.ndarray, mask: np.ndarray, blur_px: float) -> np.ndarray:
+    """Gaussian low-pass that takes nothing from outside the mask."""
+    from scipy.ndimage import gaussian_filter
+
+    weight = gaussian_filter(mask.astype(np.float64), blur_px, mode="nearest")
+    values = image.astype(np.float64) * mask[..., None]
+    blurred = gaussian_filter(values, (blur_px, blur_px, 0), mode="nearest")
+    return blurred / np.maximum(weight, 1e-6)[..., None]
+
+
+def _gain_offset_fit(model: np.ndarray, real: np.ndarray) -> np.ndarray:
+    matrix = np.stack([model, np.ones_like(model)], axis=1)
+    return matrix @ np.linalg.lstsq(matrix, real, rcond=None)[0]
+
+
+def _correlations(model: np.ndarray, real: np.ndarray) -> tuple[float, float, float]:
+    """Pearson's correlation by channel; 0 where one of the two is constant."""
+    values = []
+    for c in range(3):
+        a, b = model[:, c] - model[:, c].mean(), real[:, c] - real[:, c].mean()
+        norm = np.linalg.norm(a) * np.linalg.norm(b)
+        values.append(float(a @ b / norm) if norm > 0 else 0.0)
+    return values[0], values[1], values[2]
+
+
+def _psnr_db(error: np.ndarray) -> float:
+    return float(20 * math.log10(255.0 / max(math.sqrt(float(np.mean(error**2))), 1e-6)))
