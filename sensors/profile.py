@@ -3,19 +3,35 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from typing import Literal
+
 from cad.mesh.gel_mesh import gel_mesh
 from cad.mesh.quality import MeshQuality, measure_quality, require_quality
 from sensors.base import FamilyParameters, SensorFamily
+from sensors.parameter_groups import CameraParameters
 from sensors.registry import sensor_family
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import (
+    Block,
     CameraBlock,
+    CoatingBlock,
     GelBlock,
+    HousingBlock,
+    LayerMaterial,
+    LightEntry,
+    LightsBlock,
+    MarkersBlock,
     MaterialBlock,
+    OpticsBlock,
     Provenance,
     SensorBlock,
     SensorProfile,
+    WindowBlock,
 )
+
+_GRID = ("width_px", "height_px", "mm_per_px", "mm_per_px_y")
+_METHOD = "defaults of the catalogue's family, with the overrides given"
 
 
 def designed_profile(
@@ -26,15 +42,11 @@ def designed_profile(
     *,
     mesher: str,
 ) -> SensorProfile:
-    """Profile with the blocks sensor, gel, material and camera; each states what it rests on."""
-    described = parameters.describe()
-
-    def sources(*names: str) -> str:
-        return "; ".join(f"{name}: {described[name]['source']}" for name in names)
-
-    geometry = [name for name in described if name.endswith("_mm") or name == "rim"]
-    material = parameters.material()
-    return SensorProfile(
+    """Profile with all blocks that the family describes; each states what it rests on."""
+    origin = _Origin(family, parameters)
+    pad, materials = parameters.pad(), parameters.layer_materials()
+    gel = materials[0]
+    profile = SensorProfile(
         sensor=SensorBlock(
             name=family.name,
             family=family.name,
@@ -46,41 +58,92 @@ def designed_profile(
             ),
         ),
         gel=GelBlock(
-            thickness_mm=parameters.pad().thickness_mm,
+            thickness_mm=pad.thickness_mm,
             node_count=mesh.node_count,
             tet_count=mesh.tet_count,
             min_dihedral_deg=quality.min_dihedral_deg,
-            provenance=Provenance(
-                kind="designed",
-                method=f"{mesher} mesh of the parametric pad",
-                source=sources(*geometry),
+            provenance=origin.of(
+                "gel", kind="designed", method=f"{mesher} mesh of the parametric pad"
             ),
         ),
         material=MaterialBlock(
-            young_modulus_pa=material.young_modulus_pa,
-            poisson_ratio=material.poisson_ratio,
-            density_kg_m3=material.density_kg_m3,
-            friction_coefficient=material.friction_coefficient,
-            provenance=Provenance(
-                kind="assumed",
-                method="defaults of the catalogue's family, with the overrides given",
-                source="; ".join(
-                    f"{name}: {item['source']}"
-                    for name, item in described.items()
-                    if item["group"] == "material"
-                ),
+            young_modulus_pa=gel.young_modulus_pa,
+            poisson_ratio=gel.poisson_ratio,
+            density_kg_m3=gel.density_kg_m3,
+            friction_coefficient=gel.friction_coefficient,
+            layers=tuple(
+                LayerMaterial(
+                    name=name,
+                    young_modulus_pa=layer.young_modulus_pa,
+                    poisson_ratio=layer.poisson_ratio,
+                    density_kg_m3=layer.density_kg_m3,
+                )
+                for name, layer in zip(pad.layer_names[1:], materials[1:], strict=True)
             ),
+            provenance=origin.of("material"),
         ),
-        camera=CameraBlock.from_grid(
-            parameters.grid(),
-            Provenance(
-                kind="published",
-                method="pixel grid of the catalogue's family, with the overrides given",
-                source=sources(*(name for name in described if name.endswith("px"))),
-            ),
-        ),
+        camera=CameraBlock.from_grid(parameters.grid(), origin.of("camera", names=_GRID)),
         mesh=mesh,
     )
+    for block in _optional_blocks(parameters, origin):
+        profile = profile.with_block(block)
+    return profile
+
+
+def _optional_blocks(parameters: FamilyParameters, origin: _Origin) -> list[Block]:
+    blocks: list[Block] = []
+    design, markers, housing = parameters.optics(), parameters.markers(), parameters.housing()
+    if design is not None:
+        crop = {}
+        if isinstance(parameters, CameraParameters):
+            crop = {
+                "raw_px": (parameters.raw_width_px, parameters.raw_height_px),
+                "crop": (parameters.crop_x, parameters.crop_y),
+            }
+        blocks.append(
+            OpticsBlock.from_design(design, origin.of("camera", "window", "lights"), **crop)
+        )
+        leds = tuple(LightEntry(**asdict(light)) for light in design.lights)
+        blocks.append(LightsBlock(led=leds, provenance=origin.of("lights")))
+        blocks.append(CoatingBlock(**asdict(design.coating), provenance=origin.of("coating")))
+        if design.window is not None:
+            blocks.append(WindowBlock(**asdict(design.window), provenance=origin.of("window")))
+    if markers is not None:
+        blocks.append(MarkersBlock(**asdict(markers), provenance=origin.of("markers")))
+    if housing is not None:
+        blocks.append(HousingBlock(**asdict(housing), provenance=origin.of("housing")))
+    return blocks
+
+
+class _Origin:
+    """Says where the parameters of a group come from."""
+
+    def __init__(self, family: SensorFamily, parameters: FamilyParameters) -> None:
+        self._family = family
+        self._described = parameters.describe()
+
+    def of(
+        self,
+        *groups: str,
+        names: tuple[str, ...] = (),
+        kind: Literal["designed", "assumed", "published"] | None = None,
+        method: str = _METHOD,
+    ) -> Provenance:
+        """Sources of the groups' parameters, or of ``names`` among them; assumed when one is."""
+        sources = {
+            name: item["source"]
+            for name, item in self._described.items()
+            if (item["group"] or "gel") in groups and (not names or name in names)
+        }
+        rests_on_guess = any(
+            text.startswith("assumption") or text == "set by the user" for text in sources.values()
+        )
+        return Provenance(
+            kind=kind or ("assumed" if rests_on_guess or not sources else "published"),
+            method=method,
+            source="; ".join(f"{name}: {text}" for name, text in sources.items())
+            or self._family.title,
+        )
 
 
 def catalogue_profile(name: str) -> SensorProfile:

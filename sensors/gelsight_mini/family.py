@@ -70,7 +70,7 @@ class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
     )  # fmt: skip
     young_modulus_mpa: float = restated(
         0.46,
-        source="identified with this solver (ten-node tets, nu 0.49) from the press forces that "
+        source="identified with this solver (ten-node tets, nu 0.48) from the press forces that "
         "FEATS measured, see docs/verification.md; Gent's formula gives 0.41 to 0.47 for the "
         "vendor's 55 Shore 00. Simulators of this gel use 0.01 to 1.0 MPa",
     )

@@ -37,7 +37,7 @@ class CameraParameters(ParameterSet):
     )  # fmt: skip
     mm_per_px_y: float = parameter(
         0.0, minimum=1e-3, maximum=1.0, unit="mm/px", zero_means="as along x",
-        source="assumption: square pixels",
+        source="square pixels, as no source states others",
         description="size of a pixel on the contact face along y",
     )  # fmt: skip
     raw_width_px: int = parameter(

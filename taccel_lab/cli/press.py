@@ -78,9 +78,9 @@ class Press:
         """Press, write the files and return what was read and the image, if there is one."""
         import time
 
-        from taccel_lab.envs import PressPath, parse_indenter, simulate_press
+        from taccel_lab.envs import PressPath, parse_indenter, profile_material, simulate_press
         from taccel_lab.output import atomic_directory, require_replaceable
-        from taccel_lab.scene import Element, Material
+        from taccel_lab.scene import Element
         from taccel_lab.solvers import SolverConfig
 
         require_replaceable(self.out)
@@ -89,12 +89,12 @@ class Press:
         indenter = parse_indenter(self.indenter)
         config = SolverConfig(relative_tolerance=self.tolerance, dhat_m=self.dhat_mm * 1e-3)
         profile = load_sensor(self.sensor)
-        block = profile.material
-        material = Material(block.young_modulus_pa, block.poisson_ratio, block.density_kg_m3)
-        friction = block.friction_coefficient if self.friction is None else self.friction
+        stated = profile.material.friction_coefficient
+        friction = stated if self.friction is None else self.friction
         check_depth(self.depth_mm, profile)
         model = _color_model(profile)
         gel = self._mesh(profile, indenter)
+        material = profile_material(profile.material, gel)
         started = time.perf_counter()
         with step_progress(console, f"pressing {self.indenter}") as progress:
             outcome = simulate_press(
@@ -313,10 +313,9 @@ def _write(
                 "twist_deg": options.twist_deg,
             },
             "friction_coefficient": friction,
-            "material": {
-                "young_modulus_pa": profile.material.young_modulus_pa,
-                "poisson_ratio": profile.material.poisson_ratio,
-            },
+            "material": profile.material.model_dump(
+                include={"young_modulus_pa", "poisson_ratio", "layers"}, exclude_defaults=True
+            ),
             "mesh": {"node_count": outcome.mesh.node_count, "tet_count": outcome.mesh.tet_count},
             "solver": {"relative_tolerance": options.tolerance, "dhat_mm": options.dhat_mm},
             "press": outcome.figures(),

@@ -7,6 +7,7 @@ from taccel_lab.envs.press import PressEnv
 from taccel_lab.envs.press_frame import normal_frame
 from taccel_lab.envs.press_outcome import PressOutcome, PressStep, simulate_press
 from taccel_lab.envs.press_path import PressPath
+from taccel_lab.envs.profile_material import profile_material
 
 __all__ = [
     "Indenter",
@@ -17,5 +18,6 @@ __all__ = [
     "layered_material",
     "normal_frame",
     "parse_indenter",
+    "profile_material",
     "simulate_press",
 ]

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The material that a profile states, for a mesh of its gel."""
+
+from __future__ import annotations
+
+from taccel_lab.envs.layers import layered_material
+from taccel_lab.geometry import TetMesh
+from taccel_lab.profile import MaterialBlock
+from taccel_lab.scene import Material, MaterialField
+
+
+def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | MaterialField:
+    """The gel and the layers over it by the layers of ``mesh``; uniform for a mesh of one layer.
+
+    Raises:
+        InputError: The mesh has a layer that the block states no material for.
+    """
+    solids = (block, *block.layers)
+    materials = [Material(s.young_modulus_pa, s.poisson_ratio, s.density_kg_m3) for s in solids]
+    return layered_material(materials, mesh)
