@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plane curves of a solid for a drawing: the plan seen from in front, sections through the apex."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from build123d import Edge, Face, GeomType, Plane, Solid, Wire
+from OCP.BRep import BRep_Tool
+
+_PLANES = {"x": Plane.XZ, "y": Plane.YZ}
+_STEP_MM = 0.15
+_STRAIGHT = (GeomType.LINE,)
+
+
+@dataclass(frozen=True)
+class SectionEdge:
+    """One edge of a section in its own plane: u along x or y, v along z."""
+
+    points: np.ndarray
+    """[n, 2] [mm]."""
+    radius_mm: float
+    """Of a circular arc; 0 for anything else."""
+    middle: tuple[float, float, float]
+    """A point of it in the gel frame."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """The cut faces of a solid in a plane through the z axis."""
+
+    faces: tuple[tuple[np.ndarray, ...], ...]
+    """Closed loops of each cut face, the outer one first, each [n, 2]."""
+    edges: tuple[SectionEdge, ...]
+
+
+def section(solid: Solid, along: str) -> Section:
+    """Cut with the plane y = 0 (``along`` = "x") or x = 0 (``along`` = "y")."""
+    column = 0 if along == "x" else 1
+    found = solid.intersect(_PLANES[along])
+    faces = [face for shape in found or [] for face in shape.faces()]
+    loops, edges = [], []
+    for face in faces:
+        wires = (face.outer_wire(), *face.inner_wires())
+        loops.append(tuple(chain(wire)[:, [column, 2]] for wire in wires))
+        for edge in face.edges():
+            middle = edge.position_at(0.5)
+            edges.append(
+                SectionEdge(
+                    points=edge_points(edge)[:, [column, 2]],
+                    radius_mm=edge.radius if edge.geom_type == GeomType.CIRCLE else 0.0,
+                    middle=(middle.X, middle.Y, middle.Z),
+                )
+            )
+    return Section(tuple(loops), tuple(edges))
+
+
+def edge_points(edge: Edge, step_mm: float = _STEP_MM) -> np.ndarray:
+    """Points along an edge, [n, 3] [mm]."""
+    count = 2 if edge.geom_type in _STRAIGHT else int(np.clip(edge.length / step_mm, 8, 400))
+    return np.array([tuple(p) for p in edge.positions(np.linspace(0, 1, count).tolist())])
+
+
+def chain(wire: Wire) -> np.ndarray:
+    """Points round a closed wire, [n, 3] [mm]."""
+    left = [edge_points(edge) for edge in wire.edges()]
+    joined = [left.pop(0)]
+    while left:
+        end = joined[-1][-1]
+        gaps = [min(np.linalg.norm(e[0] - end), np.linalg.norm(e[-1] - end)) for e in left]
+        if len(joined) == 1:
+            start = joined[0][0]
+            other = [min(np.linalg.norm(e[0] - start), np.linalg.norm(e[-1] - start)) for e in left]
+            if min(other) < min(gaps):
+                joined[0], gaps = joined[0][::-1], other
+                end = joined[0][-1]
+        piece = left.pop(int(np.argmin(gaps)))
+        if np.linalg.norm(piece[-1] - end) < np.linalg.norm(piece[0] - end):
+            piece = piece[::-1]
+        joined.append(piece)
+    return np.concatenate([piece[:-1] for piece in joined])
+
+
+def plan_edges(faces: Sequence[Face]) -> list[np.ndarray]:
+    """Edges of faces seen along z, without seams and upright ones, each [n, 2] [mm]."""
+    chains = [
+        edge_points(edge)[:, :2]
+        for face in faces
+        for edge in face.edges()
+        if not BRep_Tool.IsClosed_s(edge.wrapped, face.wrapped)
+    ]
+    return [points for points in chains if np.ptp(points, axis=0).max() > 1e-6]
+
+
+def circle_through(points: np.ndarray) -> float:
+    """Radius of the circle fitted to plane points [mm]; inf when they lie on a line.
+
+    Algebraic fit ``a (u^2 + v^2) + b u + c v + d = 0`` with a unit vector of coefficients, which
+    also holds lines (a = 0).
+    """
+    u = points - points.mean(axis=0)
+    size = float(np.abs(u).max())
+    u = u / size
+    matrix = np.column_stack([(u**2).sum(axis=1), u, np.ones(len(u))])
+    a, b, c, d = np.linalg.svd(matrix)[2][-1]
+    if abs(a) * 1e4 / size < max(abs(b), abs(c)) / 2:
+        return float("inf")
+    return float(np.sqrt(b**2 + c**2 - 4 * a * d) / (2 * abs(a)) * size)

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The right-hand column of a sheet: table of parameters, notes, title block."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from cad.drawing.sheet import THICK, Sheet
+
+TABLE_WIDTH_MM = 84.0
+_ROW_MM = 4.6
+_SMALL = 2.5
+_MARGIN = 8.0
+
+
+@dataclass(frozen=True)
+class TitleBlock:
+    """What the column states."""
+
+    title: str
+    material: str
+    scale: float
+    sheet: str
+    parameters: Mapping[str, tuple[float | int | str, str]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    volume_mm3: float = 0.0
+    what: str = "gel"
+
+
+def scale_words(scale: float) -> str:
+    """5 -> "5:1", 0.5 -> "1:2"."""
+    return f"{scale:g}:1" if scale >= 1 else f"1:{1 / scale:g}"
+
+
+def write_title(sheet: Sheet, block: TitleBlock) -> None:
+    """Fill the column from the top with parameters and notes, at the bottom the title."""
+    left = sheet.width_mm - _MARGIN - TABLE_WIDTH_MM
+    bottom = _title(sheet, block, left)
+    y = sheet.height_mm - _MARGIN
+    sheet.line([(left, y), (left, _MARGIN)], THICK)
+    y = _table(sheet, block, left, y, bottom)
+    for note in block.notes:
+        for line in textwrap.wrap(note, 52):
+            y -= 4.0
+            sheet.text((left + 3, y), line, size=_SMALL)
+        y -= 1.5
+
+
+def _table(sheet: Sheet, block: TitleBlock, left: float, y: float, bottom: float) -> float:
+    if not block.parameters:
+        return y - 4
+    right = sheet.width_mm - _MARGIN
+    rows = list(block.parameters.items())
+    row_mm = min(_ROW_MM, (y - bottom - 26) / (len(rows) + 1))
+    text = min(_SMALL, 0.6 * row_mm)
+    y -= row_mm
+    sheet.text((left + 3, y + row_mm / 2), "parameter", size=text, bold=True)
+    sheet.text((right - 14, y + row_mm / 2), "value", size=text, bold=True, align="right")
+    sheet.text((right - 12, y + row_mm / 2), "unit", size=text, bold=True)
+    sheet.line([(left, y), (right, y)])
+    for name, (value, unit) in rows:
+        y -= row_mm
+        words = f"{value:g}" if isinstance(value, (int, float)) else str(value)
+        sheet.text((left + 3, y + row_mm / 2), name, size=text)
+        sheet.text((right - 14, y + row_mm / 2), words, size=text, align="right")
+        sheet.text((right - 12, y + row_mm / 2), "" if unit == "1" else unit, size=text)
+    sheet.line([(left, y), (right, y)])
+    return y - 2
+
+
+def _title(sheet: Sheet, block: TitleBlock, left: float) -> float:
+    """Draw the title block; returns the height of its top edge."""
+    right, y = sheet.width_mm - _MARGIN, _MARGIN
+    rows = [
+        ("scale", f"{scale_words(block.scale)}   ({block.sheet})"),
+        ("dimensions", "mm, third-angle projection"),
+        ("frame", "x right, y up as seen from the touched side; origin at the apex"
+         if block.what == "gel" else "gel frame, z out of the gel"),
+        ("volume", f"{block.volume_mm3:.1f} mm³"),
+        ("material", block.material),
+    ]  # fmt: skip
+    for name, words in rows:
+        lines = textwrap.wrap(words, 40)
+        height = 2.2 + 3.4 * len(lines)
+        sheet.text((left + 3, y + height / 2), name, size=_SMALL, color="#555555")
+        for k, line in enumerate(lines):
+            sheet.text((left + 24, y + height - 2.8 - 3.4 * k), line, size=_SMALL)
+        y += height
+        sheet.line([(left, y), (right, y)])
+    height = 12.0
+    sheet.text((left + 3, y + height / 2), block.title, size=4.2, bold=True)
+    y += height
+    sheet.line([(left, y), (right, y)], THICK)
+    return y
