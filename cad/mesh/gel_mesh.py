@@ -31,6 +31,8 @@ class FocusOptions:
     core: int = 12
     rings: int = 20
     layers: int = 4
+    layer_ratio: float = 1.5
+    """Thickness of a layer over that of the one above it, at the contact."""
 
 
 def gel_mesh(pad: Pad, edge_mm: float = DEFAULT_EDGE_MM) -> TetMesh:
@@ -51,5 +53,6 @@ def focused_gel_mesh(pad: Pad, focus: FocusOptions) -> TetMesh:
             core=focus.core,
             rings=focus.rings,
             layers=focus.layers,
+            layer_ratio=focus.layer_ratio,
         )
     raise InputError(f"no focused mesher for {type(pad).__name__}")
