@@ -176,6 +176,32 @@ class Peers:
 
 
 @dataclass(frozen=True)
+class Study:
+    """Designs a minute: every design meshed, pressed in the standard ways and judged."""
+
+    name: ClassVar[str] = "study"
+    sensor: str = "gelsight_mini"
+    """Sensor of the catalogue."""
+    vary: str = "thickness_mm"
+    """Dimension in which the designs differ, by up to a fifth of its default."""
+    designs: tuple[int, ...] = (8,)
+    """Numbers of designs, a row each."""
+    budget_s: float | None = None
+    """Seconds after which no new row is started."""
+    reference: Path | None = None
+    """Result of another device, whose forces are compared with."""
+    device: str = "cpu"
+    """cpu, cuda:0, ..."""
+    out: Path = RESULTS
+    """Folder of the result, or a JSON file."""
+
+    def run(self) -> None:
+        from benchmarks.design_study import run_study
+
+        run_study(self)
+
+
+@dataclass(frozen=True)
 class Quick:
     """Figures that noise cannot move (iterations, launches, forces) against the baseline, CPU."""
 
@@ -241,7 +267,7 @@ class Scenes:
             print(f"{name:<11} {bench.steps:>4} steps, {bench.source:<9}  {bench.what}")
 
 
-SUITES: tuple[type, ...] = (Speed, Error, Scaling, Skips, Stress, Peers, Quick)
+SUITES: tuple[type, ...] = (Speed, Error, Scaling, Skips, Stress, Peers, Study, Quick)
 """Suites in the order of their help."""
 COMMANDS: tuple[type, ...] = (Compare, Report, Scenes)
 """Commands about results and scenes."""

@@ -286,6 +286,38 @@ def stress(results: Results) -> str:
     return "\n\n".join(parts) or NOTHING
 
 
+def study(results: Results) -> str:
+    """Designs a minute, where the time goes, and forces against another device."""
+    parts = []
+    for document in results.get("study", []):
+        rows = []
+        for row in document["rows"]:
+            stages = row["seconds_by_stage"]
+            presses = sum(value for name, value in stages.items() if name.startswith("press "))
+            difference = row.get("force_difference")
+            rows.append([
+                f"{row['designs']:,}",
+                f"{row['simulations']:,}",
+                f"{row['nodes']:,}",
+                number(row["seconds"]),
+                number(row["designs_per_minute"]),
+                *(number(value) for value in (stages["meshed"], presses, stages["figures"])),
+                number(row["largest_residual_over_force"], 2),
+                row["failures"],
+                f"{100 * max(difference.values()):.2g} %" if difference else "-",
+            ])  # fmt: skip
+        head = ["designs", "presses", "nodes", "seconds", "designs a minute"]
+        head += ["meshing [s]", "pressing [s]", "figures [s]", "residual over force", "failed"]
+        what = document["settings"]
+        parts += [
+            origin(document),
+            f"{what['sensor']}, designs that differ in `{what['vary']}`; the first design, with "
+            f"compilation, took {number(document['first_design_s'])} s.",
+            table([*head, "forces against the CPU's"], rows),
+        ]
+    return "\n\n".join(parts) or NOTHING
+
+
 def picture(document: Document, kind: str, title: str) -> str:
     """Link to a picture of a result."""
     name = Path(document["file"]).stem
@@ -327,5 +359,6 @@ SECTIONS: dict[str, Section] = {
     "scaling": scaling,
     "skips": skips,
     "stress": stress,
+    "study": study,
 }
 """Parts of the page by the name in its markers."""

@@ -271,3 +271,32 @@ def test_ratios_are_of_equal_devices_and_counts() -> None:
     assert text.count("peer") == 1
     assert "3 times at 1" in text and "64" not in text
     assert ratios([own], []) == ""
+
+
+def test_study_rows_hold_stages_and_forces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from benchmarks import design_study
+    from studies.presses import STANDARD_PRESSES
+
+    ball = dataclasses.replace(STANDARD_PRESSES["sphere"], depth_fraction=0.1, steps=3)
+    monkeypatch.setattr(design_study, "standard_presses", lambda: [ball])
+    out = tmp_path / "study.json"
+    arguments = ["run", "study", "--sensor", "gelsight", "--designs", "2", "--out", str(out)]
+    assert main(arguments) == 0
+    (row,) = read_result(out)["rows"]
+    assert row["designs"] == row["simulations"] == 2 and row["failures"] == 0
+    assert {"meshed", "press sphere", "figures"} <= set(row["seconds_by_stage"])
+    assert 0 < row["largest_residual_over_force"] < 1e-2
+    thin, thick = (force[2] for force in row["force_n"]["sphere"])
+    # The depth follows the thickness, and the contact grows with the depth.
+    assert 0 < thin < thick
+
+    assert main([*arguments, "--reference", str(out)]) == 0
+    (again,) = read_result(out)["rows"]
+    assert again["force_difference"] == {"sphere": 0.0}
+    page = SECTIONS["study"]({"study": [read_result(out) | {"file": "study.json"}]})
+    assert "| 2 | 2 |" in page and "0 %" in page
+
+
+def test_study_names_the_parameters_of_a_sensor(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "study", "--sensor", "gelsight", "--vary", "colour"]) == 2
+    assert "no parameter 'colour'" in capsys.readouterr().err
