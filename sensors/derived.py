@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What follows from a sensor's parameters and is asked for often: sizes, scales, counts."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from cad.parts.pad import Pad
+from sensors.base import FamilyParameters
+from sensors.parameter_groups import CameraParameters
+from taccel_lab.optics.description import Camera
+
+_VOLUME_GRID = 500
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One derived figure."""
+
+    name: str
+    value: float | int | str
+    unit: str = ""
+
+    def text(self) -> str:
+        """Value and unit for people."""
+        value = f"{self.value:.4g}" if isinstance(self.value, float) else str(self.value)
+        return f"{value} {self.unit}".rstrip()
+
+
+def derived_figures(parameters: FamilyParameters) -> list[Figure]:
+    """Figures of gel, image, camera, lights, window, markers and housing, where there are any."""
+    pad, grid = parameters.pad(), parameters.grid()
+    size = np.ptp(pad.bounds_mm(), axis=0)
+    figures = [
+        Figure("pad", pad_words(pad)),
+        Figure("pad size", size_words(pad), "mm"),
+        Figure("gel under the apex", float(pad.thickness_mm), "mm"),
+        Figure("gel volume", pad_volume_mm3(pad), "mm3"),
+        Figure("layers", ", ".join(pad.layer_names)),
+        Figure("image", f"{grid.width_px} x {grid.height_px}", "px"),
+        Figure("scale", _pair(grid.mm_per_px_x, grid.mm_per_px_y), "mm/px"),
+        Figure(
+            "image shows",
+            f"{grid.width_px * grid.mm_per_px_x:.4g} x {grid.height_px * grid.mm_per_px_y:.4g}",
+            "mm",
+        ),
+        Figure("gel in the image", 100 * share_in_image(parameters), "% of its plan"),
+    ]
+    design, markers, housing = parameters.optics(), parameters.markers(), parameters.housing()
+    if design is not None:
+        x, y = field_of_view_deg(design.camera)
+        figures.append(Figure("field of view", f"{x:.1f} x {y:.1f}", "deg"))
+        if isinstance(parameters, CameraParameters):
+            figures.append(
+                Figure("lens differs from the scale by", 100 * lens_difference(parameters), "%")
+            )
+        figures.append(Figure("LEDs", len(design.lights)))
+        window = design.window
+        if window is not None:
+            across = f"{window.size_mm[0]:.4g} x {window.size_mm[1]:.4g}"
+            figures.append(
+                Figure("window", f"{window.shape} {across} x {window.thickness_mm:.4g}", "mm")
+            )
+    if markers is not None:
+        count = markers.rows * markers.columns
+        figures.append(Figure("markers", f"{markers.columns} x {markers.rows} = {count}"))
+    if housing is not None:
+        figures.append(Figure("housing", " x ".join(f"{v:.4g}" for v in housing.size_mm), "mm"))
+        depth = housing.size_mm[2] - housing.front_z_mm
+        figures.append(Figure("depth in all", max(depth, float(size[2])), "mm"))
+    return figures
+
+
+def describe_sensor(parameters: FamilyParameters) -> dict[str, Any]:
+    """Everything that the parameters build, ready for JSON."""
+    pad = parameters.pad()
+    design, markers, housing = parameters.optics(), parameters.markers(), parameters.housing()
+    materials = zip(pad.layer_names, parameters.layer_materials(), strict=True)
+    return {
+        "derived": {
+            f.name: {"value": f.value, "unit": f.unit} for f in derived_figures(parameters)
+        },
+        "pad": {"type": type(pad).__name__, "values": pad.values(), "figures": pad.figures()},
+        "layers": {name: asdict(material) for name, material in materials},
+        "image": asdict(parameters.grid()),
+        "optics": None if design is None else asdict(design),
+        "markers": None if markers is None else asdict(markers),
+        "housing": None if housing is None else asdict(housing),
+    }
+
+
+def pad_words(pad: Pad) -> str:
+    """Kind of the pad in words, from the name of its class."""
+    return re.sub(r"(?<!^)(?=[A-Z])", " ", type(pad).__name__).lower()
+
+
+def size_words(pad: Pad) -> str:
+    """Extents of the pad [mm] in words."""
+    return " x ".join(f"{v:.4g}" for v in np.ptp(pad.bounds_mm(), axis=0))
+
+
+def pad_volume_mm3(pad: Pad) -> float:
+    """Volume of the gel [mm^3]: the pad's own figure, or the midpoint rule over its height map."""
+    stated = pad.figures().get("volume_mm3")
+    if stated is not None:
+        return float(stated)
+    low, high = pad.bounds_mm()
+    steps = (np.arange(_VOLUME_GRID) + 0.5) / _VOLUME_GRID
+    axes = [low[k] + steps * (high[k] - low[k]) for k in range(2)]
+    height = pad.top_mm(np.stack(np.meshgrid(*axes), axis=-1)) - low[2]
+    cell = (high - low)[:2].prod() / _VOLUME_GRID**2
+    return float(np.nansum(height) * cell)
+
+
+def share_in_image(parameters: FamilyParameters) -> float:
+    """Part of the gel's plan that the tactile image shows, 0..1."""
+    pad, grid = parameters.pad(), parameters.grid()
+    low, high = pad.bounds_mm()
+    steps = (np.arange(200) + 0.5) / 200
+    axes = [low[k] + steps * (high[k] - low[k]) for k in range(2)]
+    xy = np.stack(np.meshgrid(*axes), axis=-1)
+    gel = np.isfinite(pad.top_mm(xy))
+    uv = grid.pixel_from_gel(xy)
+    inside = ((uv >= -0.5) & (uv <= np.array([grid.width_px, grid.height_px]) - 0.5)).all(axis=-1)
+    return float((gel & inside).sum() / gel.sum())
+
+
+def field_of_view_deg(camera: Camera) -> tuple[float, float]:
+    """Full angles that the image spans along x and y [deg], without distortion."""
+    if camera.model == "fisheye":
+        return (
+            math.degrees(camera.width_px / camera.fx_px),
+            math.degrees(camera.height_px / camera.fy_px),
+        )
+    return (
+        2 * math.degrees(math.atan(camera.width_px / 2 / camera.fx_px)),
+        2 * math.degrees(math.atan(camera.height_px / 2 / camera.fy_px)),
+    )
+
+
+def lens_difference(parameters: CameraParameters) -> float:
+    """By how much the scale that focal length and distance give exceeds the image's: 0.01 is 1 %.
+
+    The stated focal length stands beside a stated scale, whichever rules.
+    """
+    from_lens = parameters.apparent_distance_mm() / parameters.focal_px
+    return from_lens / parameters.mm_per_px - 1
+
+
+def _pair(x: float, y: float) -> str:
+    return f"{x:.5g}" if x == y else f"{x:.5g} x {y:.5g}"
