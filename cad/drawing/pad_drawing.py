@@ -282,11 +282,12 @@ def _label_radii(sheet: Sheet, view: _View, cut: Section, contact: np.ndarray, a
     if len(contact):
         half = np.abs(contact[:, 0]).max()
         radius = circle_through(_near_apex(contact, _APEX_SHARE * half))
-        words = "flat" if np.isinf(radius) else f"R{_mm(round(radius, 2))}"
-        place = contact[int(np.abs(contact[:, 0] - 0.45 * half).argmin())]
-        point = view.at(float(place[0]), float(place[1]))
-        shift = (8.0, 8.0) if along == "x" else (-6.0, 8.0)
-        sheet.leader(point, (point[0] + shift[0], point[1] + shift[1]), words)
+        if np.isfinite(radius):
+            place = contact[int(np.abs(contact[:, 0] - 0.45 * half).argmin())]
+            point = view.at(float(place[0]), float(place[1]))
+            shift = (8.0, 8.0) if along == "x" else (-6.0, 8.0)
+            words = f"R{_mm(round(radius, 2))}"
+            sheet.leader(point, (point[0] + shift[0], point[1] + shift[1]), words)
     back = min(float(edge.points[:, 1].min()) for edge in cut.edges)
     seen: set[float] = set()
     for edge in cut.edges:

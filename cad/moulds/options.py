@@ -48,6 +48,4 @@ class MouldOptions(ParameterSet):
         1.0, minimum=0.4, maximum=3, unit="mm", source=_PRACTICE,
         description="diameter of the vents, where the gel's back leaves room for them",
     )  # fmt: skip
-    vents: int = parameter(
-        3, minimum=1, maximum=8, source=_PRACTICE, description="number of vents"
-    )
+    vents: int = parameter(3, minimum=1, maximum=8, source=_PRACTICE, description="number of vents")

@@ -131,7 +131,10 @@ def _with_pins(
         radius = diameter / 2
         shaft = Solid.make_cylinder(radius, length - _PIN_TIP_MM, Plane((x, y, base)))
         tip = Solid.make_cone(
-            radius, radius - _PIN_TIP_MM / 2, _PIN_TIP_MM, Plane((x, y, base + length - _PIN_TIP_MM))
+            radius,
+            radius - _PIN_TIP_MM / 2,
+            _PIN_TIP_MM,
+            Plane((x, y, base + length - _PIN_TIP_MM)),
         )
         lid = _single(lid + shaft + tip, "lid with its pins")
         hole = Solid.make_cylinder(

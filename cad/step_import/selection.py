@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which faces of an imported body are contact, bond and window, in words.
+
+A selector is ``kind:value``; several are joined:
+
+- ``name:contact`` faces of that name in the file, ``*`` and ``?`` as in file names;
+- ``color:e68c33`` faces of that colour (sRGB, hexadecimal);
+- ``plane:-z`` the plane faces farthest out in a direction that face that way;
+- ``normal:+z`` faces whose normal at the middle is within 60 degrees of a direction,
+  ``normal:+z@45`` within 45;
+- ``index:3,5-8`` faces by their number in the listing;
+- ``rect:18x14`` for the window only: a rectangle in the middle of the glued plane [mm], which is
+  split off.
+
+Directions are those of the file: ``+x`` ... ``-z``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from build123d import Face, GeomType, Vector
+
+from taccel_lab.errors import InputError
+
+KINDS = ("name", "color", "plane", "normal", "index", "rect")
+DEFAULT_ANGLE_DEG = 60.0
+_SAME_PLANE_MM = 1e-3
+_SAME_NORMAL = 1 - 1e-6
+
+
+def direction(words: str) -> np.ndarray:
+    """Unit vector of "+x", "-z" and so on."""
+    match = re.fullmatch(r"([+-]?)([xyz])", words.strip())
+    if not match:
+        raise InputError(f"{words!r} is not a direction; use +x, -x, +y, -y, +z or -z")
+    return np.eye(3)["xyz".index(match[2])] * (-1.0 if match[1] == "-" else 1.0)
+
+
+@dataclass(frozen=True)
+class FaceInfo:
+    """What a user sees of one face."""
+
+    index: int
+    name: str
+    kind: str
+    """"plane", "cylinder", "bspline" and so on."""
+    area_mm2: float
+    center_mm: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    """Outward unit normal at the middle."""
+    color: str
+
+    def __str__(self) -> str:
+        center = ", ".join(f"{v:.2f}" for v in self.center_mm)
+        normal = ", ".join(f"{v:+.2f}" for v in self.normal)
+        return (
+            f"{self.index:4d}  {self.kind:<9} {self.area_mm2:10.3f} mm^2  at ({center})  "
+            f"normal ({normal})  {self.color or '-':<6}  {self.name or '-'}"
+        )
+
+
+def describe_faces(
+    faces: Sequence[Face], names: Sequence[str], colors: Sequence[str]
+) -> list[FaceInfo]:
+    """One line for each face, numbered from 0."""
+    return [
+        FaceInfo(
+            index=k,
+            name=names[k],
+            kind=face.geom_type.name.lower(),
+            area_mm2=face.area,
+            center_mm=_triple(face.position_at(0.5, 0.5)),
+            normal=_triple(face.normal_at(face.position_at(0.5, 0.5))),
+            color=colors[k],
+        )
+        for k, face in enumerate(faces)
+    ]
+
+
+def _triple(vector: Vector) -> tuple[float, float, float]:
+    return vector.X, vector.Y, vector.Z
+
+
+def rectangle_of(selectors: Sequence[str]) -> tuple[float, float] | None:
+    """The size given as ``rect:XxY`` [mm], or None."""
+    for selector in selectors:
+        kind, _, value = selector.partition(":")
+        if kind.strip() != "rect":
+            continue
+        match = re.fullmatch(r"\s*([0-9.]+)\s*[x×]\s*([0-9.]+)\s*", value)
+        if not match or len(selectors) > 1:
+            raise InputError(f"{selector!r} must stand alone and read rect:18x14, sizes in mm")
+        return float(match[1]), float(match[2])
+    return None
+
+
+def select_faces(selectors: Sequence[str], faces: Sequence[Face], table: Sequence[FaceInfo],
+                 what: str) -> set[int]:  # fmt: skip
+    """Numbers of the faces that any of the selectors chooses.
+
+    Raises InputError, with the list of faces, when a selector is malformed or chooses none.
+    """
+    chosen: set[int] = set()
+    for selector in selectors:
+        kind, colon, value = selector.partition(":")
+        kind = kind.strip()
+        if not colon or kind not in KINDS or not value.strip():
+            raise InputError(
+                f"{what}: {selector!r} selects no faces; write one of name:NAME, color:RRGGBB, "
+                "plane:-z, normal:+z, normal:+z@45, index:3,5-8, rect:18x14 (window only)"
+            )
+        if kind == "rect":
+            raise InputError(f"{what}: {selector!r} is allowed for the window only")
+        found = _SELECT[kind](value.strip(), faces, table)
+        if not found:
+            raise InputError(
+                f"{what}: {selector!r} matches none of the {len(table)} faces of this body"
+                f"{_names_there(kind, table)}\n{listing(table)}"
+            )
+        chosen |= found
+    return chosen
+
+
+def listing(table: Sequence[FaceInfo], most: int = 40) -> str:
+    """The table of faces as text."""
+    lines = ["index  type           area        middle [mm], outward normal, colour, name"]
+    lines += [str(info) for info in table[:most]]
+    if len(table) > most:
+        lines.append(f"  ... and {len(table) - most} more")
+    return "\n".join(lines)
+
+
+def _names_there(kind: str, table: Sequence[FaceInfo]) -> str:
+    if kind not in ("name", "color"):
+        return ""
+    there = sorted({getattr(info, kind) for info in table} - {""})
+    words = ", ".join(there) if there else "none at all"
+    other = "" if there else "; select by plane:, normal: or index: instead"
+    return f" ({kind}s in the file: {words}{other})"
+
+
+def _by_name(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> set[int]:
+    return {info.index for info in table if info.name and fnmatchcase(info.name, value)}
+
+
+def _by_color(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> set[int]:
+    return {info.index for info in table if info.color == value.lstrip("#").lower()}
+
+
+def _by_plane(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> set[int]:
+    way = direction(value)
+    flat = [
+        info
+        for info, face in zip(table, faces, strict=True)
+        if face.geom_type == GeomType.PLANE and np.dot(info.normal, way) > _SAME_NORMAL
+    ]
+    if not flat:
+        return set()
+    farthest = max(float(np.dot(info.center_mm, way)) for info in flat)
+    return {i.index for i in flat if np.dot(i.center_mm, way) > farthest - _SAME_PLANE_MM}
+
+
+def _by_normal(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> set[int]:
+    words, at, limit = value.partition("@")
+    try:
+        angle = float(limit) if at else DEFAULT_ANGLE_DEG
+    except ValueError as error:
+        raise InputError(f"normal:{value} needs degrees after @, such as normal:+z@45") from error
+    way = direction(words)
+    cosine = np.cos(np.radians(angle))
+    return {info.index for info in table if np.dot(info.normal, way) >= cosine - 1e-9}
+
+
+def _by_index(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> set[int]:
+    chosen: set[int] = set()
+    for item in value.split(","):
+        match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", item)
+        if not match:
+            raise InputError(f"index:{value} must be whole numbers such as index:3,5-8")
+        first, last = int(match[1]), int(match[2] or match[1])
+        if last < first or last >= len(table):
+            raise InputError(
+                f"index:{value}: the faces are numbered 0 to {len(table) - 1}\n{listing(table)}"
+            )
+        chosen |= set(range(first, last + 1))
+    return chosen
+
+
+_SELECT = {
+    "name": _by_name,
+    "color": _by_color,
+    "plane": _by_plane,
+    "normal": _by_normal,
+    "index": _by_index,
+}
