@@ -13,7 +13,7 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from sensors.base import FamilyParameters
 
-MESH, STEP = "mesh.vtu", "pad.step"
+MESH, STEP, PICTURE = "mesh.vtu", "pad.step", "picture.png"
 
 
 def keep_files(
@@ -41,6 +41,12 @@ def keep_files(
             files["step"] = STEP
         except InputError as error:
             causes["file step"] = str(error)
+    if output.pictures:
+        from studies.pictures import write_picture
+
+        title = f"{result.point.family}, design {result.point.id}"
+        if write_picture(parameters, result.records, folder / PICTURE, title) is not None:
+            files["picture"] = PICTURE
     return files, causes
 
 

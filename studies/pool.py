@@ -149,7 +149,8 @@ def _serve(pipe: Connection, job: Job) -> None:
     # Ctrl-C is the parent's.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    wp.config.log_level = wp.LOG_WARNING
+    # Warnings about the device were the parent's already.
+    wp.config.log_level = wp.LOG_ERROR
 
     def tell(what: str, done: int, total: int) -> None:
         pipe.send((what, done, total))

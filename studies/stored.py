@@ -120,7 +120,8 @@ def stored_of(
     """What is kept of an evaluated design; the keys name its metrics and presses."""
     figures = {name: result.figures.get(name) for name in figure_keys}
     causes = dict(result.causes)
-    whole = causes.get("design")
+    if whole := causes.get("design"):
+        causes = {"design": whole}
     for name, value in figures.items():
         if value is None and not whole and name not in causes:
             causes[name] = "no value, and no cause was given"

@@ -80,7 +80,8 @@ def draw_pareto(outcome: Outcome, best: list[str], worst: list[str]) -> Figure:
         style = {"c": shade, "cmap": "viridis", "norm": color_norm(shade, numeric[0].log)}
     points = axes.scatter(x, y, s=34, edgecolors="white", linewidths=0.5, zorder=3, **style)
     if numeric:
-        figure.colorbar(points, ax=axes, label=parameter_label(outcome, numeric[0].name))
+        bar = figure.colorbar(points, ax=axes, label=parameter_label(outcome, numeric[0].name))
+        plain_log_ticks(bar.ax)
     front = pareto_front(costs_of(designs, names))
     along = np.flatnonzero(front)[np.argsort(x[front], kind="stable")]
     axes.plot(x[along], y[along], color=ORANGE, linewidth=1.3, zorder=2, label="Pareto front")

@@ -150,7 +150,7 @@ def draw_maps(outcome: Outcome) -> Figure:
             cmap="viridis",
             norm=color_norm(cells, False),
         )
-        figure.colorbar(drawn, ax=panel)
+        plain_log_ticks(figure.colorbar(drawn, ax=panel).ax)
         panel.set_facecolor("#f3f4f6")
         panel.set_title(metric_label(outcome, metrics[place]), fontsize=9)
         for ticks, values in ((panel.set_xticks, xs), (panel.set_yticks, ys)):

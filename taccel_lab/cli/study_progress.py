@@ -75,6 +75,8 @@ class StudyProgress(Listener):
         self._bar.update(self._task, advance=1, note=note)
 
     def underway(self, worker: int, what: str, done: int, total: int) -> None:
+        if not total:
+            return
         if worker not in self._workers:
             self._workers[worker] = self._bar.add_task(f"process {worker + 1}", note="")
         self._bar.update(self._workers[worker], completed=done, total=total, note=what)
@@ -95,12 +97,17 @@ def print_summary(outcome: Outcome, values: dict[str, Any]) -> None:
         console.print(Text(f"- {sentence}"))
     if not values["best"]:
         return
-    swept = [axis.name for axis in outcome.study.axes]
-    names = [*swept, *outcome.study.metrics]
-    table = Table("design", *names, title=f"best designs: {values['goal']}", title_justify="left")
     rows = {row.id: row for row in outcome.rows}
-    for design_id in values["best"][:5]:
-        row = rows[design_id]
-        cells = {**row.parameters, **row.figures}
-        table.add_row(design_id, *(format_number(cells.get(name)) for name in names))
+    best = [rows[design_id] for design_id in values["best"]]
+    table = Table(title=f"best designs: {values['goal']}", title_justify="left")
+    table.add_column("figure", style="cyan", no_wrap=True)
+    table.add_column("unit")
+    for row in best:
+        table.add_column(row.id, justify="right")
+    last = {kind: list(values[kind])[-1] for kind in ("parameters", "metrics")}
+    for kind in last:
+        for name, item in values[kind].items():
+            cells = [{**row.parameters, **row.figures}[name] for row in best]
+            unit = "" if item["unit"] == "1" else item["unit"]
+            table.add_row(name, unit, *map(format_number, cells), end_section=name == last[kind])
     console.print(table)
