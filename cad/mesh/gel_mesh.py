@@ -9,13 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cad.mesh.structured import even_gel_mesh, structured_gel_mesh
+from cad.mesh.even import even_gel_mesh
+from cad.mesh.dome import even_dome_mesh, focused_dome_mesh
+from cad.mesh.structured import structured_gel_mesh
+from cad.parts.dome_pad import DomePad
 from cad.parts.gel_pad import GelPad
 from cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 
 DEFAULT_EDGE_MM = 1.0
+DOME_RINGS = 8
+"""Rings that a dome needs beyond those of a pad: from the apex to its edge it is twice as far."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ def gel_mesh(pad: Pad, edge_mm: float = DEFAULT_EDGE_MM) -> TetMesh:
     """Structured mesh of ``pad`` whose elements are about ``edge_mm`` long."""
     if isinstance(pad, GelPad):
         return even_gel_mesh(pad, edge_mm)
+    if isinstance(pad, DomePad):
+        return even_dome_mesh(pad, edge_mm)
     raise InputError(f"no structured mesher for {type(pad).__name__}; use the mesher tetwild")
 
 
@@ -54,5 +61,15 @@ def focused_gel_mesh(pad: Pad, focus: FocusOptions) -> TetMesh:
             rings=focus.rings,
             layers=focus.layers,
             layer_ratio=focus.layer_ratio,
+        )
+    if isinstance(pad, DomePad):
+        return focused_dome_mesh(
+            pad,
+            focus_mm=focus.at_mm,
+            focus_radius_mm=focus.radius_mm,
+            focus_size_mm=focus.size_mm,
+            core=focus.core,
+            rings=focus.rings + DOME_RINGS,
+            layers=focus.layers,
         )
     raise InputError(f"no focused mesher for {type(pad).__name__}")

@@ -16,15 +16,19 @@ import numpy as np
 def smooth_plan(
     xy: np.ndarray, quads: np.ndarray, free: np.ndarray, *, iterations: int = 60
 ) -> np.ndarray:
-    """Move the nodes listed in ``free`` to lower the sum of squared shape measures.
+    """Move nodes to lower the sum of squared shape measures.
 
-    xy [mm], shape [n, 2]; quads counter-clockwise, shape [m, 4]. Returns new positions.
+    xy [mm], shape [n, 2]; quads counter-clockwise, shape [m, 4]; ``free`` lists nodes, or says by
+    coordinate what may move, bool, shape [n, 2]. Returns new positions.
     """
     from scipy.optimize import minimize
 
-    if len(free) == 0:
+    if free.dtype != bool:
+        nodes, free = free, np.zeros(xy.shape, dtype=bool)
+        free[nodes] = True
+    if not free.any():
         return xy.copy()
-    touched = quads[np.isin(quads, free).any(axis=1)]
+    touched = quads[free.any(axis=1)[quads].any(axis=1)]
     corner = touched.ravel()
     ahead, behind = np.roll(touched, -1, axis=1).ravel(), np.roll(touched, 1, axis=1).ravel()
     area = np.abs(_cross(xy[ahead] - xy[corner], xy[behind] - xy[corner]))
@@ -35,11 +39,11 @@ def smooth_plan(
     length = np.linalg.norm(xy[ahead] - xy[corner], axis=1)
     np.minimum.at(unit, corner, length)
     np.minimum.at(unit, ahead, length)
-    scale = unit[free][:, None]
+    scale = np.broadcast_to(unit[:, None], xy.shape)[free]
 
     def energy(steps: np.ndarray) -> tuple[float, np.ndarray]:
         moved = xy.copy()
-        moved[free] += steps.reshape(-1, 2) * scale
+        moved[free] += steps * scale
         a, b = moved[ahead] - moved[corner], moved[behind] - moved[corner]
         cross = _cross(a, b)
         root = np.sqrt(cross**2 + softness**2)
@@ -60,14 +64,14 @@ def smooth_plan(
             ],
             axis=1,
         )
-        return float((shape**2).sum()), (gradient[free] * scale).ravel()
+        return float((shape**2).sum()), gradient[free] * scale
 
     found = minimize(
-        energy, np.zeros(2 * len(free)), jac=True, method="L-BFGS-B",
+        energy, np.zeros(len(scale)), jac=True, method="L-BFGS-B",
         options={"maxiter": iterations, "maxcor": 12},
     )  # fmt: skip
     result = xy.copy()
-    result[free] += found.x.reshape(-1, 2) * scale
+    result[free] += found.x * scale
     return result
 
 

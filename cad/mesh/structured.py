@@ -7,10 +7,9 @@ anywhere on the pad gets a mesh that is fine there and still belongs to the same
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from cad.mesh.columns import check_range, check_unfolded, level_fractions
 from cad.mesh.structured_plan import Focus, even_plan, focus_plan, rim_rings
 from cad.mesh.structured_topology import grid_topology
 from cad.parts.gel_pad import GelPad
@@ -54,8 +53,8 @@ def structured_gel_mesh(
             raise InputError(f"{name} = {value!r} is not allowed; use a whole number {low}..{high}")
     if core % 2:
         raise InputError(f"core = {core} is odd; use an even number so that the corners match")
-    _check_range("layer_ratio", layer_ratio, 1.0, 4.0)
-    _check_range("spread", spread, 1.0, 10.0)
+    check_range("layer_ratio", layer_ratio, 1.0, 4.0)
+    check_range("spread", spread, 1.0, 10.0)
     if rings < rim_rings(pad) + 3:
         raise InputError(
             f"rings = {rings} is too few for a pad with rim {pad.rim!r}; use at least "
@@ -80,46 +79,13 @@ def structured_gel_mesh(
         far = np.linalg.norm(top - focus.center_mm, axis=1) - focus.radius_mm
         ratio = layer_ratio ** (1 - np.clip(far / pad.thickness_mm, 0, 1))
     nodes = _stack_levels(pad, top, bottom, level_fractions(layers, ratio))
-    _check_unfolded(nodes, topology.tets)
+    check_unfolded(nodes, topology.tets)
     return TetMesh(
         nodes_m=nodes * 1e-3,
         tets=topology.tets.copy(),
         faces=topology.faces.copy(),
         face_regions=topology.face_regions.copy(),
     )
-
-
-def even_gel_mesh(pad: GelPad, edge_mm: float = 1.0, *, layer_ratio: float = 1.2) -> TetMesh:
-    """Structured mesh without a focus whose cells are about ``edge_mm`` wide and high."""
-    largest = min(pad.thickness_mm, pad.window_x_mm / 2, pad.window_y_mm / 2)
-    _check_range("edge_mm", edge_mm, 0.2, largest)
-    straight = 2 * (pad.length_x_mm + pad.length_y_mm) - 8 * pad.corner_radius_mm
-    perimeter = straight + 2 * np.pi * pad.corner_radius_mm
-    core = int(np.clip(2 * round(perimeter / edge_mm / 8), 4, _LIMITS["core"][1]))
-    window = 0.5 * (pad.window_x_mm + pad.window_y_mm)
-    window_ring = max(1, round(0.5 * (window / edge_mm - core)))
-    margin = 0.25 * (pad.length_x_mm + pad.length_y_mm) - 0.5 * window - pad.rim_setback_mm()
-    rings = window_ring + max(2, round(margin / edge_mm)) + rim_rings(pad)
-    return structured_gel_mesh(
-        pad,
-        core=core,
-        rings=rings,
-        layers=max(2, round(pad.thickness_mm / edge_mm)),
-        layer_ratio=layer_ratio,
-        window_ring=window_ring,
-    )
-
-
-def level_fractions(layers: int, ratio: np.ndarray) -> np.ndarray:
-    """Height of each level over the back as a fraction, 0 to 1, shape [layers + 1, ...].
-
-    The layer at the contact face is the thinnest; each one below is ``ratio`` [...] times as thick.
-    """
-    ratio = np.asarray(ratio, dtype=np.float64)
-    thickness = np.stack([ratio**k for k in range(layers - 1, -1, -1)])
-    below = np.concatenate([np.zeros((1, *ratio.shape)), np.cumsum(thickness, axis=0)])
-    fraction = below / below[-1]
-    return fraction
 
 
 def _stack_levels(
@@ -156,23 +122,6 @@ def _checked_focus(
             f"edge; allowed: at least {MIN_FOCUS_EDGE_MM:g} mm"
         )
     largest = min(pad.length_x_mm, pad.length_y_mm) / 2
-    _check_range("focus_radius_mm", radius_mm, 0.05, largest)
-    _check_range("focus_size_mm", size_mm, 0.01, radius_mm)
+    check_range("focus_radius_mm", radius_mm, 0.05, largest)
+    check_range("focus_size_mm", size_mm, 0.01, radius_mm)
     return Focus((float(center[0]), float(center[1])), float(radius_mm), float(size_mm))
-
-
-def _check_unfolded(nodes_mm: np.ndarray, tets: np.ndarray) -> None:
-    p = nodes_mm[tets]
-    volume = np.linalg.det(p[:, 1:] - p[:, :1]) / 6
-    if (volume <= 0).any():
-        x, y, z = p[int(volume.argmin())].mean(axis=0)
-        raise InputError(
-            f"{int((volume <= 0).sum())} of {len(tets)} tets of the structured mesh fold over, the "
-            f"worst at x {x:.2f}, y {y:.2f}, z {z:.2f} mm; with a focus, move it away from the "
-            "edge or make focus_radius_mm or spread smaller; without one, make the window smaller"
-        )
-
-
-def _check_range(name: str, value: float, low: float, high: float) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        raise InputError(f"{name} = {value!r} is not allowed; use {low:g} to {high:g}")

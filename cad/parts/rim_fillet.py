@@ -10,6 +10,7 @@ inwards by the radius; how high it lies there follows from its touching point wi
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +20,47 @@ _TOUCH_ROUNDS = 12
 _SLIDE_ROUNDS = 5
 
 Field = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class FilletArc:
+    """The arcs along which a ball of one radius touches the body, one for each outline point."""
+
+    radius_mm: float
+    centers_mm: np.ndarray
+    """Centre of the ball, shape [n, 3]."""
+    to_wall: np.ndarray
+    """Unit direction in which it touches the wall, shape [n, 3]."""
+    to_crown: np.ndarray
+    """Unit direction in which it touches the crown, shape [n, 3]."""
+
+    def points_mm(self, fraction: float) -> np.ndarray:
+        """Points at a fraction of the arcs' angle from the wall (0) to the crown (1), [n, 3]."""
+        cosine = (self.to_wall * self.to_crown).sum(axis=1, keepdims=True)
+        turn = np.arccos(np.clip(cosine, -1, 1))
+        mixed = np.sin((1 - fraction) * turn) * self.to_wall
+        mixed = (mixed + np.sin(fraction * turn) * self.to_crown) / np.sin(turn)
+        return self.centers_mm + self.radius_mm * mixed
+
+
+def fillet_arc(
+    outline: PadOutline, radius_mm: float, crown_mm: Field, slope: Field, edge_mm: np.ndarray
+) -> FilletArc:
+    """Arcs of the fillet at points on the outline [mm], shape [n, 2].
+
+    Both touching directions are perpendicular to the path of the ball's centre, so that the arc
+    between them lies on the fillet.
+    """
+    normal = outline.outward_normal(edge_mm)
+    center = edge_mm - radius_mm * normal
+    z, _, arm = _ball_height_mm(radius_mm, crown_mm, slope, center)
+    up = np.sqrt(radius_mm**2 - (arm**2).sum(axis=-1))
+    return FilletArc(
+        radius_mm,
+        np.concatenate([center, z[:, None]], axis=1),
+        np.concatenate([normal, np.zeros((len(normal), 1))], axis=1),
+        np.concatenate([arm, up[:, None]], axis=1) / radius_mm,
+    )
 
 
 def fillet_height_mm(
@@ -50,7 +92,7 @@ def _envelope_mm(
 ) -> np.ndarray:
     """Highest point over ``p`` of the balls whose centres lie over ``spine``, shape [n]."""
     center = _onto(spine, p)
-    z, g = _ball_height_mm(radius_mm, crown_mm, slope, center)
+    z, g, _ = _ball_height_mm(radius_mm, crown_mm, slope, center)
     for _ in range(_SLIDE_ROUNDS):
         # Newton's method along the spine for the stationary point of z + root; the curvature of
         # z itself is small beside that of the ball.
@@ -61,7 +103,7 @@ def _envelope_mm(
         root = np.sqrt(np.maximum(radius_mm**2 - (arm**2).sum(axis=-1), 0))
         step = ((arm * tangent).sum(axis=-1) + (g * tangent).sum(axis=-1) * root) / bend
         center = _onto(spine, center + step[:, None] * tangent)
-        z, g = _ball_height_mm(radius_mm, crown_mm, slope, center)
+        z, g, _ = _ball_height_mm(radius_mm, crown_mm, slope, center)
     return z + np.sqrt(np.maximum(radius_mm**2 - ((p - center) ** 2).sum(axis=-1), 0))
 
 
@@ -72,8 +114,9 @@ def _onto(spine: PadOutline, xy: np.ndarray) -> np.ndarray:
 
 def _ball_height_mm(
     radius_mm: float, crown_mm: Field, slope: Field, center: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Height of the ball's centre under the crown, shape [n], and its gradient, shape [n, 2].
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Height of the ball's centre under the crown [n], its gradient [n, 2] and the way from the
+    centre to the touching point in plan [n, 2].
 
     The gradient is that of the crown at the touching point (envelope theorem).
     """
@@ -82,4 +125,4 @@ def _ball_height_mm(
     for _ in range(_TOUCH_ROUNDS):
         g = slope(center + arm)
         arm = -radius_mm * g / np.sqrt(1 + (g**2).sum(axis=-1, keepdims=True))
-    return crown_mm(center + arm) - np.sqrt(radius_mm**2 - (arm**2).sum(axis=-1)), g
+    return crown_mm(center + arm) - np.sqrt(radius_mm**2 - (arm**2).sum(axis=-1)), g, arm

@@ -11,7 +11,7 @@ import pytest
 from cad.mesh.closest import ClosestPoint
 from cad.mesh.quality import measure_quality, require_quality, surface_distance_mm
 from cad.mesh.quality_measures import EDGE_PAIRS, dihedral_angles_deg, mean_ratios
-from cad.mesh.structured import even_gel_mesh
+from cad.mesh.even import even_gel_mesh
 from cad.mesh.surface import LabelledSurface, check_closed, weld
 from cad.mesh.tessellate import tessellate_solid
 from cad.parts.gel_pad import GelPad

@@ -9,7 +9,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pad_strategies import gel_pads
 
-from cad.mesh.structured import even_gel_mesh, structured_gel_mesh
+from cad.mesh.even import even_gel_mesh
+from cad.mesh.structured import structured_gel_mesh
 from cad.mesh.surface import check_closed
 from cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError

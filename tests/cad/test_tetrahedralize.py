@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from cad.mesh import cache
 from cad.mesh.quality import measure_quality, require_quality
 from cad.mesh.regions import transfer_regions
-from cad.mesh.structured import even_gel_mesh
+from cad.mesh.even import even_gel_mesh
 from cad.mesh.surface import check_closed
 from cad.mesh.tessellate import tessellate_solid
 from cad.mesh.tetrahedralize import tetwild_gel_mesh

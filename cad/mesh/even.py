@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Even structured tet meshes of pads with a flat back: columns between two plans.
+
+A column leads from its node of the back plan to its node of the top plan. The outermost column
+climbs the wall; where a fillet is tangent to the wall it goes on along the lower part of the
+fillet, so that the rim is followed without flat cells, and the columns beside it lean along.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cad.mesh.columns import check_range, check_unfolded, level_fractions
+from cad.mesh.even_counts import EvenCounts, even_counts
+from cad.mesh.even_plan import EvenPlan, even_plan
+from cad.mesh.structured_topology import grid_topology, ring_of_node
+from cad.parts.height_pad import HeightPad
+from taccel_lab.geometry import Region, TetMesh
+
+LAYER_RATIO = 1.2
+"""Thickness of a layer over that of the one above it."""
+
+
+def even_gel_mesh(
+    pad: HeightPad, edge_mm: float = 1.0, *, counts_of: HeightPad | None = None
+) -> TetMesh:
+    """Structured mesh whose cells are about ``edge_mm`` wide and high.
+
+    Top nodes lie on ``pad.height_mm``, back nodes at exactly -thickness, wall nodes on the outline.
+    Node = level * plan_count + plan node, with level 0 on the back. ``counts_of`` names the pad
+    whose dimensions choose the counts: with the same one, every pad of a sweep has the same
+    connectivity and regions.
+
+    Raises InputError for an edge out of bounds, or when cells fold over.
+    """
+    sized = pad if counts_of is None else counts_of
+    largest = min(sized.thickness_mm, sized.window_x_mm / 2, sized.window_y_mm / 2)
+    check_range("edge_mm", edge_mm, 0.2, largest)
+    return counted_gel_mesh(pad, even_counts(sized, edge_mm))
+
+
+def counted_gel_mesh(pad: HeightPad, counts: EvenCounts) -> TetMesh:
+    """Even mesh with the given counts."""
+    topology = grid_topology(counts.core, counts.rings, counts.layers, 0)
+    nodes = _stacked(pad, counts, even_plan(pad, counts))
+    tets = topology.tets.copy()
+    check_unfolded(nodes, tets)
+    return TetMesh(
+        nodes_m=nodes * 1e-3,
+        tets=tets,
+        faces=topology.faces.copy(),
+        face_regions=_face_regions(topology.faces, topology.face_regions, counts),
+        tet_layers=_tet_layers(tets, counts),
+    )
+
+
+def _stacked(pad: HeightPad, counts: EvenCounts, plan: EvenPlan) -> np.ndarray:
+    """Nodes of all levels [mm], shape [levels plan_count, 3]."""
+    wall = len(plan.outline)
+    back = np.column_stack([plan.back, np.full(len(plan.back), -pad.thickness_mm)])
+    top = np.column_stack([plan.top, pad.height_mm(plan.top)])
+    if plan.fillet is not None:
+        share = counts.side_arc / (counts.side_arc + counts.band)
+        # Ring by ring on the arcs: heights of the formula are steep near the wall.
+        for k in range(counts.band + 1):
+            fraction = 1 - (1 - share) * k / counts.band
+            first = len(top) - (counts.band + 1 - k) * wall
+            top[first : first + wall] = plan.fillet.points_mm(fraction)
+    skin = top - [0, 0, pad.skin_top_mm]
+    s = level_fractions(counts.gel_layers, np.float64(LAYER_RATIO))[:, None, None]
+    levels = (1 - s) * back + s * skin
+    if plan.fillet is not None:
+        climbing = _wall_levels(pad, counts, plan)
+        levels += _leaning(counts, climbing - levels[:, -wall:])
+    for k in range(1, counts.skin_layers + 1):
+        f = k / counts.skin_layers
+        levels = np.concatenate([levels, ((1 - f) * skin + f * top)[None]])
+    return levels.reshape(-1, 3)
+
+
+def _wall_levels(pad: HeightPad, counts: EvenCounts, plan: EvenPlan) -> np.ndarray:
+    """Outermost columns: up the wall, then along the lower part of the fillet."""
+    assert plan.fillet is not None
+    total = counts.side_arc + counts.band
+    arc = [plan.fillet.points_mm(k / total) for k in range(counts.side_arc + 1)]
+    steps = counts.gel_layers - counts.side_arc
+    foot = np.column_stack([plan.outline, np.full(len(plan.outline), -pad.thickness_mm)])
+    s = level_fractions(steps, np.float64(LAYER_RATIO))[:, None, None]
+    return np.concatenate([(1 - s) * foot + s * arc[0], np.array(arc[1:])])
+
+
+def _leaning(counts: EvenCounts, shift: np.ndarray) -> np.ndarray:
+    """Shift of every column for that of the outermost ones, fading to none at the core.
+
+    shift [levels, 4 core, 3] -> [levels, plan_count, 3].
+    """
+    rings = np.arange(1, counts.rings + 1) / counts.rings
+    faded = shift[:, None] * rings[None, :, None, None]
+    core = np.zeros((len(shift), (counts.core + 1) ** 2, 3))
+    return np.concatenate([core, faded.reshape(len(shift), -1, 3)], axis=1)
+
+
+def _face_regions(faces: np.ndarray, found: np.ndarray, counts: EvenCounts) -> np.ndarray:
+    level = faces // counts.plan_count
+    regions = found.copy()
+    side = regions == int(Region.SIDE)
+    if counts.side_arc:
+        on_fillet = (level >= counts.layers - counts.side_arc).all(axis=1)
+        regions[side & on_fillet] = Region.CONTACT
+    if counts.sides_bonded:
+        regions[side & (regions == int(Region.SIDE))] = Region.BOND
+    return regions
+
+
+def _tet_layers(tets: np.ndarray, counts: EvenCounts) -> np.ndarray:
+    level, plan = np.divmod(tets, counts.plan_count)
+    ring = ring_of_node(counts.core, counts.rings)[plan]
+    above = (level >= counts.gel_layers).all(axis=1) & (counts.skin_layers > 0)
+    beside = (ring >= counts.rings - counts.skin_rings).all(axis=1) & (counts.skin_rings > 0)
+    return (above | beside).astype(np.int32)
