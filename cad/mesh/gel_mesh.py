@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cad.mesh.even import even_gel_mesh
 from cad.mesh.dome import even_dome_mesh, focused_dome_mesh
+from cad.mesh.even import even_gel_mesh
 from cad.mesh.structured import structured_gel_mesh
 from cad.parts.dome_pad import DomePad
 from cad.parts.gel_pad import GelPad

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The columns of a dome's mesh: where each node of its plan lies on cap and wall."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from cad.mesh.dome_plan import CapGrid, angle_from_disc
+from taccel_lab.errors import InputError
+
+EDGE_BOUNDS_MM = (0.2, 6.0)
+_SATURATION = 2.0
+"""Tallest layer of a graded column over its mean one."""
+
+
+@dataclass(frozen=True)
+class DomeGrid:
+    """Counts that set the connectivity of a dome's plan."""
+
+    cap: CapGrid
+    free_rings: int
+    """Rings on the free part of the wall."""
+    bonded_rings: int
+    """Rings on the glued part of the wall."""
+
+    @property
+    def rings(self) -> int:
+        return self.cap.cap_rings + self.free_rings + self.bonded_rings
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The outer ends of the columns, one for each plan node."""
+
+    theta: np.ndarray
+    """Polar angle on the cap [rad], the cap's for nodes on the wall."""
+    azimuth: np.ndarray
+    drop_mm: np.ndarray
+    """Distance below the cap's edge along the wall [mm]."""
+
+    def on_sphere_and_wall(self, radius_mm: float, center_z_mm: float) -> np.ndarray:
+        """Points on the cap and wall of a radius about (0, 0, center_z_mm) [mm], shape [n, 3]."""
+        ring = radius_mm * np.sin(self.theta)
+        return np.stack(
+            [
+                ring * np.cos(self.azimuth),
+                ring * np.sin(self.azimuth),
+                radius_mm * np.cos(self.theta) + center_z_mm - self.drop_mm,
+            ],
+            axis=-1,
+        )
+
+
+def dome_columns(
+    grid: DomeGrid, disc: np.ndarray, cap_angle: float, drops_mm: np.ndarray
+) -> Columns:
+    """Columns through the ``disc`` points of the cap and, under its edge, at ``drops_mm`` [rings].
+
+    The last ring of the disc is the cap's edge.
+    """
+    count = 4 * grid.cap.core
+    theta = angle_from_disc(np.abs(disc), cap_angle)
+    theta[-count:] = cap_angle
+    azimuth = np.angle(disc)
+    return Columns(
+        theta=np.concatenate([theta, np.full(len(drops_mm) * count, cap_angle)]),
+        azimuth=np.concatenate([azimuth, np.tile(azimuth[-count:], len(drops_mm))]),
+        drop_mm=np.concatenate([np.zeros(len(disc)), np.repeat(drops_mm, count)]),
+    )
+
+
+def even_drops(height_mm: float, rings: int) -> np.ndarray:
+    """Distances below the cap's edge of ``rings`` even rings on a wall [mm]."""
+    return height_mm * np.arange(1, rings + 1) / max(rings, 1)
+
+
+def graded_shares(size_mm: np.ndarray, length_mm: np.ndarray, layers: int) -> np.ndarray:
+    """Height of each level as a share of its column, 0 to 1, shape [layers + 1, n].
+
+    The uppermost layer of each column is about as thick as its cell is wide, ``size_mm`` [n]. The
+    layers below grow by one factor until they saturate, so that they fill ``length_mm`` [n] without
+    a tall one at the end; short columns get even layers.
+    """
+    powers = np.arange(layers)[:, None]
+    tallest = _SATURATION * length_mm / layers
+
+    def thickness(growth: np.ndarray) -> np.ndarray:
+        grown = size_mm * growth**powers
+        return grown * tallest / (grown + tallest)
+
+    low, high = np.ones(len(size_mm)), np.full(len(size_mm), 8.0)
+    for _ in range(50):
+        growth = 0.5 * (low + high)
+        short = thickness(growth).sum(axis=0) < length_mm
+        low, high = np.where(short, growth, low), np.where(short, high, growth)
+    below = np.concatenate([np.zeros((1, len(low))), np.cumsum(thickness(low)[::-1], axis=0)])
+    shares = below / below[-1]
+    shares[-1] = 1.0
+    return shares
+
+
+def cell_sizes(points_mm: np.ndarray, quads: np.ndarray) -> np.ndarray:
+    """Mean length of the edges at each node of a surface [mm], [n, 3] and [m, 4] -> [n]."""
+    total, count = np.zeros(len(points_mm)), np.zeros(len(points_mm))
+    for a, b in ((0, 1), (1, 2), (2, 3), (3, 0)):
+        length = np.linalg.norm(points_mm[quads[:, a]] - points_mm[quads[:, b]], axis=1)
+        for end in (quads[:, a], quads[:, b]):
+            total += np.bincount(end, length, len(total))
+            count += np.bincount(end, minlength=len(total))
+    return total / count
+
+
+def check_edge(edge_mm: float, largest_mm: float) -> None:
+    """Raise InputError for an element size that no dome can have."""
+    low, high = EDGE_BOUNDS_MM
+    high = min(high, largest_mm)
+    if not (math.isfinite(edge_mm) and low <= edge_mm <= high):
+        raise InputError(f"edge_mm = {edge_mm!r} is not allowed; use {low:g} to {high:g}")
+
+
+def check_unfolded(nodes_mm: np.ndarray, tets: np.ndarray) -> None:
+    """Raise InputError, with the place, for tets that are flat or inside out."""
+    p = nodes_mm[tets]
+    volume = np.linalg.det(p[:, 1:] - p[:, :1]) / 6
+    if (volume <= 0).any():
+        x, y, z = p[int(volume.argmin())].mean(axis=0)
+        raise InputError(
+            f"{int((volume <= 0).sum())} of {len(tets)} tets of the dome's mesh fold over, the "
+            f"worst at x {x:.2f}, y {y:.2f}, z {z:.2f} mm; move the focus away from the edge of "
+            "the contact face or make it smaller, or use a smaller edge_mm"
+        )

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the nodes of a dome's mesh lie on its cap: evenly, or graded around a contact.
+
+Stereographic projection maps the cap conformally onto the unit disc, and the Moebius maps of the
+disc onto itself become conformal maps of the cap onto itself: a grid around the apex turns into a
+grid around any contact which still ends on the cap's edge and keeps all its angles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from cad.mesh.conformal import disc_automorphism
+from cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii
+from cad.mesh.structured_plan import Focus
+from cad.mesh.structured_topology import core_perimeter
+
+LARGEST_CORE = 0.52
+"""Half width of the core over the ring around it at most: its corners reach 1.28 times as far."""
+_CORE_CLEARANCE = 0.9
+_EDGE_DECAY = 3
+"""Power of the radius with which that turn sets in."""
+_EDGE_SHARE = 0.75
+"""How far ring nodes on the cap's edge turn from where the Moebius map puts them to even ones."""
+_DEEP_SHARE = 0.2
+"""How far the grid deep under a focus follows it: columns that lean less have better tets."""
+_FIRST_SPOKE = -0.75 * np.pi
+"""Angle of the first ring node: the corner (-, -) of the core."""
+
+
+@dataclass(frozen=True)
+class CapGrid:
+    """Counts of an O-grid on a cap; they alone set its connectivity."""
+
+    core: int
+    """Cells along each side of the core around the apex."""
+    window_rings: int
+    """Rings between the core and the window's edge; 0 when the cap has no such edge."""
+    cap_rings: int
+    """All rings between the core and the cap's edge."""
+
+
+def spoke_angles(core: int) -> np.ndarray:
+    """Azimuth of the ring nodes [rad], shape [4 core]."""
+    return _FIRST_SPOKE + 2 * np.pi * np.arange(4 * core) / (4 * core)
+
+
+def disc_from_angle(theta: np.ndarray, cap_angle: float) -> np.ndarray:
+    """Radius in the disc of a polar angle on the cap [rad]; 1 at the cap's edge."""
+    return np.tan(0.5 * np.asarray(theta)) / np.tan(0.5 * cap_angle)
+
+
+def angle_from_disc(radius: np.ndarray, cap_angle: float) -> np.ndarray:
+    """Polar angle on the cap [rad] of a radius in the disc."""
+    return 2 * np.arctan(np.asarray(radius) * np.tan(0.5 * cap_angle))
+
+
+def core_share(core: int, rings: int) -> float:
+    """Half width of the core over the polar angle that ``rings`` rings reach, for even cells."""
+    return min(0.5 * core / (0.5 * core + _CORE_CLEARANCE * rings), LARGEST_CORE)
+
+
+@lru_cache(maxsize=32)
+def even_cap(grid: CapGrid, cap_angle: float, window_angle: float | None) -> np.ndarray:
+    """Disc points of about even spacing on the cap, complex, shape [nodes of the grid].
+
+    With ``window_angle`` the ring ``grid.window_rings`` lies exactly on that polar angle [rad].
+    """
+    spokes = np.exp(1j * spoke_angles(grid.core))
+    first, last = grid.window_rings, grid.cap_rings - grid.window_rings
+    half = core_share(grid.core, first or last) * (window_angle or cap_angle) / cap_angle
+    square = half * (bulged_core(grid.core) @ np.array([1, 1j])).ravel()
+    edge = square[core_perimeter(grid.core)]
+    loops = []
+    if window_angle is not None:
+        border = window_angle / cap_angle * spokes
+        loops += [edge + (border - edge) * k / first for k in range(1, first + 1)]
+        edge = border
+    loops += [edge + (spokes - edge) * k / last for k in range(1, last + 1)]
+    # Up to here the radius is the share of the polar angle.
+    q = np.concatenate([square, *loops])
+    radius = np.maximum(np.abs(q), 1e-300)
+    u = disc_from_angle(radius * cap_angle, cap_angle) * q / radius
+    u.setflags(write=False)
+    return u
+
+
+def focused_cap(grid: CapGrid, cap_angle: float, sphere_mm: float, focus: Focus) -> np.ndarray:
+    """Disc points graded around a focus on the sphere, complex, shape [nodes of the grid].
+
+    Inside the focus cells are about ``focus.size_mm`` large, outside they grow by one factor. The
+    last ring lies on the cap's edge.
+    """
+    center, per_mm = _focus_in_disc(cap_angle, sphere_mm, focus.center_mm)
+    scale = per_mm / (1 - abs(center) ** 2)
+    half = min(grid.core * focus.size_mm / 2 * scale, 0.3)
+    size = 2 * half / grid.core
+    theta = spoke_angles(grid.core)
+    start = half * bulged_radius(theta)
+    wanted = round((focus.radius_mm * scale - half) / size)
+    even = int(np.clip(wanted, np.ceil(grid.core / 4), max(1, grid.cap_rings - 2)))
+    reach = float(np.clip(half + even * size, 1.5 * half, 0.7))
+    rho = ring_radii(start, reach, even, grid.cap_rings)
+    core = half * (bulged_core(grid.core) @ np.array([1, 1j])).ravel()
+    zeta = np.concatenate([core, (rho * np.exp(1j * theta)).ravel()])
+    return _moved_to(center, zeta, _even_radii(grid, cap_angle))
+
+
+def even_cap_around(grid: CapGrid, cap_angle: float, sphere_mm: float, focus: Focus) -> np.ndarray:
+    """The even cap moved to a focus without its grading: what lies deep under a focused cap."""
+    center, _ = _focus_in_disc(cap_angle, sphere_mm, focus.center_mm)
+    center *= _DEEP_SHARE
+    even = even_cap(CapGrid(grid.core, 0, grid.cap_rings), cap_angle, None)
+    return _moved_to(center, even, _even_radii(grid, cap_angle))
+
+
+def _even_radii(grid: CapGrid, cap_angle: float) -> np.ndarray:
+    return np.abs(even_cap(CapGrid(grid.core, 0, grid.cap_rings), cap_angle, None))
+
+
+def _moved_to(center: complex, zeta: np.ndarray, edge_share: np.ndarray) -> np.ndarray:
+    """Disc points moved by the Moebius map that takes 0 to ``center``; the last ring stays on 1.
+
+    The map alone would leave long chords on the far side of the disc's edge, so points turn
+    towards even spacing there, the more the nearer ``edge_share`` is to 1. All gradings of one grid
+    share it, so that their rings turn alike.
+    """
+    spoke = zeta / np.maximum(np.abs(zeta), 1e-300)
+    turn = np.angle(disc_automorphism(spoke, -center) * np.conj(spoke))
+    turned = zeta * np.exp(1j * _EDGE_SHARE * edge_share**_EDGE_DECAY * turn)
+    disc = disc_automorphism(turned, center)
+    edge = np.isclose(edge_share, 1, rtol=0, atol=1e-12)
+    disc[edge] /= np.abs(disc[edge])
+    return disc
+
+
+def _focus_in_disc(
+    cap_angle: float, sphere_mm: float, at_mm: tuple[float, float]
+) -> tuple[complex, float]:
+    """Disc point over gel xy and the scale there from lengths on the cap to the disc [1/mm]."""
+    theta = float(np.arcsin(np.hypot(*at_mm) / sphere_mm))
+    radius = float(disc_from_angle(np.array(theta), cap_angle))
+    per_mm = 0.5 / (np.cos(0.5 * theta) ** 2 * np.tan(0.5 * cap_angle) * sphere_mm)
+    return radius * complex(np.exp(1j * np.arctan2(at_mm[1], at_mm[0]))), float(per_mm)
