@@ -80,8 +80,9 @@ class DigitParameters(CameraSensorParameters):
         source="acrylic of digit-design: 6.15 in its CAD, 5.5 as shipped, 4 in the build guide; "
         "4 to 6.2 are accepted",
     )  # fmt: skip
-    led_x_mm: float = restated(10.0, source="assumption: around the window's edge")
-    led_y_mm: float = restated(13.0, source="assumption: around the window's edge")
+    led_x_mm: float = restated(10.0, source="assumption: around the edge of the acrylic, behind it")
+    led_y_mm: float = restated(13.0, source="assumption: around the edge of the acrylic, behind it")
+    led_depth_mm: float = restated(12.0, source="assumption: behind the acrylic")
     housing_x_mm: float = restated(26.95, source=f"{_PARTS}: 26.95 mm")
     housing_y_mm: float = restated(34.01, source=f"{_PARTS}: 34.01 mm")
     housing_z_mm: float = restated(28.4, source=f"{_PARTS}: 28.4 mm in three parts")

@@ -59,6 +59,7 @@ class GelSight40Parameters(RectangleGelParameters, CameraSensorParameters):
     marker_area_x_mm: float = restated(26.6, source=f"{_PAD}: markers at +-13.3 mm")
     marker_area_y_mm: float = restated(26.6, source=f"{_PAD}: markers at +-13.3 mm")
     marker_radius_mm: float = restated(0.5, source="assumption: Taccel tracks points")
+    led_depth_mm: float = restated(12.0, source="assumption: in the air behind the window")
     housing_x_mm: float = restated(44.0, source=_NOT_MODELLED)
     housing_y_mm: float = restated(44.0, source=_NOT_MODELLED)
     housing_z_mm: float = restated(32.0, source=_NOT_MODELLED)

@@ -37,6 +37,7 @@ class GelSightR15Parameters(RectangleGelParameters, CameraSensorParameters):
     )
     led_x_mm: float = restated(12.5, source=_NOT_PUBLISHED)
     led_y_mm: float = restated(16.5, source=_NOT_PUBLISHED)
+    led_depth_mm: float = restated(10.0, source="assumption: in the air behind the window")
     housing_x_mm: float = restated(30.0, source=_NOT_PUBLISHED)
     housing_y_mm: float = restated(38.0, source=_NOT_PUBLISHED)
 

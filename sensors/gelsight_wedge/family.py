@@ -50,6 +50,7 @@ class GelSightWedgeParameters(RectangleGelParameters, CameraSensorParameters):
     )
     led_x_mm: float = restated(18.0, source=_NOT_PUBLISHED)
     led_y_mm: float = restated(13.5, source=_NOT_PUBLISHED)
+    led_depth_mm: float = restated(16.0, source="assumption: in the air behind the window")
     housing_x_mm: float = restated(42.0, source=_NOT_PUBLISHED)
     housing_y_mm: float = restated(32.0, source=_NOT_PUBLISHED)
     housing_z_mm: float = restated(42.0, source=f"{_NOT_PUBLISHED}; holds the unfolded path")

@@ -47,42 +47,32 @@ class LightParameters(ParameterSet):
         source="assumption: a bare LED is close to a Lambertian emitter",
         description="exponent n of the emission lobe cos^n",
     )  # fmt: skip
+    led_length_mm: float = parameter(
+        0.0, minimum=0.1, maximum=100, unit="mm", zero_means="square LEDs",
+        source="assumption: single LEDs",
+        description="length of the emitting faces along their side, for strips of LEDs",
+    )  # fmt: skip
     ambient: float = parameter(
-        0.3, minimum=0.0, maximum=2.0,
-        source="assumption: light that the housing throws about; 0.1 to 0.5 make the shades of "
-        "ball presses as soft as captured ones",
+        1.0, minimum=0.0, maximum=5.0,
+        source="assumption: what the housing throws about, as fits to captures of the classic "
+        "GelSight and of a GelSight Mini have it (1.0)",
         description="even light on all of the coating, as a share of the mean direct light on the "
         "visible gel at rest",
     )  # fmt: skip
 
-    def led(
-        self,
-        angle_deg: float,
-        rgb: Triple,
-        name: str,
-        *,
-        along_mm: float = 0.0,
-        size_mm: tuple[float, float] | None = None,
-    ) -> Light:
-        """An LED seen at ``angle_deg`` from +x towards +y, moved ``along_mm`` along its side."""
+    def led(self, angle_deg: float, rgb: Triple, name: str) -> Light:
+        """The LED, or strip, seen at ``angle_deg`` from +x towards +y."""
         angle, tilt = math.radians(angle_deg), math.radians(self.led_tilt_deg)
         c, s = math.cos(angle), math.sin(angle)
-        x, y = self.led_x_mm * c - along_mm * s, self.led_y_mm * s + along_mm * c
         side = math.sin(tilt)
         return Light(
-            position_mm=(x, y, -self.led_depth_mm),
+            position_mm=(self.led_x_mm * c, self.led_y_mm * s, -self.led_depth_mm),
             direction=(-side * c, -side * s, math.cos(tilt)),
             rgb=rgb,
-            size_mm=size_mm or (self.led_size_mm, self.led_size_mm),
+            size_mm=(self.led_length_mm or self.led_size_mm, self.led_size_mm),
             lobe=self.led_lobe,
             name=name,
         )
-
-    def led_strip(self, angle_deg: float, rgb: Triple, name: str) -> Light:
-        """A strip along the side at ``angle_deg`` (a multiple of 90), two thirds as long."""
-        along_y = abs(math.cos(math.radians(angle_deg))) > 0.5
-        length = 4 / 3 * (self.led_y_mm if along_y else self.led_x_mm)
-        return self.led(angle_deg, rgb, name, size_mm=(length, self.led_size_mm))
 
     def led_triple(self, red_deg: float, green_deg: float, blue_deg: float) -> tuple[Light, ...]:
         """One LED of each colour."""

@@ -38,7 +38,7 @@ def draw_sensor(family: SensorFamily, parameters: FamilyParameters) -> Figure:
         _draw_section(ax, axis, parameters, pad, design)
         ax.set_xlabel(f"{name} [mm]")
         ax.set_ylabel("z [mm]")
-        ax.set_title(f"section at {'yx'[axis]} = 0")
+        ax.set_title(f"section at {'yx'[axis]} = 0", pad=10)
     _draw_front(axes[2], parameters, pad, design)
     _label_parts(figure, parameters, pad, design)
     figure.suptitle(family.title, fontsize=12)
@@ -76,8 +76,9 @@ def _draw_section(
             _draw_light(ax, axis, light)
     _dimension(ax, axis, pad, design)
     ax.set_aspect("equal")
-    ax.autoscale_view()
     ax.margins(0.04)
+    ax.autoscale_view()
+    ax.set_ylim(top=_width_line(pad) + 0.09 * float(np.diff(ax.get_ylim())[0]))
 
 
 def pad_section(pad: Pad, axis: int) -> np.ndarray:
@@ -171,32 +172,40 @@ def _draw_sight(ax: Axes, axis: int, pad: Pad, design: OpticalDesign) -> None:
 def sight_paths(pad: Pad, design: OpticalDesign, axis: int) -> list[np.ndarray]:
     """Rays of the image's two edges and middle along one axis, [points, 3] each [mm].
 
-    From the camera through the window into the gel and up to its contact face. A ray that the lens
-    or total reflection swallows is left out.
+    From the camera through the window into the gel and up to its contact face. Where the edge's ray
+    misses the gel, the outermost one that meets it stands in.
     """
     from taccel_lab.optics.camera_model import CameraModel
     from taccel_lab.optics.media import media_between
 
     camera = design.camera
-    pixels = np.array([[camera.cx_px, camera.cy_px]] * 3)
-    pixels[0, axis], pixels[2, axis] = -0.5, (camera.width_px, camera.height_px)[axis] - 0.5
-    eye, directions = CameraModel(camera).rays(pixels)
+    middle = np.array([camera.cx_px, camera.cy_px])
+    last = (camera.width_px, camera.height_px)[axis] - 0.5
     media = media_between(design, _back_points(pad))
-    entries, inside, _ = media.trace(eye, directions)
-    reach = np.linspace(0, 3 * float(np.ptp(pad.bounds_mm()[:, 2]) + abs(eye[2])), 4001)
     paths = []
-    for entry, direction in zip(entries, inside, strict=True):
-        if not np.isfinite(direction).all():
-            continue
-        line = entry + reach[:, None] * direction
-        top = pad.top_mm(line[:, :2])
-        # A ray beside the contact face ends where it leaves the pad's box.
-        low, high = pad.bounds_mm()
-        out = np.isnan(top) & ~((line >= low - 1e-9) & (line <= high + 1e-9)).all(axis=1)
-        stop = np.flatnonzero((line[:, 2] >= np.where(np.isnan(top), np.inf, top)) | out)
-        end = max(int(stop[0]), 1) if len(stop) else len(line) - 1
-        paths.append(np.stack([eye, entry, line[end]]))
+    for edge in (-0.5, middle[axis], last):
+        shares = np.linspace(1.0, 0.0, 201)[:, None] if edge != middle[axis] else np.zeros((1, 1))
+        pixels = np.repeat(middle[None], len(shares), axis=0)
+        pixels[:, axis] += shares[:, 0] * (edge - middle[axis])
+        eye, directions = CameraModel(camera).rays(pixels)
+        entries, inside, _ = media.trace(eye, directions)
+        for entry, direction in zip(entries, inside, strict=True):
+            end = _meeting_mm(pad, entry, direction)
+            if end is not None:
+                paths.append(np.stack([eye, entry, end]))
+                break
     return paths
+
+
+def _meeting_mm(pad: Pad, start: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
+    """Where a ray inside the gel first meets the contact face; None beside it."""
+    if not (np.isfinite(start).all() and np.isfinite(direction).all()):
+        return None
+    line = start + np.linspace(0, 2 * np.ptp(pad.bounds_mm(), axis=0).max(), 2001)[:, None] * (
+        direction
+    )
+    beyond = np.flatnonzero(line[:, 2] >= pad.top_mm(line[:, :2]))
+    return line[beyond[0]] if len(beyond) else None
 
 
 def _back_points(pad: Pad) -> np.ndarray:
@@ -234,7 +243,7 @@ def _dimension(ax: Axes, axis: int, pad: Pad, design: OpticalDesign | None) -> N
     """Width and thickness of the gel and the camera's distance."""
     low, high = pad.bounds_mm()
     style: Any = {"arrowstyle": "<->", "color": GREY, "lw": 0.8, "shrinkA": 0, "shrinkB": 0}
-    above = high[2] + 0.05 * (high - low).max() + 0.8
+    above = _width_line(pad)
     ax.annotate("", xy=(low[axis], above), xytext=(high[axis], above), arrowprops=style)
     width = float(high[axis] - low[axis])
     ax.text((low[axis] + high[axis]) / 2, above, f"{width:.4g}", ha="center", va="bottom")
@@ -249,6 +258,12 @@ def _dimension(ax: Axes, axis: int, pad: Pad, design: OpticalDesign | None) -> N
         ax.text(side + 0.3, eye[2] / 2, f"{-eye[2]:.4g}", va="center", ha="left")
         for z in (0.0, eye[2]):
             ax.plot([side - 0.6, side + 0.6], [z, z], color=GREY, lw=0.8)
+
+
+def _width_line(pad: Pad) -> float:
+    """z of the line that states the gel's width."""
+    low, high = pad.bounds_mm()
+    return float(high[2] + 0.05 * (high - low).max() + 0.8)
 
 
 def _draw_front(
@@ -302,7 +317,7 @@ def _draw_front(
     ax.invert_yaxis()  # y points down in the image
     ax.set_xlabel("x [mm]")
     ax.set_ylabel("y [mm]")
-    ax.set_title("through the gel, as in the image; heights of the contact face in mm")
+    ax.set_title("as in the image; heights of the contact face [mm]")
 
 
 def _label_parts(

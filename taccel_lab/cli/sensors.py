@@ -36,6 +36,7 @@ class SensorsList:
     """Print JSON instead of a table."""
 
     def run(self) -> None:
+        from rich.box import SIMPLE
         from rich.console import Console
         from rich.table import Table
         from rich.text import Text
@@ -52,7 +53,7 @@ class SensorsList:
             }
             print_json({"sensors": rows, "broken": broken})
             return
-        table = Table()
+        table = Table(box=SIMPLE, pad_edge=False)
         for heading in ("sensor", *_COLUMNS.values()):
             table.add_column(heading)
         for name, row in rows.items():
