@@ -26,6 +26,9 @@ CREASE_DEG = 30.0
 """Faces that meet more sharply than this at rest are not smoothed into one another."""
 FINE_EDGE_MM = 0.3
 MAX_CUTS = 4
+_CREASE_RINGS = 3
+"""Nodes this many edges from a crease take no part in the network, which swings there."""
+_CANDIDATES = 24
 _STEEPEST = 0.1
 """Least z of a unit face normal for the face to count as a function of x and y."""
 
@@ -71,6 +74,7 @@ class GelFace:
             cuts = int(np.clip(math.ceil(edge / FINE_EDGE_MM), 1, MAX_CUTS))
         self._edge_mm = edge / cuts
         self._pair_of, self._pair_start, self._split = _smoothing_pairs(rest, self._faces)
+        self._near_crease = _grown(self._split, self._faces, _CREASE_RINGS)
         self._rings = self._smooth_rings(rest)
         barycentric, pattern = _subdivision(cuts)
         self._positions_from_controls = _bernstein(barycentric, _CUBIC)
@@ -107,7 +111,8 @@ class GelFace:
         slopes = self._network_slopes(nodes, corners)
         if slopes is not None:
             smooth = _unit(np.concatenate([-slopes, np.ones((len(slopes), 1))], axis=1))
-            normals = np.where(self._split[self._faces][..., None], normals, smooth[self._faces])
+            keep = self._near_crease[self._faces][..., None]
+            normals = np.where(keep, normals, smooth[self._faces])
         return normals
 
     def _smooth_rings(self, rest: np.ndarray) -> tuple[Any, Any] | None:
@@ -158,9 +163,15 @@ def _interface_faces(mesh: TetMesh) -> np.ndarray:
     inner = core[np.array([tuple(face) not in outer for face in np.sort(core, axis=1).tolist()])]
     from scipy.spatial import KDTree
 
-    centroids = mesh.nodes_m[mesh.faces].mean(axis=1)
-    nearest = KDTree(centroids).query(mesh.nodes_m[inner].mean(axis=1))[1]
-    under = inner[mesh.face_regions[nearest] == int(Region.CONTACT)]
+    # A face lies under the nearest outer face that looks the same way.
+    outside, inside = mesh.nodes_m[mesh.faces], mesh.nodes_m[inner]
+    count = min(_CANDIDATES, len(outside))
+    near = KDTree(outside.mean(axis=1)).query(inside.mean(axis=1), k=count)[1]
+    near = near.reshape(len(inner), count)
+    alike = np.einsum("fkx,fx->fk", _face_normals(outside)[near], _face_normals(inside)) > 0.5
+    over = np.take_along_axis(near, np.argmax(alike, axis=1)[:, None], axis=1)[:, 0]
+    is_contact = mesh.face_regions[over] == int(Region.CONTACT)
+    under = inner[np.logical_and(is_contact, alike.any(axis=1))]
     if len(under) == 0:
         raise InputError("no face between layer 0 and the skin lies under the contact face")
     return under
@@ -243,6 +254,15 @@ def _smoothing_pairs(
     split[corner_node[first[~together]]] = True
     first, second = first[together], second[together]
     return second, np.searchsorted(first, np.arange(len(corner_node))), split
+
+
+def _grown(nodes: np.ndarray, faces: np.ndarray, rings: int) -> np.ndarray:
+    """Flagged nodes and those up to ``rings`` edges away."""
+    for _ in range(rings):
+        touched = nodes[faces].any(axis=1)
+        nodes = nodes.copy()
+        nodes[faces[touched].ravel()] = True
+    return nodes
 
 
 def _subdivision(cuts: int) -> tuple[np.ndarray, np.ndarray]:

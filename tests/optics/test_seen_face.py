@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fine face cut from a mesh, and renders of deformed gels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from cad.mesh.gel_mesh import gel_mesh
+from cad.parts.gel_pad import GelPad
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region, TetMesh, quadratic_mesh
+from taccel_lab.optics import Camera, Light, MarkerGrid, OpticalDesign, Window
+from taccel_lab.optics.compare import pressed_top
+from taccel_lab.optics.media import media_between
+from taccel_lab.optics.refraction import DomeMedia, FlatMedia
+from taccel_lab.optics.render import OpticalModel
+from taccel_lab.optics.surface import GelFace, height_face, seen_faces
+
+PAD = GelPad(
+    length_x_mm=16,
+    length_y_mm=14,
+    corner_radius_mm=2,
+    thickness_mm=4,
+    crown_radius_x_mm=30,
+    crown_radius_y_mm=40,
+    window_x_mm=12,
+    window_y_mm=10,
+)
+DESIGN = OpticalDesign(
+    camera=Camera(64, 48, 110.0, 110.0, 31.5, 23.5, (0.0, 0.0, -20.0)),
+    lights=(
+        Light((9.0, 0.0, -6.0), (-0.8, 0.0, 0.6), (1.0, 0.0, 0.0), (4.0, 1.0)),
+        Light((-5.0, 8.0, -6.0), (0.6, -0.64, 0.48), (0.0, 1.0, 0.0), (4.0, 1.0)),
+        Light((-5.0, -8.0, -6.0), (0.6, 0.64, 0.48), (0.0, 0.0, 1.0), (4.0, 1.0)),
+    ),
+    window=Window(2.0, (16.0, 14.0)),
+)
+
+
+@pytest.fixture(scope="module")
+def mesh() -> TetMesh:
+    return gel_mesh(PAD, 1.5)
+
+
+def pressed(mesh: TetMesh, at: tuple[float, float], radius: float, ball: float) -> np.ndarray:
+    """Nodes under a ball's dent, the sinking shared out over the gel's depth [m]."""
+    nodes = mesh.nodes_m * 1e3
+    top = PAD.top_mm(nodes[:, :2] * 0.999)
+    sunk = pressed_top(PAD.top_mm, at, radius, ball)(nodes[:, :2] * 0.999) - top
+    share = np.clip((nodes[:, 2] + PAD.thickness_mm) / (top + PAD.thickness_mm), 0, 1)
+    nodes[:, 2] += sunk * share
+    return nodes * 1e-3
+
+
+def test_patches_follow_the_pad_better_than_triangles(mesh: TetMesh) -> None:
+    fine = GelFace(mesh).rest
+    errors = PAD.contact_error_mm(fine.points_mm)
+    inside = (np.abs(fine.points_mm[:, :2]) < [6.5, 5.5]).all(axis=1)
+    coarse = PAD.contact_error_mm(mesh.nodes_m[seen_faces(mesh)].mean(axis=1) * 1e3)
+    assert np.abs(errors[inside]).max() < 0.25 * np.abs(coarse).max()
+    expected = PAD.top_normal(fine.points_mm[:, :2])
+    corners = fine.points_mm[fine.triangles]
+    facets = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facets /= np.linalg.norm(facets, axis=1, keepdims=True)
+    of_facet = PAD.top_normal(corners[:, 0, :2])
+
+    def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.degrees(np.arccos(np.clip(np.sum(a * b, axis=1), -1, 1)))
+
+    angle = angle_deg(expected, fine.normals)[inside]
+    assert np.median(angle) < 0.15
+    assert np.percentile(angle, 99) < 0.5
+    coarse_angle = angle_deg(of_facet, facets)[inside[fine.triangles].all(axis=1)]
+    assert np.median(angle) < 0.5 * np.median(coarse_angle)
+    np.testing.assert_allclose(np.linalg.norm(fine.normals, axis=1), 1.0, atol=1e-12)
+
+
+def test_mesh_and_formula_give_the_same_picture(mesh: TetMesh) -> None:
+    from_mesh = OpticalModel(DESIGN, mesh).render()
+    from_formula = OpticalModel.from_formula(
+        DESIGN, PAD.top_mm, half_size_mm=(8.0, 7.0), back_z_mm=-PAD.thickness_mm
+    ).render()
+    assert (from_mesh.mask & from_formula.mask).all()
+    difference = from_mesh.rgb.astype(int) - from_formula.rgb
+    assert np.abs(difference).max() <= 3
+    np.testing.assert_allclose(from_mesh.points_mm, from_formula.points_mm, atol=0.01)
+
+
+def test_environments_are_rendered_one_by_one(mesh: TetMesh) -> None:
+    model = OpticalModel(DESIGN, mesh)
+    dent = pressed(mesh, (1.0, -1.0), 1.5, 3.0)
+    rest = model.render()
+    both = model.render(np.stack([mesh.nodes_m, dent]))
+    assert both.rgb.shape == (2, 48, 64, 3)
+    np.testing.assert_array_equal(both.rgb[0], rest.rgb)
+    np.testing.assert_array_equal(both.rgb[1], model.render(dent).rgb)
+    np.testing.assert_array_equal(model.render().rgb, rest.rgb)
+    # The dent is where it was made, its floor toward the camera.
+    deepest = np.unravel_index(np.nanargmin(both.points_mm[1, ..., 2]), (48, 64))
+    np.testing.assert_allclose(both.points_mm[1][deepest][:2], (1.0, -1.0), atol=0.3)
+
+
+def test_flanks_of_a_dent_take_the_colour_of_their_light(mesh: TetMesh) -> None:
+    """Seen from inside a dent is a bump: its right flank faces the red light on the right."""
+    model = OpticalModel(DESIGN, mesh)
+    dent = model.render(pressed(mesh, (0.0, 0.0), 2.0, 4.0))
+    change = dent.linear - model.render().linear
+    x, y = dent.points_mm[..., 0], dent.points_mm[..., 1]
+    right = (x > 0.5) & (x < 1.5) & (np.abs(y) < 0.5)
+    left = (x < -0.5) & (x > -1.5) & (np.abs(y) < 0.5)
+    assert change[right, 0].mean() > 0 > change[left, 0].mean()
+    below = (y > 0.5) & (y < 1.5) & (np.abs(x) < 0.5)
+    above = (y < -0.5) & (y > -1.5) & (np.abs(x) < 0.5)
+    assert change[below, 1].mean() > change[above, 1].mean()
+    assert change[above, 2].mean() > change[below, 2].mean()
+
+
+def test_markers_move_with_the_gel(mesh: TetMesh) -> None:
+    size = (320, 240)
+    model = OpticalModel(DESIGN, mesh, size_px=size, markers=MarkerGrid(1, 1, 3.0, 3.0, 0.8))
+    plain = OpticalModel(DESIGN, mesh, size_px=size)
+    moved = mesh.nodes_m.copy()
+    moved[:, :2] += [0.6e-3, -0.4e-3]
+
+    def dark_centre(positions: np.ndarray | None) -> np.ndarray:
+        image = model.render(positions)
+        dark = image.linear[..., 1] < 0.5 * plain.render(positions).linear[..., 1]
+        return image.points_mm[dark].mean(axis=0)[:2]
+
+    np.testing.assert_allclose(dark_centre(None), (0, 0), atol=0.02)
+    np.testing.assert_allclose(dark_centre(moved), (0.6, -0.4), atol=0.02)
+
+
+def test_bevels_stay_sharp() -> None:
+    bevelled = GelPad(
+        length_x_mm=16, length_y_mm=14, corner_radius_mm=2, thickness_mm=4, rim="chamfer",
+        rim_mm=1.0, window_x_mm=12, window_y_mm=10,
+    )  # fmt: skip
+    fine = GelFace(gel_mesh(bevelled, 1.5)).rest
+    tilt = np.degrees(np.arccos(np.clip(fine.normals[:, 2], -1, 1)))
+    # Either flat or along the bevel, nothing between.
+    assert ((tilt < 1.0) | (np.abs(tilt - 45) < 6.0)).all()
+    assert (tilt < 1.0).any()
+    assert (tilt > 30.0).any()
+
+
+def test_the_skin_is_seen_from_its_inner_side() -> None:
+    flat = GelPad(
+        length_x_mm=10, length_y_mm=10, corner_radius_mm=1, thickness_mm=3, window_x_mm=8,
+        window_y_mm=8,
+    )  # fmt: skip
+    base = gel_mesh(flat, 1.0)
+    middles = base.nodes_m[base.tets].mean(axis=1)[:, 2] * 1e3
+    levels = np.unique(np.round(base.nodes_m[:, 2] * 1e3, 6))
+    inner = levels[-2]
+    mesh = TetMesh(
+        base.nodes_m, base.tets, base.faces, base.face_regions, (middles > inner).astype(np.int32)
+    )
+    seen = mesh.nodes_m[seen_faces(mesh)] * 1e3
+    np.testing.assert_allclose(seen[..., 2], inner, atol=1e-6)
+    normals = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
+    assert (normals[:, 2] > 0).all()
+    assert np.ptp(seen[..., 0]) == pytest.approx(10, abs=0.1)
+
+
+def test_quadratic_meshes_are_seen_through_all_their_nodes(mesh: TetMesh) -> None:
+    quadratic = quadratic_mesh(mesh)
+    model = OpticalModel(DESIGN, quadratic)
+    difference = model.render().rgb.astype(int) - OpticalModel(DESIGN, mesh).render().rgb
+    assert np.abs(difference).max() <= 6
+    assert model.render(quadratic.nodes_m).rgb.shape == (48, 64, 3)
+
+
+def test_media_of_flat_and_domed_backs() -> None:
+    flat = np.array([[x, y, -4.0] for x in (-5, 5) for y in (-5, 5)])
+    media = media_between(DESIGN, flat)
+    assert media == FlatMedia((-6.0, -4.0), (1.0, 1.49, 1.41))
+    angles = np.linspace(0, 1.4, 30)
+    dome = np.stack([13.5 * np.sin(angles), 0 * angles, 13.5 * np.cos(angles) - 15.0], axis=1)
+    shell = Window(2.0, (27.0, 27.0), 1.41, "dome", 13.5)
+    inside = OpticalDesign(
+        Camera(64, 48, 60, 60, 31.5, 23.5, (0.0, 0.0, -16.0)), DESIGN.lights, window=shell
+    )
+    found = media_between(inside, dome)
+    assert found == DomeMedia((0.0, 0.0, -15.0), (11.5, 13.5), (1.0, 1.41, 1.41))
+    with pytest.raises(InputError, match="off the dome window's sphere"):
+        media_between(inside, dome * [1.2, 1, 1])
+    with pytest.raises(InputError, match="the window is a plate"):
+        media_between(DESIGN, dome)
+    # A camera cast into the gel looks through no interface.
+    cast = OpticalDesign(
+        Camera(64, 48, 60, 60, 31.5, 23.5, (0.0, 0.0, -2.0)), DESIGN.lights, window=None
+    )
+    assert media_between(cast, flat) == FlatMedia((), (1.41,))
+
+
+def test_faces_that_are_not_there(mesh: TetMesh) -> None:
+    bare = TetMesh(mesh.nodes_m, mesh.tets, mesh.faces, np.full(len(mesh.faces), int(Region.SIDE)))
+    with pytest.raises(InputError, match="CONTACT"):
+        GelFace(bare)
+    with pytest.raises(InputError, match="is needed"):
+        GelFace(mesh).at(mesh.nodes_m[:-1])
+    broken = mesh.nodes_m.copy()
+    broken[seen_faces(mesh)[0, 0]] = math.nan
+    with pytest.raises(InputError, match="NaN"):
+        GelFace(mesh).at(broken)
+    with pytest.raises(InputError, match="nowhere defined"):
+        height_face(lambda xy: np.full(xy.shape[:-1], np.nan), np.arange(3.0), np.arange(3.0))
+    with pytest.raises(InputError, match=r"\[env, node, 3\]"):
+        OpticalModel(DESIGN, mesh).render(np.zeros((0, 3, 3)))
