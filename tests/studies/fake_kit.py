@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Presses and metrics of formulas instead of simulations; each evaluation leaves a line in a log."""
+"""Presses and metrics made of formulas; each evaluation leaves a line in a log."""
 
 from __future__ import annotations
 

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A study that is killed at any time goes on where it was, and loses nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from studies.folder import RESULT, StudyFolder
+from studies.runner import run_study
+from studies.stored import StoredDesign
+from tests.studies.fake_kit import logged, study
+from tests.studies.run_fake import CHANGES
+
+ROOT = Path(__file__).parents[2]
+
+
+def wait_until(holds, seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.02)
+
+
+def children_of(pid: int) -> list[int]:
+    path = Path(f"/proc/{pid}/task/{pid}/children")
+    return [int(child) for child in path.read_text().split()] if path.is_file() else []
+
+
+@pytest.mark.parametrize("processes", [0, 2])
+def test_a_killed_sweep_goes_on(tmp_path: Path, processes: int) -> None:
+    folder = StudyFolder(tmp_path)
+    command = [sys.executable, "-m", "tests.studies.run_fake", str(tmp_path), str(processes)]
+    environment = {**os.environ, "FAKE_SECONDS": "0.1", "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(command, cwd=ROOT, env=environment)
+    try:
+        wait_until(lambda: len(folder.ids()) >= 4)
+        children = children_of(process.pid)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    if processes:
+        assert children
+        wait_until(lambda: not any(Path(f"/proc/{child}").exists() for child in children))
+    before = {name: (folder.design(name) / RESULT).read_bytes() for name in folder.ids()}
+    assert 4 <= len(before) < 12
+
+    outcome = run_study(study(**CHANGES), tmp_path, processes=0)
+    assert outcome.complete and len(outcome.rows) == 12
+    assert outcome.new == 12 - len(before)
+    for name, content in before.items():
+        assert (folder.design(name) / RESULT).read_bytes() == content
+        assert logged(tmp_path).count(name) == 1
+    assert {row.id for row in outcome.rows} == {p.id for p in study(**CHANGES).points()}
+
+
+def test_leftovers_of_a_killed_write_are_removed(tmp_path: Path) -> None:
+    outcome = run_study(study(), tmp_path, processes=0)
+    design = outcome.folder.design(outcome.rows[0].id)
+    leftovers = [tmp_path / ".designs.x1.csv", design / ".result.y2.json"]
+    for path in leftovers:
+        path.write_text("half")
+    run_study(study(), tmp_path, processes=0)
+    assert not any(path.exists() for path in leftovers)
+
+
+def test_a_merged_row_keeps_what_only_one_knows() -> None:
+    old = StoredDesign(
+        "x", "gelsight", {}, "done", {"a": 1.0, "b": None}, {"b": "no edge", "press ball": "stuck"},
+        2.0, 3, {"ball": [1]}, {"a": "k", "b": "k"}, {"ball": "k"}, {"mesh": "mesh.vtu"},
+    )  # fmt: skip
+    new = StoredDesign(
+        "x", "gelsight", {}, "failed", {"c": None}, {"c": "why"}, 1.0, 1, {}, {"c": "k"},
+        {"ball": "k2"},
+    )  # fmt: skip
+    merged = old.merged(new)
+    assert merged.status == "done"
+    assert merged.figures == {"a": 1.0, "b": None, "c": None}
+    assert merged.causes == {"b": "no edge", "c": "why"}
+    assert (merged.seconds, merged.simulations) == (3.0, 4)
+    assert merged.figure_keys == {"a": "k", "b": "k", "c": "k"}
+    assert merged.press_keys == {"ball": "k2"}
+    assert merged.files == {"mesh": "mesh.vtu"}

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Studies against the catalogue: names, bounds, ties, identities; grids and random sweeps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cad.parameters import Parameter
+from studies.axis import Axis, axis_of
+from studies.batches import MAX_BATCH, gather
+from studies.spec import ParameterRange
+from studies.sweep import random_points
+from studies.work import Batch
+from taccel_lab.errors import InputError
+from tests.studies.fake_kit import study, table
+
+WIDE = {"min": 300, "max": 900}
+BAD: list[tuple[dict[str, Any], str]] = [
+    ({"study": {**table()["study"], "sensor": "gelsigt"}}, r"no sensor 'gelsigt' \(did you mean"),
+    ({"study": {**table()["study"], "metrics": ["blurr"]}}, r"did you mean blur\?\); known: stiff"),
+    ({"study": {**table()["study"], "presses": ["bal"]}}, r"no press 'bal' \(did you mean ball"),
+    ({"study": {**table()["study"], "presses": ["ball"]}}, "'blur' is read from the press 'edge'"),
+    ({"objective": {"minimize": "nonsense"}}, "no metric 'nonsense'"),
+    ({"parameters": {"thicknes_mm": {"values": [3]}}}, r"did you mean thickness_mm\?"),
+    ({"parameters": {"thickness_mm": {"values": [300]}}}, r"above its bound; allowed: [\d.]+ to"),
+    ({"parameters": {"thickness_mm": {"min": 0.01, "max": 3, "count": 2}}}, "below its bound"),
+    ({"parameters": {"thickness_mm": {"values": ["thin"]}}}, "is not a number"),
+    ({"parameters": {"rim": {"values": ["round"]}}}, "use one of none, chamfer, fillet"),
+    ({"parameters": {"rim": {"min": 1, "max": 2, "count": 2}}}, "give values"),
+    ({"parameters": {"crown_radius_mm": {"min": 0, "max": 90, "count": 2}}}, "0 means flat"),
+    ({"parameters": {"width_px": {"min": 320, "max": 322, "count": 5}}}, "gives 3 different"),
+    ({"fixed": {"rim": "round"}}, r"\[fixed\] rim = 'round' is not allowed"),
+    ({"fixed": {"nonsense": 1}}, r"no parameter of gelsight in \[fixed\] 'nonsense'"),
+    ({"tied": {"rim": {"to": "thickness_mm"}}}, "only numbers can be tied"),
+    ({"press": {"egde": {"depth_mm": 2}}}, r"did you mean edge\?"),
+    ({"press": {"edge": {"depth": 2}}}, r"\[press.edge\] 'depth' \(did you mean depth_mm"),
+    ({"press": {"edge": {"depth_mm": -2}}}, r"\[press.edge\] depth_mm must be above 0"),
+    (
+        {"parameters": dict.fromkeys(("width_px", "height_px"), {**WIDE, "count": 101})},
+        "101 x 101 = 10,201 designs",
+    ),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), BAD)
+def test_what_the_catalogue_does_not_have_is_refused(changes: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        study(**changes)
+
+
+def test_grid_has_every_combination_once() -> None:
+    points = study().points()
+    assert [tuple(p.parameters.values()) for p in points] == [
+        (t, e) for t in (3.0, 4.0, 5.0) for e in (0.1, 0.4)
+    ]
+    assert len({p.id for p in points}) == 6
+
+
+def test_values_and_ranges_of_the_same_numbers_are_the_same_designs() -> None:
+    listed = study(parameters={"young_modulus_mpa": {"values": [0.1, 0.2, 0.4]}})
+    ranged = study(
+        parameters={"young_modulus_mpa": {"min": 0.1, "max": 0.4, "count": 3, "scale": "log"}}
+    )
+    assert [p.id for p in listed.points()] == [p.id for p in ranged.points()]
+
+
+def test_defaults_are_part_of_a_design() -> None:
+    default = study().parameters["thickness_mm"].default
+    with_default = study(parameters={"rim": {"values": ["none"]}}, fixed={"thickness_mm": default})
+    without = study(parameters={"rim": {"values": ["none"]}})
+    other = study(parameters={"rim": {"values": ["none"]}}, fixed={"thickness_mm": default + 1})
+    ids = [s.points()[0].id for s in (with_default, without, other)]
+    assert ids[0] == ids[1] != ids[2]
+
+
+def test_keys_follow_the_settings_of_the_presses_that_are_read() -> None:
+    one, two = study(), study(press={"edge": {"depth_mm": 0.5}})
+    assert one.points() == two.points()
+    assert one.press_keys["ball"] == two.press_keys["ball"]
+    assert one.press_keys["edge"] != two.press_keys["edge"]
+    changed = {name for name in one.metrics if one.figure_keys[name] != two.figure_keys[name]}
+    assert changed == {"blur"}
+
+
+def test_tied_parameters_follow() -> None:
+    tied = study(
+        parameters={"width_px": {"values": [320, 640]}},
+        tied={
+            "height_px": {"to": "width_px", "factor": 0.75, "offset": 0.3},
+            "mm_per_px": {"to": "width_px", "factor": 18.88, "power": -1},
+        },
+    )
+    first = tied.points()[0].parameters
+    assert first == {"width_px": 320, "height_px": 240, "mm_per_px": 0.059}
+
+
+def test_random_sweeps_repeat_and_fill_the_ranges() -> None:
+    parameters = {"thickness_mm": {"min": 2, "max": 8}, "rim": {"values": ["none", "chamfer"]}}
+    sweep = {"kind": "random", "count": 20}
+    first, again = (study(parameters=parameters, sweep=sweep).points() for _ in range(2))
+    assert first == again
+    other = study(
+        parameters=parameters, sweep=sweep, study={**table()["study"], "seed": 1}
+    ).points()
+    assert other != first
+    thickness = sorted(p.parameters["thickness_mm"] for p in first)
+    assert all(2 + 0.3 * i <= t <= 2.3 + 0.3 * i for i, t in enumerate(thickness))
+    assert [p.parameters["rim"] for p in first].count("none") == 10
+
+
+def test_more_sobol_points_keep_the_earlier_ones() -> None:
+    axes = [Axis(Parameter("x", 1.0, "mm", "", "", 0, 9), None, 1, 5)]
+    few, many = (random_points(axes, count, 3, "sobol") for count in (5, 11))
+    assert many[:5] == few
+
+
+NUMBER = Parameter("x", 1.0, "mm", "", "", 1e-3, 1e4)
+WHOLE = Parameter("n", 1, "px", "", "", 1, 10_000)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    low=st.floats(1e-3, 5e3), ratio=st.floats(1.01, 2.0), unit=st.floats(0, 1), log=st.booleans()
+)
+def test_ranges_stay_in_their_bounds_and_map_back(low: float, ratio: float, unit: float, log: bool):
+    wanted = ParameterRange(min=low, max=low * ratio, scale="log" if log else "linear")
+    axis = axis_of(NUMBER, wanted)
+    value = axis.at(unit)
+    assert low <= value <= low * ratio
+    assert axis.unit_of(value) == pytest.approx(unit, abs=1e-6 * low / (low * (ratio - 1)) + 1e-9)
+
+
+@given(low=st.integers(1, 50), span=st.integers(1, 50), unit=st.floats(0, 1))
+def test_whole_numbers_stay_whole(low: int, span: int, unit: float) -> None:
+    axis = axis_of(WHOLE, ParameterRange(min=low, max=low + span))
+    value = axis.at(unit)
+    assert isinstance(value, int) and low <= value <= low + span
+    assert axis.at(axis.unit_of(value)) == value
+
+
+def test_designs_that_share_simulations_go_together() -> None:
+    planned = study(
+        parameters={
+            "thickness_mm": {"values": [3.0, 4.0]},
+            "young_modulus_mpa": {"min": 0.1, "max": 0.4, "count": 40, "scale": "log"},
+            "poisson_ratio": {"values": [0.4, 0.45]},
+        }
+    )
+    wanted = [Batch((p,), ("blur",), ("edge",)) for p in planned.points()]
+    batches = gather(planned.family, wanted, "cpu")
+    assert sum(len(batch.designs) for batch in batches) == 160
+    for batch in batches:
+        assert len(batch.designs) <= MAX_BATCH
+        for name in ("thickness_mm", "poisson_ratio"):
+            assert len({design.parameters[name] for design in batch.designs}) == 1
+    assert len(batches) == 4 * 2
+    assert len(gather(planned.family, wanted, "cuda:0")) == 1

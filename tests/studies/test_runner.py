@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of studies: rows, resumption, changed study files, lost designs."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from studies.folder import STUDY_MARKER, StudyFolder
+from studies.runner import Listener, run_study, stored_outcome
+from studies.table import write_table
+from taccel_lab.errors import InputError
+from taccel_lab.output import require_replaceable
+from tests.studies.fake_kit import evaluate, evaluate_and_crash, figures_of, logged, study, table
+
+
+class Recorder(Listener):
+    def __init__(self) -> None:
+        self.told: list[tuple[Any, ...]] = []
+
+    def begins(self, total: int, stored: int, to_do: int) -> None:
+        self.told.append((total, stored, to_do))
+
+    def finished(self, design: Any) -> None:
+        self.told.append((design.id, design.status))
+
+
+def rows_of(root: Path) -> list[dict[str, str]]:
+    with open(root / "designs.csv", encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_design_has_a_row_with_its_figures(tmp_path: Path) -> None:
+    recorder = Recorder()
+    planned = study(constraints=[{"metric": "range", "min": 10}])
+    outcome = run_study(planned, tmp_path, processes=0, listener=recorder, source="# text\n")
+    assert outcome.complete and outcome.new == outcome.total == 6
+    rows = rows_of(tmp_path)
+    assert [row["design"] for row in rows] == [p.id for p in planned.points()]
+    assert list(rows[0]) == [
+        "design", "thickness_mm", "young_modulus_mpa", "stiffness", "range", "blur", "feasible",
+        "status", "cause", "simulations", "seconds",
+    ]  # fmt: skip
+    for row, point in zip(rows, planned.points(), strict=True):
+        figures = figures_of(point.parameters)
+        assert {n: float(row[n]) for n in figures if n != "lamps"} == {
+            n: v for n, v in figures.items() if n != "lamps"
+        }
+        assert row["feasible"] == ("true" if figures["range"] >= 10 else "false")
+    assert recorder.told[0] == (6, 0, 6) and len(recorder.told) == 7
+    assert (tmp_path / "study.toml").read_text() == "# text\n"
+    assert (tmp_path / STUDY_MARKER).is_file()
+
+
+def test_rows_that_are_there_are_not_evaluated_again(tmp_path: Path) -> None:
+    run_study(study(), tmp_path, processes=0, limit=2)
+    assert len(rows_of(tmp_path)) == 2 and len(logged(tmp_path)) == 2
+    outcome = run_study(study(), tmp_path, processes=0)
+    assert outcome.complete and outcome.new == 4
+    assert run_study(study(), tmp_path, processes=0).new == 0
+    assert sorted(logged(tmp_path)) == sorted(p.id for p in study().points())
+
+
+def test_added_values_extend_a_study_and_others_are_kept(tmp_path: Path) -> None:
+    run_study(study(), tmp_path, processes=0)
+    wider = {"thickness_mm": {"values": [3.0, 4.0, 5.0, 6.0]}}
+    wider["young_modulus_mpa"] = {"values": [0.1]}  # type: ignore[dict-item]
+    outcome = run_study(study(parameters=wider), tmp_path, processes=0)
+    assert outcome.new == 1 and outcome.others == 3
+    assert len(rows_of(tmp_path)) == 4
+    assert run_study(study(), tmp_path, processes=0).new == 0
+
+
+def test_new_metrics_leave_known_figures_alone(tmp_path: Path) -> None:
+    asked: list[tuple[list[str], list[str]]] = []
+
+    def spy(designs, presses, metrics, **rest):
+        asked.append(([p.name for p in presses], [m.name for m in metrics]))
+        return evaluate(designs, presses, metrics, **rest)
+
+    few = {**table()["study"], "metrics": ["stiffness"]}
+    run_study(study(spy, study=few), tmp_path, processes=0)
+    assert asked == [(["ball"], ["stiffness"])] * 3
+    asked.clear()
+    run_study(study(spy, study={**few, "metrics": ["lamps", "stiffness"]}), tmp_path, processes=0)
+    assert asked == [([], ["lamps"])] * 3
+    asked.clear()
+    run_study(study(spy), tmp_path, processes=0)
+    assert asked == [(["ball", "edge"], ["range", "blur"])] * 3
+    row = rows_of(tmp_path)[0]
+    assert row["simulations"] == "3" and row["stiffness"] and row["blur"]
+    asked.clear()
+    run_study(study(spy, press={"edge": {"depth_mm": 0.5}}), tmp_path, processes=0)
+    assert asked == [(["edge"], ["blur"])] * 3
+    asked.clear()
+    run_study(study(spy, study=few), tmp_path, processes=0)
+    assert not asked
+
+
+@pytest.mark.parametrize("processes", [0, 2])
+def test_designs_without_figures_are_rows_with_causes(tmp_path: Path, processes: int) -> None:
+    rims = {"rim": {"values": ["none", "chamfer", "fillet"]}}
+    outcome = run_study(study(parameters=rims), tmp_path, processes=processes)
+    assert outcome.complete
+    assert [row["status"] for row in rows_of(tmp_path)] == ["done", "done", "failed"]
+    causes = [row["cause"] for row in rows_of(tmp_path)]
+    assert causes == ["", "blur: no edge was found", "the fillet does not fit"]
+    assert rows_of(tmp_path)[1]["blur"] == "" and rows_of(tmp_path)[1]["range"] != ""
+    assert run_study(study(parameters=rims), tmp_path, processes=0).new == 0
+
+
+def test_parameters_that_contradict_each_other_are_a_row_too(tmp_path: Path) -> None:
+    thin = {"thickness_mm": {"values": [1.6, 5.0]}}
+    outcome = run_study(study(parameters=thin), tmp_path, processes=0)
+    assert [row.status for row in outcome.rows] == ["failed", "done"]
+    assert "thickness_mm" in outcome.rows[0].cause
+
+
+def test_one_fault_and_one_dead_process_cost_one_row_each(tmp_path: Path) -> None:
+    planned = study(evaluate_and_crash, study={**table()["study"], "metrics": ["stiffness"]})
+    outcome = run_study(planned, tmp_path, processes=2)
+    assert [row.status for row in outcome.rows] == ["broken"] * 2 + ["done"] * 2 + ["broken"] * 2
+    causes = [row.cause for row in outcome.rows]
+    assert causes[0] == "ZeroDivisionError: a fault of the program"
+    assert "signal 9" in causes[4]
+    trace = tmp_path / "designs" / outcome.rows[0].id / "traceback.txt"
+    assert "evaluate_and_crash" in trace.read_text()
+    # The next run tries them again, and nothing else.
+    again = run_study(study(), tmp_path, processes=0)
+    assert {row.status for row in again.rows} == {"done"}
+    assert len(logged(tmp_path)) == 2 + 6
+
+
+def test_stored_outcome_evaluates_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no study"):
+        stored_outcome(study(), tmp_path)
+    run_study(study(), tmp_path, processes=0, limit=3)
+    outcome = stored_outcome(study(), tmp_path)
+    assert len(outcome.rows) == 3 and not outcome.complete
+    assert len(logged(tmp_path)) == 3
+
+
+def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match="holds files and no study"):
+        run_study(study(), tmp_path, processes=0)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+    with pytest.raises(InputError, match=r"thesis\.txt is a file"):
+        run_study(study(), tmp_path / "thesis.txt" / "out", processes=0)
+
+
+def test_other_commands_do_not_take_a_study_for_their_output(tmp_path: Path) -> None:
+    run_study(study(), tmp_path, processes=0, limit=1)
+    with pytest.raises(InputError):
+        require_replaceable(tmp_path)
+
+
+def test_a_study_of_another_sensor_is_refused(tmp_path: Path) -> None:
+    run_study(study(), tmp_path, processes=0, limit=1)
+    other = study(
+        study={**table()["study"], "sensor": "digit"},
+        parameters={"thickness_mm": {"values": [4.0]}},
+    )
+    with pytest.raises(InputError, match="holds a study of the sensor 'gelsight', not of 'digit'"):
+        run_study(other, tmp_path, processes=0)
+
+
+def test_two_runs_in_one_folder_are_refused(tmp_path: Path) -> None:
+    with StudyFolder(tmp_path).locked():
+        with pytest.raises(InputError, match="another run works in"):
+            run_study(study(), tmp_path, processes=0)
+    assert run_study(study(), tmp_path, processes=0).complete
+
+
+def test_damaged_results_are_named(tmp_path: Path) -> None:
+    outcome = run_study(study(), tmp_path, processes=0)
+    path = outcome.folder.design(outcome.rows[0].id) / "result.json"
+    text = path.read_text()
+    for bad in (text[:-30], "[]", json.dumps({"id": outcome.rows[0].id})):
+        path.write_text(bad)
+        with pytest.raises(InputError, match=r"result\.json is damaged"):
+            run_study(study(), tmp_path, processes=0)
+    path.unlink()
+    assert run_study(study(), tmp_path, processes=0).new == 1
+
+
+def test_parquet_has_the_same_rows(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    rims = {"rim": {"values": ["none", "chamfer", "fillet"]}}
+    outcome = run_study(study(parameters=rims), tmp_path, processes=0)
+    write_table(tmp_path, outcome.study, outcome.rows)
+    columns = parquet.read_table(tmp_path / "designs.parquet").to_pydict()
+    assert list(columns) == list(rows_of(tmp_path)[0])
+    assert columns["rim"] == ["none", "chamfer", "fillet"]
+    assert columns["blur"][1:] == [None, None]
