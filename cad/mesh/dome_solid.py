@@ -44,6 +44,8 @@ _TOP_LAYERS = (0.9, 1.07)
 """Heights of the layer between coarse and fine and of the fine ones over that at the pocket."""
 _BASE_LAYERS = (1.0, 0.7)
 """The same along the base."""
+_POCKET_SAG = 0.0135
+"""Sagitta of the chords round the pocket at an edge of 1 mm [mm]; it grows with its square."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,10 @@ def _doubled(grid: DomeGrid) -> DomeGrid:
 
 def _even_grid(pad: SolidDomePad, edge: float) -> DomeGrid:
     """Counts of the coarse plan for cells of about ``edge`` [mm] in the fine one."""
-    core = int(np.clip(round(math.pi * pad.cap_radius_mm / (4 * edge)), 3, 32))
+    outside = round(math.pi * pad.cap_radius_mm / (4 * edge))
+    # Chords round the pocket add to those of its fillet, which one ring of nodes follows.
+    pocket = math.ceil(math.pi / (4 * edge * math.sqrt(2 * _POCKET_SAG / pad.pocket_radius_mm)))
+    core = int(np.clip(max(outside, pocket), 3, 32))
     arc = pad.dome_radius_mm * pad.cap_angle
     half = min(core * edge, LARGEST_CORE * arc)
     cap = CapGrid(core, 0, max(2, round((arc - half) / (2 * edge))))
