@@ -81,8 +81,9 @@ class Assembly:
             )
         return found
 
-    def to_json(self) -> dict[str, Any]:
-        """Parts, joints' results and clearances as plain values."""
+    def to_json(self, clearances: Sequence[Clearance] | None = None) -> dict[str, Any]:
+        """Parts, joints and clearances (measured unless given) as plain values."""
+        found = self.clearances() if clearances is None else clearances
         return {
             "name": self.name,
             "parts": {
@@ -90,11 +91,12 @@ class Assembly:
                     "material": part.material,
                     "volume_mm3": part.solid.volume,
                     "position_mm": list(part.solid.location.position),
+                    "joints": sorted(part.solid.joints),
                     "placeholder": part.placeholder,
                 }
                 for part in self.parts
             },
-            "clearances": [dataclasses.asdict(clearance) for clearance in self.clearances()],
+            "clearances": [dataclasses.asdict(clearance) for clearance in found],
             "notes": list(self.notes),
         }
 

@@ -28,8 +28,8 @@ from cad.parts.labelled_solid import LabelledSolid
 from cad.parts.outline import base_outline
 from taccel_lab.geometry import Region
 
-_SHEETS = {"A4": (297.0, 210.0), "A3": (420.0, 297.0)}
-_SCALES = (20.0, 10.0, 5.0, 4.0, 3.0, 2.0, 1.5, 1.0, 0.5, 0.2, 0.1)
+SHEETS = {"A4": (297.0, 210.0), "A3": (420.0, 297.0)}
+SCALES = (20.0, 10.0, 5.0, 4.0, 3.0, 2.0, 1.5, 1.0, 0.5, 0.2, 0.1)
 _LEFT, _ABOVE, _BETWEEN, _RIGHT, _BELOW = 34.0, 30.0, 30.0, 22.0, 20.0
 _HATCHES = ("////", "\\\\\\\\", "xxxx")
 _FILLS = ("#f6e3d0", "#d9d9de", "#e3eef2")
@@ -75,7 +75,7 @@ def write_pad_drawing(
     box = gel.solid.bounding_box()
     size = np.array([box.size.X, box.size.Y, box.size.Z])
     name, scale = _sheet_and_scale(size)
-    sheet = Sheet(*_SHEETS[name])
+    sheet = Sheet(*SHEETS[name])
     # What is left of the sheet goes round the views in equal parts.
     room = np.array([sheet.width_mm - 16 - TABLE_WIDTH_MM, sheet.height_mm - 16])
     margin = (room - _needed(size, scale)) / 2
@@ -123,15 +123,16 @@ def _needed(size: np.ndarray, scale: float) -> np.ndarray:
 
 def _sheet_and_scale(size: np.ndarray) -> tuple[str, float]:
     """The largest scale that fits A4 if it is at least 2:1, else A3."""
-    for name, (width, height) in _SHEETS.items():
+    for name, (width, height) in SHEETS.items():
         room = np.array([width - 16 - TABLE_WIDTH_MM, height - 16])
-        fitting = [s for s in _SCALES if (_needed(size, s) <= room).all()]
+        fitting = [s for s in SCALES if (_needed(size, s) <= room).all()]
         if fitting and (fitting[0] >= 2 or name == "A3"):
             return name, fitting[0]
-    return "A3", _SCALES[-1]
+    return "A3", SCALES[-1]
 
 
-def _mm(value: float) -> str:
+def mm_words(value: float) -> str:
+    """A length as drawings state it: up to a micrometre, without trailing zeros."""
     return f"{value:.3f}".rstrip("0").rstrip(".") if abs(value) < 100 else f"{value:.1f}"
 
 
@@ -155,12 +156,12 @@ def _draw_plan(sheet: Sheet, view: _View, gel: LabelledSolid) -> None:
     if whole:
         sheet.dimension(
             view.at(box.min.X, 0), view.at(box.max.X, 0),
-            view.scale * box.size.Y / 2 + 18, f"Ø{_mm(box.size.X)}", along="x",
+            view.scale * box.size.Y / 2 + 18, f"Ø{mm_words(box.size.X)}", along="x",
         )  # fmt: skip
     else:
-        sheet.dimension(view.at(*corner), view.at(box.max.X, box.max.Y), 18, _mm(box.size.X),
+        sheet.dimension(view.at(*corner), view.at(box.max.X, box.max.Y), 18, mm_words(box.size.X),
                         along="x")  # fmt: skip
-        sheet.dimension(view.at(box.min.X, box.min.Y), view.at(*corner), 20, _mm(box.size.Y),
+        sheet.dimension(view.at(box.min.X, box.min.Y), view.at(*corner), 20, mm_words(box.size.Y),
                         along="y")  # fmt: skip
         _label_corners(sheet, view, arcs)
     _dimension_window(sheet, view, gel)
@@ -181,7 +182,7 @@ def _label_corners(sheet: Sheet, view: _View, arcs: Sequence) -> None:
         count = f"{len(group)}× " if len(group) > 1 else ""
         point = view.at(at.X, at.Y)
         elbow = (point[0] + 6 + 2 * k, point[1] - 8 - 7 * k)
-        sheet.leader(point, elbow, f"{count}R{_mm(radius)}")
+        sheet.leader(point, elbow, f"{count}R{mm_words(radius)}")
 
 
 def _dimension_window(sheet: Sheet, view: _View, gel: LabelledSolid) -> None:
@@ -197,11 +198,11 @@ def _dimension_window(sheet: Sheet, view: _View, gel: LabelledSolid) -> None:
     level = (low[1] + high[1]) / 2 if round_window else high[1]
     to_top = view.scale * (box.max.Y - level)
     sheet.dimension(view.at(low[0], level), view.at(high[0], level), to_top + 8,
-                    f"{mark}{_mm(high[0] - low[0])} window", along="x")  # fmt: skip
+                    f"{mark}{mm_words(high[0] - low[0])} window", along="x")  # fmt: skip
     if not round_window:
         to_left = view.scale * (low[0] - box.min.X)
         sheet.dimension(view.at(low[0], low[1]), view.at(low[0], high[1]), to_left + 9,
-                        f"{_mm(high[1] - low[1])} window", along="y")  # fmt: skip
+                        f"{mm_words(high[1] - low[1])} window", along="y")  # fmt: skip
 
 
 def _dimension_section(
@@ -237,12 +238,12 @@ def _dimension_heights(
 ) -> None:
     total = high[1] - low[1]
     start = view.at(low[0], low[1])
-    sheet.dimension(start, view.at(low[0], high[1]), 18, _mm(total), along="y")
+    sheet.dimension(start, view.at(low[0], high[1]), 18, mm_words(total), along="y")
     _dimension_wall(sheet, view, cut, low, high, "x")
     apex = _apex_thickness(cut)
     if apex is not None and apex < total - 1e-3:
         sheet.dimension(view.at(0, high[1] - apex), view.at(0, high[1]), view.scale * 0.12 *
-                        float(high[0] - low[0]) + 2, f"{_mm(apex)}", along="y")  # fmt: skip
+                        float(high[0] - low[0]) + 2, f"{mm_words(apex)}", along="y")  # fmt: skip
 
 
 def _dimension_wall(
@@ -259,9 +260,9 @@ def _dimension_wall(
         return
     foot, top = view.at(end[0], low[1]), view.at(end[0], low[1] + wall)
     if along == "x":
-        sheet.dimension(foot, top, -9, f"{_mm(wall)} wall", along="y")
+        sheet.dimension(foot, top, -9, f"{mm_words(wall)} wall", along="y")
     else:
-        sheet.dimension(top, foot, -9, f"{_mm(wall)} wall", along="x")
+        sheet.dimension(top, foot, -9, f"{mm_words(wall)} wall", along="x")
 
 
 def _apex_thickness(cut: Section) -> float | None:
@@ -286,7 +287,7 @@ def _label_radii(sheet: Sheet, view: _View, cut: Section, contact: np.ndarray, a
             place = contact[int(np.abs(contact[:, 0] - 0.45 * half).argmin())]
             point = view.at(float(place[0]), float(place[1]))
             shift = (8.0, 8.0) if along == "x" else (-6.0, 8.0)
-            words = f"R{_mm(round(radius, 2))}"
+            words = f"R{mm_words(round(radius, 2))}"
             sheet.leader(point, (point[0] + shift[0], point[1] + shift[1]), words)
     back = min(float(edge.points[:, 1].min()) for edge in cut.edges)
     seen: set[float] = set()
@@ -307,7 +308,7 @@ def _label_radii(sheet: Sheet, view: _View, cut: Section, contact: np.ndarray, a
         else:
             elbow = (base[0] + 6, point[1] + far)
         seen.add(radius)
-        sheet.leader(point, elbow, f"R{_mm(radius)}")
+        sheet.leader(point, elbow, f"R{mm_words(radius)}")
 
 
 def _near_apex(contact: np.ndarray, reach: float) -> np.ndarray:

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plane curves of a solid for a drawing: the plan seen from in front, sections through the apex."""
 
+# OCP ships no type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from collections.abc import Sequence

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -128,7 +129,9 @@ class Sheet:
         inside = length > width + 2 * _ARROW_MM + 1
         arrows_inside = length > 3 * _ARROW_MM
         outward = 0.0 if arrows_inside else 2.2 * _ARROW_MM
-        self.line([a - outward * direction, b + outward * direction], THIN / 1.5, color=_DIM)
+        self.line(
+            np.stack([a - outward * direction, b + outward * direction]), THIN / 1.5, color=_DIM
+        )
         sign = 1 if arrows_inside else -1
         self._arrow(a, -sign * direction)
         self._arrow(b, sign * direction)
@@ -138,8 +141,8 @@ class Sheet:
             return
         end = b + direction * (max(outward, 1.0) + width / 2 + 0.8)
         if arrows_inside or outward:
-            self.line([b, b + direction * (max(outward, 1.0) + width + 0.8)], THIN / 1.5,
-                      color=_DIM)  # fmt: skip
+            shelf = np.stack([b, b + direction * (max(outward, 1.0) + width + 0.8)])
+            self.line(shelf, THIN / 1.5, color=_DIM)
         self.text(tuple(end + lift), words, angle=angle, align="center", color=_DIM)
 
     def leader(self, point: Xy, elbow: Xy, words: str) -> None:
@@ -163,6 +166,10 @@ class Sheet:
         """Write SVG, PDF or PNG, by the suffix."""
         suffix = path.suffix.lstrip(".")
         metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[suffix]
-        settings = {"svg.hashsalt": "taccel_lab", "svg.fonttype": "none", "hatch.linewidth": 0.4}
+        settings: dict[Any, Any] = {
+            "svg.hashsalt": "taccel_lab",
+            "svg.fonttype": "none",
+            "hatch.linewidth": 0.4,
+        }
         with mpl.rc_context(settings):
             self._figure.savefig(path, format=suffix, dpi=110, metadata=metadata)

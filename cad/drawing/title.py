@@ -27,6 +27,7 @@ class TitleBlock:
     notes: tuple[str, ...] = ()
     volume_mm3: float = 0.0
     what: str = "gel"
+    heading: tuple[str, str, str] = ("parameter", "value", "unit")
 
 
 def scale_words(scale: float) -> str:
@@ -56,9 +57,9 @@ def _table(sheet: Sheet, block: TitleBlock, left: float, y: float, bottom: float
     row_mm = min(_ROW_MM, (y - bottom - 26) / (len(rows) + 1))
     text = min(_SMALL, 0.6 * row_mm)
     y -= row_mm
-    sheet.text((left + 3, y + row_mm / 2), "parameter", size=text, bold=True)
-    sheet.text((right - 14, y + row_mm / 2), "value", size=text, bold=True, align="right")
-    sheet.text((right - 12, y + row_mm / 2), "unit", size=text, bold=True)
+    sheet.text((left + 3, y + row_mm / 2), block.heading[0], size=text, bold=True)
+    sheet.text((right - 14, y + row_mm / 2), block.heading[1], size=text, bold=True, align="right")
+    sheet.text((right - 12, y + row_mm / 2), block.heading[2], size=text, bold=True)
     sheet.line([(left, y), (right, y)])
     for name, (value, unit) in rows:
         y -= row_mm

@@ -7,18 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from build123d import (
-    ColorIndex,
     Edge,
     ExportDXF,
     Face,
     Location,
     Plane,
     Pos,
-    Shape,
     Solid,
     Unit,
     Wire,
 )
+from build123d.exporters import ColorIndex
+from build123d.topology import Shape
 
 from cad.parts.labelled_solid import LabelledSolid
 from cad.parts.outline import base_outline

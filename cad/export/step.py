@@ -19,7 +19,6 @@ from OCP.STEPCAFControl import STEPCAFControl_Writer
 from OCP.TCollection import TCollection_ExtendedString
 from OCP.TDataStd import TDataStd_Name
 from OCP.TDocStd import TDocStd_Document
-from OCP.TopLoc import TopLoc_Location
 from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool
 
 from cad.parts.labelled_solid import LabelledSolid
@@ -33,9 +32,9 @@ def write_step(part: LabelledSolid, path: Path, *, name: str = "gel_pad") -> Non
 
 
 def write_part_step(part: Part, path: Path) -> None:
-    """Write one part as STEP AP214 in mm, with the names and colours of part and faces."""
+    """Write one part in its own frame as STEP AP214 in mm, with names and colours of its faces."""
     document = _Document()
-    document.add(part, part.solid)
+    document.add(part, part.own_solid)
     document.write(path)
 
 
@@ -52,7 +51,7 @@ def write_assembly_step(parts: Sequence[Part], path: Path, *, name: str) -> None
     document.set_name(assembly, name)
     for part in parts:
         placed = part.solid.wrapped
-        label = document.add(part, Solid(placed.Located(TopLoc_Location())))
+        label = document.add(part, part.own_solid)
         component = document.shapes.AddComponent(assembly, label, placed.Location())
         document.set_name(component, part.name)
     document.shapes.UpdateAssemblies()

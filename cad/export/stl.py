@@ -8,6 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from cad.mesh.surface import LabelledSurface
+from cad.mesh.tessellate import tessellate_solid
+from cad.parts.labelled_solid import LabelledSolid
+from cad.parts.part import Part
+from taccel_lab.geometry import Region
 
 
 def write_stl(surface: LabelledSurface, path: Path, *, name: str = "gel pad") -> None:
@@ -21,3 +25,10 @@ def write_stl(surface: LabelledSurface, path: Path, *, name: str = "gel pad") ->
         file.write(header[:80].ljust(80, b"\0"))
         file.write(np.array(len(triangles), dtype="<u4").tobytes())
         file.write(triangles.tobytes())
+
+
+def write_part_stl(part: Part, path: Path) -> None:
+    """Write one part in its own frame as binary STL in mm, to 0.01 mm."""
+    labelled = LabelledSolid(part.own_solid, [Region.SIDE] * len(part.face_names))
+    surface = tessellate_solid(labelled, tolerance_mm=0.01, angle_rad=0.1)
+    write_stl(surface, path, name=part.name)

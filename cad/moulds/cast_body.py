@@ -68,7 +68,7 @@ def cast_body(gel: Solid, *, draft_deg: float, shrinkage_percent: float) -> Cast
         outline=outline,
         draft_height_mm=height,
         draft_width_mm=slope * height,
-        draft_volume_mm3=merged[0].volume - grown_gel.volume,
+        draft_volume_mm3=wedge.volume,
         vertical_mm=highest - height,
     )
 

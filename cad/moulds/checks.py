@@ -66,18 +66,18 @@ def check_mould(mould: Mould, gel: LabelledSolid) -> MouldReport:
     if overlap > OVERLAP_MM3:
         raise InputError(f"{mould.name}: the closed halves interpenetrate by {overlap:.3g} mm^3")
     held = _held_mm3(mould)
-    grown = gel.solid.volume / (1 - mould.options.shrinkage_percent / 100) ** 3
+    grown = gel.volume_mm3 / (1 - mould.options.shrinkage_percent / 100) ** 3
     expected = grown + mould.body.draft_volume_mm3
     if abs(held / expected - 1) > _VOLUME_TOLERANCE:
         raise InputError(
             f"{mould.name}: the closed mould holds {held:.3f} mm^3, the gel with its draft has "
             f"{expected:.3f} mm^3"
         )
-    insert = 0.0 if mould.insert is None else mould.insert.volume
+    insert = 0.0 if mould.insert is None else _volume_mm3(mould.insert)
     return MouldReport(
-        gel_volume_mm3=gel.solid.volume,
+        gel_volume_mm3=gel.volume_mm3,
         cavity_volume_mm3=held,
-        shrinkage_volume_mm3=grown - gel.solid.volume,
+        shrinkage_volume_mm3=grown - gel.volume_mm3,
         draft_volume_mm3=mould.body.draft_volume_mm3,
         draft_height_mm=mould.body.draft_height_mm,
         draft_width_mm=mould.body.draft_width_mm,
@@ -95,7 +95,11 @@ def _held_mm3(mould: Mould) -> float:
     block = Solid.make_box(box.size.X - 1, box.size.Y - 1, box.size.Z, corner)
     hollow = block.cut(mould.cavity.solid, mould.lid.solid)
     middle = mould.body.solid.bounding_box().center()
-    return min(hollow.solids(), key=lambda s: _off(s, middle)).volume
+    return _volume_mm3(min(hollow.solids(), key=lambda s: _off(s, middle)))
+
+
+def _volume_mm3(solid: Solid) -> float:
+    return LabelledSolid(solid, []).volume_mm3
 
 
 def _off(solid: Solid, point: Any) -> float:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from build123d import Face, Plane, Pos, Solid
+from build123d import Face, Plane, ShapeList, Solid
+from build123d.topology import Shape
 
 from cad.moulds.cast_body import CastBody, cast_body
 from cad.moulds.gates import Gate, place_gates
@@ -166,16 +167,11 @@ def _part(name: str, solid: Solid, body: CastBody, color: tuple[float, float, fl
     )
 
 
-def _single(shape, what: str) -> Solid:  # noqa: ANN001
-    solids = shape.solids()
+def _single(shape: Shape | ShapeList | None, what: str) -> Solid:
+    solids = shape.solids() if shape is not None else []
     if len(solids) != 1 or not solids[0].is_valid:
         raise InputError(
             f"the CAD kernel cannot build the {what}: {len(solids)} bodies, one valid one is "
             "needed; change wall_mm, lid_mm or pin_mm a little"
         )
     return solids[0]
-
-
-def opened(mould: Mould, gap_mm: float) -> tuple[Solid, Solid]:
-    """Cavity and lid drawn apart along z, as in a picture."""
-    return Pos(0, 0, gap_mm / 2) * mould.cavity.solid, Pos(0, 0, -gap_mm / 2) * mould.lid.solid

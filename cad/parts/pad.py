@@ -16,6 +16,8 @@ import numpy as np
 from cad.parameters import ParameterSet
 
 if TYPE_CHECKING:
+    from build123d import Solid
+
     from cad.parts.labelled_solid import LabelledSolid
 
 
@@ -61,6 +63,14 @@ class Pad(ParameterSet, ABC):
         Raises:
             InputError: The CAD kernel cannot build the combination; says which bound it breaks.
         """
+
+    def layer_solids(self) -> dict[str, Solid]:
+        """Solid of each layer by its name, the gel proper first.
+
+        Raises:
+            InputError: The CAD kernel cannot build the combination.
+        """
+        return {self.layer_names[0]: self.labelled_solid().solid}
 
     @abstractmethod
     def figures(self) -> dict[str, float]:

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A body of an assembly: solid, names of its faces, colour, material."""
 
+# OCP ships no type stubs.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from build123d import Face, Solid
+from OCP.TopLoc import TopLoc_Location
 
 from cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.geometry import Region
@@ -39,6 +43,19 @@ class Part:
     placeholder: bool = False
     """True for a body that only reserves room, such as a bought camera."""
 
+    gel: bool = False
+    """True for a layer of the gel, which is cast."""
+
+    @property
+    def own_solid(self) -> Solid:
+        """The solid in the part's own frame, without the place that joints gave it."""
+        return Solid(self.solid.wrapped.Located(TopLoc_Location()))
+
+    @property
+    def made_beside(self) -> bool:
+        """True for what is made beside the gel: window, housing, cover."""
+        return not (self.gel or self.placeholder)
+
     def __post_init__(self) -> None:
         count = len(self.solid.faces())
         if len(self.face_names) != count:
@@ -63,4 +80,5 @@ def gel_part(gel: LabelledSolid, name: str = "gel_pad", material: str = "silicon
         color=REGION_COLORS[Region.CONTACT],
         material=material,
         face_colors={region.name.lower(): color for region, color in REGION_COLORS.items()},
+        gel=True,
     )

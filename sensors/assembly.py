@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sensor's parts for the workshop: its optics and housing handed to CAD in plain numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sensors.base import FamilyParameters, Housing
+from taccel_lab.geometry import Region
+from taccel_lab.optics.description import Camera, Light, Window
+
+if TYPE_CHECKING:
+    from build123d import Face
+
+    from cad.assembly import Assembly
+    from cad.parts.housing import HousingShape
+    from cad.parts.labelled_solid import LabelledSolid
+    from cad.parts.pad import Pad
+    from cad.parts.part import Part
+    from cad.parts.placeholders import CameraShape, LedShape, Pose
+    from cad.parts.window import WindowShape
+
+LEAST_LED_MM = 0.5
+"""Side of the placeholder of a light that is modelled as a point [mm]."""
+_ON_FACE_MM = 1e-3
+_LAYER_COLORS = {"gel": (0.93, 0.80, 0.62), "skin": (0.25, 0.25, 0.27)}
+
+
+def sensor_parts(
+    name: str, parameters: FamilyParameters, gel: LabelledSolid | None = None
+) -> Assembly:
+    """The assembly of a sensor; ``gel`` is the solid of its pad if it is already at hand.
+
+    Raises InputError when a part cannot be built, naming the bound that is broken.
+    """
+    from cad.assembly_sensor import sensor_assembly
+
+    pad, optics, housing = parameters.pad(), parameters.optics(), parameters.housing()
+    gel = gel or pad.labelled_solid()
+    view = _view_mm(gel)
+    window = None if optics is None else optics.window
+    return sensor_assembly(
+        name,
+        gel_parts(pad, gel),
+        pad.thickness_mm,
+        window=None if window is None else window_shape(window, view),
+        housing=None if housing is None else housing_shape(housing),
+        camera=None if optics is None else camera_shape(optics.camera),
+        leds=() if optics is None else tuple(led_shapes(optics.lights)),
+        view_mm=view,
+    )
+
+
+def gel_parts(pad: Pad, gel: LabelledSolid) -> tuple[Part, ...]:
+    """The gel as one part, or its layers as a part each, core first."""
+    from cad.parts.part import Part, gel_part
+
+    layers = gel_layers(pad, gel)
+    if len(layers) < 2:
+        return (gel_part(gel),)
+    return tuple(
+        Part(
+            name=name,
+            solid=layer.solid,
+            face_names=tuple(region.name.lower() for region in layer.regions),
+            color=_LAYER_COLORS.get(name, (0.6, 0.6, 0.6)),
+            material=f"silicone, {name}",
+            gel=True,
+        )
+        for name, layer in layers.items()
+    )
+
+
+def gel_layers(pad: Pad, gel: LabelledSolid) -> dict[str, LabelledSolid]:
+    """The layers of the gel by name, core first; a face inside the gel counts as side."""
+    from cad.parts.labelled_solid import LabelledSolid
+
+    if len(pad.layer_names) < 2:
+        return {pad.layer_names[0]: gel}
+    return {
+        name: LabelledSolid(solid, [_region_of(face, gel) for face in solid.faces()])
+        for name, solid in pad.layer_solids().items()
+    }
+
+
+def _region_of(face: Face, gel: LabelledSolid) -> Region:
+    """Region of the face of the whole gel that a layer's face is a part of."""
+    points = (face.center(), face.position_at(0.3, 0.7))
+    for whole, region in zip(gel.solid.faces(), gel.regions, strict=True):
+        if all(whole.distance_to(point) < _ON_FACE_MM for point in points):
+            return region
+    return Region.SIDE
+
+
+def _view_mm(gel: LabelledSolid) -> tuple[float, float]:
+    """Extents of the gel's window face in plan [mm]."""
+    boxes = [face.bounding_box() for face in gel.faces(Region.WINDOW)]
+    if not boxes:
+        return (0.0, 0.0)
+    return (
+        max(b.max.X for b in boxes) - min(b.min.X for b in boxes),
+        max(b.max.Y for b in boxes) - min(b.min.Y for b in boxes),
+    )
+
+
+def window_shape(window: Window, view_mm: tuple[float, float]) -> WindowShape:
+    """The window's dimensions; a dome has no patch of its own for the view."""
+    from cad.parts.window import WindowShape
+
+    dome = window.shape == "dome"
+    return WindowShape(
+        thickness_mm=window.thickness_mm,
+        size_mm=window.size_mm,
+        dome_radius_mm=window.outer_radius_mm if dome else 0.0,
+        optical_mm=(0.0, 0.0) if dome else view_mm,
+    )
+
+
+def housing_shape(housing: Housing) -> HousingShape:
+    """The housing's dimensions."""
+    from cad.parts.housing import HousingShape
+
+    return HousingShape(
+        size_mm=housing.size_mm,
+        wall_mm=housing.wall_mm,
+        corner_radius_mm=housing.corner_radius_mm,
+        front_z_mm=housing.front_z_mm,
+        offset_mm=housing.offset_mm,
+    )
+
+
+def camera_shape(camera: Camera) -> CameraShape:
+    """Room for the camera at its pose."""
+    from cad.parts.placeholders import CameraShape, Pose
+
+    turn = camera.gel_from_camera()
+    return CameraShape(Pose(camera.position_mm, _triple(turn[:, 2]), _triple(turn[:, 0])))
+
+
+def led_shapes(lights: tuple[Light, ...]) -> list[LedShape]:
+    """Room for each LED; a bare point gets a side of half a millimetre."""
+    from cad.parts.placeholders import LedShape
+
+    names: set[str] = set()
+    shapes = []
+    for k, light in enumerate(lights):
+        name = f"led_{light.name or k}"
+        if name in names:
+            name = f"{name}_{k}"
+        names.add(name)
+        brightest = max(light.rgb)
+        shapes.append(
+            LedShape(
+                pose=_led_pose(light),
+                name=name,
+                size_mm=(
+                    max(light.size_mm[0], LEAST_LED_MM),
+                    max(light.size_mm[1], LEAST_LED_MM),
+                ),
+                color=_triple(np.array(light.rgb) / brightest),
+            )
+        )
+    return shapes
+
+
+def _led_pose(light: Light) -> Pose:
+    """z along the light's axis, x as near to the xy plane as can be."""
+    from cad.parts.placeholders import Pose
+
+    dx, dy, _ = light.direction
+    flat = math.hypot(dx, dy)
+    x_axis = (-dy / flat, dx / flat, 0.0) if flat > 1e-9 else (1.0, 0.0, 0.0)
+    return Pose(light.position_mm, light.direction, x_axis)
+
+
+def _triple(values: np.ndarray) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files for the workshop: pad, assembly, moulds and drawings of one design."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.errors import InputError
+from taccel_lab.output import write_json
+
+if TYPE_CHECKING:
+    from cad.assembly import Assembly
+    from cad.mesh.surface import LabelledSurface
+    from cad.moulds import MouldOptions
+    from cad.parts.labelled_solid import LabelledSolid
+    from cad.parts.part import Part
+
+WORKSHOP_PARTS = ("pad", "assembly", "mould", "drawing")
+"""What can be left out of a design's folder."""
+
+
+@dataclass
+class Workshop:
+    """One gel and what is made around it; every method writes files and notes their names."""
+
+    name: str
+    folder: Path
+    gel: LabelledSolid
+    surface: LabelledSurface
+    layers: Mapping[str, LabelledSolid]
+    """The gel's layers by name, core first."""
+    assembly: Assembly | None = None
+    table: Mapping[str, tuple[float | int | str, str]] = field(default_factory=dict)
+    """Name -> (value, unit) for the table of a drawing."""
+    files: dict[str, str] = field(default_factory=dict)
+    """Names of the files written, by kind."""
+    warnings: list[str] = field(default_factory=list)
+    """What a maker should know, in words."""
+
+    def _path(self, kind: str, name: str) -> Path:
+        self.files[kind] = name
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def write(self, parts: Sequence[str], mould_options: MouldOptions | None = None) -> None:
+        """Write the kinds of files named in ``parts``."""
+        if "pad" in parts:
+            self.write_pad()
+        if "assembly" in parts and self.assembly is not None:
+            self.write_assembly(self.assembly)
+        if "mould" in parts:
+            self.write_moulds(mould_options)
+        if "drawing" in parts:
+            self.write_drawings()
+
+    def write_pad(self) -> None:
+        """The gel as STEP with named faces, STL, 3MF (a body each layer) and DXF."""
+        from cad.export import write_3mf, write_dxf, write_step, write_stl
+        from cad.parts.part import gel_part
+
+        write_step(self.gel, self._path("step", "pad.step"), name=f"{self.name}_gel_pad")
+        write_stl(self.surface, self._path("stl", "pad.stl"))
+        whole = [gel_part(self.gel, f"{self.name}_gel_pad")]
+        write_3mf(self._layer_parts() or whole, self._path("3mf", "pad.3mf"))
+        seat = [] if self.assembly is None else [p for p in self.assembly.parts if p.made_beside]
+        write_dxf(self.gel, self._path("dxf", "pad.dxf"), others=seat)
+
+    def _layer_parts(self) -> list[Part]:
+        from cad.parts.part import gel_part
+
+        if len(self.layers) < 2:
+            return []
+        return [gel_part(layer, f"{self.name}_{name}") for name, layer in self.layers.items()]
+
+    def write_assembly(self, assembly: Assembly) -> None:
+        """All parts in their places as one STEP, rigid ones also by themselves, and a report."""
+        from cad.assembly import require_no_overlap
+        from cad.export import write_assembly_step, write_part_step, write_part_stl
+
+        clearances = assembly.clearances()
+        self.warnings += [*assembly.notes, *require_no_overlap(clearances)]
+        write_assembly_step(
+            assembly.parts, self._path("assembly", "assembly.step"), name=assembly.name
+        )
+        write_json(self._path("assembly_report", "assembly.json"), assembly.to_json(clearances))
+        for part in assembly.parts:
+            if not part.made_beside:
+                continue
+            write_part_step(part, self._path(f"{part.name}_step", f"parts/{part.name}.step"))
+            write_part_stl(part, self._path(f"{part.name}_stl", f"parts/{part.name}.stl"))
+
+    def write_moulds(self, options: MouldOptions | None = None) -> None:
+        """One mould a casting step: STEP of cavity and lid, 3MF of both, a report of the checks."""
+        from cad.export import write_3mf, write_part_step
+        from cad.moulds import casting_moulds
+
+        report: dict[str, Any] = {}
+        for mould, checked in casting_moulds(self.gel, self.layers, options):
+            for part in mould.parts:
+                write_part_step(part, self._path(part.name, f"{part.name}.step"))
+            write_3mf(mould.parts, self._path(f"{mould.name}_3mf", f"{mould.name}.3mf"))
+            report[mould.name] = {
+                "options": mould.options.describe(),
+                "gates": [vars(gate) for gate in mould.gates],
+                **checked.to_json(),
+            }
+        write_json(self._path("mould_report", "mould.json"), report)
+
+    def write_drawings(self) -> None:
+        """The dimensioned drawing of the gel, and the assembly in section."""
+        from cad.drawing.assembly_drawing import write_assembly_drawing
+        from cad.drawing.pad_drawing import write_pad_drawing
+
+        notes = () if not self.warnings else tuple(self.warnings)
+        layers = list(self.layers.values()) if len(self.layers) > 1 else []
+        material = "silicone" + (f" ({' and '.join(self.layers)})" if layers else "")
+        write_pad_drawing(
+            self.gel,
+            [self._path("drawing", "drawing.svg"), self._path("drawing_pdf", "drawing.pdf")],
+            title=f"{self.name}: gel",
+            material=material,
+            parameters=self.table,
+            layers=layers,
+        )
+        if self.assembly is not None:
+            write_assembly_drawing(
+                self.assembly,
+                [self._path("assembly_drawing", "assembly.svg")],
+                title=f"{self.name}: assembly",
+                notes=notes,
+            )
+
+
+def check_parts(parts: Sequence[str]) -> None:
+    """Raise InputError for a kind of files that does not exist."""
+    unknown = [part for part in parts if part not in WORKSHOP_PARTS]
+    if unknown:
+        raise InputError(
+            f"parts {', '.join(unknown)} do not exist; use any of {', '.join(WORKSHOP_PARTS)}"
+        )
