@@ -25,6 +25,9 @@ from sensors.parameter_groups import (
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import Light, MarkerGrid, OpticalDesign, Window
 
+MIN_SEEN_MM = 1.0
+"""Least extent of the face that is marked as seen through."""
+
 
 @dataclass(frozen=True)
 class CameraSensorParameters(
@@ -67,9 +70,10 @@ class CameraSensorParameters(
         )
 
     def optics(self) -> OpticalDesign:
-        """Camera, lights, coating and window; raises InputError for a camera inside of them."""
+        """Camera, lights, coating and window; raises InputError for a camera inside the window."""
         window = self.window()
-        self._check_camera(window)
+        if window is not None:
+            self._check_camera(window)
         return OpticalDesign(
             camera=self.camera(),
             lights=self.lights(),
@@ -80,8 +84,8 @@ class CameraSensorParameters(
             gel_scattering_per_mm=self.gel_scattering_per_mm,
         )
 
-    def _check_camera(self, window: Window | None) -> None:
-        solid = self.gel_depth_mm() + (0.0 if window is None else window.thickness_mm)
+    def _check_camera(self, window: Window) -> None:
+        solid = self.gel_depth_mm() + window.thickness_mm
         if self.camera_distance_mm <= solid:
             raise InputError(
                 f"camera_distance_mm = {self.camera_distance_mm:g} puts the camera inside the gel "
@@ -90,30 +94,16 @@ class CameraSensorParameters(
             )
 
     def markers(self) -> MarkerGrid | None:
-        """The dots; raises InputError for one that would lie beside the gel."""
-        grid = self.marker_grid()
-        if grid is None:
-            return None
-        points = grid.points_mm()
-        # The four extreme points of each dot, so that all of its paint lies on the gel.
-        reach = grid.radius_mm * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-        inside = np.isfinite(self.pad().top_mm(points[:, None] + reach)).all(axis=1)
-        if not inside.all():
-            x, y = points[np.flatnonzero(~inside)[0]]
-            raise InputError(
-                f"marker_area_x_mm x marker_area_y_mm = {self.marker_area_x_mm:g} x "
-                f"{self.marker_area_y_mm:g} mm puts a dot at ({x:.3g}, {y:.3g}) mm, beside the gel "
-                "or across its edge; make the area smaller"
-            )
-        return grid
+        """The dots, as far as there is gel for them."""
+        pad = self.pad()
+        return self.marker_grid(lambda xy: np.isfinite(pad.top_mm(xy)))
 
     def seen_mm(
-        self, length_x_mm: float, length_y_mm: float, margin_mm: float = 1.0
+        self, length_x_mm: float, length_y_mm: float, margin_mm: float
     ) -> tuple[float, float]:
         """Extents of the back that the camera looks through [mm]: what the image shows, cut
         ``margin_mm`` inside a gel of the given size."""
-        view_x, view_y = self.view_mm()
         return (
-            min(view_x, length_x_mm - 2 * margin_mm),
-            min(view_y, length_y_mm - 2 * margin_mm),
+            max(min(self.view_mm()[0], length_x_mm - 2 * margin_mm), MIN_SEEN_MM),
+            max(min(self.view_mm()[1], length_y_mm - 2 * margin_mm), MIN_SEEN_MM),
         )

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 from cad.parameters import parameter, restated
 from cad.parts.digit_pad import DigitPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
+from sensors.camera_sensor import MIN_SEEN_MM, CameraSensorParameters
 from taccel_lab.optics.description import Light, Window
 
 _GEL = "measured on the gel of digit-design (facebookresearch, figures only)"
@@ -22,24 +23,24 @@ class DigitParameters(CameraSensorParameters):
     """Parameters of a DIGIT; the fingertip points to +y."""
 
     width_mm: float = parameter(
-        18.4, minimum=10, maximum=40, unit="mm", source=f"{_GEL}: 18.4 mm, tip semicircle R 9.2",
+        18.4, minimum=12, maximum=26, unit="mm", source=f"{_GEL}: 18.4 mm, tip semicircle R 9.2",
         description="gel size along x; the tip is a semicircle of that diameter",
     )  # fmt: skip
     length_mm: float = parameter(
-        25.0, minimum=14, maximum=60, unit="mm", source=f"{_GEL}: 25.0 mm",
+        25.0, minimum=20, maximum=45, unit="mm", source=f"{_GEL}: 25.0 mm",
         description="gel size along y, from the base to the tip",
     )  # fmt: skip
     thickness_mm: float = parameter(
-        4.07, minimum=2.5, maximum=12, unit="mm", source=f"{_GEL}: 4.07 mm",
+        4.07, minimum=3.0, maximum=12, unit="mm", source=f"{_GEL}: 4.07 mm",
         description="gel thickness at the apex",
     )  # fmt: skip
     mid_radius_mm: float = parameter(
-        21.4, minimum=12, maximum=400, unit="mm",
+        21.4, minimum=17, maximum=400, unit="mm",
         source=f"{_GEL}: circular arc, rms 0.001 mm; 21 to 24 along the length",
         description="radius of the cross-section in the middle",
     )  # fmt: skip
     base_corner_mm: float = parameter(
-        1.3, minimum=0.8, maximum=4, unit="mm", source=f"{_GEL}: base corners R 1.3",
+        1.3, minimum=1.3, maximum=4, unit="mm", source=f"{_GEL}: base corners R 1.3",
         description="radius of the outline's corners at the base",
     )  # fmt: skip
     roll_off: float = parameter(
@@ -49,7 +50,7 @@ class DigitParameters(CameraSensorParameters):
         description="drop of the centreline towards base and tip, in units of the DIGIT's",
     )  # fmt: skip
     rim_mm: float = parameter(
-        0.9, minimum=0.1, maximum=3, unit="mm", source=f"{_GEL}: fillet of about R 0.9",
+        0.9, minimum=0.1, maximum=1.15, unit="mm", source=f"{_GEL}: fillet of about R 0.9",
         description="radius of the fillet between contact face and wall",
     )  # fmt: skip
     young_modulus_mpa: float = restated(
@@ -69,7 +70,7 @@ class DigitParameters(CameraSensorParameters):
     raw_width_px: int = restated(480, source="OVM7692: 640 x 480 at 60 Hz, turned upright")
     raw_height_px: int = restated(640, source="OVM7692: 640 x 480 at 60 Hz, turned upright")
     camera_distance_mm: float = restated(
-        20.8, minimum=13, maximum=60,
+        20.8, minimum=15, maximum=60,
         source=f"{_CANFNET}: seen at 17.62 mm, through 6.15 mm of acrylic and 4.07 mm of gel",
     )  # fmt: skip
     focal_px: float = restated(328.57, source=_CANFNET)
@@ -91,7 +92,7 @@ class DigitParameters(CameraSensorParameters):
 
     def pad(self) -> DigitPad:
         """The gel pad."""
-        window_x, window_y = self.seen_mm(self.width_mm, self.length_mm, 2.5)
+        window_x, window_y = self._seen_inside_tip_mm()
         return DigitPad(
             width_mm=self.width_mm,
             length_mm=self.length_mm,
@@ -103,6 +104,13 @@ class DigitParameters(CameraSensorParameters):
             window_x_mm=window_x,
             window_y_mm=window_y,
         )
+
+    def _seen_inside_tip_mm(self) -> tuple[float, float]:
+        """What the image shows, cut so that its corners stay inside the round tip."""
+        x, y = self.seen_mm(self.width_mm, self.length_mm, 1.0)
+        radius = self.width_mm / 2
+        tip = self.length_mm / 2 - radius + math.sqrt((radius - 0.25) ** 2 - (x / 2) ** 2)
+        return x, max(min(y, 2 * tip), MIN_SEEN_MM)
 
     def window(self) -> Window:
         """The acrylic plate, 0.1 mm narrower than the gel."""

@@ -22,7 +22,7 @@ class Digit360Parameters(FisheyeParameters, CameraSensorParameters):
     """Parameters of a DIGIT 360; its lens is glued into a pocket in the base of the gel."""
 
     dome_radius_mm: float = parameter(
-        12.5, minimum=6, maximum=30, unit="mm", source=f"{_TIP}: hemisphere R 12.5",
+        12.5, minimum=8, maximum=25, unit="mm", source=f"{_TIP}: hemisphere R 12.5",
         description="radius of the hemisphere and of the cylinder under it",
     )  # fmt: skip
     wall_height_mm: float = parameter(
@@ -30,16 +30,16 @@ class Digit360Parameters(FisheyeParameters, CameraSensorParameters):
         description="height of the cylinder under the hemisphere",
     )  # fmt: skip
     pocket_radius_mm: float = parameter(
-        4.927, minimum=1.5, maximum=12, unit="mm",
+        4.927, minimum=2, maximum=6, unit="mm",
         source=f"{_TIP}: cone of 2 deg from 4.927 to 4.879 mm",
         description="radius of the lens pocket at the base",
     )  # fmt: skip
     pocket_depth_mm: float = parameter(
-        1.55, minimum=0.8, maximum=6, unit="mm", source=f"{_TIP}: about 1.55 mm",
+        1.55, minimum=1.0, maximum=4, unit="mm", source=f"{_TIP}: about 1.55 mm",
         description="depth of the edge of the pocket's ceiling",
     )  # fmt: skip
     pocket_dome_radius_mm: float = parameter(
-        7.439, minimum=2, maximum=100, unit="mm",
+        7.439, minimum=6.5, maximum=100, unit="mm",
         source=f"{_TIP}: sphere R 7.439, the lens's outer element",
         description="radius of the pocket's domed ceiling",
     )  # fmt: skip

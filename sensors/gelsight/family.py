@@ -55,7 +55,7 @@ class GelSightParameters(RectangleGelParameters, CameraSensorParameters):
         description="treatment of the edge of the contact face",
     )  # fmt: skip
     rim_mm: float = parameter(
-        0.5, minimum=0.05, maximum=5, unit="mm", source="without effect while rim is none",
+        0.5, minimum=0.05, maximum=2, unit="mm", source="without effect while rim is none",
         description="leg of the chamfer or radius of the fillet",
     )  # fmt: skip
     width_px: int = restated(640, source=_TAXIM)
@@ -74,6 +74,9 @@ class GelSightParameters(RectangleGelParameters, CameraSensorParameters):
 
     def pad(self) -> GelPad:
         """The gel pad; its window is what the camera sees."""
+        window_x, window_y = self.seen_mm(
+            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
+        )
         return GelPad(
             length_x_mm=self.length_x_mm,
             length_y_mm=self.length_y_mm,
@@ -83,8 +86,8 @@ class GelSightParameters(RectangleGelParameters, CameraSensorParameters):
             crown_radius_y_mm=self.crown_radius_mm,
             rim=self.rim,
             rim_mm=self.rim_mm,
-            window_x_mm=self.width_px * self.mm_per_px,
-            window_y_mm=self.height_px * self.mm_per_px,
+            window_x_mm=window_x,
+            window_y_mm=window_y,
         )
 
     def lights(self) -> tuple[Light, ...]:

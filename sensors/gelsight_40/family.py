@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
+from cad.parts.height_pad import MIN_WALL_MM
 from sensors.base import SensorFamily
 from sensors.camera_sensor import CameraSensorParameters
 from sensors.parameter_groups import RectangleGelParameters
+from taccel_lab.errors import InputError
 from taccel_lab.optics.description import Light
 
 _PAD = "measured on the pad of Taccel's single_sensor (Taccel-Simulator/Taccel)"
@@ -69,7 +71,15 @@ class GelSight40Parameters(RectangleGelParameters, CameraSensorParameters):
 
     def pad(self) -> GelPad:
         """The bevelled pad, its walls stuck to the frame."""
-        window_x, window_y = self.seen_mm(self.length_x_mm, self.length_y_mm)
+        if self.bevel_height_mm > self.thickness_mm - MIN_WALL_MM:
+            raise InputError(
+                f"bevel_height_mm = {self.bevel_height_mm:g} leaves no wall under a gel of "
+                f"thickness_mm = {self.thickness_mm:g}; allowed: up to "
+                f"{self.thickness_mm - MIN_WALL_MM:g} mm"
+            )
+        window_x, window_y = self.seen_mm(
+            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
+        )
         return GelPad(
             length_x_mm=self.length_x_mm,
             length_y_mm=self.length_y_mm,

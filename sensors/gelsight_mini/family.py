@@ -17,6 +17,7 @@ from sensors.base import SensorFamily
 from sensors.camera_sensor import CameraSensorParameters
 from sensors.parameter_groups import RectangleGelParameters
 from sensors.parameter_groups.lights import BLUE, GREEN, RED
+from taccel_lab.errors import InputError
 from taccel_lab.optics.description import Light
 
 _GEL = "measured on gelsight_mini.step of FEATS (feats-ai/feats, MIT)"
@@ -130,22 +131,27 @@ class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
 
     def pad(self) -> GelPad:
         """The gel pad."""
-        window_x, window_y = self.seen_mm(self.length_x_mm, self.length_y_mm)
-        return GelPad(
-            length_x_mm=self.length_x_mm,
-            length_y_mm=self.length_y_mm,
-            corner_radius_mm=self.corner_radius_mm,
-            thickness_mm=self.thickness_mm,
-            crown_radius_x_mm=self.crown_radius_x_mm,
-            crown_radius_y_mm=self.crown_radius_y_mm,
-            crown_pillow=self.crown_pillow,
-            rim="arc",
-            rim_mm=self.rim_mm,
-            wall_mm=self.thickness_mm - self.rim_drop_mm,
-            rim_radius_mm=self.rim_radius_mm,
-            window_x_mm=window_x,
-            window_y_mm=window_y,
+        window_x, window_y = self.seen_mm(
+            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
         )
+        try:
+            return GelPad(
+                length_x_mm=self.length_x_mm,
+                length_y_mm=self.length_y_mm,
+                corner_radius_mm=self.corner_radius_mm,
+                thickness_mm=self.thickness_mm,
+                crown_radius_x_mm=self.crown_radius_x_mm,
+                crown_radius_y_mm=self.crown_radius_y_mm,
+                crown_pillow=self.crown_pillow,
+                rim="arc",
+                rim_mm=self.rim_mm,
+                wall_mm=self.thickness_mm - self.rim_drop_mm,
+                rim_radius_mm=self.rim_radius_mm,
+                window_x_mm=window_x,
+                window_y_mm=window_y,
+            )
+        except InputError as error:
+            raise InputError(f"{error} (wall_mm is thickness_mm less rim_drop_mm)") from error
 
     def lights(self) -> tuple[Light, ...]:
         """Strips along three sides, where ball presses of three units show them.

@@ -43,7 +43,9 @@ class GelSightR15Parameters(RectangleGelParameters, CameraSensorParameters):
 
     def pad(self) -> GelPad:
         """The flat gel pad."""
-        window_x, window_y = self.seen_mm(self.length_x_mm, self.length_y_mm)
+        window_x, window_y = self.seen_mm(
+            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
+        )
         return GelPad(
             length_x_mm=self.length_x_mm,
             length_y_mm=self.length_y_mm,

@@ -58,7 +58,9 @@ class GelSightWedgeParameters(RectangleGelParameters, CameraSensorParameters):
 
     def pad(self) -> GelPad:
         """The flat gel pad."""
-        window_x, window_y = self.seen_mm(self.length_x_mm, self.length_y_mm, 0.8)
+        window_x, window_y = self.seen_mm(
+            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
+        )
         return GelPad(
             length_x_mm=self.length_x_mm,
             length_y_mm=self.length_y_mm,

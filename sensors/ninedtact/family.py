@@ -85,7 +85,9 @@ class NineDTactParameters(RectangleGelParameters, SkinParameters, CameraSensorPa
     def pad(self) -> GelPad:
         """The flat pad: translucent core and black skin."""
         inside = 2 * self.skin_side_mm
-        window_x, window_y = self.seen_mm(self.length_x_mm - inside, self.length_y_mm - inside)
+        window_x, window_y = self.seen_mm(
+            self.length_x_mm - inside, self.length_y_mm - inside, self.window_margin_mm()
+        )
         return GelPad(
             length_x_mm=self.length_x_mm,
             length_y_mm=self.length_y_mm,

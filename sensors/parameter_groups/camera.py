@@ -32,11 +32,11 @@ class CameraParameters(ParameterSet):
         description="height of the tactile image",
     )  # fmt: skip
     mm_per_px: float = parameter(
-        0.03, minimum=1e-3, maximum=1.0, unit="mm/px", source=NO_FIGURE,
+        0.03, minimum=2e-3, maximum=0.5, unit="mm/px", source=NO_FIGURE,
         description="size of a pixel on the contact face along x",
     )  # fmt: skip
     mm_per_px_y: float = parameter(
-        0.0, minimum=1e-3, maximum=1.0, unit="mm/px", zero_means="as along x",
+        0.0, minimum=2e-3, maximum=0.5, unit="mm/px", zero_means="as along x",
         source="square pixels, as no source states others",
         description="size of a pixel on the contact face along y",
     )  # fmt: skip
@@ -60,7 +60,7 @@ class CameraParameters(ParameterSet):
         description="the same along y",
     )
     camera_distance_mm: float = parameter(
-        24.0, minimum=1.0, maximum=200, unit="mm", source=NO_FIGURE,
+        24.0, minimum=15.0, maximum=100, unit="mm", source=NO_FIGURE,
         description="from the apex of the contact face back to the camera's centre of projection",
     )  # fmt: skip
     scale_from: str = parameter(
@@ -69,7 +69,7 @@ class CameraParameters(ParameterSet):
         description="what fixes the image's scale; with focal_px it follows the camera's distance",
     )  # fmt: skip
     focal_px: float = parameter(
-        800.0, minimum=5, maximum=1e5, unit="px", source=NO_FIGURE,
+        800.0, minimum=120, maximum=20_000, unit="px", source=NO_FIGURE,
         description="focal length in pixels of the tactile image, used when scale_from is focal_px",
     )  # fmt: skip
     principal_x_px: float = parameter(

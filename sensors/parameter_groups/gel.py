@@ -25,10 +25,15 @@ class RectangleGelParameters(ParameterSet):
         description="gel size along y (image rows)",
     )  # fmt: skip
     corner_radius_mm: float = parameter(
-        2.0, minimum=0.3, maximum=30, unit="mm", source=NO_FIGURE,
+        2.0, minimum=0.3, maximum=4.9, unit="mm", source=NO_FIGURE,
         description="corner radius of the gel's outline",
     )  # fmt: skip
     thickness_mm: float = parameter(
-        4.0, minimum=1.5, maximum=20, unit="mm", source=NO_FIGURE,
+        4.0, minimum=1.5, maximum=12, unit="mm", source=NO_FIGURE,
         description="gel thickness at the apex",
     )  # fmt: skip
+
+    def window_margin_mm(self) -> float:
+        """How far inside the outline the corners of the seen rectangle stay, rounding included."""
+        # A square corner m inside a rounded one of radius r is r - sqrt(2) (r - m) away from it.
+        return max(1.0, 0.3 * self.corner_radius_mm + 0.25)

@@ -23,11 +23,11 @@ class RTacParameters(CameraSensorParameters):
     """Parameters of an R-Tac: Ecoflex 00-10 on a dome of PDMS, monochrome camera, white light."""
 
     dome_radius_mm: float = parameter(
-        15.0, minimum=6, maximum=40, unit="mm", source=f"{_SHELL}: hemisphere R 15.0",
+        15.0, minimum=8, maximum=30, unit="mm", source=f"{_SHELL}: hemisphere R 15.0",
         description="outer radius of the gel",
     )  # fmt: skip
     thickness_mm: float = parameter(
-        1.5, minimum=0.6, maximum=6, unit="mm", source=f"{_SHELL}: R 15.0 over a core of R 13.5",
+        1.5, minimum=0.6, maximum=3.5, unit="mm", source=f"{_SHELL}: R 15.0 over a core of R 13.5",
         description="thickness of the gel over the hard dome",
     )  # fmt: skip
     young_modulus_mpa: float = restated(
@@ -64,7 +64,7 @@ class RTacParameters(CameraSensorParameters):
         0.1, source="assumption: Psycho Paint with black pigment reflects little"
     )
     window_thickness_mm: float = restated(
-        3.0, maximum=10,
+        3.0, minimum=0.8, maximum=4,
         source="assumption: the wall of the PDMS dome; its inside is not published",
     )  # fmt: skip
     window_index: float = restated(1.41, source="PDMS (Sylgard 184): 1.41 in visible light")
