@@ -130,6 +130,7 @@ def _mesh(
             core=press.core,
             rings=press.rings,
             layers=press.layers,
+            layer_ratio=press.layer_ratio,
         ),
     )
 

@@ -66,6 +66,8 @@ class StandardPress:
     rings: int = 8
     layers: int = 3
     """Core, rings and layers of the focused mesh; they alone set its number of nodes."""
+    layer_ratio: float = 1.5
+    """Thickness of a layer over that of the one above it."""
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isidentifier():
@@ -134,40 +136,40 @@ STANDARD_PRESSES: dict[str, StandardPress] = {
     press.name: press
     for press in (
         StandardPress(
-            "sphere", ("sphere:3",), contact_mm=3.0, depth_fraction=0.4,
-            depth_limit_mm=2.4, steps=6,
+            "sphere", ("sphere:3",), contact_mm=3.0, depth_fraction=0.4, depth_limit_mm=2.4,
+            steps=6, cells=6, core=8,
         ),
         StandardPress(
-            "punch", ("cylinder:2",), contact_mm=2.0, depth_fraction=0.15,
-            depth_limit_mm=0.8, steps=4,
+            "punch", ("cylinder:2",), contact_mm=2.0, depth_fraction=0.15, depth_limit_mm=0.8,
+            steps=4, cells=5, layer_ratio=2.5,
         ),
         StandardPress(
-            "cylinder", ("roller:2x6",), contact_mm=3.0, depth_fraction=0.2,
-            depth_limit_mm=1.0, steps=4,
+            "cylinder", ("roller:2x6",), contact_mm=3.0, depth_fraction=0.2, depth_limit_mm=1.0,
+            steps=4, layer_ratio=2.0,
         ),
         StandardPress(
-            "edge", ("edge:90x6x0.1",), contact_mm=3.0, depth_fraction=0.15,
-            depth_limit_mm=0.6, steps=4,
+            "edge", ("edge:90x6x0.1",), contact_mm=2.0, depth_fraction=0.15, depth_limit_mm=0.6,
+            steps=4, layer_ratio=2.0,
         ),
         StandardPress(
-            "grating", ("grating:1.5x5x6",), contact_mm=3.5,
-            depth_fraction=0.1, depth_limit_mm=0.4, steps=3,
+            "grating", ("grating:2x4x6",), contact_mm=2.5, depth_fraction=0.1, depth_limit_mm=0.4,
+            steps=3, cells=7, core=8, layer_ratio=2.0,
         ),
         StandardPress(
-            "shear", ("sphere:3",), contact_mm=2.0, depth_fraction=0.2,
-            depth_limit_mm=1.2, steps=3, shear_fraction=0.6, shear_back=True, twist_deg=8.0,
+            "shear", ("sphere:3",), contact_mm=2.0, depth_fraction=0.2, depth_limit_mm=1.2,
+            steps=3, shear_fraction=0.6, shear_back=True, twist_deg=8.0,
         ),
         StandardPress(
-            "pairs", ("pair:0.5x0.25", "pair:0.5x0.75", "pair:0.5x1.75"), contact_mm=2.0,
-            depth_fraction=0.1, depth_limit_mm=0.4, steps=3,
+            "pairs", ("pair:0.25x0.1", "pair:0.25x0.4", "pair:0.25x1.2"), contact_mm=1.0,
+            depth_fraction=0.08, depth_limit_mm=0.4, steps=3, cells=7, core=8, layer_ratio=2.5,
         ),
         StandardPress(
-            "places", ("sphere:3",), contact_mm=2.0, depth_fraction=0.15,
-            depth_limit_mm=0.8, steps=3, places=(CENTRE, *_CORNERS),
+            "places", ("sphere:3",), contact_mm=2.0, depth_fraction=0.15, depth_limit_mm=0.8,
+            steps=3, cells=5, core=8, places=(CENTRE, *_CORNERS),
         ),
         StandardPress(
-            "release", ("sphere:3",), contact_mm=2.5, depth_fraction=0.3,
-            depth_limit_mm=1.8, steps=6, release=True,
+            "release", ("sphere:3",), contact_mm=2.5, depth_fraction=0.3, depth_limit_mm=1.8,
+            steps=6, release=True,
         ),
     )
 }  # fmt: skip

@@ -33,40 +33,40 @@ def sizes(indenter: str) -> list[float]:
 
 @metric(
     "two_point_resolution", "mm",
-    "clear distance between two pins of 0.5 mm radius at which the surface between them comes up "
-    "by 20 % of the dents; not below two pixels", "lower", ("pairs",),
+    "distance between the axes of two pins of 0.25 mm radius at which the surface between them "
+    "comes up by 20 % of the dents; not below two pixels", "lower", ("pairs",),
 )  # fmt: skip
 def two_point_resolution(evidence: Evidence) -> float:
-    """Interpolated between the gaps of the press; the contrast starts from 0 at no gap."""
-    gaps, found = [0.0], [0.0]
+    """Interpolated between the distances of the press, and from no contrast at no distance."""
+    apart, found = [0.0], [0.0]
     for record in sorted(evidence.all("pairs"), key=lambda r: sizes(r.indenter)[1]):
         radius, gap = sizes(record.indenter)
         x, change = profile_mm(record, 2 * radius + gap)
-        gaps.append(gap)
+        apart.append(2 * radius + gap)
         found.append(contrast(x, -change, radius + gap / 2))
     rising = np.maximum.accumulate(found)
     if rising[-1] < RESOLVED:
         raise Unavailable(
-            f"pins {gaps[-1]:g} mm apart are not resolved: contrast {rising[-1]:.3g} of {RESOLVED}"
+            f"pins {apart[-1]:g} mm apart are not resolved: contrast {rising[-1]:.3g} of {RESOLVED}"
         )
     k = int(np.flatnonzero(rising >= RESOLVED)[0])
-    between = np.interp(RESOLVED, rising[k - 1 : k + 1], gaps[k - 1 : k + 1])
+    between = np.interp(RESOLVED, rising[k - 1 : k + 1], apart[k - 1 : k + 1])
     return max(float(between), 2 * evidence.mm_per_px)
 
 
 @metric(
     "grating_modulation", "1",
-    "height that the gel's surface keeps between the ridges of a grating of 1.5 mm pitch, over the "
+    "height that the gel's surface keeps between the ridges of a grating of 2 mm pitch, over the "
     "depth of the press", "higher", ("grating",),
 )  # fmt: skip
 def grating_modulation(evidence: Evidence) -> float:
     """Peak to valley of the profile's part at the grating's pitch, over the depth."""
     record = evidence.one("grating")
     pitch = sizes(record.indenter)[0]
-    x, change = profile_mm(record, 1.5 * pitch)
+    x, change = profile_mm(record, pitch)
     if not np.isfinite(change).all():
         raise Unavailable("the grating reaches beyond the contact face")
-    # Three whole pitches; the mean dent, which is wider than they are, bends as a parabola.
+    # Two whole pitches in the middle; the mean dent, which is wider, bends as a parabola.
     trend = np.polynomial.Polynomial.fit(x, change, 2)(x)
     turns = 2 * math.pi * x / pitch
     wave = change - trend
