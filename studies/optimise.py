@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from studies.axis import Axis
+from studies.judge import TOLERANCE
 from studies.spec import Constraint, Objective, Sweep, nearest
 from taccel_lab.errors import InputError
 
@@ -81,37 +82,69 @@ def optimise(
     nlopt = _nlopt()
     problem = _Problem(axes, objective, constraints, sweep.count or 1, attempt)
     nlopt.srand(seed)
-    inner = nlopt.opt(getattr(nlopt, sweep.method), len(axes))
-    outer = inner
-    if constraints and sweep.method in UNCONSTRAINED:
-        outer = nlopt.opt(nlopt.AUGLAG, len(axes))
-        _limit(inner, sweep)
-        inner.set_maxeval(max(20 * len(axes), 20))
-        outer.set_local_optimizer(inner)
+    start = [_start(axis) for axis in axes]
+    stopped = _search(nlopt, problem, sweep, start)
+    if constraints and not problem.found_feasible and not problem.used_up:
+        # Methods that weigh cost against constraints may give up early on unkept constraints: the
+        # violation alone is minimised then, and the search goes on from a design that keeps them.
+        where = _restore(nlopt, problem, sweep)
+        if problem.found_feasible:
+            stopped = _search(nlopt, problem, sweep, where)
+        else:
+            stopped += "; then a search for the least violation ended"
+    problem.state.stopped = stopped
+    return problem.state
+
+
+def _search(nlopt: Any, problem: _Problem, sweep: Sweep, start: list[float]) -> str:
+    """Run the study's method; returns why it stopped."""
+    dimensions = len(start)
+    outer = nlopt.opt(getattr(nlopt, sweep.method), dimensions)
     _limit(outer, sweep)
-    outer.set_lower_bounds(0.0)
-    outer.set_upper_bounds(1.0)
+    if problem.sides and sweep.method in UNCONSTRAINED:
+        inner, outer = outer, nlopt.opt(nlopt.AUGLAG, dimensions)
+        inner.set_maxeval(max(20 * dimensions, 20))
+        outer.set_local_optimizer(inner)
+        _limit(outer, sweep)
     guard = _Guard(outer.force_stop)
     outer.set_min_objective(lambda x, gradient: guard(problem.cost, x))
     for place in range(len(problem.sides)):
         outer.add_inequality_constraint(
             lambda x, gradient, place=place: guard(problem.excess, x, place), CONSTRAINT_TOLERANCE
         )
+    return _drive(nlopt, outer, guard, sweep, start)
+
+
+def _restore(nlopt: Any, problem: _Problem, sweep: Sweep) -> list[float]:
+    """Minimise the violation of the constraints from the least so far; returns where it ended."""
+    optimizer = nlopt.opt(nlopt.LN_SBPLX, len(problem.least_violating))
+    optimizer.set_xtol_abs(sweep.tolerance)
+    optimizer.set_initial_step(0.25)
+    optimizer.set_stopval(0.0)
+    guard = _Guard(optimizer.force_stop)
+    optimizer.set_min_objective(lambda x, gradient: guard(problem.violation, x))
+    _drive(nlopt, optimizer, guard, sweep, problem.least_violating)
+    return problem.least_violating
+
+
+def _drive(nlopt: Any, optimizer: Any, guard: _Guard, sweep: Sweep, start: list[float]) -> str:
+    """Run an optimiser over the unit cube; returns why it stopped."""
+    optimizer.set_lower_bounds(0.0)
+    optimizer.set_upper_bounds(1.0)
     # A replayed or rounded design costs nothing, so that the count of tries is no limit by itself.
-    outer.set_maxeval(50 * (sweep.count or 1) + 1000)
+    optimizer.set_maxeval(50 * (sweep.count or 1) + 1000)
     stopped = "steps became as small as rounding errors"
     try:
-        outer.optimize([_start(axis) for axis in axes])
-        code = outer.last_optimize_result()
+        optimizer.optimize(start)
+        code = optimizer.last_optimize_result()
         stopped = _RESULTS.get(code, f"NLopt ended with code {code}")
     except (nlopt.RoundoffLimited, nlopt.ForcedStop):
         pass
     if isinstance(guard.error, _OutOfDesigns):
-        stopped = "the count of designs was used up"
-    elif guard.error is not None:
+        return "the count of designs was used up"
+    if guard.error is not None:
         raise guard.error
-    problem.state.stopped = stopped
-    return problem.state
+    return stopped
 
 
 class _OutOfDesigns(Exception):
@@ -136,6 +169,7 @@ class _Guard:
 
 
 _RESULTS = {
+    2: "the constraints are kept",
     3: "the objective no longer changed",
     4: "steps fell below the tolerance",
     5: "designs repeated themselves",
@@ -176,6 +210,9 @@ class _Problem:
         self._scales: dict[str, float] = {}
         self._worst: dict[str, float] = {}
         self._missing: dict[tuple[Any, str], float] = {}
+        self._least = math.inf
+        self.least_violating: list[float] = []
+        """Place of the design that comes nearest to the constraints."""
         self.state = OptimiserState()
         self.sides = [
             (constraint, side)
@@ -187,16 +224,34 @@ class _Problem:
     def _figures(self, x: Sequence[float]) -> Figures:
         values = tuple(axis.at(float(unit)) for axis, unit in zip(self._axes, x, strict=True))
         if values not in self._known:
-            if len(self._known) >= self._count:
+            if self.used_up:
                 raise _OutOfDesigns
             swept = {axis.name: value for axis, value in zip(self._axes, values, strict=True)}
             self.state.tried.append(swept)
             self._known[values] = self._attempt(swept)
         return self._known[values]
 
+    @property
+    def used_up(self) -> bool:
+        """Whether no other design may be tried."""
+        return len(self._known) >= self._count
+
+    @property
+    def found_feasible(self) -> bool:
+        """Whether a design keeps the constraints."""
+        return self._least <= TOLERANCE
+
+    def violation(self, x: Sequence[float]) -> float:
+        """Sum of all excesses above zero."""
+        total = sum(max(self.excess(x, place), 0.0) for place in range(len(self.sides)))
+        if total < self._least:
+            self._least, self.least_violating = total, [float(unit) for unit in x]
+        return total
+
     def cost(self, x: Sequence[float]) -> float:
         """The objective, less is better."""
         figures = self._figures(x)
+        self.violation(x)
         value = figures.get(self._objective.metric)
         name = "objective"
         if value is None:

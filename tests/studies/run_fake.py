@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A slow fake study in a process of its own: ``python -m tests.studies.run_fake ROOT PROCESSES``."""
+"""A fake study in a process of its own: ``python -m tests.studies.run_fake ROOT PROCESSES``."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"press": {"edge": {"depth": 2}}}, r"\[press.edge\] 'depth' \(did you mean depth_mm"),
     ({"press": {"edge": {"depth_mm": -2}}}, r"\[press.edge\] depth_mm must be above 0"),
     (
-        {"parameters": dict.fromkeys(("width_px", "height_px"), {**WIDE, "count": 101})},
+        {"parameters": {n: {**WIDE, "count": 101} for n in ("width_px", "height_px")}},
         "101 x 101 = 10,201 designs",
     ),
 ]

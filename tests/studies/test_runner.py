@@ -101,10 +101,9 @@ def test_new_metrics_leave_known_figures_alone(tmp_path: Path) -> None:
     assert not asked
 
 
-@pytest.mark.parametrize("processes", [0, 2])
-def test_designs_without_figures_are_rows_with_causes(tmp_path: Path, processes: int) -> None:
+def test_designs_without_figures_are_rows_with_causes(tmp_path: Path) -> None:
     rims = {"rim": {"values": ["none", "chamfer", "fillet"]}}
-    outcome = run_study(study(parameters=rims), tmp_path, processes=processes)
+    outcome = run_study(study(parameters=rims), tmp_path, processes=0)
     assert outcome.complete
     assert [row["status"] for row in rows_of(tmp_path)] == ["done", "done", "failed"]
     causes = [row["cause"] for row in rows_of(tmp_path)]
