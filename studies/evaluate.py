@@ -101,7 +101,7 @@ def evaluate_designs(
             progress(f"press {batch[0].press.name}", len(done), len(jobs))
     for design in prepared:
         started = time.perf_counter()
-        _conclude(design, done, metrics, device, load_n)
+        _conclude(design, done, metrics, load_n)
         if folder is not None:
             _keep(design.result, folder / design.result.point.id)
         design.result.seconds += time.perf_counter() - started
@@ -146,7 +146,6 @@ def _conclude(
     design: _Design,
     done: dict[str, Simulated],
     metrics: Sequence[Metric],
-    device: str,
     load_n: float,
 ) -> None:
     """Figures and curves of a design from its simulations."""
@@ -173,7 +172,7 @@ def _conclude(
         for name, cause in result.causes.items()
         if name.removeprefix("press ") not in records
     }
-    evidence = Evidence(parameters, records, unmade, load_n, device)
+    evidence = Evidence(parameters, records, unmade, load_n)
     for metric in metrics:
         try:
             result.figures[metric.name] = float(metric.compute(evidence))

@@ -5,10 +5,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sensors.base import FamilyParameters
+from studies.camera_view import photometry, picture_change, view_model
 from studies.press_record import PressRecord
 from studies.unavailable import Unavailable
 from taccel_lab.envs import parse_indenter
@@ -22,6 +25,9 @@ from taccel_lab.signals import (
     SphereSurface,
     SurfaceMode,
 )
+
+if TYPE_CHECKING:
+    from taccel_lab.optics.photometry import Photometry
 
 LOAD_N = 0.5
 """Load at which figures are read, where they are read at a load."""
@@ -42,7 +48,6 @@ class Evidence:
     causes: dict[str, str] = field(default_factory=dict)
     """Why a press has no records, by press."""
     load_n: float = LOAD_N
-    device: str = "cpu"
 
     def all(self, press: str) -> list[PressRecord]:
         """Records of a press; raises Unavailable when one did not get to its end."""
@@ -64,6 +69,15 @@ class Evidence:
         """Size of a pixel [mm], the mean of both axes."""
         grid = self.parameters.grid()
         return 0.5 * (grid.mm_per_px_x + grid.mm_per_px_y)
+
+    @cached_property
+    def photometry(self) -> Photometry:
+        """Photometric figures of the untouched gel; raises Unavailable without optics."""
+        return photometry(self.parameters)
+
+    def picture_change(self, record: PressRecord, steps: list[int]) -> np.ndarray:
+        """See ``camera_view.picture_change``."""
+        return picture_change(view_model(self.parameters, record), record, steps)
 
     def marker_points_mm(self) -> np.ndarray:
         """Gel xy of the markers that the camera sees, shape [marker, 2].

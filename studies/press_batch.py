@@ -93,15 +93,15 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
         twist_deg = point.twist * press.twist_deg
         report = env.try_to(depth_mm * point.depth, shear_mm, twist_deg, stay=failed)
         lost = ~report.converged & ~failed
-        for i in np.flatnonzero(lost):
-            why = env.failure(int(i), report, depth_mm * point.depth)
+        for i in np.flatnonzero(lost).tolist():
+            why = env.failure(i, report, depth_mm * point.depth)
             causes[i] = f"step {number + 1} of {len(waypoints)}: {why}"
         failed |= lost
         if failed.all():
             break
         wrench, poses, positions = env.wrench, env.poses[:, 0], env.positions
         force, peaks = env.press_force, outputs.update(env.state).bond_peak()[0].numpy()
-        for i in np.flatnonzero(~failed):
+        for i in np.flatnonzero(~failed).tolist():
             frame = jobs[i].gel_from_press
             moment = wrench[i, 3:] - np.cross(frame[:3], wrench[i, :3])
             axis = rotate(frame[3:], np.array([0.0, 0.0, 1.0]))

@@ -43,3 +43,15 @@ def sensitivity_marker_px(evidence: Evidence) -> float:
     moved = marker_motion_mm(record, evidence.marker_points_mm(), steps)
     pixels = np.linalg.norm(moved / [grid.mm_per_px_x, grid.mm_per_px_y], axis=-1).max(axis=1)
     return at_load(record, pixels, evidence.load_n) / evidence.load_n
+
+
+@metric(
+    "sensitivity_grey", "levels/N",
+    "mean change of the camera's grey levels in the dent of a ball at the load, over the load",
+    "higher", ("sphere",),
+)  # fmt: skip
+def sensitivity_grey(evidence: Evidence) -> float:
+    """From the optical model, mean of the three channels."""
+    record = evidence.one("sphere")
+    change = evidence.picture_change(record, list(range(record.down.stop)))
+    return at_load(record, change, evidence.load_n) / evidence.load_n

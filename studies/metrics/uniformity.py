@@ -44,3 +44,19 @@ def uniformity_contact(evidence: Evidence) -> float:
         raise Unavailable(f"press places has {len(records)} places; three are needed")
     load = 0.5 * min(float(record.normal_n[-1]) for record in records)
     return 100 * variation([at_load(r, contact_radius_mm(r), load) for r in records])
+
+
+@metric(
+    "uniformity_image", "%",
+    "coefficient of variation of the change of the picture over the force, of one ball in five "
+    "places", "lower", ("places",),
+)  # fmt: skip
+def uniformity_image(evidence: Evidence) -> float:
+    """At the greatest depth of each place: grey levels in the dent over the force."""
+    records = evidence.all("places")
+    if len(records) < 3:
+        raise Unavailable(f"press places has {len(records)} places; three are needed")
+    response = [
+        float(evidence.picture_change(r, [r.down.stop - 1])[0] / r.normal_n[-1]) for r in records
+    ]
+    return 100 * variation(response)

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the camera of a design sees: photometric figures, and how a press changes its picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studies.press_record import PressRecord
+from studies.unavailable import Unavailable
+
+if TYPE_CHECKING:
+    from sensors.base import FamilyParameters
+    from taccel_lab.optics.photometry import Photometry
+    from taccel_lab.optics.render import OpticalModel
+
+VIEW_PX = 240
+"""Longer side of the pictures that figures are read from."""
+_DENTED = 0.1
+"""Part of the largest dent from which a pixel counts as dented."""
+
+
+def view_model(parameters: FamilyParameters, record: PressRecord | None = None) -> OpticalModel:
+    """Optical model of a design, on the mesh of a press or on the even mesh of its pad.
+
+    Raises Unavailable for a family without optics.
+    """
+    from cad.mesh.gel_mesh import gel_mesh
+    from taccel_lab.optics.render import OpticalModel
+
+    design = parameters.optics()
+    if design is None:
+        raise Unavailable("the family has no optical model")
+    width, height = design.camera.width_px, design.camera.height_px
+    scale = min(1.0, VIEW_PX / max(width, height))
+    size = (max(2, round(width * scale)), max(2, round(height * scale)))
+    mesh = gel_mesh(parameters.pad()) if record is None else record.mesh
+    return OpticalModel(design, mesh, size_px=size, markers=parameters.markers())
+
+
+def photometry(parameters: FamilyParameters) -> Photometry:
+    """Photometric figures of the untouched gel, without its markers."""
+    return view_model(parameters).photometry()
+
+
+def picture_change(model: OpticalModel, record: PressRecord, steps: list[int]) -> np.ndarray:
+    """Mean change of the grey levels (of 255, mean of the channels) where a press dents the gel.
+
+    Over the pixels whose point of the face lies deeper by at least a tenth of the deepest; [step].
+    Raises Unavailable where the camera sees nothing of the dent.
+    """
+    rest = model.render(record.rest_m)
+    changes = []
+    for step in steps:
+        pressed = model.render(record.positions_m(step))
+        deeper = _along(record, rest.points_mm) - _along(record, pressed.points_mm)
+        seen = rest.mask & pressed.mask & np.isfinite(deeper)
+        dented = seen & (deeper >= _DENTED * np.max(deeper, where=seen, initial=0.0))
+        if not (dented.any() and deeper[dented].max() > 0):
+            raise Unavailable("the camera sees nothing of the press")
+        levels = np.abs(pressed.rgb[dented].astype(float) - rest.rgb[dented]).mean(axis=-1)
+        changes.append(float(levels.mean()))
+    return np.array(changes)
+
+
+def _along(record: PressRecord, points_mm: np.ndarray) -> np.ndarray:
+    """Heights of points along the press [mm], [..., 3] -> [...]."""
+    return record.in_press(points_mm.astype(np.float64) * 1e-3)[..., 2] * 1e3
