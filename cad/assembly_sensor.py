@@ -93,7 +93,11 @@ def _housed(
         resting = min(seated.min.Z, lowest)
         ledge_on = base_outline(pane.solid)
         outlines.append((ledge_on, seated.min.Z))
-    ledge = _ledge_mm(ledge_on, view_mm)
+    if window is not None and window.dome_radius_mm:
+        # The camera looks into a dome through its opening, the ring that it stands on is free.
+        ledge = min(_LEDGE_MM, 0.9 * window.thickness_mm)
+    else:
+        ledge = _ledge_mm(ledge_on, view_mm)
     made = housing_parts(
         shape, Seat(resting, tuple(outlines), ledge_on, ledge), camera, leds
     )  # fmt: skip

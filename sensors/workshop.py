@@ -116,7 +116,7 @@ class Workshop:
         from cad.drawing.pad_drawing import write_pad_drawing
 
         notes = () if not self.warnings else tuple(self.warnings)
-        layers = list(self.layers.values()) if len(self.layers) > 1 else []
+        layers = dict(self.layers) if len(self.layers) > 1 else {}
         material = "silicone" + (f" ({' and '.join(self.layers)})" if layers else "")
         write_pad_drawing(
             self.gel,

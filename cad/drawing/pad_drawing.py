@@ -19,6 +19,7 @@ from cad.drawing.sections import (
     Section,
     chain,
     circle_through,
+    edge_points,
     plan_edges,
     section,
 )
@@ -35,6 +36,7 @@ _HATCHES = ("////", "\\\\\\\\", "xxxx")
 _FILLS = ("#f6e3d0", "#d9d9de", "#e3eef2")
 _ON_FACE_MM = 1e-3
 _APEX_SHARE = 0.3
+_SAME_CIRCLE = 0.01
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,13 @@ def write_pad_drawing(
     title: str,
     material: str = "silicone gel",
     parameters: Mapping[str, tuple[float | int | str, str]] | None = None,
-    layers: Sequence[LabelledSolid] = (),
+    layers: Mapping[str, LabelledSolid] | None = None,
     notes: Sequence[str] = (),
 ) -> None:
     """Draw ``gel`` and write it to each of ``paths`` (.svg, .pdf or .png).
 
-    ``parameters`` are name -> (value, unit) for the table; ``layers`` are cut with a hatch each.
+    ``parameters`` are name -> (value, unit) for the table; ``layers`` by name are
+    cut with a hatch each.
     """
     box = gel.solid.bounding_box()
     size = np.array([box.size.X, box.size.Y, box.size.Z])
@@ -90,7 +93,7 @@ def write_pad_drawing(
     beside = _View(
         (plan.at(box.max.X, 0)[0] + _BETWEEN + scale * box.max.Z, plan.origin[1]), scale, True
     )
-    bodies = list(layers) or [gel]
+    bodies = list(layers.values()) if layers else [gel]
     _draw_plan(sheet, plan, gel)
     for view, along in ((below, "x"), (beside, "y")):
         cut = section(gel.solid, along)
@@ -101,6 +104,8 @@ def write_pad_drawing(
                     [view(loop) for loop in loops], fill=_FILLS[k % 3], hatch=_HATCHES[k % 3]
                 )
         _dimension_section(sheet, view, cut, gel, along)
+    if layers:
+        _dimension_layers(sheet, below, layers)
     _draw_cutting_lines(sheet, plan, box)
     write_title(
         sheet,
@@ -177,11 +182,13 @@ def _label_corners(sheet: Sheet, view: _View, arcs: Sequence) -> None:
     for arc in arcs:
         by_radius.setdefault(round(arc.radius, 3), []).append(arc)
     for k, (radius, group) in enumerate(sorted(by_radius.items())):
-        arc = max(group, key=lambda e: e.position_at(0.5).X - e.position_at(0.5).Y)
-        at = arc.position_at(0.5)
+        points = np.concatenate([edge_points(arc)[:, :2] for arc in group])
+        # The lower right of the outline where there is an arc, else its upper right.
+        drop = -1.0 if (points[:, 1] < 0).any() else 1.0
+        at = points[int((points @ np.array([1.0, drop])).argmax())]
         count = f"{len(group)}× " if len(group) > 1 else ""
-        point = view.at(at.X, at.Y)
-        elbow = (point[0] + 6 + 2 * k, point[1] - 8 - 7 * k)
+        point = view.at(at[0], at[1])
+        elbow = (point[0] + 6 + 2 * k, point[1] + drop * (8 + 7 * k))
         sheet.leader(point, elbow, f"{count}R{mm_words(radius)}")
 
 
@@ -213,7 +220,7 @@ def _dimension_section(
     letters = "A–A" if along == "x" else "B–B"
     contact = _contact_curve(cut, gel)
     if along == "x":
-        label_at = (view.at(low[0], 0)[0] + 12, view.at(0, low[1])[1] - 8)
+        label_at = (view.at(low[0], 0)[0] + 12, view.at(0, low[1])[1] - 14)
         _dimension_heights(sheet, view, cut, low, high)
     else:
         label_at = (view.at(0, (low[1] + high[1]) / 2)[0], view.at(high[0], 0)[1] + 14)
@@ -238,12 +245,36 @@ def _dimension_heights(
 ) -> None:
     total = high[1] - low[1]
     start = view.at(low[0], low[1])
-    sheet.dimension(start, view.at(low[0], high[1]), 18, mm_words(total), along="y")
+    sheet.dimension(start, view.at(low[0], high[1]), 20, mm_words(total), along="y")
     _dimension_wall(sheet, view, cut, low, high, "x")
     apex = _apex_thickness(cut)
     if apex is not None and apex < total - 1e-3:
         sheet.dimension(view.at(0, high[1] - apex), view.at(0, high[1]), view.scale * 0.12 *
                         float(high[0] - low[0]) + 2, f"{mm_words(apex)}", along="y")  # fmt: skip
+
+
+def _dimension_layers(sheet: Sheet, view: _View, layers: Mapping[str, LabelledSolid]) -> None:
+    """Thickness of the layers on the axis, and of an outer layer beside the inner one."""
+    outlines = {name: section(layer.solid, "x") for name, layer in layers.items()}
+    boxes = {
+        name: np.concatenate([loop for loops in cut.faces for loop in loops])
+        for name, cut in outlines.items()
+    }
+    left = min(float(points[:, 0].min()) for points in boxes.values())
+    low = min(float(points[:, 1].min()) for points in boxes.values())
+    right = max(float(points[:, 0].max()) for points in boxes.values())
+    for k, (name, cut) in enumerate(outlines.items()):
+        span = _span_on_axis(cut)
+        if span is not None:
+            words = f"{mm_words(span[1] - span[0])} {name}"
+            feet = view.at(right, span[0]), view.at(right, span[1])
+            sheet.dimension(*feet, -8 - 9 * k, words, along="y")
+    inner = min(boxes, key=lambda name: float(np.ptp(boxes[name][:, 0])))
+    start = float(boxes[inner][:, 0].min())
+    outer = next((name for name in boxes if name != inner), "")
+    if start - left > _ON_FACE_MM:
+        sheet.dimension(view.at(left, low), view.at(start, low), -7,
+                        f"{mm_words(start - left)} {outer}", along="x")  # fmt: skip
 
 
 def _dimension_wall(
@@ -267,6 +298,12 @@ def _dimension_wall(
 
 def _apex_thickness(cut: Section) -> float | None:
     """Height of material under the highest point of the axis [mm]."""
+    span = _span_on_axis(cut)
+    return None if span is None else span[1] - span[0]
+
+
+def _span_on_axis(cut: Section) -> tuple[float, float] | None:
+    """Lowest and highest v of the uppermost material on the axis u = 0 [mm]."""
     crossings = []
     for loops in cut.faces:
         for loop in loops:
@@ -275,7 +312,7 @@ def _apex_thickness(cut: Section) -> float | None:
             t = (1e-9 - a[hit, 0]) / (b[hit, 0] - a[hit, 0])
             crossings += (a[hit, 1] + t * (b[hit, 1] - a[hit, 1])).tolist()
     crossings.sort(reverse=True)
-    return crossings[0] - crossings[1] if len(crossings) > 1 else None
+    return (crossings[1], crossings[0]) if len(crossings) > 1 else None
 
 
 def _label_radii(sheet: Sheet, view: _View, cut: Section, contact: np.ndarray, along: str) -> None:
@@ -284,10 +321,12 @@ def _label_radii(sheet: Sheet, view: _View, cut: Section, contact: np.ndarray, a
         half = np.abs(contact[:, 0]).max()
         radius = circle_through(_near_apex(contact, _APEX_SHARE * half))
         if np.isfinite(radius):
-            place = contact[int(np.abs(contact[:, 0] - 0.45 * half).argmin())]
+            place = contact[int(np.abs(contact[:, 0] - 0.25 * half).argmin())]
             point = view.at(float(place[0]), float(place[1]))
-            shift = (8.0, 8.0) if along == "x" else (-6.0, 8.0)
-            words = f"R{mm_words(round(radius, 2))}"
+            shift = (-5.0, 8.0) if along == "x" else (-6.0, 8.0)
+            whole = circle_through(_near_apex(contact, 0.8 * half))
+            local = "" if abs(whole / radius - 1) < _SAME_CIRCLE else "\nat apex"
+            words = f"R{mm_words(round(radius, 2))}{local}"
             sheet.leader(point, (point[0] + shift[0], point[1] + shift[1]), words)
     back = min(float(edge.points[:, 1].min()) for edge in cut.edges)
     seen: set[float] = set()

@@ -13,6 +13,7 @@ TABLE_WIDTH_MM = 84.0
 _ROW_MM = 4.6
 _SMALL = 2.5
 _MARGIN = 8.0
+_NAME = 42
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def _table(sheet: Sheet, block: TitleBlock, left: float, y: float, bottom: float
     for name, (value, unit) in rows:
         y -= row_mm
         words = f"{value:g}" if isinstance(value, (int, float)) else str(value)
-        sheet.text((left + 3, y + row_mm / 2), name, size=text)
+        sheet.text((left + 3, y + row_mm / 2), textwrap.shorten(name, _NAME), size=text)
         sheet.text((right - 14, y + row_mm / 2), words, size=text, align="right")
         sheet.text((right - 12, y + row_mm / 2), "" if unit == "1" else unit, size=text)
     sheet.line([(left, y), (right, y)])

@@ -48,7 +48,7 @@ class WindowShape:
     """Of a plate that does not follow the gel's outline."""
     optical_mm: tuple[float, float] = (0.0, 0.0)
     """Extents of what the camera sees, a face of its own in the bond face; 0 for all of it."""
-    material: str = "acrylic (PMMA), clear, both faces polished"
+    material: str = "clear acrylic, polished"
 
     def base_depth_mm(self) -> float:
         """Depth of the window's lowest point under its origin [mm]."""
