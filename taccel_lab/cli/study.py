@@ -148,6 +148,7 @@ class Study:
 
 def _print_lists(options: Study) -> None:
     from studies.plan import default_kit
+    from studies.press_text import press_in_words
     from taccel_lab.cli.console import print_json
 
     kit = default_kit()
@@ -160,7 +161,7 @@ def _print_lists(options: Study) -> None:
         }
         for name, metric in kit.metrics.items()
     }
-    presses = {name: press.describe() for name, press in kit.presses.items()}
+    presses = {name: press_in_words(press) for name, press in kit.presses.items()}
     if options.json:
         print_json(
             ({"metrics": metrics} if options.list_metrics else {})
