@@ -13,10 +13,14 @@ import numpy as np
 from cad.mesh.columns import check_range, check_unfolded, level_fractions
 from cad.mesh.even_counts import EvenCounts, even_counts
 from cad.mesh.even_plan import EvenPlan, even_plan
-from cad.mesh.structured_topology import grid_topology, ring_of_node
+from cad.mesh.structured_topology import core_perimeter, grid_topology, ring_of_node
+from cad.mesh.tet_smoothing import Sheet, improve_worst_tets
+from cad.parts.gel_pad import GelPad
 from cad.parts.height_pad import HeightPad
 from taccel_lab.geometry import Region, TetMesh
 
+WANTED_DEG = 14.0
+"""Tets with a smaller dihedral angle are smoothed [deg]."""
 LAYER_RATIO = 1.2
 """Thickness of a layer over that of the one above it."""
 
@@ -41,10 +45,12 @@ def even_gel_mesh(
 
 def counted_gel_mesh(pad: HeightPad, counts: EvenCounts) -> TetMesh:
     """Even mesh with the given counts."""
-    topology = grid_topology(counts.core, counts.rings, counts.layers, 0)
+    topology = grid_topology(counts.core, counts.rings, counts.layers, 0, mirrored=True)
     nodes = _stacked(pad, counts, even_plan(pad, counts))
     tets = topology.tets.copy()
     check_unfolded(nodes, tets)
+    sliding, sheet = _movable(pad, counts)
+    nodes = improve_worst_tets(nodes, tets, sliding, wanted_deg=WANTED_DEG, sheet=sheet)
     return TetMesh(
         nodes_m=nodes * 1e-3,
         tets=tets,
@@ -87,6 +93,33 @@ def _wall_levels(pad: HeightPad, counts: EvenCounts, plan: EvenPlan) -> np.ndarr
     foot = np.column_stack([plan.outline, np.full(len(plan.outline), -pad.thickness_mm)])
     s = level_fractions(steps, np.float64(LAYER_RATIO))[:, None, None]
     return np.concatenate([(1 - s) * foot + s * arc[0], np.array(arc[1:])])
+
+
+def _movable(pad: HeightPad, counts: EvenCounts) -> tuple[np.ndarray, Sheet]:
+    """What may move to make tets rounder: bool by coordinate, shape [n, 3], and the contact face.
+
+    Nodes of the window's edge, the rim band and the sides of skins stay. On the wall nodes climb,
+    on the back and the contact face they slide.
+    """
+    ring = np.tile(ring_of_node(counts.core, counts.rings), counts.layers + 1)
+    level = np.repeat(np.arange(counts.layers + 1), counts.plan_count)
+    free = np.ones((len(ring), 3), dtype=bool)
+    wall = ring == counts.rings
+    free[wall, :2] = False
+    free[wall & (level >= counts.layers - counts.side_arc)] = False
+    free[level == 0, 2] = False
+    edge = core_perimeter(counts.core)
+    if isinstance(pad, GelPad):
+        free[edge] = False
+    top = level == counts.layers
+    free[top, 2] = False
+    free[top & (ring >= counts.rings - counts.band), :2] = counts.band == 0
+    free[top & wall] = False
+    if counts.skin_layers:
+        free[level >= counts.gel_layers] = False
+    if counts.skin_rings:
+        free[ring == counts.rings - counts.skin_rings, :2] = False
+    return free, Sheet(np.flatnonzero(top), pad.height_mm)
 
 
 def _leaning(counts: EvenCounts, shift: np.ndarray) -> np.ndarray:

@@ -7,14 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cad.mesh.outline_nodes import MAX_SAGITTA_MM, needed_cells
+from cad.mesh.outline_nodes import MAX_ROUNDED_SAGITTA_MM, MAX_SAGITTA_MM, needed_cells
 from cad.parts.gel_pad import GelPad
 from cad.parts.height_pad import HeightPad
+from cad.parts.rim_fillet import fillet_arc
 
 NODE_BUDGET = 12_000
 """Nodes of an even mesh at an edge of 1 mm or more; large pads get wider cells in plan."""
 _MAX_CORE = 64
-_FILLET_TURN_RAD = 1.45
+_FILLET_SAGITTA_MM = 0.016
+_FILLET_EDGE = 0.85
+"""Spacing along an outline with a fillet in units of the edge: its cells are short across."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +66,11 @@ def even_counts(pad: HeightPad, edge_mm: float) -> EvenCounts:
     setback = max(pad.rim_setback_mm(), pad.skin_wall_mm)
     between = max(0 if band else 1, round((margin - setback) / edge_mm))
     skin_layers = _cells(pad.skin_top_mm, edge_mm) if pad.skin_top_mm else 0
-    gel = (pad.thickness_mm - pad.skin_top_mm) / edge_mm
-    gel_layers = max(2 + side_arc, round(gel))
-    core = int(np.clip(2 * round(needed_cells(pad.outline, edge_mm).mean() / 2), 4, _MAX_CORE))
+    gel = (pad.thickness_mm + pad.min_wall_mm()) / 2 - pad.skin_top_mm
+    gel_layers = max(2 + side_arc, int(np.ceil(gel / edge_mm - 0.25)))
+    spacing = edge_mm * (_FILLET_EDGE if pad.has_fillet else 1.0)
+    needed = needed_cells(pad.outline, spacing, outline_sagitta_mm(pad))
+    core = int(np.clip(2 * round(needed.mean() / 2), 4, _MAX_CORE))
     found = EvenCounts(
         core, between, band, gel_layers, skin_layers, side_arc, skin_rings, pad.sides_bonded
     )
@@ -74,6 +79,11 @@ def even_counts(pad: HeightPad, edge_mm: float) -> EvenCounts:
         values = {**found.__dict__, "core": found.core - 2}
         found = EvenCounts(**values)
     return found
+
+
+def outline_sagitta_mm(pad: HeightPad) -> float:
+    """How far chords of the outline may miss its arcs [mm]."""
+    return MAX_ROUNDED_SAGITTA_MM if pad.has_fillet else MAX_SAGITTA_MM
 
 
 def _cells(length_mm: float, edge_mm: float) -> int:
@@ -86,8 +96,10 @@ def _band_cells(pad: HeightPad, edge_mm: float) -> tuple[int, int]:
     if not width:
         return 0, 0
     if pad.has_fillet:
-        step = min(2 * np.arccos(max(1 - MAX_SAGITTA_MM / width, 0.5)), edge_mm / width)
-        cells = max(2, int(np.ceil(_FILLET_TURN_RAD / step)))
+        step = 2 * np.arccos(max(1 - _FILLET_SAGITTA_MM / width, 0.5))
+        edge, _ = pad.outline.at_mm(np.linspace(0, pad.outline.perimeter_mm, 256))
+        arc = fillet_arc(pad.outline, width, pad.crown_mm, pad.crown_slope, edge)
+        cells = max(2, int(np.ceil(arc.turns_rad.max() / min(step, edge_mm / width))))
         return cells - cells // 2, cells // 2
     if isinstance(pad, GelPad) and pad.rim == "arc":
         radius = pad.rim_radius_mm

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cad.mesh.even_counts import EvenCounts
+from cad.mesh.even_counts import EvenCounts, outline_sagitta_mm
 from cad.mesh.outline_nodes import outline_nodes
 from cad.mesh.plan_smoothing import smooth_plan
 from cad.mesh.structured_topology import core_perimeter, plan_quads
@@ -20,6 +20,7 @@ from cad.parts.gel_pad import GelPad
 from cad.parts.height_pad import HeightPad
 from cad.parts.rim_fillet import FilletArc, fillet_arc
 
+_SEEN = 0.5
 _FREE_CORE = 0.62
 """Size of the core of outlines that are no rectangles, in units of the outline."""
 
@@ -38,7 +39,7 @@ class EvenPlan:
 
 def even_plan(pad: HeightPad, counts: EvenCounts) -> EvenPlan:
     """Plans of about even spacing with the given counts."""
-    outline, normals = outline_nodes(pad.outline, counts.core)
+    outline, normals = outline_nodes(pad.outline, counts.core, outline_sagitta_mm(pad))
     rectangle = isinstance(pad, GelPad)
     low, high = pad.outline.bounds_mm()
     t = np.linspace(-1, 1, counts.core + 1)
@@ -63,7 +64,8 @@ def even_plan(pad: HeightPad, counts: EvenCounts) -> EvenPlan:
         back = np.concatenate([back, *ends])
         top = back
     else:
-        top = _banded(pad, counts, window, outline, normals, arc)
+        core = back[: (counts.core + 1) ** 2].reshape(window.shape)
+        top = _banded(pad, counts, core, outline, normals, arc)
     return EvenPlan(back, top, outline, arc)
 
 
@@ -84,10 +86,10 @@ def _smoothed(xy: np.ndarray, core: int, rings: int, window_held: bool) -> np.nd
 
 
 def _banded(
-    pad: HeightPad, counts: EvenCounts, window: np.ndarray, outline: np.ndarray,
+    pad: HeightPad, counts: EvenCounts, core_nodes: np.ndarray, outline: np.ndarray,
     normals: np.ndarray, arc: FilletArc | None,
 ) -> np.ndarray:  # fmt: skip
-    """Plan at the contact face whose last rings lie on the rim band."""
+    """Plan at the contact face whose last rings lie on the rim band, over the core of the back."""
     core, band, between = counts.core, counts.band, counts.between
     if arc is not None:
         total = band + counts.side_arc
@@ -95,10 +97,12 @@ def _banded(
         inner, ends = ends[0], ends[1:]
     elif isinstance(pad, GelPad) and pad.has_band and pad.rim_mm > 0.6 * pad.corner_radius_mm:
         half = np.array([pad.length_x_mm, pad.length_y_mm]) / 2 - pad.rim_mm
-        box = window / np.abs(window).max(axis=(0, 1)) * half
-        if not between:
-            window = box
-        inner = box.reshape(-1, 2)[core_perimeter(core)]
+        t = np.linspace(-1, 1, core + 1)
+        square = np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1)
+        even = square.reshape(-1, 2)[core_perimeter(core)]
+        # Between even spacing and that of the outline, so that spokes lean less.
+        seen = outline / (half + pad.rim_mm)
+        inner = half * np.where(np.abs(even) == 1, even, (1 - _SEEN) * even + _SEEN * seen)
         fractions = _band_fractions(pad, band)
         ends = [inner + (outline - inner) * f for f in fractions]
     else:
@@ -106,14 +110,15 @@ def _banded(
         ends = [outline - normals * pad.rim_setback_mm() * (1 - f) for f in fractions]
         inner = outline - normals * pad.rim_setback_mm()
     if between:
-        plan = _loops(window, inner, np.arange(1, between + 1) / between)
-        plan = _smoothed(plan, core, between, False)
+        plan = _loops(core_nodes, inner, np.arange(1, between + 1) / between)
+        free = np.zeros(plan.shape, dtype=bool)
+        free[core_nodes.size // 2 : len(plan) - 4 * core] = True
     else:
-        plan = window.reshape(-1, 2).copy()
-        plan[core_perimeter(core)] = inner
+        plan = core_nodes.reshape(-1, 2).copy()
         free = np.ones(plan.shape, dtype=bool)
+        plan[core_perimeter(core)] = inner
         free[core_perimeter(core)] = False
-        plan = smooth_plan(plan, plan_quads(core, 0), free)
+    plan = smooth_plan(plan, plan_quads(core, between), free)
     return np.concatenate([plan, *ends])
 
 

@@ -13,7 +13,9 @@ from cad.parts.pad_outline import PadOutline
 
 MAX_SAGITTA_MM = 0.022
 """How far a chord of the outline may miss its arc [mm]."""
-_GROWTH = 0.35
+MAX_ROUNDED_SAGITTA_MM = 0.0115
+"""The same where the rim is rounded too, so that errors of both directions add up [mm]."""
+_GROWTH = 0.8
 _SAMPLES = 4096
 
 
@@ -37,15 +39,17 @@ def outline_anchors(outline: PadOutline) -> np.ndarray:
     return ahead[0] + (ahead - ahead[0]) % outline.perimeter_mm
 
 
-def arc_cells(radius_mm: float, turn_rad: float, edge_mm: float) -> float:
+def arc_cells(radius_mm: float, turn_rad: float, edge_mm: float, sagitta_mm: float) -> float:
     """Cells that an arc needs for a spacing of ``edge_mm`` and the sagitta."""
-    step = 2 * np.arccos(max(1 - MAX_SAGITTA_MM / radius_mm, 0.0))
+    step = 2 * np.arccos(max(1 - sagitta_mm / radius_mm, 0.0))
     return turn_rad / min(step, edge_mm / radius_mm, np.pi / 4)
 
 
-def needed_cells(outline: PadOutline, edge_mm: float) -> np.ndarray:
+def needed_cells(
+    outline: PadOutline, edge_mm: float, sagitta_mm: float = MAX_SAGITTA_MM
+) -> np.ndarray:
     """Cells that each quarter between two anchors needs, shape [4]."""
-    s, spacing = _spacing_mm(outline, edge_mm)
+    s, spacing = _spacing_mm(outline, edge_mm, sagitta_mm)
     count = np.concatenate([[0.0], np.cumsum(np.diff(s) / spacing)])
     anchors = outline_anchors(outline)
     ends = np.append(anchors, anchors[0] + outline.perimeter_mm)
@@ -54,7 +58,9 @@ def needed_cells(outline: PadOutline, edge_mm: float) -> np.ndarray:
     return np.diff(at)
 
 
-def outline_nodes(outline: PadOutline, cells: int) -> tuple[np.ndarray, np.ndarray]:
+def outline_nodes(
+    outline: PadOutline, cells: int, sagitta_mm: float = MAX_SAGITTA_MM
+) -> tuple[np.ndarray, np.ndarray]:
     """Nodes on the outline [mm] and outward normals, each shape [4 cells, 2], from anchor 0 on.
 
     Every quarter between two anchors has ``cells`` cells; its straight parts are stretched until
@@ -67,9 +73,9 @@ def outline_nodes(outline: PadOutline, cells: int) -> tuple[np.ndarray, np.ndarr
         low, high = 1e-3, outline.perimeter_mm
         for _ in range(60):
             edge = np.sqrt(low * high)
-            few = needed_cells(outline, edge)[k] < cells
+            few = needed_cells(outline, edge, sagitta_mm)[k] < cells
             low, high = (low, edge) if few else (edge, high)
-        s, spacing = _spacing_mm(outline, np.sqrt(low * high))
+        s, spacing = _spacing_mm(outline, np.sqrt(low * high), sagitta_mm)
         s = np.concatenate([s[:-1], s + outline.perimeter_mm])
         count = np.concatenate([[0.0], np.cumsum(np.diff(s) / np.tile(spacing, 2))])
         first, last = np.interp(ends[k : k + 2] % outline.perimeter_mm, s, count)
@@ -79,7 +85,9 @@ def outline_nodes(outline: PadOutline, cells: int) -> tuple[np.ndarray, np.ndarr
     return outline.at_mm(np.concatenate(lengths))
 
 
-def _spacing_mm(outline: PadOutline, edge_mm: float) -> tuple[np.ndarray, np.ndarray]:
+def _spacing_mm(
+    outline: PadOutline, edge_mm: float, sagitta_mm: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Lengths along the outline, shape [n + 1], and the spacing of nodes between them [n] [mm]."""
     pieces = outline.piece_lengths_mm
     starts = np.concatenate([[0.0], np.cumsum(pieces)])
@@ -88,7 +96,7 @@ def _spacing_mm(outline: PadOutline, edge_mm: float) -> tuple[np.ndarray, np.nda
     spacing = np.full(len(middle), edge_mm)
     for k, (begin, end) in enumerate(outline.arc_angles):
         radius = float(outline.radii_mm[k])
-        wanted = pieces[2 * k] / arc_cells(radius, end - begin, edge_mm)
+        wanted = pieces[2 * k] / arc_cells(radius, end - begin, edge_mm, sagitta_mm)
         center = starts[2 * k] + pieces[2 * k] / 2
         away = np.abs((middle - center + starts[-1] / 2) % starts[-1] - starts[-1] / 2)
         spacing = np.minimum(spacing, wanted + _GROWTH * np.maximum(away - pieces[2 * k] / 2, 0))

@@ -62,9 +62,18 @@ def plan_quads(core: int, rings: int) -> np.ndarray:
     return np.concatenate([inner_cells, *ring_cells])
 
 
-def plan_triangles(core: int, rings: int) -> np.ndarray:
-    """Triangles of the plan, counter-clockwise, shape [2 cells, 3]."""
+def plan_triangles(core: int, rings: int, mirrored: bool = False) -> np.ndarray:
+    """Triangles of the plan, counter-clockwise, shape [2 cells, 3].
+
+    With ``mirrored`` the cells of the rings are cut along the other diagonal in the second half of
+    each side, so that on both sides of an outline's corner, where spokes lean towards it, the
+    diagonal is the shorter one.
+    """
     quads = plan_quads(core, rings)
+    if mirrored:
+        index = np.arange(len(quads)) - core**2
+        turned = (index >= 0) & (index % core >= core / 2)
+        quads = np.where(turned[:, None], np.roll(quads, -1, axis=1), quads)
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
@@ -95,12 +104,15 @@ def prism_tets(triangles: np.ndarray, low: int, high: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def grid_topology(core: int, rings: int, layers: int, window_ring: int) -> GridTopology:
+def grid_topology(
+    core: int, rings: int, layers: int, window_ring: int, mirrored: bool = False
+) -> GridTopology:
     """Connectivity for a core of ``core`` x ``core`` cells, ``rings`` rings and ``layers`` layers.
 
-    Back faces inside ring ``window_ring`` get the region WINDOW, the others BOND.
+    Back faces inside ring ``window_ring`` get the region WINDOW, the others BOND. ``mirrored`` is
+    that of ``plan_triangles``.
     """
-    triangles = plan_triangles(core, rings)
+    triangles = plan_triangles(core, rings, mirrored)
     plan_count = (core + 1) ** 2 + 4 * core * rings
     tets = [
         prism_tets(triangles, layer * plan_count, (layer + 1) * plan_count)

@@ -8,6 +8,9 @@ as a tet flattens, and steps that turn one inside out are refused, so a valid me
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from cad.mesh.quality_measures import dihedral_angles_deg
@@ -15,6 +18,23 @@ from cad.mesh.quality_measures import dihedral_angles_deg
 _POWER = 4
 _NEIGHBOURHOOD = 2
 _PAIRS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A height map on which some nodes slide."""
+
+    nodes: np.ndarray
+    """Their indices; only x and y of them may be free."""
+    height_mm: Callable[[np.ndarray], np.ndarray]
+    """[n, 2] -> [n] [mm]."""
+    step_mm: float = 1e-5
+
+    def slope(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Gradient of the height by central differences, shape [n, 2]."""
+        steps = self.step_mm * np.eye(2)
+        rises = [self.height_mm(xy_mm + step) - self.height_mm(xy_mm - step) for step in steps]
+        return np.stack(rises, axis=-1) / (2 * self.step_mm)
 
 
 def improve_worst_tets(
@@ -25,15 +45,20 @@ def improve_worst_tets(
     wanted_deg: float,
     rounds: int = 3,
     iterations: int = 40,
+    sheet: Sheet | None = None,
 ) -> np.ndarray:
-    """Move the nodes listed in ``free`` until no tet has a dihedral angle below ``wanted_deg``.
+    """Move free nodes until no tet has a dihedral angle below ``wanted_deg``.
 
-    Only nodes within two tets of one that is too flat move, at most ``rounds`` times. Tets must
-    have positive volume. Returns new positions [mm], shape [n, 3]; the smallest angle never falls.
+    ``free`` lists nodes, or says by coordinate what may move, bool, shape [n, 3]; nodes on
+    ``sheet`` stay on it. Only nodes within two tets of one that is too flat move, at most
+    ``rounds`` times. Tets must have positive volume. Returns new positions [mm], shape [n, 3]; the
+    smallest angle never falls.
     """
     nodes = np.array(nodes_mm, dtype=np.float64)
-    movable = np.zeros(len(nodes), dtype=bool)
-    movable[free] = True
+    movable = free
+    if free.dtype != bool:
+        movable = np.zeros(nodes.shape, dtype=bool)
+        movable[free] = True
     for _ in range(rounds):
         smallest = dihedral_angles_deg(nodes, tets).min(axis=1)
         if smallest.min() >= wanted_deg:
@@ -42,20 +67,21 @@ def improve_worst_tets(
         near[tets[smallest < wanted_deg]] = True
         for _ in range(_NEIGHBOURHOOD - 1):
             near[tets[near[tets].any(axis=1)]] = True
-        moved = _minimise(nodes, tets, np.flatnonzero(near & movable), iterations)
+        moved = _minimise(nodes, tets, near[:, None] & movable, iterations, sheet)
         if dihedral_angles_deg(moved, tets).min() <= smallest.min():
             break
         nodes = moved
     return nodes
 
 
-def _minimise(nodes: np.ndarray, tets: np.ndarray, free: np.ndarray, iterations: int) -> np.ndarray:
+def _minimise(
+    nodes: np.ndarray, tets: np.ndarray, free: np.ndarray, iterations: int, sheet: Sheet | None
+) -> np.ndarray:
     from scipy.optimize import minimize
 
-    if len(free) == 0:
+    chosen = free.any(axis=1)
+    if not chosen.any():
         return nodes
-    chosen = np.zeros(len(nodes), dtype=bool)
-    chosen[free] = True
     patch = tets[chosen[tets].any(axis=1)]
     # Nodes move in units of their own shortest edge, so that fine and coarse parts move together.
     unit = np.full(len(nodes), np.inf)
@@ -63,21 +89,28 @@ def _minimise(nodes: np.ndarray, tets: np.ndarray, free: np.ndarray, iterations:
         length = np.linalg.norm(nodes[patch[:, a]] - nodes[patch[:, b]], axis=1)
         np.minimum.at(unit, patch[:, a], length)
         np.minimum.at(unit, patch[:, b], length)
-    scale = unit[free][:, None]
+    scale = np.broadcast_to(unit[:, None], nodes.shape)[free]
+    held = None if sheet is None else sheet.nodes[free[sheet.nodes].any(axis=1)]
+
+    def place(steps: np.ndarray) -> np.ndarray:
+        moved = nodes.copy()
+        moved[free] += steps * scale
+        if sheet is not None:
+            moved[held, 2] = sheet.height_mm(moved[held, :2])
+        return moved
 
     def energy(steps: np.ndarray) -> tuple[float, np.ndarray]:
-        moved = nodes.copy()
-        moved[free] += steps.reshape(-1, 3) * scale
+        moved = place(steps)
         value, gradient = _shape_energy(moved, patch)
-        return value, (gradient[free] * scale).ravel()
+        if sheet is not None:
+            gradient[held, :2] += gradient[held, 2:] * sheet.slope(moved[held, :2])
+        return value, gradient[free] * scale
 
     found = minimize(
-        energy, np.zeros(3 * len(free)), jac=True, method="L-BFGS-B",
+        energy, np.zeros(len(scale)), jac=True, method="L-BFGS-B",
         options={"maxiter": iterations, "maxcor": 12},
     )  # fmt: skip
-    moved = nodes.copy()
-    moved[free] += found.x.reshape(-1, 3) * scale
-    return moved
+    return place(found.x)
 
 
 def _shape_energy(nodes: np.ndarray, tets: np.ndarray) -> tuple[float, np.ndarray]:

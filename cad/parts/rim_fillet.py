@@ -34,10 +34,14 @@ class FilletArc:
     to_crown: np.ndarray
     """Unit direction in which it touches the crown, shape [n, 3]."""
 
+    @property
+    def turns_rad(self) -> np.ndarray:
+        """Angle of each arc, shape [n]."""
+        return np.arccos(np.clip((self.to_wall * self.to_crown).sum(axis=1), -1, 1))
+
     def points_mm(self, fraction: float) -> np.ndarray:
         """Points at a fraction of the arcs' angle from the wall (0) to the crown (1), [n, 3]."""
-        cosine = (self.to_wall * self.to_crown).sum(axis=1, keepdims=True)
-        turn = np.arccos(np.clip(cosine, -1, 1))
+        turn = self.turns_rad[:, None]
         mixed = np.sin((1 - fraction) * turn) * self.to_wall
         mixed = (mixed + np.sin(fraction * turn) * self.to_crown) / np.sin(turn)
         return self.centers_mm + self.radius_mm * mixed
