@@ -66,7 +66,7 @@ def _roller(text: str, radius: str, length: str) -> TriangleMesh:
     return roller_mesh(_length_m(text, radius), _length_m(text, length))
 
 
-def _edge(text: str, angle: str, length: str, radius: str = "") -> TriangleMesh:
+def _edge(text: str, angle: str, length: str, radius: str | None = None) -> TriangleMesh:
     opening = _number(text, angle)
     low, high = _ANGLE_LIMITS_DEG
     if not low <= opening <= high:
@@ -74,7 +74,7 @@ def _edge(text: str, angle: str, length: str, radius: str = "") -> TriangleMesh:
             f"indenter {text!r}: an opening angle must lie in [{low:g}, {high:g}] deg, got "
             f"{angle} deg"
         )
-    rounding = _length_m(text, radius) if radius else 0.0
+    rounding = 0.0 if radius is None else _length_m(text, radius)
     try:
         return edge_mesh(opening, _length_m(text, length), rounding)
     except InputError as error:

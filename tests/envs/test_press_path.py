@@ -79,3 +79,11 @@ def test_motion_is_even() -> None:
 def test_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         PressPath(**{"depth_mm": 0.5, **changes})  # type: ignore[arg-type]
+
+
+@given(depth=st.floats(0.1, 2), shear=lengths, twist=st.floats(-20, 20))
+def test_the_way_back_is_the_way_there(depth: float, shear: float, twist: float) -> None:
+    there = PressPath(depth, (shear, 0.0), twist, 0.3, 5.0).waypoints()
+    loop = PressPath(depth, (shear, 0.0), twist, 0.3, 5.0, back=True).waypoints()
+    assert loop[: len(there)] == there
+    assert loop[len(there) :] == [*reversed(there[:-1]), (0.0, (0.0, 0.0), 0.0)]
