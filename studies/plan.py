@@ -37,6 +37,7 @@ class Evaluate(Protocol):
         device: str = "cpu",
         progress: Callable[[str, int, int], None] | None = None,
         folder: Path | None = None,
+        load_n: float = 0.5,
     ) -> list[DesignResult]: ...
 
 
@@ -92,10 +93,12 @@ class Study:
 
     @property
     def figure_keys(self) -> dict[str, str]:
-        """Stands for the settings of the presses that each metric is read from."""
-        keys = self.press_keys
+        """Stands for the settings of the presses that each metric is read from, and the load."""
+        keys, load_n = self.press_keys, self.spec.study.load_n
         return {
-            name: identity([keys[press] for press in metric.presses])
+            name: identity([*(keys[press] for press in metric.presses), load_n])
+            if metric.presses
+            else identity([])
             for name, metric in self.metrics.items()
         }
 

@@ -160,6 +160,7 @@ class _Run:
             study.figure_keys,
             study.spec.output,
             device,
+            study.spec.study.load_n,
             study.kit.evaluate,
         )
 

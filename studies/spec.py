@@ -61,6 +61,8 @@ class StudyBlock(_Block):
     """Columns of the table; the objective's and the constraints' are added."""
     presses: list[PlainName] = Field(default_factory=list)
     """Standard presses; those that the metrics read when left out."""
+    load_n: float = Field(default=0.5, gt=0, le=1000)
+    """Normal load at which figures are read, where they are read at a load."""
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Of random draws and of the optimiser."""
 

@@ -48,6 +48,7 @@ class Job:
     figure_keys: dict[str, str]
     output: Output
     device: str
+    load_n: float
     evaluate: Evaluate
 
 
@@ -69,6 +70,7 @@ def work_off(job: Job, batch: Batch, tell: Tell | None = None) -> None:
             device=job.device,
             progress=tell,
             folder=folder.designs if job.output.records else None,
+            load_n=job.load_n,
         )
         found = {result.point.id: result for result in results}
         if missing := [design.id for design in batch.designs if design.id not in found]:

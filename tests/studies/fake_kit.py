@@ -59,7 +59,16 @@ def figures_of(parameters: dict[str, Any]) -> dict[str, float]:
     }
 
 
-def evaluate(designs, presses, metrics, *, device="cpu", progress=None, folder: Path | None = None):
+def evaluate(
+    designs,
+    presses,
+    metrics,
+    *,
+    device="cpu",
+    progress=None,
+    folder: Path | None = None,
+    load_n=0.5,
+):
     """Formulas; a rim of 'fillet' cannot be built, one of 'chamfer' lacks a figure."""
     seconds = float(os.environ.get("FAKE_SECONDS", "0"))
     results = []

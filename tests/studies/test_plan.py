@@ -84,6 +84,10 @@ def test_keys_follow_the_settings_of_the_presses_that_are_read() -> None:
     assert one.press_keys["edge"] != two.press_keys["edge"]
     changed = {name for name in one.metrics if one.figure_keys[name] != two.figure_keys[name]}
     assert changed == {"blur"}
+    heavy = study(study={**table()["study"], "metrics": ["blur", "lamps"], "load_n": 2.0})
+    assert heavy.figure_keys["blur"] != one.figure_keys["blur"]
+    light = study(study={**table()["study"], "metrics": ["blur", "lamps"]})
+    assert heavy.figure_keys["lamps"] == light.figure_keys["lamps"]
 
 
 def test_tied_parameters_follow() -> None:
