@@ -19,8 +19,9 @@ from cad.parts.gel_pad import GelPad
 from cad.parts.height_pad import HeightPad
 from taccel_lab.geometry import Region, TetMesh
 
-WANTED_DEG = 14.0
+WANTED_DEG = 12.0
 """Tets with a smaller dihedral angle are smoothed [deg]."""
+_POWERS = (4, 8, 16, 32)
 LAYER_RATIO = 1.2
 """Thickness of a layer over that of the one above it."""
 
@@ -50,7 +51,9 @@ def counted_gel_mesh(pad: HeightPad, counts: EvenCounts) -> TetMesh:
     tets = topology.tets.copy()
     check_unfolded(nodes, tets)
     sliding, sheet = _movable(pad, counts)
-    nodes = improve_worst_tets(nodes, tets, sliding, wanted_deg=WANTED_DEG, sheet=sheet)
+    nodes = improve_worst_tets(
+        nodes, tets, sliding, wanted_deg=WANTED_DEG, powers=_POWERS, sheet=sheet
+    )
     return TetMesh(
         nodes_m=nodes * 1e-3,
         tets=tets,

@@ -15,7 +15,6 @@ import numpy as np
 
 from cad.mesh.quality_measures import dihedral_angles_deg
 
-_POWER = 4
 _NEIGHBOURHOOD = 2
 _PAIRS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
@@ -43,39 +42,44 @@ def improve_worst_tets(
     free: np.ndarray,
     *,
     wanted_deg: float,
-    rounds: int = 3,
+    powers: tuple[int, ...] = (4, 4, 4),
     iterations: int = 40,
     sheet: Sheet | None = None,
 ) -> np.ndarray:
     """Move free nodes until no tet has a dihedral angle below ``wanted_deg``.
 
     ``free`` lists nodes, or says by coordinate what may move, bool, shape [n, 3]; nodes on
-    ``sheet`` stay on it. Only nodes within two tets of one that is too flat move, at most
-    ``rounds`` times. Tets must have positive volume. Returns new positions [mm], shape [n, 3]; the
-    smallest angle never falls.
+    ``sheet`` stay on it. Only nodes within two tets of one that is too flat move, once for each
+    power of the energy: the higher, the more the worst tets count. Tets must have positive volume.
+    Returns new positions [mm], shape [n, 3]; the smallest angle never falls.
     """
     nodes = np.array(nodes_mm, dtype=np.float64)
     movable = free
     if free.dtype != bool:
         movable = np.zeros(nodes.shape, dtype=bool)
         movable[free] = True
-    for _ in range(rounds):
+    best, best_deg = nodes, 0.0
+    for power in (*powers, 0):
         smallest = dihedral_angles_deg(nodes, tets).min(axis=1)
-        if smallest.min() >= wanted_deg:
+        if smallest.min() > best_deg:
+            best, best_deg = nodes, float(smallest.min())
+        if best_deg >= wanted_deg or not power:
             break
         near = np.zeros(len(nodes), dtype=bool)
         near[tets[smallest < wanted_deg]] = True
         for _ in range(_NEIGHBOURHOOD - 1):
             near[tets[near[tets].any(axis=1)]] = True
-        moved = _minimise(nodes, tets, near[:, None] & movable, iterations, sheet)
-        if dihedral_angles_deg(moved, tets).min() <= smallest.min():
-            break
-        nodes = moved
-    return nodes
+        nodes = _minimise(nodes, tets, near[:, None] & movable, power, iterations, sheet)
+    return best
 
 
 def _minimise(
-    nodes: np.ndarray, tets: np.ndarray, free: np.ndarray, iterations: int, sheet: Sheet | None
+    nodes: np.ndarray,
+    tets: np.ndarray,
+    free: np.ndarray,
+    power: int,
+    iterations: int,
+    sheet: Sheet | None,
 ) -> np.ndarray:
     from scipy.optimize import minimize
 
@@ -101,7 +105,7 @@ def _minimise(
 
     def energy(steps: np.ndarray) -> tuple[float, np.ndarray]:
         moved = place(steps)
-        value, gradient = _shape_energy(moved, patch)
+        value, gradient = _shape_energy(moved, patch, power)
         if sheet is not None:
             gradient[held, :2] += gradient[held, 2:] * sheet.slope(moved[held, :2])
         return value, gradient[free] * scale
@@ -113,8 +117,10 @@ def _minimise(
     return place(found.x)
 
 
-def _shape_energy(nodes: np.ndarray, tets: np.ndarray) -> tuple[float, np.ndarray]:
-    """Sum of inverse mean ratios to the power 4 and its gradient by the nodes, shape [n, 3]."""
+def _shape_energy(
+    nodes: np.ndarray, tets: np.ndarray, power: int
+) -> tuple[float, np.ndarray]:
+    """Sum of inverse mean ratios to a power and its gradient by the nodes, shape [n, 3]."""
     p = nodes[tets]
     a, b, c = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0], p[:, 3] - p[:, 0]
     by_corner = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
@@ -125,11 +131,11 @@ def _shape_energy(nodes: np.ndarray, tets: np.ndarray) -> tuple[float, np.ndarra
     # The six squared edges add up to four times the squares about the centre.
     squares = 4 * (centered**2).sum(axis=(1, 2))
     ratio = squares / (12 * (0.5 * six_volumes) ** (2 / 3))
-    outer = _POWER * ratio ** (_POWER - 1)
+    outer = power * ratio ** (power - 1)
     by_square = (outer * ratio / squares)[:, None, None] * 8 * centered
     by_volume = (-2 / 3 * outer * ratio / six_volumes)[:, None, None] * by_corner
     by_square[:, 1:] += by_volume
     by_square[:, 0] -= by_volume.sum(axis=1)
     flat, corners = by_square.reshape(-1, 3), tets.ravel()
     gradient = np.stack([np.bincount(corners, flat[:, k], len(nodes)) for k in range(3)], axis=1)
-    return float((ratio**_POWER).sum()), gradient
+    return float((ratio**power).sum()), gradient
