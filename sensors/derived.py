@@ -15,7 +15,7 @@ from sensors.base import FamilyParameters
 from sensors.parameter_groups import CameraParameters
 from taccel_lab.optics.description import Camera
 
-_VOLUME_GRID = 500
+_VOLUME_GRID = 200
 
 
 @dataclass(frozen=True)

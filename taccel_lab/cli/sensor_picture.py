@@ -201,11 +201,15 @@ def _meeting_mm(pad: Pad, start: np.ndarray, direction: np.ndarray) -> np.ndarra
     """Where a ray inside the gel first meets the contact face; None beside it."""
     if not (np.isfinite(start).all() and np.isfinite(direction).all()):
         return None
-    line = start + np.linspace(0, 2 * np.ptp(pad.bounds_mm(), axis=0).max(), 2001)[:, None] * (
-        direction
-    )
-    beyond = np.flatnonzero(line[:, 2] >= pad.top_mm(line[:, :2]))
-    return line[beyond[0]] if len(beyond) else None
+    near, far = 0.0, 2 * float(np.ptp(pad.bounds_mm(), axis=0).max())
+    for samples in (2001, 201, 201):  # to a millionth of the pad
+        reach = np.linspace(near, far, samples)
+        line = start + reach[:, None] * direction
+        beyond = np.flatnonzero(line[:, 2] >= pad.top_mm(line[:, :2]))
+        if not len(beyond):
+            return None
+        near, far = reach[max(beyond[0] - 1, 0)], reach[beyond[0]]
+    return start + far * direction
 
 
 def _back_points(pad: Pad) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sensors import sensor_family
-from sensors.gelsight import FAMILY, GelSightParameters
+from sensors.gelsight import FAMILY
 from taccel_lab.errors import InputError
 
 
@@ -53,14 +53,6 @@ def test_a_press_fits_under_the_apex() -> None:
     assert FAMILY.pad().thickness_mm > 2 * depth
 
 
-def test_every_default_has_a_source_and_lies_inside_its_bounds() -> None:
-    for name, spec in GelSightParameters.parameters().items():
-        assert len(spec.source) > 10, name
-        assert spec.description, name
-        assert spec.check(spec.default) == spec.default
-    assert FAMILY.sources()["thickness_mm"].count("assumption") == 1
-
-
 def test_material_is_in_si() -> None:
     material = FAMILY.material(FAMILY.parameters({"young_modulus_mpa": "0.3"}))
     assert material.young_modulus_pa == pytest.approx(3e5)
@@ -73,7 +65,7 @@ def test_material_is_in_si() -> None:
         ({"poisson_ratio": "0.5"}, ["poisson_ratio = 0.5", "0 to 0.499"]),
         ({"young_modulus_mpa": "-1"}, ["young_modulus_mpa = -1"]),
         ({"thickness_mm": "1.6"}, ["thickness_mm must be at least"]),
-        ({"length_x_mm": "18.9"}, ["window_x_mm"]),
+        ({"length_x_mm": "61"}, ["length_x_mm = 61", "10 to 60 mm"]),
         ({"colour": "red"}, ["no parameter 'colour'", "thickness_mm"]),
         ({"width_px": "640.5"}, ["width_px", "whole number"]),
     ],

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every family at its nominal and at random parameters: sources, formulas, meshes, presses."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cad.mesh.gel_mesh import gel_mesh
+from cad.mesh.quality import measure_quality, require_quality
+from cad.parameters import Parameter
+from cad.parts.pad import Pad
+from sensors import FamilyParameters, SensorFamily, sensor_families
+from sensors.derived import derived_figures, pad_volume_mm3
+from sensors.press_mesh import PressMeshOptions, press_mesh
+from sensors.profile import catalogue_profile
+from taccel_lab.envs import PressEnv, layered_material, parse_indenter
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.scene import Material
+from tests.sensors.random_parameters import random_parameters
+
+FAMILIES = sensor_families()
+MOST_REFUSED = 0.6
+"""Share of random draws that a family may refuse: more, and its bounds say too little."""
+
+
+def accepted(family: SensorFamily, seed: int) -> FamilyParameters:
+    """The first random parameters of a seed that the family accepts."""
+    rng = np.random.default_rng(seed)
+    for _ in range(40):
+        found = random_parameters(family, rng)
+        if not isinstance(found, InputError):
+            return found
+    raise AssertionError(f"{family.name} refused 40 random sets of parameters")
+
+
+def edge_mm(pad: Pad) -> float:
+    """A coarse edge length for a pad of any size."""
+    return float(max(0.09 * np.ptp(pad.bounds_mm(), axis=0)[:2].max(), 1.5))
+
+
+def checked_mesh(pad: Pad) -> TetMesh:
+    mesh = gel_mesh(pad, edge_mm(pad))
+    quality = measure_quality(mesh, pad)
+    require_quality(mesh, quality)
+    assert quality.min_dihedral_deg >= 10.0
+    return mesh
+
+
+def press(parameters: FamilyParameters, mesh: TetMesh) -> np.ndarray:
+    """Forces [N] of a ball at two depths of a press on the apex, shape [2, 3]."""
+    layers = [
+        Material(m.young_modulus_pa, m.poisson_ratio, m.density_kg_m3)
+        for m in parameters.layer_materials()
+    ]
+    depth = 0.04 * parameters.pad().thickness_mm
+    env = PressEnv(
+        mesh,
+        layered_material(layers, mesh),
+        parse_indenter("sphere:4"),
+        np.zeros((1, 2)),
+        friction_coefficient=parameters.material().friction_coefficient,
+    )
+    forces = []
+    for part in (0.5, 1.0):
+        report = env.move_to(part * depth)
+        assert report.converged.all()
+        forces.append(env.wrench[0, :3].copy())
+    return np.array(forces)
+
+
+def assert_pressed(parameters: FamilyParameters, mesh: TetMesh) -> None:
+    forces = press(parameters, mesh)
+    assert 0 < forces[0, 2] < forces[1, 2]
+    assert np.abs(forces[:, :2]).max() < 0.2 * forces[1, 2]
+
+
+# Words ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
+def test_every_default_has_a_source_and_lies_inside_its_bounds(family: SensorFamily) -> None:
+    assert family.title and family.references
+    for name, spec in family.parameters_type.parameters().items():
+        assert len(spec.source) >= 10, name
+        assert spec.description, name
+        assert spec.check(spec.default) == spec.default
+        if name.endswith(("_mm", "_px", "_deg", "_mpa")):
+            expected = {"_mm": "mm", "_px": "px", "_deg": "deg", "_mpa": "MPa"}
+            suffix = "_" + name.rsplit("_", 1)[1]
+            assert spec.unit in (expected[suffix], "mm/px", "1/mm"), name
+
+
+def test_figures_of_a_sensor_are_not_those_of_another() -> None:
+    """A family that takes over a default takes over its source with it, never a bare number."""
+    for family in FAMILIES.values():
+        specs = family.parameters_type.parameters()
+        own = [n for n, s in specs.items() if "no source states it" not in s.source]
+        assert len(own) > 25, family.name
+
+
+# Formulas -------------------------------------------------------------------------------------
+
+
+@settings(max_examples=8)
+@given(seed=st.integers(0, 2**32 - 1))
+@pytest.mark.parametrize("name", FAMILIES)
+def test_random_parameters_build_or_say_which_bound_they_break(name: str, seed: int) -> None:
+    family = FAMILIES[name]
+    found = random_parameters(family, np.random.default_rng(seed))
+    if isinstance(found, InputError):
+        assert str(found).startswith(f"sensor {name}: ")
+        named = [p for p in family.parameters_type.parameters() if p in str(found)]
+        assert named or "crown" in str(found) or "pocket" in str(found), str(found)
+        return
+    pad, grid = found.pad(), found.grid()
+    low, high = pad.bounds_mm()
+    assert (high > low).all() and high[2] <= 0.05
+    assert pad.thickness_mm > 0
+    box = float((high - low).prod())
+    assert 0.02 * box < pad_volume_mm3(pad) <= box
+    assert len(found.layer_materials()) == len(pad.layer_names)
+    design, markers = found.optics(), found.markers()
+    assert design is not None and len(design.lights) >= 3
+    assert (design.camera.width_px, design.camera.height_px) == (grid.width_px, grid.height_px)
+    if markers is not None:
+        assert np.isfinite(pad.top_mm(markers.points_mm())).all()
+    assert all(np.isfinite(f.value) for f in derived_figures(found) if isinstance(f.value, float))
+
+
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
+def test_bounds_leave_room_for_one_another(family: SensorFamily) -> None:
+    rng = np.random.default_rng(11)
+    refused = [isinstance(random_parameters(family, rng), InputError) for _ in range(60)]
+    assert np.mean(refused) < MOST_REFUSED
+
+
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
+def test_one_step_out_of_bounds_is_refused_by_name(family: SensorFamily) -> None:
+    def outside(spec: Parameter) -> list[float]:
+        steps = [] if spec.minimum is None else [spec.minimum - 1e-3 * abs(spec.minimum) - 1]
+        return steps + ([] if spec.maximum is None else [spec.maximum * 1.001 + 1])
+
+    for name, spec in family.parameters_type.parameters().items():
+        for value in outside(spec):
+            if spec.zero_means and value == 0:
+                continue
+            with pytest.raises(InputError, match=f"{name} = "):
+                family.parameters({name: value})
+
+
+# Meshes and presses ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
+def test_nominal_sensor_is_meshed_and_pressed(family: SensorFamily) -> None:
+    parameters = family.parameters()
+    mesh = checked_mesh(parameters.pad())
+    volume = mesh.volumes_m3().sum() * 1e9
+    assert volume == pytest.approx(pad_volume_mm3(parameters.pad()), rel=0.02)
+    assert set(np.unique(mesh.tet_layers)) == set(range(len(parameters.layer_materials())))
+    assert_pressed(parameters, mesh)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
+def test_random_sensor_is_meshed_and_pressed(family: SensorFamily, seed: int) -> None:
+    parameters = accepted(family, seed)
+    assert_pressed(parameters, checked_mesh(parameters.pad()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
+def test_random_sensor_is_built_in_cad(family: SensorFamily, seed: int) -> None:
+    pad = accepted(family, seed).pad()
+    part = pad.labelled_solid()
+    assert part.solid.is_valid
+    assert part.solid.volume == pytest.approx(pad_volume_mm3(pad), rel=5e-3)
+
+
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
+def test_press_meshes_share_their_connectivity(family: SensorFamily) -> None:
+    options = PressMeshOptions(elements_per_radius=4.0, core=6, rings=10, layers=3)
+    first = press_mesh(family.name, {}, (0.0, 0.0), 0.8, options)
+    other = press_mesh(family.name, {}, (1.0, -0.7), 0.8, options)
+    assert (first.volumes_m3() > 0).all()
+    assert np.array_equal(first.tets, other.tets)
+    assert np.array_equal(first.face_regions, other.face_regions)
+
+
+@pytest.mark.parametrize("name", ["9dtact", "gelsight_mini", "rtac"])
+def test_designed_profiles_come_back(name: str, tmp_path) -> None:
+    profile = catalogue_profile(name)
+    save_profile(profile, tmp_path / "profile")
+    loaded = load_profile(tmp_path / "profile")
+    parameters = FAMILIES[name].parameters()
+    assert loaded.blocks() == profile.blocks()
+    assert loaded.optical_design() == parameters.optics()
+    assert np.array_equal(loaded.mesh.tet_layers, profile.mesh.tet_layers)
+    markers, housing = parameters.markers(), parameters.housing()
+    assert (loaded.markers.grid() if loaded.markers else None) == markers
+    assert loaded.housing is not None and housing is not None
+    assert loaded.housing.size_mm == housing.size_mm
+    layers = [m.young_modulus_pa for m in parameters.layer_materials()[1:]]
+    assert [layer.young_modulus_pa for layer in loaded.material.layers] == layers
+    assert "housing_x_mm" in loaded.housing.provenance.source
+    assert dataclasses.replace(loaded).grid() == parameters.grid()

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The template of docs/sensors.md works as a package beside this one."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from cad.mesh.gel_mesh import gel_mesh
+from cad.mesh.quality import measure_quality, require_quality
+from sensors import sensor_family
+from sensors.registry import catalogue
+from taccel_lab.cli import app
+
+TEMPLATE = Path(__file__).parents[2] / "docs" / "examples" / "my_sensor"
+
+
+@pytest.fixture
+def template(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The template as an editable installation leaves it: on sys.path, with its metadata."""
+    project = tomllib.loads((TEMPLATE / "pyproject.toml").read_text())["project"]
+    info = tmp_path / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    )
+    lines = []
+    for group, entries in project["entry-points"].items():
+        lines += [f"[{group}]", *(f"{name} = {target}" for name, target in entries.items())]
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+    monkeypatch.syspath_prepend(str(TEMPLATE))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "my_sensor", raising=False)
+    importlib.invalidate_caches()
+
+
+@pytest.mark.usefixtures("template")
+def test_template_is_in_the_catalogue_and_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert not catalogue().broken
+    assert app.main(["sensors", "list"]) == 0
+    assert "my_sensor" in capsys.readouterr().out
+    picture = tmp_path / "my_sensor.png"
+    assert app.main(["sensors", "show", "my_sensor", "--picture", str(picture)]) == 0
+    printed = capsys.readouterr().out
+    assert "edge_mm" in printed and "our drawing 1207" in printed
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert app.main(["sensors", "show", "my_sensor", "--set", "edge_mm=1", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["pad"]["values"]["rim_mm"] == 1.0
+    assert shown["markers"]["columns"] == 11 and shown["markers"]["rows"] == 8
+    assert len(shown["optics"]["lights"]) == 4
+
+
+@pytest.mark.usefixtures("template")
+def test_template_is_built_and_meshed() -> None:
+    family = sensor_family("my_sensor")
+    for overrides in ({}, {"thickness_mm": 5.0, "edge_mm": 1.2}):
+        pad = family.parameters(overrides).pad()
+        mesh = gel_mesh(pad, 2.0)
+        quality = measure_quality(mesh, pad)
+        require_quality(mesh, quality)
+        assert mesh.volumes_m3().sum() * 1e9 == pytest.approx(
+            pad.labelled_solid().solid.volume, 5e-3
+        )
+
+
+@pytest.mark.usefixtures("template")
+def test_bad_values_name_the_bound(capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["sensors", "show", "my_sensor", "--set", "edge_mm=2.5"]) == 2
+    assert "edge_mm = 2.5 is above its bound; allowed: 0.2 to 1.8 mm" in capsys.readouterr().err
