@@ -148,7 +148,7 @@ class Study:
 
 def _print_lists(options: Study) -> None:
     from studies.plan import default_kit
-    from studies.press_text import press_in_words
+    from studies.describe import press_in_words
     from taccel_lab.cli.console import print_json
 
     kit = default_kit()
