@@ -16,8 +16,8 @@ def pareto_front(costs: np.ndarray) -> np.ndarray:
         costs: Less is better, shape [design, metric].
     """
     costs = np.asarray(costs, dtype=np.float64)
-    known = np.isfinite(costs).all(axis=1)
-    front = known.copy()
+    known = np.array(np.isfinite(costs).all(axis=1))
+    front = np.array(known)
     for row in np.flatnonzero(known):
         others = costs[known]
         no_worse = (others <= costs[row]).all(axis=1)

@@ -14,7 +14,7 @@ Three figures, each with its own use:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,7 +47,7 @@ class Sensitivity:
 
 
 def sensitivity(
-    parameters: dict[str, Sequence[Any]], values: Sequence[float | None], *, grid: bool
+    parameters: Mapping[str, Sequence[Any]], values: Sequence[float | None], *, grid: bool
 ) -> Sensitivity:
     """Effects of parameters on a metric; designs without a value are left out.
 
@@ -116,9 +116,10 @@ def _share(column: Sequence[Any], y: np.ndarray) -> float | None:
 
 
 def _rank(column: Sequence[Any], y: np.ndarray) -> float | None:
-    from scipy.stats import spearmanr
+    from scipy.stats import rankdata
 
     x = _numeric(column)
     if x is None or len(y) < 3 or np.ptp(x) == 0 or np.ptp(y) == 0:
         return None
-    return float(spearmanr(x, y).statistic)
+    # Spearman's rho: Pearson's correlation of the ranks, ties at their mean rank.
+    return float(np.corrcoef(rankdata(x), rankdata(y))[0, 1])
