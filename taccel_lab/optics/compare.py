@@ -46,6 +46,8 @@ class PressMatch:
     """Of the change against the background by channel, inside the contact circle."""
     octant_cosine: tuple[float, ...]
     """Cosine between the colour changes of real and model, octant by octant from +x towards +y."""
+    contrast: float
+    """Root mean square of the model's change over the real one's, inside the contact circle."""
 
     @property
     def mean_cosine(self) -> float:
@@ -112,7 +114,13 @@ def compare_press(
             )
         a, b = change_real[here].mean(axis=0), change_model[here].mean(axis=0)
         cosines.append(float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12)))
-    return PressMatch(_correlations(change_model[inside], change_real[inside]), tuple(cosines))
+    return PressMatch(
+        correlation=_correlations(change_model[inside], change_real[inside]),
+        octant_cosine=tuple(cosines),
+        contrast=float(
+            np.linalg.norm(change_model[inside]) / max(np.linalg.norm(change_real[inside]), 1e-12)
+        ),
+    )
 
 
 def pressed_top(
@@ -120,23 +128,27 @@ def pressed_top(
     center_mm: tuple[float, float],
     contact_radius_mm: float,
     ball_radius_mm: float,
+    *,
+    thin: bool = False,
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Contact face under a ball: the ball within the contact, an elastic half-space around it.
 
     Outside of the contact radius a the face has sunk by ``a^2 / (pi R) ((2 - r^2/a^2) asin(a/r) +
-    sqrt(r^2/a^2 - 1))`` (K. L. Johnson, "Contact Mechanics", 1985, eq. 3.42). That a thin gel sinks
-    and piles up otherwise is left out.
+    sqrt(r^2/a^2 - 1))`` (K. L. Johnson, "Contact Mechanics", 1985, eq. 3.42). A gel that is thin
+    against the contact does not sink around it (K. L. Johnson, section 5.8); its pile-up is left
+    out.
 
     Args:
         top_mm: Untouched face, [..., 2] -> [...].
         center_mm: Gel xy of the contact.
         contact_radius_mm: a.
         ball_radius_mm: R, larger than a.
+        thin: Whether nothing sinks outside of the contact.
     """
     a, ball = contact_radius_mm, ball_radius_mm
     if not 0 < a < ball:
         raise InputError(f"the contact radius must lie in (0, {ball:g}) mm, got {a:g}")
-    edge = a * a / (2 * ball)
+    edge = 0.0 if thin else a * a / (2 * ball)
     drop_at_edge = ball - math.sqrt(ball * ball - a * a)
 
     def sunk_mm(xy_mm: np.ndarray) -> np.ndarray:
@@ -147,6 +159,7 @@ def pressed_top(
         tail = (
             (a * a / (math.pi * ball))
             * ((2 - outer**2) * np.arcsin(1 / outer) + np.sqrt(outer**2 - 1))
+            * (not thin)
         )  # fmt: skip
         return top_mm(xy_mm) - np.where(ratio <= 1, ball_part, tail)
 

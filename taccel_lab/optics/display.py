@@ -42,7 +42,7 @@ def exposed(
     linear: np.ndarray,
     mask: np.ndarray,
     *,
-    level: float = 110.0,
+    level: float | tuple[float, float, float] = 110.0,
     gamma: float = 2.2,
     white_balance: WhiteBalance = "gray",
 ) -> Display:
@@ -51,12 +51,13 @@ def exposed(
     Args:
         linear: Radiance of the untouched gel, shape [H, W, 3].
         mask: Pixels that count, shape [H, W].
-        level: Wanted median, 1 to 254.
+        level: Wanted median, 1 to 254, or one for each channel, such as those of a real sensor.
         gamma: Exponent of the camera's response.
         white_balance: gray exposes each channel by itself; none keeps the ratios of the channels
             and exposes the brightest.
     """
-    if not 1 <= level <= 254:
+    levels = np.broadcast_to(np.asarray(level, dtype=np.float64), (3,))
+    if not ((levels >= 1) & (levels <= 254)).all():
         raise InputError(f"the exposure level must lie in [1, 254], got {level}")
     if not 0.5 <= gamma <= 4:
         raise InputError(f"gamma must lie in [0.5, 4], got {gamma}")
@@ -68,4 +69,5 @@ def exposed(
     common = np.full(3, medians.max())
     # A channel that no light feeds stays dark.
     reference = np.where(medians > 0, medians, common) if white_balance == "gray" else common
-    return Display(tuple(((level / 255.0) ** gamma / reference).tolist()), gamma)
+    r, g, b = ((levels / 255.0) ** gamma / reference).tolist()
+    return Display((r, g, b), gamma)

@@ -55,7 +55,7 @@ class OpticalModel:
         refraction: bool = True,
         shadows: bool = True,
         samples: int = 4,
-        level: float = 110.0,
+        level: float | tuple[float, float, float] = 110.0,
         gamma: float = 2.2,
         white_balance: WhiteBalance = "gray",
         face: FineFace | None = None,
@@ -71,7 +71,8 @@ class OpticalModel:
             refraction: Whether sight lines and light bend at window and gel.
             shadows: Whether the face casts shadows on itself.
             samples: Points at most that stand for an area light.
-            level: Median grey level of the untouched gel, by which exposure is set.
+            level: Median grey level of the untouched gel, by which exposure is set; one for each
+                channel to match a real sensor.
             gamma: Exponent of the camera's response.
             white_balance: gray or none; see ``exposed``.
             face: A rigid face in place of a mesh's, such as a formula's; see ``from_formula``.

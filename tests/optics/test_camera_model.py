@@ -116,8 +116,8 @@ def test_beyond_the_fold_of_a_lens_is_nan() -> None:
     # r (1 - 0.5 r^2) never exceeds 0.544.
     model = CameraModel(replace(DIGIT, distortion=(-0.5, 0.0, 0.0, 0.0)))
     edge = 0.544 * DIGIT.fx_px
-    inside = model.directions_from_pixels([DIGIT.cx_px + 0.99 * edge, DIGIT.cy_px])
-    outside = model.directions_from_pixels([DIGIT.cx_px + 1.02 * edge, DIGIT.cy_px])
+    inside = model.directions_from_pixels(np.array([DIGIT.cx_px + 0.99 * edge, DIGIT.cy_px]))
+    outside = model.directions_from_pixels(np.array([DIGIT.cx_px + 1.02 * edge, DIGIT.cy_px]))
     assert np.isfinite(inside).all()
     assert inside[0] / inside[2] < math.sqrt(2 / 3)
     assert np.isnan(outside).all()

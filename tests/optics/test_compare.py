@@ -59,6 +59,11 @@ def test_press_scores_tell_the_sides_of_the_lights() -> None:
     same = compare_press(real, ball_colors(0.0), (40, 30), 15.0)
     assert same.mean_cosine == pytest.approx(1.0, abs=1e-3)
     assert min(same.correlation) > 0.99
+    assert same.contrast == pytest.approx(1.0)
+    half = ((real[1].astype(int) + real[0]) // 2).astype(np.uint8)
+    assert compare_press(real, (real[0], half), (40, 30), 15.0).contrast == pytest.approx(
+        0.5, abs=0.02
+    )
     turned = compare_press(real, ball_colors(30.0), (40, 30), 15.0)
     assert turned.mean_cosine == pytest.approx(math.cos(math.radians(30)), abs=0.03)
     assert compare_press(real, ball_colors(180.0), (40, 30), 15.0).mean_cosine < -0.99
@@ -79,6 +84,10 @@ def test_dent_joins_its_surroundings_smoothly(a: float, ball: float) -> None:
     assert z[0] == pytest.approx(z[2] - (ball - math.sqrt(ball**2 - a**2)), rel=1e-4)
     assert (np.diff(z) > 0).all()
     assert abs(z[5]) < 0.01 * abs(z[0])
+    thin = pressed_top(flat, (1.0, -2.0), a, ball, thin=True)
+    z = thin(np.stack([1.0 + along, np.full(6, -2.0)], axis=-1))
+    assert z[0] == pytest.approx(math.sqrt(ball**2 - a**2) - ball)
+    np.testing.assert_allclose(z[3:], 0.0)
 
 
 def test_pictures_that_cannot_be_compared() -> None:

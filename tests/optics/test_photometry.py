@@ -160,7 +160,7 @@ def test_shading_gain_is_the_slope_of_the_picture() -> None:
 
 def test_a_turbid_gel_shows_no_slopes() -> None:
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
-    turbid = design(*lights, coating=Coating((0.05,) * 3), gel_scattering_per_mm=0.5)
+    turbid = design(*lights, coating=Coating((0.05, 0.05, 0.05)), gel_scattering_per_mm=0.5)
     figures = model(turbid, refraction=False).photometry()
     assert figures.levels_per_deg == (0.0, 0.0, 0.0)
 
