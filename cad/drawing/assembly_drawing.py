@@ -61,7 +61,7 @@ def write_assembly_drawing(
             volume_mm3=sum(p.solid.volume for p in assembly.parts if not p.placeholder),
             heading=("part", "volume", "mm³"),
             parameters={
-                f"{k + 1}  {part.name} ({part.material})": (round(part.solid.volume, 1), "")
+                f"{k + 1} {part.name} ({part.material})": (round(part.solid.volume, 1), "")
                 for k, part in enumerate(assembly.parts)
             },
         ),

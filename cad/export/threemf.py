@@ -13,7 +13,7 @@ from build123d import Color, Mesher, Unit
 from cad.parts.part import Part
 from taccel_lab.errors import InputError
 
-DEVIATION_MM, ANGLE_RAD = 0.002, 0.05
+DEVIATION_MM, ANGLE_RAD = 0.002, 0.03
 
 
 def write_3mf(parts: Sequence[Part], path: Path) -> None:

@@ -12,14 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from build123d import Face
+from build123d import Face, GeomType
 
 from taccel_lab.errors import InputError
 
 _RIM_MM = 0.1
 """Least distance of a hole from the edge of its face."""
 _LEAST_DIAMETER_MM = 0.5
-_GRID = 160
+_GRID = 120
 _EDGE_POINTS = 48
 
 
@@ -75,7 +75,8 @@ def _segments(faces: Sequence[Face]) -> tuple[np.ndarray, np.ndarray]:
     chains = []
     for face in faces:
         for edge in face.edges():
-            t = np.linspace(0, 1, _EDGE_POINTS)
+            straight = edge.geom_type == GeomType.LINE
+            t = np.linspace(0, 1, 2 if straight else _EDGE_POINTS)
             chains.append(np.array([[p.X, p.Y] for p in edge.positions(t.tolist())]))
     return (
         np.concatenate([chain[:-1] for chain in chains]),

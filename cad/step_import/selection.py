@@ -56,8 +56,8 @@ class FaceInfo:
     color: str
 
     def __str__(self) -> str:
-        center = ", ".join(f"{v:.2f}" for v in self.center_mm)
-        normal = ", ".join(f"{v:+.2f}" for v in self.normal)
+        center = ", ".join(f"{v:z.2f}" for v in self.center_mm)
+        normal = ", ".join(f"{v:z.2f}" for v in self.normal)
         return (
             f"{self.index:4d}  {self.kind:<9} {self.area_mm2:10.3f} mm^2  at ({center})  "
             f"normal ({normal})  {self.color or '-':<6}  {self.name or '-'}"
@@ -83,7 +83,8 @@ def describe_faces(
 
 
 def _triple(vector: Vector) -> tuple[float, float, float]:
-    return vector.X, vector.Y, vector.Z
+    # Rounded to the kernel's noise, and no negative zeros.
+    return round(vector.X, 9) + 0.0, round(vector.Y, 9) + 0.0, round(vector.Z, 9) + 0.0
 
 
 def rectangle_of(selectors: Sequence[str]) -> tuple[float, float] | None:

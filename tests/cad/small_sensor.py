@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A small sensor for tests of assemblies and files: domed gel, plate, housing, camera, LEDs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from cad.assembly import Assembly
+from cad.assembly_sensor import sensor_assembly
+from cad.parts.gel_pad import GelPad
+from cad.parts.housing import HousingShape
+from cad.parts.part import gel_part
+from cad.parts.placeholders import CameraShape, LedShape, Pose
+from cad.parts.window import WindowShape
+
+PAD = GelPad(crown_radius_x_mm=50.0, crown_radius_y_mm=50.0, thickness_mm=5.0)
+WINDOW = WindowShape(3.0, (24.0, 20.0), optical_mm=(18.0, 14.0))
+HOUSING = HousingShape((30.0, 26.0, 30.0), 1.5, front_z_mm=-3.5)
+CAMERA = CameraShape(Pose((0.0, 0.0, -30.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
+
+
+def led(name: str, angle: float, z_mm: float = -12.0) -> LedShape:
+    """An LED at the wall that shines inward."""
+    c, s = math.cos(angle), math.sin(angle)
+    return LedShape(Pose((12.5 * c, 10.0 * s, z_mm), (-c, -s, 0.0), (s, -c, 0.0)), name)
+
+
+LEDS = (led("led_red", 0.0), led("led_green", math.pi), led("led_blue", math.pi / 2))
+
+
+def small_sensor(**changes: object) -> Assembly:
+    """The sensor, with some of sensor_assembly's arguments changed."""
+    options: dict[str, object] = {
+        "window": WINDOW, "housing": HOUSING, "camera": CAMERA, "leds": LEDS,
+        "view_mm": (18.0, 14.0), **changes,
+    }  # fmt: skip
+    gel = (gel_part(PAD.labelled_solid()),)
+    return sensor_assembly("small", gel, PAD.thickness_mm, **options)  # type: ignore[arg-type]
+
+
+def housing(**changes: object) -> HousingShape:
+    """The housing with some dimensions changed."""
+    return replace(HOUSING, **changes)  # type: ignore[arg-type]

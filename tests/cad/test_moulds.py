@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Moulds hold the gel's volume plus their stated draft, close, and let go of the gel."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from build123d import Axis, Face, Plane, Pos, Solid
+
+from cad.assembly import common_volume_mm3
+from cad.mesh.tessellate import tessellate_solid
+from cad.moulds import Mould, MouldOptions, casting_moulds, check_mould, gel_mould
+from cad.moulds.cast_body import steiner_wedge_mm3
+from cad.moulds.gates import place_gates
+from cad.parts.dome_pad import ShellDomePad, SolidDomePad
+from cad.parts.gel_pad import GelPad
+from cad.parts.labelled_solid import LabelledSolid
+from cad.parts.outline import rounded_rectangle
+from cad.parts.pad import Pad
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region
+
+CROWNED = GelPad(crown_radius_x_mm=50.0, crown_radius_y_mm=50.0, thickness_mm=5.0)
+PADS = {
+    "flat": GelPad(thickness_mm=4.0),
+    "crowned": CROWNED,
+    "fillet": GelPad(thickness_mm=4.0, rim="fillet", rim_mm=0.8),
+    "shell": ShellDomePad(skirt_mm=5.0),
+    "dome": SolidDomePad(),
+}
+
+
+@pytest.fixture(scope="module")
+def crowned() -> tuple[LabelledSolid, Mould]:
+    gel = CROWNED.labelled_solid()
+    return gel, gel_mould(gel)
+
+
+@pytest.mark.parametrize("name", PADS)
+def test_cavity_is_the_gel_plus_shrinkage_plus_draft(name: str) -> None:
+    gel = PADS[name].labelled_solid()
+    mould = gel_mould(gel, MouldOptions(draft_deg=3.0, shrinkage_percent=0.5))
+    report = check_mould(mould, gel)
+    body = mould.body
+    assert report.draft_width_mm == pytest.approx(
+        math.tan(math.radians(3)) * report.draft_height_mm
+    )
+    # All outlines are convex, so that Steiner's formula gives the wedge.
+    wedge = steiner_wedge_mm3(body.outline, body.draft_height_mm, body.draft_width_mm)
+    expected = gel.volume_mm3 / 0.995**3 + wedge
+    assert report.draft_volume_mm3 == pytest.approx(wedge, rel=1e-4)
+    assert report.cavity_volume_mm3 == pytest.approx(expected, rel=1e-5)
+    assert report.undercut_mm2 < 0.05 and report.overlap_mm3 < 1e-6
+    assert mould.cavity.solid.is_valid and mould.lid.solid.is_valid
+
+
+def test_no_shrinkage_and_no_draft_give_the_gel_itself() -> None:
+    gel = CROWNED.labelled_solid()
+    mould = gel_mould(gel, MouldOptions(draft_deg=0.0, shrinkage_percent=0.0))
+    report = check_mould(mould, gel)
+    assert report.cavity_volume_mm3 == pytest.approx(gel.volume_mm3, rel=1e-6)
+    assert report.vertical_mm == pytest.approx(5 - (50 - math.sqrt(50**2 - 10**2)), abs=1e-6)
+
+
+def test_contact_face_of_the_cavity_is_exact(crowned: tuple[LabelledSolid, Mould]) -> None:
+    _, mould = crowned
+    faces = [f for f in mould.cavity.faces("mould") if f.center().Z > -0.9]
+    area = sum(face.area for face in faces)
+    scale = 1 / (1 - mould.options.shrinkage_percent / 100)
+    assert area == pytest.approx(
+        CROWNED.labelled_solid().area_mm2(Region.CONTACT) * scale**2, rel=1e-6
+    )
+    surface = tessellate_solid(
+        LabelledSolid(
+            mould.cavity.solid,
+            [Region.CONTACT if f in faces else Region.SIDE for f in mould.cavity.solid.faces()],
+        )
+    )
+    points = surface.vertices_mm[np.unique(surface.triangles[surface.regions == Region.CONTACT])]
+    np.testing.assert_allclose(
+        points[:, 2] / scale, CROWNED.crown_mm(points[:, :2] / scale), atol=1e-5
+    )
+
+
+def test_pins_locate_the_lid_one_way_round(crowned: tuple[LabelledSolid, Mould]) -> None:
+    _, mould = crowned
+    lid = mould.lid.solid
+    turned = lid.rotate(Axis.Z, 180)
+    assert common_volume_mm3(mould.cavity.solid, lid) < 1e-6
+    assert common_volume_mm3(mould.cavity.solid, turned) > 1.0
+    base = mould.body.base_z_mm
+    assert lid.bounding_box().max.Z == pytest.approx(base + 6.0)
+    # 0.1 mm beside the pins.
+    probe = Solid.make_cylinder(2.09, 5.0, Plane((*_pin_xy(mould), base)))
+    assert common_volume_mm3(mould.cavity.solid, probe) < 1e-6
+    wider = Solid.make_cylinder(2.2, 5.0, Plane((*_pin_xy(mould), base)))
+    assert common_volume_mm3(mould.cavity.solid, wider) > 1.0
+
+
+def _pin_xy(mould: Mould) -> tuple[float, float]:
+    box = mould.lid.solid.bounding_box()
+    return box.max.X - 4.5, box.max.Y - 4.5
+
+
+def test_gates_lie_in_the_bonded_margin_and_go_through_the_lid(
+    crowned: tuple[LabelledSolid, Mould],
+) -> None:
+    _, mould = crowned
+    assert [gate.kind for gate in mould.gates] == ["pour", "vent", "vent", "vent"]
+    base = mould.body.base_z_mm
+    for gate in mould.gates:
+        x, y = gate.at_mm
+        to_window = math.hypot(max(abs(x) - 9.0, 0.0), max(abs(y) - 7.0, 0.0))
+        assert to_window > gate.diameter_mm / 2, gate
+        assert CROWNED.inside_distance_mm(np.array([x, y])) > gate.diameter_mm / 2
+        bore = Solid.make_cylinder(gate.diameter_mm / 2 - 0.01, 20, Plane((x, y, base - 10)))
+        assert common_volume_mm3(mould.lid.solid, bore) < 1e-6
+
+
+def test_a_back_without_room_for_a_hole_is_refused() -> None:
+    ring = rounded_rectangle((10.0, 10.0), 1.0).cut(rounded_rectangle((9.4, 9.4), 0.7))
+    with pytest.raises(InputError, match=r"pour hole of 0\.1\d mm only"):
+        place_gates(ring.faces(), pour_mm=3, vent_mm=1, vents=3)
+
+
+def test_a_planted_undercut_is_refused_with_its_place() -> None:
+    """A groove round the wall holds the gel in the cavity."""
+    body = CROWNED.labelled_solid().solid
+    slit = Pos(0, 0, -3.5) * Solid.make_box(30, 30, 0.5, Plane((-15, -15, 0)))
+    slit = slit.cut(Pos(0, 0, -4) * Solid.make_box(23, 19, 2, Plane((-11.5, -9.5, 0))))
+    grooved = body.cut(slit).solids()[0]
+    low = grooved.bounding_box().min.Z + 1e-4
+    labels = [
+        Region.BOND if face.bounding_box().max.Z < low else Region.SIDE for face in grooved.faces()
+    ]
+    gel = LabelledSolid(grooved, labels)
+    with pytest.raises(InputError, match=r"undercut of .* z -3\.0.* cannot let go"):
+        check_mould(gel_mould(gel), gel)
+
+
+def test_a_body_wider_than_its_foot_is_refused() -> None:
+    cone = Solid.make_cone(8.0, 10.0, 4.0)
+    gel = LabelledSolid(cone, [Region.SIDE] * len(cone.faces()))
+    with pytest.raises(InputError, match=r"juts out 2\.0\d* mm"):
+        gel_mould(gel)
+
+
+def test_skin_is_cast_over_the_core() -> None:
+    pad: Pad = GelPad(thickness_mm=2.8, skin_mm=0.3, skin_side_mm=1.4)
+    gel = pad.labelled_solid()
+    layers = {
+        name: LabelledSolid(solid, [_flat_back(face, solid) for face in solid.faces()])
+        for name, solid in pad.layer_solids().items()
+    }
+    (first, core), (second, skin) = casting_moulds(gel, layers)
+    assert [first.name, second.name] == ["mould_1_gel", "mould_2_skin"]
+    assert core.gel_volume_mm3 == pytest.approx(layers["gel"].volume_mm3)
+    scale = 1 / 0.999**3
+    expected = layers["skin"].volume_mm3 * scale + skin.draft_volume_mm3
+    assert skin.fill_mm3 == pytest.approx(expected, rel=1e-4)
+    # The holes of the second mould open over the skin, not over the core.
+    half = np.array([24.0, 20.0]) / 2 - 1.4
+    for gate in second.gates:
+        assert (np.abs(gate.at_mm) + 0 > half - 1e-3).any()
+
+
+def _flat_back(face: Face, solid: Solid) -> Region:
+    low = solid.bounding_box().min.Z + 1e-4
+    return Region.BOND if face.bounding_box().max.Z < low else Region.SIDE
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"draft_deg": 11}, "draft_deg = 11 is above"),
+        ({"wall_mm": 2}, "wall_mm = 2 is below"),
+        ({"shrinkage_percent": -1}, "shrinkage_percent"),
+    ],
+)
+def test_options_have_bounds(values: dict[str, float], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        MouldOptions(**values)  # type: ignore[arg-type]
+
+
+def test_pins_that_do_not_fit_are_refused() -> None:
+    options = dataclasses.replace(MouldOptions(), pin_mm=8.0, wall_mm=6.0)
+    with pytest.raises(InputError, match=r"pin_mm = 8 .* allowed: up to 4 mm"):
+        gel_mould(GelPad().labelled_solid(), options)

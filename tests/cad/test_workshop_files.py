@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files for the workshop read back by other programs' readers: names, colours, sizes."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections import Counter
+from pathlib import Path
+
+import ezdxf
+import numpy as np
+import pytest
+from build123d import Mesher, Unit
+from ezdxf import bbox
+from small_sensor import PAD, small_sensor
+
+from cad.assembly import Assembly
+from cad.drawing.assembly_drawing import write_assembly_drawing
+from cad.drawing.pad_drawing import write_pad_drawing
+from cad.drawing.sections import circle_through, section
+from cad.export import (
+    write_3mf,
+    write_assembly_step,
+    write_dxf,
+    write_part_step,
+    write_part_stl,
+)
+from cad.parts.dome_pad import ShellDomePad
+from cad.parts.gel_pad import GelPad
+from cad.parts.labelled_solid import LabelledSolid
+from cad.step_import.reader import read_step
+
+
+@pytest.fixture(scope="module")
+def sensor() -> Assembly:
+    return small_sensor()
+
+
+@pytest.fixture(scope="module")
+def gel() -> LabelledSolid:
+    return PAD.labelled_solid()
+
+
+def test_assembly_step_keeps_names_colours_faces_and_places(
+    sensor: Assembly, tmp_path: Path
+) -> None:
+    path = tmp_path / "assembly.step"
+    write_assembly_step(sensor.parts, path, name=sensor.name)
+    bodies = {body.name: body for body in read_step(path)}
+    assert list(bodies) == [part.name for part in sensor.parts]
+    for part in sensor.parts:
+        body = bodies[part.name]
+        assert body.shape.volume == pytest.approx(part.solid.volume, rel=1e-6)
+        assert tuple(body.shape.bounding_box().min) == pytest.approx(
+            tuple(part.solid.bounding_box().min), abs=1e-5
+        )
+        assert Counter(body.face_names) == Counter(part.face_names)
+        by_name = dict(zip(body.face_names, body.face_colors, strict=True))
+        for name in set(part.face_names):
+            color = [int(by_name[name][k : k + 2], 16) / 255 for k in (0, 2, 4)]
+            assert color == pytest.approx(part.face_color(name), abs=0.005), (part.name, name)
+    products = re.findall(r"=PRODUCT\('([^']*)'", path.read_text().replace(" ", ""))
+    assert set(products) == {"small", *bodies}
+
+
+def test_parts_alone_are_written_in_their_own_frame(sensor: Assembly, tmp_path: Path) -> None:
+    import pyvista as pv
+
+    window = sensor.part("window")
+    write_part_step(window, tmp_path / "window.step")
+    (body,) = read_step(tmp_path / "window.step")
+    assert body.shape.bounding_box().max.Z == pytest.approx(0, abs=1e-6)
+    assert Counter(body.face_names) == Counter(window.face_names)
+    write_part_stl(window, tmp_path / "window.stl")
+    surface = pv.read(tmp_path / "window.stl")
+    assert isinstance(surface, pv.PolyData)
+    assert surface.volume == pytest.approx(window.solid.volume, rel=1e-4)
+    assert surface.bounds[5] == pytest.approx(0, abs=1e-6)
+
+
+def test_3mf_holds_named_bodies_in_millimetres(sensor: Assembly, tmp_path: Path) -> None:
+    path = tmp_path / "sensor.3mf"
+    write_3mf(sensor.parts, path)
+    reader = Mesher()
+    reader.model.QueryReader("3mf").ReadFromFile(str(path))
+    assert reader.model_unit == Unit.MM
+    found = reader.model.GetMeshObjects()
+    for part in sensor.parts:
+        assert found.MoveNext()
+        body = found.GetCurrentMeshObject()
+        assert body.GetName() == part.name and body.IsManifoldAndOriented()
+        points = np.array([list(v.Coordinates) for v in body.GetVertices()])
+        corners = points[np.array([list(t.Indices) for t in body.GetTriangleIndices()])]
+        volume = np.linalg.det(corners).sum() / 6
+        assert volume == pytest.approx(part.solid.volume, rel=1e-3)
+        group, index, _ = body.GetObjectLevelProperty()
+        material = reader.model.GetBaseMaterialGroupByID(group)
+        color = reader.wrapper.ColorToFloatRGBA(material.GetDisplayColor(index))
+        assert color[:3] == pytest.approx(part.color, abs=0.01)
+    assert not found.MoveNext()
+
+
+def test_dxf_has_outline_window_seat_and_section_to_scale(
+    gel: LabelledSolid, sensor: Assembly, tmp_path: Path
+) -> None:
+    path = tmp_path / "pad.dxf"
+    write_dxf(gel, path, others=[part for part in sensor.parts if part.made_beside])
+    document = ezdxf.readfile(path)
+    assert document.units == ezdxf.units.MM  # type: ignore[attr-defined]
+    extents = {}
+    for layer in ("outline", "window", "seat", "section"):
+        entities = [e for e in document.modelspace() if e.dxf.layer == layer]
+        box = bbox.extents(entities)
+        extents[layer] = (*box.extmin.vec2, *box.extmax.vec2)
+    assert extents["outline"] == pytest.approx((-12, -10, 12, 10), abs=1e-6)
+    assert extents["window"] == pytest.approx((-9, -7, 9, 7), abs=1e-6)
+    assert extents["seat"] == pytest.approx((-12.1, -10.1, 12.1, 10.1), abs=1e-6)
+    # 10 mm under the plan: from the apex down to the cover's back at z = -33.5.
+    assert extents["section"] == pytest.approx((-15, -53.5, 15, -20), abs=1e-6)
+    corners = [e for e in document.modelspace().query("ARC") if e.dxf.layer == "outline"]
+    assert [arc.dxf.radius for arc in corners] == pytest.approx([2.0] * 4)
+
+
+def texts(path: Path) -> list[str]:
+    """What is written on an SVG."""
+    found = ET.parse(path).getroot().iter("{http://www.w3.org/2000/svg}text")
+    return ["".join(node.itertext()).strip() for node in found]
+
+
+def test_drawing_states_the_dimensions_of_the_solid(gel: LabelledSolid, tmp_path: Path) -> None:
+    path = tmp_path / "pad.svg"
+    write_pad_drawing(
+        gel, [path], title="test pad", parameters={"thickness_mm": (5.0, "mm")}, material="rubber"
+    )
+    root = ET.parse(path).getroot()
+    # A4 in points of 1/72 inch.
+    size = [float(root.attrib[key].removesuffix("pt")) for key in ("width", "height")]
+    assert size == pytest.approx([297 / 25.4 * 72, 210 / 25.4 * 72], rel=1e-4)
+    words = texts(path)
+    wall = 5 - (50 - (50**2 - 12**2) ** 0.5)
+    for wanted in (
+        "24", "20", "18 window", "14 window", "4× R2", "R50", "5", f"{wall:.3f} wall",
+        "test pad", "rubber", "3:1   (A4)", "thickness_mm", "section A–A", "section B–B",
+    ):  # fmt: skip
+        assert wanted in words, (wanted, words)
+    assert words.count("R50") == 2
+
+
+def test_drawing_is_the_same_every_time(gel: LabelledSolid, tmp_path: Path) -> None:
+    first, second = tmp_path / "a.svg", tmp_path / "b.svg"
+    write_pad_drawing(gel, [first], title="pad")
+    write_pad_drawing(gel, [second], title="pad")
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> None:
+    paths = [tmp_path / "dome.svg", tmp_path / "dome.png", tmp_path / "dome.pdf"]
+    write_pad_drawing(ShellDomePad(skirt_mm=5.0).labelled_solid(), paths, title="dome")
+    words = texts(paths[0])
+    for wanted in ("Ø30", "Ø27 window", "R15", "R13.5", "1.5", "20", "5 wall"):
+        assert wanted in words, (wanted, words)
+    assert paths[1].read_bytes().startswith(b"\x89PNG")
+    assert paths[2].read_bytes().startswith(b"%PDF")
+
+
+def test_large_pads_are_drawn_smaller(tmp_path: Path) -> None:
+    big = GelPad(length_x_mm=90.0, length_y_mm=60.0, window_x_mm=60.0, window_y_mm=40.0)
+    write_pad_drawing(big.labelled_solid(), [tmp_path / "big.svg"], title="big")
+    words = texts(tmp_path / "big.svg")
+    assert "2:1   (A3)" in words and "90" in words and "60" in words
+
+
+def test_assembly_drawing_lists_parts_gaps_and_sizes(sensor: Assembly, tmp_path: Path) -> None:
+    path = tmp_path / "assembly.svg"
+    write_assembly_drawing(sensor, [path], title="small sensor", notes=["glue the gel"])
+    words = texts(path)
+    assert "30" in words and "gap gel_pad - housing: 0.100 mm" in words
+    assert any(text.startswith("2 window (clear acrylic") for text in words)
+    assert "glue the gel" in words
+
+
+def test_section_of_the_pad_is_its_profile(gel: LabelledSolid) -> None:
+    cut = section(gel.solid, "x")
+    ((loop,),) = cut.faces
+    assert loop.min(axis=0) == pytest.approx([-12, -5], abs=1e-6)
+    top = loop[loop[:, 1] > -1.4]
+    assert PAD.height_mm(top * [1, 0]) == pytest.approx(top[:, 1], abs=1e-6)
+    assert circle_through(top) == pytest.approx(50, rel=1e-6)
+    assert circle_through(top * [1, 0]) == float("inf")
