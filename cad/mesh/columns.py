@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all column meshes share: heights of the levels, and the checks before a mesh is handed on."""
+"""What all column meshes share: heights of their levels, and the checks of a finished mesh."""
 
 from __future__ import annotations
 

@@ -49,11 +49,11 @@ def counted_gel_mesh(pad: HeightPad, counts: EvenCounts) -> TetMesh:
     topology = grid_topology(counts.core, counts.rings, counts.layers, 0, mirrored=True)
     nodes = _stacked(pad, counts, even_plan(pad, counts))
     tets = topology.tets.copy()
-    check_unfolded(nodes, tets)
     sliding, sheet = _movable(pad, counts)
     nodes = improve_worst_tets(
         nodes, tets, sliding, wanted_deg=WANTED_DEG, powers=_POWERS, sheet=sheet
     )
+    check_unfolded(nodes, tets)
     return TetMesh(
         nodes_m=nodes * 1e-3,
         tets=tets,

@@ -21,6 +21,8 @@ from cad.parts.height_pad import HeightPad
 from cad.parts.rim_fillet import FilletArc, fillet_arc
 
 _SEEN = 0.5
+_LEAST_CELL = 0.6
+"""Least width of a ring beside the core, in units of a cell."""
 _FREE_CORE = 0.62
 """Size of the core of outlines that are no rectangles, in units of the outline."""
 
@@ -109,6 +111,9 @@ def _banded(
         fractions = _band_fractions(pad, band)
         ends = [outline - normals * pad.rim_setback_mm() * (1 - f) for f in fractions]
         inner = outline - normals * pad.rim_setback_mm()
+    # A band wider than the window's margin leaves the core less room than it has at the back.
+    room = np.abs(inner).max(axis=0) * (1 - _LEAST_CELL * 2 * between / core)
+    core_nodes = core_nodes * np.minimum(room / np.abs(core_nodes).max(axis=(0, 1)), 1)
     if between:
         plan = _loops(core_nodes, inner, np.arange(1, between + 1) / between)
         free = np.zeros(plan.shape, dtype=bool)

@@ -16,6 +16,7 @@ import numpy as np
 from cad.mesh.quality_measures import dihedral_angles_deg
 
 _NEIGHBOURHOOD = 2
+_SOFTNESS = 2e-2
 _PAIRS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
 
@@ -50,17 +51,20 @@ def improve_worst_tets(
 
     ``free`` lists nodes, or says by coordinate what may move, bool, shape [n, 3]; nodes on
     ``sheet`` stay on it. Only nodes within two tets of one that is too flat move, once for each
-    power of the energy: the higher, the more the worst tets count. Tets must have positive volume.
-    Returns new positions [mm], shape [n, 3]; the smallest angle never falls.
+    power of the energy: the higher, the more the worst tets count. Tets that are inside out are
+    pulled open first, if they can. Returns new positions [mm], shape [n, 3]; the smallest angle
+    never falls, and no tet is turned inside out.
     """
     nodes = np.array(nodes_mm, dtype=np.float64)
     movable = free
     if free.dtype != bool:
         movable = np.zeros(nodes.shape, dtype=bool)
         movable[free] = True
-    best, best_deg = nodes, 0.0
+    best, best_deg = nodes, -1.0
     for power in (*powers, 0):
-        smallest = dihedral_angles_deg(nodes, tets).min(axis=1)
+        smallest = np.where(
+            _six_volumes(nodes[tets]) > 0, dihedral_angles_deg(nodes, tets).min(axis=1), 0.0
+        )
         if smallest.min() > best_deg:
             best, best_deg = nodes, float(smallest.min())
         if best_deg >= wanted_deg or not power:
@@ -87,6 +91,9 @@ def _minimise(
     if not chosen.any():
         return nodes
     patch = tets[chosen[tets].any(axis=1)]
+    volumes = _six_volumes(nodes[patch])
+    # Zero for a valid mesh: its energy is infinite where a tet is flat.
+    softness = 0.0 if volumes.min() > 0 else _SOFTNESS * float(np.median(np.abs(volumes)))
     # Nodes move in units of their own shortest edge, so that fine and coarse parts move together.
     unit = np.full(len(nodes), np.inf)
     for a, b in _PAIRS:
@@ -105,7 +112,7 @@ def _minimise(
 
     def energy(steps: np.ndarray) -> tuple[float, np.ndarray]:
         moved = place(steps)
-        value, gradient = _shape_energy(moved, patch, power)
+        value, gradient = _shape_energy(moved, patch, power, softness)
         if sheet is not None:
             gradient[held, :2] += gradient[held, 2:] * sheet.slope(moved[held, :2])
         return value, gradient[free] * scale
@@ -117,15 +124,30 @@ def _minimise(
     return place(found.x)
 
 
+def _six_volumes(p: np.ndarray) -> np.ndarray:
+    """Six times the signed volume of tets with corners p, [n, 4, 3] -> [n]."""
+    return np.linalg.det(p[:, 1:] - p[:, :1])
+
+
 def _shape_energy(
-    nodes: np.ndarray, tets: np.ndarray, power: int
+    nodes: np.ndarray, tets: np.ndarray, power: int, softness: float = 0.0
 ) -> tuple[float, np.ndarray]:
-    """Sum of inverse mean ratios to a power and its gradient by the nodes, shape [n, 3]."""
+    """Sum of inverse mean ratios to a power and its gradient by the nodes, shape [n, 3].
+
+    With a ``softness`` s the volume V stands for (V + sqrt(V^2 + s^2)) / 2, positive for tets that
+    are inside out too (J. Escobar et al., Comput. Methods Appl. Mech. Engrg. 192 (2003) 2775).
+    """
     p = nodes[tets]
     a, b, c = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0], p[:, 3] - p[:, 0]
     by_corner = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
     six_volumes = (a * by_corner[:, 0]).sum(axis=1)
-    if six_volumes.min() <= 0:
+    if softness:
+        root = np.sqrt(six_volumes**2 + softness**2)
+        # The second form is the same number without cancellation.
+        soft = 0.5 * softness**2 / (root + np.abs(six_volumes))
+        six_volumes = np.where(six_volumes > 0, 0.5 * (six_volumes + root), soft)
+        by_corner *= (six_volumes / root)[:, None, None]
+    elif six_volumes.min() <= 0:
         return np.inf, np.zeros_like(nodes)
     centered = p - p.mean(axis=1, keepdims=True)
     # The six squared edges add up to four times the squares about the centre.
