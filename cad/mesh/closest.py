@@ -20,9 +20,14 @@ class ClosestPoint:
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance [unit of the surface] and triangle index for each point, shape [n] each."""
+        nearest, cells = self.project(points)
+        return np.linalg.norm(nearest - points, axis=1), cells
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Closest points on the surface, shape [n, 3], and their triangles, shape [n]."""
         found: Any = self._surface.find_closest_cell(points, return_closest_point=True)
         cells, nearest = found
-        return np.linalg.norm(np.asarray(nearest) - points, axis=1), np.asarray(cells)
+        return np.asarray(nearest, dtype=np.float64), np.asarray(cells)
 
 
 def surface_samples(vertices: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:

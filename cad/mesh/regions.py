@@ -25,13 +25,15 @@ def transfer_regions(
     cad_normals = surface.normals()
     best = np.full(len(faces), np.inf)
     regions = np.full(len(faces), int(Region.SIDE), dtype=np.int32)
-    # The back is flat, so facing backwards decides it; what is left is contact or side.
+    # Glued faces first: where they meet others, facing their way decides.
     for group in (
         (Region.BOND, Region.WINDOW),
         (Region.CONTACT,),
         (Region.SIDE,),
     ):
         chosen = np.flatnonzero(np.isin(surface.regions, [int(r) for r in group]))
+        if not len(chosen):
+            continue
         distance, cell = ClosestPoint(surface.vertices_mm, surface.triangles[chosen])(centers)
         agree = (normals * cad_normals[chosen[cell]]).sum(axis=1)
         # A face that leans away from the CAD face pays for it with its own size.

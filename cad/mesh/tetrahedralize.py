@@ -1,97 +1,219 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Free-form tet mesh of a pad with fTetWild (Hu et al., ACM TOG 39 (2020) 117:1), cached.
+"""Free-form tet meshes of any pad or imported part with fTetWild, up to the gate, cached.
 
 fTetWild gives another mesh on every run, so a mesh is kept by the hash of its geometry and options.
+A run that misses the gate is followed by finer ones; if none passes, the answer says what each of
+them missed.
 """
 
 from __future__ import annotations
 
-import tempfile
-from contextlib import chdir
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from cad.mesh.bond_planes import bond_projection
 from cad.mesh.cache import cached_mesh
-from cad.mesh.regions import transfer_regions
-from cad.mesh.surface import LabelledSurface
+from cad.mesh.closest import ClosestPoint
+from cad.mesh.quality import GateResult, MeshQuality, QualityGate, check_quality, measure_quality
+from cad.mesh.surface import LabelledSurface, check_closed
 from cad.mesh.tessellate import tessellate_solid
-from cad.parts.gel_pad import GelPad
-from cad.parts.gel_pad_solid import gel_pad_solid
+from cad.mesh.tetwild import TetWildInput, run_tetwild
 from cad.parts.labelled_solid import LabelledSolid
+from cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.geometry.tet_mesh import boundary_faces
 
-# Below 10 fTetWild often does not finish.
-_STOP_ENERGY = 10.0
+RECIPE = "tetwild-3"
+"""Changes with the method, so that meshes of an older one are not taken for it."""
+EDGE_BOUNDS_MM = (0.2, 20.0)
+EPSILON_BOUNDS = (1e-4, 1e-2)
+_TRIES = ((1.0, 1.0), (1.0, 0.4), (0.75, 0.4))
+"""Edge and epsilon of each run over those asked for."""
+_ON_SURFACE_MM = 1e-3
+
+
+@dataclass(frozen=True)
+class _Try:
+    edge_mm: float
+    epsilon: float
+    mesh: TetMesh | None
+    result: GateResult | None
+    text: str
 
 
 def tetwild_gel_mesh(
-    pad: GelPad,
+    pad: Pad,
     edge_mm: float = 1.0,
     *,
-    epsilon: float = 5e-4,
+    epsilon: float | None = None,
+    gate: QualityGate | None = None,
     part: LabelledSolid | None = None,
     use_cache: bool = True,
+    picture_folder: Path | str | None = None,
 ) -> TetMesh:
     """Mesh ``pad`` with tets of about ``edge_mm``; its surface keeps within epsilon x diagonal.
 
-    ``part`` is the solid of the pad if it is already at hand. Regions come from the CAD faces, and
-    nodes of the glued back are put exactly on its plane.
+    ``epsilon`` is half of the surface distance that ``gate`` allows, unless given. ``part`` is the
+    solid of the pad if it is already at hand. Regions come from the CAD faces, nodes of the glued
+    surface lie exactly on it, and layers meet at faces of tets. Raises InputError when no run
+    passes ``gate`` (the default one at this edge), with the picture of the best one in
+    ``picture_folder`` if given.
     """
-    smallest, largest = 0.2, pad.thickness_mm
-    if not smallest <= edge_mm <= largest:
-        raise InputError(
-            f"edge_mm = {edge_mm:g} is not allowed; use {smallest:g} to {largest:g} mm (the pad's "
-            "thickness)"
-        )
-    if not 1e-4 <= epsilon <= 1e-2:
-        raise InputError(f"epsilon = {epsilon:g} is not allowed; use 1e-4 to 1e-2")
+    part = part or pad.labelled_solid()
     # A finer input triples fTetWild's time and gains 0.04 % of volume.
-    surface = tessellate_solid(part or gel_pad_solid(pad), tolerance_mm=0.01, angle_rad=0.1)
+    surface = tessellate_solid(part, tolerance_mm=0.01, angle_rad=0.1)
+    given = TetWildInput(surface, _inner_triangles(pad, surface), pad.bond_projection_mm)
+    exact: list[LabelledSurface] = []
+
+    def measure(mesh: TetMesh) -> MeshQuality:
+        if not exact:
+            exact.append(tessellate_solid(part))
+        return measure_quality(mesh, pad, cad_volume_mm3=part.volume_mm3, cad_surface=exact[0])
+
+    def layered(mesh: TetMesh) -> TetMesh:
+        centers = mesh.nodes_m[mesh.tets].mean(axis=1) * 1e3
+        return replace(mesh, tet_layers=pad.layer_of(centers))
+
+    return _best(
+        given, edge_mm, epsilon, gate, measure, layered, use_cache=use_cache,
+        picture_folder=picture_folder,
+    )  # fmt: skip
+
+
+def tetwild_mesh(
+    surface: LabelledSurface,
+    edge_mm: float = 1.0,
+    *,
+    epsilon: float | None = None,
+    gate: QualityGate | None = None,
+    use_cache: bool = True,
+    picture_folder: Path | str | None = None,
+) -> TetMesh:
+    """Mesh an imported part from its closed labelled surface, in the gel frame.
+
+    Glued nodes lie on the glued triangles, exactly on their planes where these are plane. Otherwise
+    as ``tetwild_gel_mesh``, measured against ``surface`` itself.
+    """
+    check_closed(surface.triangles, "the surface to mesh")
+    volume = surface.volume_mm3()
+    if volume <= 0:
+        raise InputError(
+            f"the surface to mesh encloses {volume:.3g} mm3: its triangles wind inward; repair it "
+            "first (cad.mesh.repair)"
+        )
+    missing = [r.name for r in Region if r != Region.SIDE and int(r) not in surface.regions]
+    if missing:
+        raise InputError(
+            f"the surface to mesh has no {' and no '.join(missing)} triangles; label them first"
+        )
+    given = TetWildInput(surface, np.zeros((0, 3, 3)), bond_projection(surface))
+
+    def measure(mesh: TetMesh) -> MeshQuality:
+        return measure_quality(mesh, None, cad_volume_mm3=volume, cad_surface=surface)
+
+    return _best(
+        given, edge_mm, epsilon, gate, measure, lambda mesh: mesh, use_cache=use_cache,
+        picture_folder=picture_folder,
+    )  # fmt: skip
+
+
+def _best(
+    given: TetWildInput,
+    edge_mm: float,
+    epsilon: float | None,
+    gate: QualityGate | None,
+    measure: Callable[[TetMesh], MeshQuality],
+    layered: Callable[[TetMesh], TetMesh],
+    *,
+    use_cache: bool,
+    picture_folder: Path | str | None,
+) -> TetMesh:
+    extents = np.ptp(given.surface.vertices_mm, axis=0)
+    low, high = EDGE_BOUNDS_MM[0], min(EDGE_BOUNDS_MM[1], float(extents.max()) / 2)
+    if not (math.isfinite(edge_mm) and low <= edge_mm <= high):
+        raise InputError(f"edge_mm = {edge_mm:g} is not allowed; use {low:g} to {high:g} mm")
+    gate = gate or QualityGate().at_edge(edge_mm)
+    smallest, largest = EPSILON_BOUNDS
+    if epsilon is None:
+        wanted = 0.5 * gate.max_hausdorff_mm / float(np.linalg.norm(extents))
+        epsilon = float(np.clip(wanted, smallest, largest))
+    if not smallest <= epsilon <= largest:
+        raise InputError(f"epsilon = {epsilon:g} is not allowed; use {smallest:g} to {largest:g}")
+
+    def build() -> TetMesh:
+        return _build(given, edge_mm, epsilon, gate, measure, layered, picture_folder)
+
     if not use_cache:
-        return _mesh(pad, surface, edge_mm, epsilon)
+        return build()
     recipe = {
-        "mesher": "tetwild-2",
-        "vertices": surface.vertices_mm.round(6),
-        "triangles": surface.triangles,
-        "regions": surface.regions,
+        "mesher": RECIPE,
+        "vertices": given.surface.vertices_mm.round(6),
+        "triangles": given.surface.triangles,
+        "regions": given.surface.regions,
+        "inner": given.inner_mm.round(6),
         "edge_mm": edge_mm,
         "epsilon": epsilon,
+        "gate": [v if math.isfinite(v) else "any" for v in vars(gate).values()],
     }
-    return cached_mesh(recipe, lambda: _mesh(pad, surface, edge_mm, epsilon))
+    return cached_mesh(recipe, build)
 
 
-def _mesh(pad: GelPad, surface: LabelledSurface, edge_mm: float, epsilon: float) -> TetMesh:
-    from pytetwild.pytetwild import tetrahedralize
+def _build(
+    given: TetWildInput,
+    edge_mm: float,
+    epsilon: float,
+    gate: QualityGate,
+    measure: Callable[[TetMesh], MeshQuality],
+    layered: Callable[[TetMesh], TetMesh],
+    picture_folder: Path | str | None,
+) -> TetMesh:
+    tried: list[_Try] = []
+    for edge_share, epsilon_share in _TRIES:
+        edge = max(edge_mm * edge_share, EDGE_BOUNDS_MM[0])
+        eps = max(epsilon * epsilon_share, EPSILON_BOUNDS[0])
+        if any((t.edge_mm, t.epsilon) == (edge, eps) for t in tried):
+            continue
+        try:
+            mesh = run_tetwild(given, edge, eps, wanted_deg=gate.min_dihedral_deg)
+        except InputError as error:
+            tried.append(_Try(edge, eps, None, None, str(error)))
+            continue
+        mesh = layered(mesh)
+        result = check_quality(mesh, measure(mesh), gate)
+        if result.passed:
+            return mesh
+        text = "; ".join(violation.text for violation in result.violations)
+        tried.append(_Try(edge, eps, mesh, result, text))
+    raise InputError(_failure(tried, picture_folder))
 
-    # fTetWild writes a tracking file into the working folder.
-    with tempfile.TemporaryDirectory() as folder, chdir(folder):
-        nodes, tets = tetrahedralize(
-            surface.vertices_mm,
-            surface.triangles,
-            edge_length_abs=edge_mm,
-            epsilon=epsilon,
-            stop_energy=_STOP_ENERGY,
-            simplify=False,
-            num_threads=1,
-            vtk_ordering=True,
-            quiet=True,
-        )
-    nodes, tets = np.asarray(nodes, dtype=np.float64), np.asarray(tets, dtype=np.int64)
-    faces = boundary_faces(tets)
-    regions = transfer_regions(nodes, faces, surface)
-    back = np.unique(faces[np.isin(regions, [Region.BOND, Region.WINDOW])])
-    nodes[back, 2] = -pad.thickness_mm
-    # fTetWild leaves the back wavy within epsilon; a tet whose corners all lie on it goes flat.
-    flat = np.isin(tets, back).all(axis=1)
-    if flat.any():
-        nodes, tets = _without_unused(nodes, tets[~flat])
-        faces = boundary_faces(tets)
-        regions = transfer_regions(nodes, faces, surface)
-    return TetMesh(nodes_m=nodes * 1e-3, tets=tets, faces=faces, face_regions=regions)
+
+def _failure(tried: list[_Try], picture_folder: Path | str | None) -> str:
+    runs = " | ".join(f"edge {t.edge_mm:g} mm, epsilon {t.epsilon:g}: {t.text}" for t in tried)
+    text = f"fTetWild reached the mesh gate in none of {len(tried)} runs: {runs}"
+    measured = [t for t in tried if t.mesh is not None and t.result is not None]
+    if picture_folder is None or not measured:
+        return text + ". A smaller edge_mm may help, or repair the surface (cad.mesh.repair)"
+    from cad.mesh.quality import PICTURE_NAME
+    from cad.mesh.quality_picture import write_bad_mesh
+
+    best = min(measured, key=lambda t: len(t.result.violations) if t.result else 0)
+    path = Path(picture_folder) / PICTURE_NAME
+    assert best.mesh is not None and best.result is not None  # ``measured`` holds no others
+    write_bad_mesh(best.mesh, best.result, path)
+    return text + f". The picture {path} shows where"
 
 
-def _without_unused(nodes: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    used, packed = np.unique(tets, return_inverse=True)
-    return nodes[used], packed.reshape(tets.shape)
+def _inner_triangles(pad: Pad, surface: LabelledSurface) -> np.ndarray:
+    """Triangles between the layers of ``pad`` as points [mm], shape [n, 3, 3]."""
+    if len(pad.layer_names) < 2:
+        return np.zeros((0, 3, 3))
+    solid = pad.layer_solids()[pad.layer_names[0]]
+    part = LabelledSolid(solid, [Region.SIDE] * len(solid.faces()))
+    layer = tessellate_solid(part, tolerance_mm=0.01, angle_rad=0.1)
+    corners = layer.vertices_mm[layer.triangles]
+    distance, _ = ClosestPoint(surface.vertices_mm, surface.triangles)(corners.mean(axis=1))
+    return corners[distance > _ON_SURFACE_MM]
