@@ -71,8 +71,8 @@ def _figures(
         return
     pareto = values["pareto"]
     if pareto is not None:
-        best, worst, front = values["best"], values["worst"], pareto["designs"]
-        yield "pareto", lambda: figures.draw_pareto(outcome, best, worst)
+        best, worst, front = values["best"], values["worst"], pareto["first_designs"]
+        yield "pareto", lambda: figures.draw_pareto(outcome, front, best, worst)
         if len(pareto["metrics"]) > 2:
             yield "pairs", lambda: figures.draw_pairs(outcome)
         yield "parallel", lambda: figures.draw_parallel(outcome, front, best)

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from studies.judge import is_feasible
 from studies.report.pareto import pareto_front
 from studies.report.values import costs_of, directed
 from studies.runner import Outcome
 from studies.stored import StoredDesign
+from taccel_lab.report.build import format_number
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:
@@ -64,8 +66,11 @@ def _axis_text(outcome: Outcome, name: str, sign: float) -> str:
 
 
 @in_report_style
-def draw_pareto(outcome: Outcome, best: list[str], worst: list[str]) -> Figure:
-    """The first two metrics against each other, the front joined, coloured by a parameter."""
+def draw_pareto(outcome: Outcome, front: list[str], best: list[str], worst: list[str]) -> Figure:
+    """The first two metrics against each other, the front joined, coloured by a parameter.
+
+    Designs that break the constraints are small.
+    """
     designs = done_designs(outcome)
     names = dict(list(paired_metrics(outcome).items())[:2])
     (x_name, x_sign), (y_name, y_sign) = names.items()
@@ -78,13 +83,17 @@ def draw_pareto(outcome: Outcome, best: list[str], worst: list[str]) -> Figure:
     if numeric:
         shade = column(designs, numeric[0].name)
         style = {"c": shade, "cmap": "viridis", "norm": color_norm(shade, numeric[0].log)}
-    points = axes.scatter(x, y, s=34, edgecolors="white", linewidths=0.5, zorder=3, **style)
+    kept = [is_feasible(row, outcome.study.spec.constraints) for row in designs]
+    sizes = np.where(kept, 34.0, 9.0)
+    points = axes.scatter(x, y, s=sizes, edgecolors="white", linewidths=0.4, zorder=3, **style)
     if numeric:
         bar = figure.colorbar(points, ax=axes, label=parameter_label(outcome, numeric[0].name))
         plain_log_ticks(bar.ax)
-    front = pareto_front(costs_of(designs, names))
-    along = np.flatnonzero(front)[np.argsort(x[front], kind="stable")]
+    on_front = np.isin([row.id for row in designs], front)
+    along = np.flatnonzero(on_front)[np.argsort(x[on_front], kind="stable")]
     axes.plot(x[along], y[along], color=ORANGE, linewidth=1.3, zorder=2, label="Pareto front")
+    if not all(kept):
+        axes.scatter([], [], s=9, color=GREY, label="breaks a constraint")
     axes.scatter(x[along], y[along], s=70, facecolors="none", edgecolors=ORANGE, zorder=4)
     where = {row.id: place for place, row in enumerate(designs)}
     for ids, color, mark, label in ((best, GREEN, "*", "best"), (worst, GREY, "X", "worst")):
@@ -198,8 +207,8 @@ def draw_parallel(outcome: Outcome, front: list[str], best: list[str]) -> Figure
     for place in range(len(names)):
         ends = (high[place], low[place]) if flip[place] else (low[place], high[place])
         axes.axvline(place, color=GREY, linewidth=0.8, zorder=0)
-        axes.text(place, -0.035, f"{ends[0]:.3g}", ha="center", va="top", fontsize=8)
-        axes.text(place, 1.035, f"{ends[1]:.3g}", ha="center", va="bottom", fontsize=8)
+        axes.text(place, -0.035, format_number(float(ends[0])), ha="center", va="top", fontsize=8)
+        axes.text(place, 1.035, format_number(float(ends[1])), ha="center", va="bottom", fontsize=8)
     labels = [
         _two_lines(metric_label(outcome, n) if n in signs else parameter_label(outcome, n))
         for n in names
@@ -210,7 +219,11 @@ def draw_parallel(outcome: Outcome, front: list[str], best: list[str]) -> Figure
     axes.set_ylim(-0.06, 1.08)
     for side in ("left", "bottom"):
         axes.spines[side].set_visible(False)
-    lines = [(LIGHT, "all designs"), (ORANGE, "Pareto-optimal in all metrics"), (GREEN, "best")]
+    lines = [
+        (LIGHT, "all designs"),
+        (ORANGE, "Pareto front of the first two metrics"),
+        (GREEN, "best"),
+    ]
     for color, label in lines:
         axes.plot([], [], color=color, label=label)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.06), ncols=3, fontsize=9)

@@ -30,7 +30,7 @@ def drawn_presses(outcome: Outcome, designs: list[StoredDesign]) -> list[str]:
 
 @in_report_style
 def draw_curves(outcome: Outcome, best: list[StoredDesign], worst: list[StoredDesign]) -> Figure:
-    """Normal force over depth of the first record of every press, best against worst designs."""
+    """Force over depth, or over the sideways motion, in the first record of every press."""
     presses = drawn_presses(outcome, [*best, *worst])
     columns = min(3, len(presses))
     rows = -(-len(presses) // columns)
@@ -44,16 +44,15 @@ def draw_curves(outcome: Outcome, best: list[StoredDesign], worst: list[StoredDe
         for designs, color, word in ((worst, ORANGE, "worst"), (best, GREEN, "best")):
             for number, design in enumerate(designs):
                 for curve in curves_of(design, presses[place])[:1]:
-                    depth = np.concatenate([[0.0], curve["depth_mm"]])
-                    force = np.concatenate([[0.0], np.asarray(curve["force_n"])[:, 2]])
                     label = f"{word} {number + 1}" if len(designs) > 1 else word
-                    panel.plot(depth, force, SHADES[number], color=color, label=label)
+                    labels = _draw_curve(panel, curve, SHADES[number], color, label)
+                    panel.set_xlabel(labels[0], fontsize=9)
+                    panel.set_ylabel(labels[1], fontsize=9)
         panel.set_title(presses[place])
         panel.set_xlim(left=0)
-        panel.set_ylim(bottom=0)
+        if panel.get_xlabel().startswith("depth"):
+            panel.set_ylim(bottom=0)
         panel.tick_params(labelsize=8)
-        panel.set_xlabel("depth [mm]", fontsize=9)
-        panel.set_ylabel("normal force [N]", fontsize=9)
     handles, labels = panels[0][0].get_legend_handles_labels()
     order = np.argsort(labels, kind="stable")
     figure.legend(
@@ -61,3 +60,27 @@ def draw_curves(outcome: Outcome, best: list[StoredDesign], worst: list[StoredDe
         loc="outside lower center", ncols=6, fontsize=9,
     )  # fmt: skip
     return figure
+
+
+def _draw_curve(
+    panel: Any, curve: dict[str, Any], dash: str, color: str, label: str
+) -> tuple[str, str]:
+    """Tangential force over shear of a press that goes sideways, normal force over depth of others.
+
+    Returns the labels of both axes.
+    """
+    force = np.asarray(curve["force_n"], dtype=np.float64)
+    shear = np.asarray(curve.get("shear_mm", np.zeros(len(force))), dtype=np.float64)
+    turned = np.asarray(curve.get("twist_deg", np.zeros(len(force))), dtype=np.float64) != 0
+    sideways = (shear != 0) & ~turned
+    if sideways.any():
+        first, last = np.flatnonzero(sideways)[[0, -1]]
+        steps = slice(max(first - 1, 0), last + 2 if last + 1 < len(force) else last + 1)
+        # The force on the indenter points against its motion.
+        tangential = -np.sign(shear[sideways][0]) * force[steps, 0]
+        keep = ~turned[steps]
+        panel.plot(shear[steps][keep], tangential[keep], dash, color=color, label=label)
+        return "shear [mm]", "tangential force [N]"
+    depth = np.concatenate([[0.0], curve["depth_mm"]])
+    panel.plot(depth, np.concatenate([[0.0], force[:, 2]]), dash, color=color, label=label)
+    return "depth [mm]", "normal force [N]"

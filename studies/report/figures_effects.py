@@ -69,11 +69,12 @@ def cell_text(effect: Effect) -> str:
     """Of one parameter on one metric: ``+0.98  η² 64 %``."""
     parts = []
     if effect.elasticity is not None:
-        parts.append(f"{effect.elasticity:+.2f}")
+        # Adding zero turns -0.0 round.
+        parts.append(f"{round(effect.elasticity, 2) + 0.0:+.2f}")
     if effect.share is not None:
         parts.append(f"η² {effect.share:.0%}")
     if effect.rank is not None:
-        parts.append(f"ρ {effect.rank:+.2f}")
+        parts.append(f"ρ {round(effect.rank, 2) + 0.0:+.2f}")
     return "   ".join(parts) or "–"
 
 

@@ -140,7 +140,10 @@ def costs_of(designs: list[StoredDesign], signs: dict[str, float]) -> np.ndarray
 
 
 def _pareto(outcome: Outcome, done: list[StoredDesign]) -> dict[str, Any] | None:
-    """Designs that no feasible design beats in all metrics that have a better side."""
+    """Designs that no feasible one beats: in the first two metrics with a better side, and in all.
+
+    With many metrics most designs are on the front of all of them.
+    """
     spread = {
         name: sign
         for name, sign in directed(outcome).items()
@@ -149,10 +152,17 @@ def _pareto(outcome: Outcome, done: list[StoredDesign]) -> dict[str, Any] | None
     if len(spread) < 2:
         return None
     feasible = [row for row in done if is_feasible(row, outcome.study.spec.constraints)]
-    front = pareto_front(costs_of(feasible, spread))
+    first = dict(list(spread.items())[:2])
+
+    def front(signs: dict[str, float]) -> list[str]:
+        on_front = pareto_front(costs_of(feasible, signs))
+        return [row.id for row, on in zip(feasible, on_front, strict=True) if on]
+
     return {
         "metrics": list(spread),
-        "designs": [row.id for row, on in zip(feasible, front, strict=True) if on],
+        "designs": front(spread),
+        "first_metrics": list(first),
+        "first_designs": front(first),
     }
 
 
