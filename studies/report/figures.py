@@ -206,7 +206,7 @@ def draw_parallel(outcome: Outcome, front: list[str], best: list[str]) -> Figure
             axes.plot(at, line, color=GREEN, linewidth=2.6, zorder=3)
     for place in range(len(names)):
         ends = (high[place], low[place]) if flip[place] else (low[place], high[place])
-        axes.axvline(place, color=GREY, linewidth=0.8, zorder=0)
+        axes.plot([place, place], [0, 1], color=GREY, linewidth=0.8, zorder=0)
         axes.text(place, -0.035, format_number(float(ends[0])), ha="center", va="top", fontsize=8)
         axes.text(place, 1.035, format_number(float(ends[1])), ha="center", va="bottom", fontsize=8)
     labels = [
