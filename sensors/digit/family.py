@@ -15,6 +15,10 @@ from taccel_lab.optics.description import Light, Window
 
 _GEL = "measured on the gel of digit-design (facebookresearch, figures only)"
 _PARTS = "measured on the parts of digit-design (facebookresearch, figures only)"
+_LIGHT_FIT = (
+    "best of a search against six ball presses of FOTS, labelled by eye (colour cosine 0.70, "
+    "contrast 0.73 of the captured)"
+)
 _CANFNET = "camera calibration of CANFNet, 240 x 320 px"
 
 
@@ -81,9 +85,12 @@ class DigitParameters(CameraSensorParameters):
         source="acrylic of digit-design: 6.15 in its CAD, 5.5 as shipped, 4 in the build guide; "
         "4 to 6.2 are accepted",
     )  # fmt: skip
-    led_x_mm: float = restated(10.0, source="assumption: around the edge of the acrylic, behind it")
-    led_y_mm: float = restated(13.0, source="assumption: around the edge of the acrylic, behind it")
-    led_depth_mm: float = restated(12.0, source="assumption: behind the acrylic")
+    led_x_mm: float = restated(9.7, source=_LIGHT_FIT)
+    led_y_mm: float = restated(12.6, source=_LIGHT_FIT)
+    led_depth_mm: float = restated(8.0, source=_LIGHT_FIT)
+    led_tilt_deg: float = restated(90.0, source=_LIGHT_FIT)
+    led_size_mm: float = restated(2.0, source=_LIGHT_FIT)
+    ambient: float = restated(0.2, source=_LIGHT_FIT)
     housing_x_mm: float = restated(26.95, source=f"{_PARTS}: 26.95 mm")
     housing_y_mm: float = restated(34.01, source=f"{_PARTS}: 34.01 mm")
     housing_z_mm: float = restated(28.4, source=f"{_PARTS}: 28.4 mm in three parts")
@@ -121,12 +128,12 @@ class DigitParameters(CameraSensorParameters):
         )
 
     def lights(self) -> tuple[Light, ...]:
-        """One LED of each colour, where ball presses of FOTS and TACTO's lights have them.
+        """One LED of each colour, where ball presses of FOTS have them.
 
         Least squares of the shading of 12 presses: blue 86, green -141, red -64 deg; TACTO has them
-        at 30, 150 and 270 deg.
+        at 30, 150 and 270 deg. In between lie -45 and -135.
         """
-        return self.led_triple(-30.0, -150.0, 90.0)
+        return self.led_triple(-45.0, -135.0, 90.0)
 
 
 FAMILY = SensorFamily(

@@ -21,8 +21,8 @@ from taccel_lab.optics.description import Light
 _GELMAP = "taxim 1.4.1, calib/gelsight/gelmap.npy"
 _TAXIM = "Taxim (Si and Yuan, RA-L 2022), Basics/sensorParams.py and calib/gelsight/params.json"
 _LIGHT_FIT = (
-    "best of 144 arrangements against the background and three ball presses of Taxim's data "
-    "(correlation of the presses 0.94, 0.87, 0.90); no drawing is published"
+    "best of a search against ball presses of Taxim's data (correlation 0.94 to 0.97, contrast as "
+    "captured); no drawing is published"
 )
 _ASSUMED_PLAN = (
     "assumption: no drawing of this gel is published; about 2.5 to 3 mm more than the camera's "
@@ -41,6 +41,7 @@ class GelSightParameters(RectangleGelParameters, CameraSensorParameters):
     )
     thickness_mm: float = restated(
         5.0,
+        maximum=20,
         source=f"{_GELMAP}: apex height 4.9997 mm in a sphere fit; that the map counts from the "
         "glued back is an assumption (GelSight gels are 4 to 5.5 mm thick)",
     )
@@ -62,15 +63,17 @@ class GelSightParameters(RectangleGelParameters, CameraSensorParameters):
     height_px: int = restated(480, source=_TAXIM)
     mm_per_px: float = restated(0.0295, source=f"{_TAXIM}: pixmm")
     focal_px: float = restated(
-        742.0, source="24.0 mm, an assumption, seen through window and gel (21.9 mm) over mm_per_px"
+        658.4, source="24.0 mm, an assumption, seen through window and gel (19.4 mm) over mm_per_px"
     )
-
-    led_x_mm: float = restated(11.0, source=_LIGHT_FIT)
-    led_y_mm: float = restated(9.9, source=_LIGHT_FIT)
-    led_depth_mm: float = restated(14.0, source=_LIGHT_FIT)
-    led_tilt_deg: float = restated(70.0, source=_LIGHT_FIT)
+    led_x_mm: float = restated(14.0, source=_LIGHT_FIT)
+    led_y_mm: float = restated(12.6, source=_LIGHT_FIT)
+    led_depth_mm: float = restated(13.0, source=_LIGHT_FIT)
+    led_tilt_deg: float = restated(90.0, source=_LIGHT_FIT)
     led_size_mm: float = restated(2.0, source=_LIGHT_FIT)
-    ambient: float = restated(1.0, source=_LIGHT_FIT)
+    ambient: float = restated(0.3, source=_LIGHT_FIT)
+    window_thickness_mm: float = restated(
+        9.5, source=f"{_LIGHT_FIT}: light as flat as captured comes in at the side of thick acrylic"
+    )
 
     def pad(self) -> GelPad:
         """The gel pad; its window is what the camera sees."""

@@ -37,7 +37,10 @@ class GelSightR15Parameters(RectangleGelParameters, CameraSensorParameters):
     )
     led_x_mm: float = restated(12.5, source=_NOT_PUBLISHED)
     led_y_mm: float = restated(16.5, source=_NOT_PUBLISHED)
-    led_depth_mm: float = restated(10.0, source="assumption: in the air behind the window")
+    window_thickness_mm: float = restated(9.5, source="assumption: as the classic GelSight's")
+    led_depth_mm: float = restated(12.0, source=_LIGHT_FIT)
+    led_tilt_deg: float = restated(90.0, source=_LIGHT_FIT)
+    ambient: float = restated(0.5, source=_LIGHT_FIT)
     housing_x_mm: float = restated(30.0, source=_NOT_PUBLISHED)
     housing_y_mm: float = restated(38.0, source=_NOT_PUBLISHED)
 

@@ -25,7 +25,7 @@ class RectangleGelParameters(ParameterSet):
         description="gel size along y (image rows)",
     )  # fmt: skip
     corner_radius_mm: float = parameter(
-        2.0, minimum=0.3, maximum=4.9, unit="mm", source=NO_FIGURE,
+        2.0, minimum=0.3, maximum=10, unit="mm", source=NO_FIGURE,
         description="corner radius of the gel's outline",
     )  # fmt: skip
     thickness_mm: float = parameter(

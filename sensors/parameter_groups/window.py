@@ -17,7 +17,7 @@ class WindowParameters(ParameterSet):
     parameter_group: ClassVar[str] = "window"
 
     window_thickness_mm: float = parameter(
-        2.0, minimum=0.2, maximum=10, unit="mm", source=NO_FIGURE,
+        2.0, minimum=0.2, maximum=12, unit="mm", source=NO_FIGURE,
         description="thickness of the window behind the gel",
     )  # fmt: skip
     window_index: float = parameter(
