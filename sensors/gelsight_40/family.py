@@ -18,6 +18,8 @@ _PAD = "measured on the pad of Taccel's single_sensor (Taccel-Simulator/Taccel)"
 _TACCEL = "VBTSConfig and render.yml of Taccel"
 _NOT_MODELLED = "assumption: Taccel models no housing"
 
+_LIGHTS = "assumption: beside the acrylic, as fits to the classic GelSight have it"
+
 
 @dataclass(frozen=True)
 class GelSight40Parameters(RectangleGelParameters, CameraSensorParameters):
@@ -50,18 +52,22 @@ class GelSight40Parameters(RectangleGelParameters, CameraSensorParameters):
     raw_width_px: int = restated(400, source=f"{_TACCEL}: no crop")
     raw_height_px: int = restated(400, source=f"{_TACCEL}: no crop")
     camera_distance_mm: float = restated(
-        29.9, minimum=15, maximum=120,
+        31.9, minimum=15, maximum=120,
         source="what a view of 31.75 mm and cam_fov 60 deg need through window and gel; render.yml "
         "of Taccel has the eye at 24.5 mm, where 60 deg show less",
     )  # fmt: skip
     focal_px: float = restated(346.4, source=f"{_TACCEL}: cam_fov 60 deg over 400 px")
-    led_x_mm: float = restated(20.5, source="assumption: strips beside the pad")
-    led_y_mm: float = restated(20.5, source="assumption: strips beside the pad")
+    led_x_mm: float = restated(20.5, source=_LIGHTS)
+    led_y_mm: float = restated(23.7, source=_LIGHTS)
+    led_depth_mm: float = restated(10.0, source=_LIGHTS)
+    led_tilt_deg: float = restated(90.0, source=_LIGHTS)
+    led_size_mm: float = restated(2.0, source=_LIGHTS)
+    ambient: float = restated(0.3, source=_LIGHTS)
+    window_thickness_mm: float = restated(8.0, source=_LIGHTS)
     marker_pitch_mm: float = restated(3.8, source=f"{_PAD}: 8 x 8 markers, pitch 3.8 mm")
     marker_area_x_mm: float = restated(26.6, source=f"{_PAD}: markers at +-13.3 mm")
     marker_area_y_mm: float = restated(26.6, source=f"{_PAD}: markers at +-13.3 mm")
     marker_radius_mm: float = restated(0.5, source="assumption: Taccel tracks points")
-    led_depth_mm: float = restated(12.0, source="assumption: in the air behind the window")
     housing_x_mm: float = restated(44.0, source=_NOT_MODELLED)
     housing_y_mm: float = restated(44.0, source=_NOT_MODELLED)
     housing_z_mm: float = restated(32.0, source=_NOT_MODELLED)

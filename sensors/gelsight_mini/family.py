@@ -105,7 +105,6 @@ class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
         "gelsight_ansys_sim uses 412.9 / 402.8 px, ManiSkill-ViTac and TacEx 340 / 325 px: "
         "pictures of other scales",
     )
-    window_thickness_mm: float = restated(9.5, source=_LIGHT_FIT)
     led_x_mm: float = restated(13.0, source=_LIGHT_FIT)
     led_y_mm: float = restated(11.0, source=_LIGHT_FIT)
     led_depth_mm: float = restated(12.0, source=_LIGHT_FIT)

@@ -15,6 +15,11 @@ from taccel_lab.optics.description import Light
 _TACSL = "TacSL, tacsl_gelsight_r15.yaml"
 _NOT_PUBLISHED = "assumption: no drawing of this sensor is published"
 
+_LIGHT_FIT = (
+    "fit to the background of one unit (correlation 0.60 to 0.89); no press of known shape and no "
+    "drawing is published"
+)
+
 
 @dataclass(frozen=True)
 class GelSightR15Parameters(RectangleGelParameters, CameraSensorParameters):
@@ -33,14 +38,15 @@ class GelSightR15Parameters(RectangleGelParameters, CameraSensorParameters):
         20.343, minimum=12, maximum=80, source=f"{_TACSL}: camera_dist 20.343 mm"
     )
     focal_px: float = restated(
-        211.2, source="20.343 mm seen through window and gel (18.5 mm) over 0.0877 mm/px"
+        183.1, source="20.343 mm seen through window and gel (16.1 mm) over 0.0877 mm/px"
     )
-    led_x_mm: float = restated(12.5, source=_NOT_PUBLISHED)
-    led_y_mm: float = restated(16.5, source=_NOT_PUBLISHED)
-    window_thickness_mm: float = restated(9.5, source="assumption: as the classic GelSight's")
+    led_x_mm: float = restated(12.5, source=_LIGHT_FIT)
+    led_y_mm: float = restated(16.5, source=_LIGHT_FIT)
     led_depth_mm: float = restated(12.0, source=_LIGHT_FIT)
     led_tilt_deg: float = restated(90.0, source=_LIGHT_FIT)
+    led_size_mm: float = restated(2.0, source=_LIGHT_FIT)
     ambient: float = restated(0.5, source=_LIGHT_FIT)
+    window_thickness_mm: float = restated(9.5, source="assumption: as the classic GelSight's")
     housing_x_mm: float = restated(30.0, source=_NOT_PUBLISHED)
     housing_y_mm: float = restated(38.0, source=_NOT_PUBLISHED)
 

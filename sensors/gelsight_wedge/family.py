@@ -19,6 +19,8 @@ from taccel_lab.optics.description import Light
 _MODULUS = "EstimateModulus (GelSight-lab)"
 _NOT_PUBLISHED = "assumption: no figure of this sensor is published"
 
+_LIGHTS = "assumption: beside the acrylic, as fits to the classic GelSight have it"
+
 
 @dataclass(frozen=True)
 class GelSightWedgeParameters(RectangleGelParameters, CameraSensorParameters):
@@ -48,9 +50,12 @@ class GelSightWedgeParameters(RectangleGelParameters, CameraSensorParameters):
     window_thickness_mm: float = restated(
         8.0, source=f"{_NOT_PUBLISHED}; middle of the wedge of acrylic"
     )
-    led_x_mm: float = restated(18.0, source=_NOT_PUBLISHED)
-    led_y_mm: float = restated(13.5, source=_NOT_PUBLISHED)
-    led_depth_mm: float = restated(16.0, source="assumption: in the air behind the window")
+    led_x_mm: float = restated(18.0, source=_LIGHTS)
+    led_y_mm: float = restated(15.6, source=_LIGHTS)
+    led_depth_mm: float = restated(9.5, source=_LIGHTS)
+    led_tilt_deg: float = restated(90.0, source=_LIGHTS)
+    led_size_mm: float = restated(2.0, source=_LIGHTS)
+    ambient: float = restated(0.3, source=_LIGHTS)
     housing_x_mm: float = restated(42.0, source=_NOT_PUBLISHED)
     housing_y_mm: float = restated(32.0, source=_NOT_PUBLISHED)
     housing_z_mm: float = restated(42.0, source=f"{_NOT_PUBLISHED}; holds the unfolded path")
