@@ -13,7 +13,7 @@ from cad.mesh.dome import even_dome_mesh, focused_dome_mesh
 from cad.mesh.even import even_gel_mesh
 from cad.mesh.structured import structured_gel_mesh
 from cad.parts.dome_pad import DomePad
-from cad.parts.gel_pad import GelPad
+from cad.parts.height_pad import HeightPad
 from cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
@@ -42,7 +42,7 @@ class FocusOptions:
 
 def gel_mesh(pad: Pad, edge_mm: float = DEFAULT_EDGE_MM) -> TetMesh:
     """Structured mesh of ``pad`` whose elements are about ``edge_mm`` long."""
-    if isinstance(pad, GelPad):
+    if isinstance(pad, HeightPad):
         return even_gel_mesh(pad, edge_mm)
     if isinstance(pad, DomePad):
         return even_dome_mesh(pad, edge_mm)
@@ -51,7 +51,7 @@ def gel_mesh(pad: Pad, edge_mm: float = DEFAULT_EDGE_MM) -> TetMesh:
 
 def focused_gel_mesh(pad: Pad, focus: FocusOptions) -> TetMesh:
     """Structured mesh of ``pad``, fine around a contact, of the same connectivity anywhere."""
-    if isinstance(pad, GelPad):
+    if isinstance(pad, HeightPad):
         return structured_gel_mesh(
             pad,
             focus_mm=focus.at_mm,

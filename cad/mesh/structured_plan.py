@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the nodes of the structured pad mesh lie in plan: evenly, or graded around a focus.
+"""Where the nodes of a focused pad mesh lie in plan: graded around a place of contact.
 
-Both plans give the core nodes and the rings of ``structured_topology``; the outermost rings follow
-the rim band, so that a chamfer or fillet keeps its edges whatever the focus is.
+The plan gives the core nodes and the rings of ``structured_topology``; the outermost rings follow a
+chamfer or fillet that rolls around the corners and the skin on the wall, whatever the focus is.
 """
 
 from __future__ import annotations
@@ -14,14 +14,18 @@ import numpy as np
 
 from cad.mesh.conformal import DiscMap, disc_automorphism, disc_map
 from cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii
+from cad.mesh.outline_nodes import outline_anchors
 from cad.mesh.plan_smoothing import smooth_plan
-from cad.mesh.structured_topology import core_perimeter, plan_quads, ring_of_node
+from cad.mesh.structured_topology import plan_quads
 from cad.parts.gel_pad import GelPad
+from cad.parts.height_pad import HeightPad
+from cad.parts.pad_outline import PadOutline
 
 _ANGLE_WEIGHT = 0.6
 _HELD_RINGS = 2
 _BOUNDARY_DECAY = 3
 _SEEN_WEIGHT = 0.8
+_SIDE_SAMPLES = 400
 
 
 @dataclass(frozen=True)
@@ -33,65 +37,52 @@ class Focus:
     size_mm: float
 
 
-def rim_rings(pad: GelPad) -> int:
-    """Rings that follow the rim band; it depends on the pad alone."""
-    return {"none": 0, "chamfer": 2, "fillet": 3}[pad.rim]
+def rim_distances_mm(pad: HeightPad) -> np.ndarray:
+    """Inside distance of the rings along the edge [mm]: inner first, the outline (0) last.
 
-
-def rim_distances_mm(pad: GelPad) -> np.ndarray:
-    """Inside distance of each rim ring [mm], inner first, the outline (0) last; [] without rim."""
-    if pad.rim == "chamfer":
-        return pad.rim_mm * np.array([0.5, 0.0])
-    if pad.rim == "fillet":
-        return pad.rim_mm * np.array([0.5, 1 - np.sqrt(0.75), 0.0])
-    return np.zeros(0)
-
-
-def even_plan(pad: GelPad, core: int, rings: int, window_ring: int) -> np.ndarray:
-    """Plan of about even spacing whose ring ``window_ring`` is the window's edge.
-
-    Returns xy [mm], shape [(core + 1)^2 + 4 core rings, 2].
+    The first is the border of the conformal grid. Arcs and bevels wider than the corner radius have
+    no rings of their own: their nodes lie on the formula, their edges between nodes.
     """
-    arc_of_corner = np.arange(4) * core
-    outline, normals = _outline_nodes(pad, arc_of_corner, core, None)
-    inner = outline - normals * pad.rim_setback_mm()
-    t = np.linspace(-1, 1, core + 1)
-    square = np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1)
-    window = square * np.array([pad.window_x_mm / 2, pad.window_y_mm / 2])
-    # Cells of the core about as wide as the rings between it and the window.
-    core_nodes = window * (core / (core + 2 * window_ring))
-    edge, window_edge = (grid.reshape(-1, 2)[core_perimeter(core)] for grid in (core_nodes, window))
-    band = rings - window_ring - rim_rings(pad)
-    loops = [edge + (window_edge - edge) * k / window_ring for k in range(1, window_ring + 1)]
-    loops += [window_edge + (inner - window_edge) * k / band for k in range(1, band + 1)]
-    inside = np.concatenate([core_nodes.reshape(-1, 2), *loops])
-    ring = ring_of_node(core, rings)[: len(inside)]
-    loose = np.flatnonzero((ring != window_ring) & (ring != rings - rim_rings(pad)))
-    inside = smooth_plan(inside, plan_quads(core, rings - rim_rings(pad)), loose)
-    return np.concatenate([inside, *(outline - normals * d for d in rim_distances_mm(pad))])
+    distances = [0.0, pad.skin_wall_mm]
+    width = pad.rim_setback_mm()
+    if pad.has_fillet:
+        distances += [width, 0.5 * width, width * (1 - float(np.sqrt(0.75)))]
+    elif isinstance(pad, GelPad) and pad.rim == "chamfer" and _rolls(pad):
+        distances += [width, 0.5 * width]
+    return np.unique(distances)[::-1]
 
 
-def focus_plan(pad: GelPad, core: int, rings: int, focus: Focus) -> np.ndarray:
+def _rolls(pad: GelPad) -> bool:
+    return not pad.has_band or pad.rim_mm <= 0.9 * pad.corner_radius_mm
+
+
+def rim_rings(pad: HeightPad) -> int:
+    """Rings outside the conformal grid; it depends on the kind of rim and skin alone."""
+    return len(rim_distances_mm(pad)) - 1
+
+
+def focus_plan(pad: HeightPad, core: int, rings: int, focus: Focus) -> np.ndarray:
     """Plan graded around a focus: even rings inside it, growing ones from there to the outline.
 
     A polar grid of the unit disc, moved to the focus and mapped conformally onto the pad.
     Returns xy [mm], shape [(core + 1)^2 + 4 core rings, 2].
     """
-    setback = pad.rim_setback_mm()
-    chart = disc_map(
-        pad.length_x_mm / 2 - setback, pad.length_y_mm / 2 - setback, pad.corner_radius_mm - setback
-    )
+    distances = rim_distances_mm(pad)
+    setback = float(distances[0])
+    border = pad.outline.inset(setback)
+    chart = disc_map(border)
     center = complex(chart.disc_from_plan(np.array(complex(*focus.center_mm))))
     slope = chart.slope_mm(center)
     per_mm = 1 / (abs(slope) * (1 - abs(center) ** 2))
     count = 4 * core
-    corner_angles = _corner_angles(pad, chart, center, complex(*focus.center_mm), slope)
+    corner_angles = _corner_angles(pad.outline, border, chart, center, focus, slope)
     step = 2 * np.pi / count
     # Turn the grid so that the corners of the outline are as near to nodes as they can be.
     turn = float(np.angle(np.exp(1j * corner_angles * count).mean())) / count
     theta = turn + step * (np.arange(count) - round((0.75 * np.pi + turn) / step))
-    corners = _corner_indices(corner_angles, float(theta[0]), core, _half_arc_cells(pad, core))
-    outline, normals = _outline_nodes(pad, corners, core, focus.center_mm)
+    half_arcs = _half_arcs(pad.outline, core)
+    corners = _corner_indices(corner_angles, float(theta[0]), core, half_arcs)
+    outline, normals = _outline_nodes(pad.outline, corners, half_arcs, core, focus.center_mm)
     inner = outline - normals * setback
     boundary = np.angle(disc_automorphism(chart.disc_from_plan(inner @ [1, 1j]), -center))
     boundary = _unwrap_near(boundary, theta)
@@ -118,7 +109,7 @@ def focus_plan(pad: GelPad, core: int, rings: int, focus: Focus) -> np.ndarray:
     held = even + min(_HELD_RINGS, free - even - 1)
     loose = np.arange((core + 1) ** 2 + count * held, len(xy) - count)
     xy = smooth_plan(xy, plan_quads(core, free), loose)
-    return np.concatenate([xy, *(outline - normals * d for d in rim_distances_mm(pad))])
+    return np.concatenate([xy, *(outline - normals * d for d in distances[1:])])
 
 
 def _unwrap_near(angle: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -126,40 +117,45 @@ def _unwrap_near(angle: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return angle - 2 * np.pi * np.round((angle - reference) / (2 * np.pi))
 
 
-def _half_arc_cells(pad: GelPad, core: int) -> int:
-    """Cells on half a corner arc of the outline: at least one, and none longer than on the sides.
+def _half_arc_lengths_mm(outline: PadOutline) -> np.ndarray:
+    """Length from each anchor to the end of its corner arc, 0 on arcs too long for corners, [4]."""
+    starts = np.concatenate([[0.0], np.cumsum(outline.piece_lengths_mm)])
+    at = outline_anchors(outline) % outline.perimeter_mm
+    piece = np.searchsorted(starts, at, side="right") - 1
+    turn = np.diff(outline.arc_angles, axis=1)[piece // 2, 0]
+    return np.where(turn < 0.75 * np.pi, outline.piece_lengths_mm[piece] / 2, 0.0)
 
-    It depends on the pad and the grid alone, so every focus gives the same connectivity.
+
+def _half_arcs(outline: PadOutline, core: int) -> np.ndarray:
+    """Cells on half of each corner arc: at least one, and none longer than on the sides, [4].
+
+    They depend on the outline and the grid alone, so every focus gives the same connectivity.
     """
-    r = pad.corner_radius_mm
-    half_arc = 0.25 * np.pi * r
-    outline = 2 * (pad.length_x_mm + pad.length_y_mm) - 8 * r + 8 * half_arc
-    cells = round(4 * core * half_arc / outline)
-    return int(np.clip(cells, 1 if core < 12 else 2, core // 2 - 1))
+    half = _half_arc_lengths_mm(outline)
+    cells = np.round(4 * core * half / outline.perimeter_mm).astype(int)
+    return np.where(half > 0, np.clip(cells, 1 if core < 12 else 2, core // 2 - 1), 0)
 
 
 def _corner_angles(
-    pad: GelPad, chart: DiscMap, center: complex, focus: complex, slope: complex
-) -> np.ndarray:
+    outline: PadOutline, border: PadOutline, chart: DiscMap, center: complex, focus: Focus,
+    slope: complex,
+) -> np.ndarray:  # fmt: skip
     """Angle in the disc at which the grid should meet each outline corner, shape [4].
 
     Between the conformal angle, which leaves hardly a spoke to a far side, and the angle seen
     from the focus.
     """
-    angle = chart.angle_of_corner()
-    on_disc = np.exp(1j * np.array([np.pi + angle, -angle, angle, np.pi - angle]))
-    conformal = np.angle(disc_automorphism(on_disc, -center))
-    r = pad.corner_radius_mm * (1 - np.sqrt(0.5))
-    x, y = pad.length_x_mm / 2 - r, pad.length_y_mm / 2 - r
-    plan = np.array([complex(-x, -y), complex(x, -y), complex(x, y), complex(-x, y)])
-    seen = _unwrap_near(np.angle((plan - focus) / slope), conformal)
+    inner = border.at_mm(outline_anchors(border))[0] @ [1, 1j]
+    conformal = np.angle(disc_automorphism(chart.disc_from_plan(inner), -center))
+    plan = outline.at_mm(outline_anchors(outline))[0] @ [1, 1j]
+    seen = _unwrap_near(np.angle((plan - complex(*focus.center_mm)) / slope), conformal)
     return (1 - _SEEN_WEIGHT) * conformal + _SEEN_WEIGHT * seen
 
 
 def _corner_indices(
-    corner_angles: np.ndarray, first_angle: float, core: int, arc_cells: int
+    corner_angles: np.ndarray, first_angle: float, core: int, half_arcs: np.ndarray
 ) -> np.ndarray:
-    """Ring index of the middle of each outline corner that turns the spokes least, shape [4].
+    """Ring index of each outline corner that turns the spokes least, shape [4].
 
     Every straight side keeps at least two cells.
     """
@@ -167,60 +163,50 @@ def _corner_indices(
     # Counter-clockwise from the first corner, whichever turn the angles were given in.
     turns = (corner_angles - corner_angles[0]) % (2 * np.pi)
     wanted = (corner_angles[0] + turns - first_angle) * count / (2 * np.pi)
-    least = 2 * arc_cells + 2
+    least = half_arcs + np.roll(half_arcs, -1) + 2
     shifts = np.array(list(product((-3, -2, -1, 0, 1, 2, 3), repeat=4)))
     options = np.round(wanted).astype(int) + shifts
     gaps = np.diff(np.concatenate([options, options[:, :1] + count], axis=1), axis=1)
-    cost = ((options - wanted) ** 2).sum(axis=1) + np.where(gaps.min(axis=1) < least, 1e6, 0)
+    short = (gaps < least).any(axis=1)
+    cost = ((options - wanted) ** 2).sum(axis=1) + np.where(short, 1e6, 0)
     return options[int(np.argmin(cost))]
 
 
 def _outline_nodes(
-    pad: GelPad, corners: np.ndarray, core: int, center: tuple[float, float] | None
-) -> tuple[np.ndarray, np.ndarray]:
+    outline: PadOutline, corners: np.ndarray, half_arcs: np.ndarray, core: int,
+    center_mm: tuple[float, float],
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Nodes on the outline [mm] and their outward normals, each shape [4 core, 2].
 
-    ``corners`` are the ring indices of the arc middles. On a straight side the nodes are spaced
-    between equal lengths and, seen from ``center`` if given, equal angles.
+    ``corners`` are the ring indices of the anchors. Between corner arcs the nodes are spaced
+    between equal lengths and, seen from ``center_mm``, equal angles.
     """
-    count, m = 4 * core, _half_arc_cells(pad, core)
-    r = pad.corner_radius_mm
-    half = np.array([pad.length_x_mm, pad.length_y_mm]) / 2
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    points, normals = np.empty((count, 2)), np.empty((count, 2))
-    arc = 0.25 * np.pi * np.arange(-m, m + 1) / m
-    ends = []
+    count = 4 * core
+    anchors = outline_anchors(outline)
+    ends = np.append(anchors, anchors[0] + outline.perimeter_mm)
+    halves = np.append(_half_arc_lengths_mm(outline), _half_arc_lengths_mm(outline)[0])
+    lengths = np.empty(count)
     for k in range(4):
-        a = -0.75 * np.pi + 0.5 * np.pi * k + arc
-        normal = np.stack([np.cos(a), np.sin(a)], axis=-1)
-        nodes = signs[k] * (half - r) + r * normal
-        index = (corners[k] + np.arange(-m, m + 1)) % count
-        points[index], normals[index] = nodes, normal
-        ends.append((nodes[0], nodes[-1]))
-    for k in range(4):
-        first, last = ends[k][1], ends[(k + 1) % 4][0]
-        begin = corners[k] + m
-        cells = int(corners[(k + 1) % 4] - m + (count if k == 3 else 0) - begin)
-        t = _side_spacing(first, last, cells, center)
-        index = (begin + np.arange(1, cells)) % count
-        points[index] = first + (last - first) * t[:, None]
-        # Exactly one coordinate changes along a side, so its normal is an axis.
-        normals[index] = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]], dtype=np.float64)[k]
-    return points, normals
+        ahead, behind = half_arcs[k], half_arcs[(k + 1) % 4]
+        begin, end = ends[k] + halves[k], ends[k + 1] - halves[k + 1]
+        cells = int(corners[(k + 1) % 4] - corners[k] + (count if k == 3 else 0)) - ahead - behind
+        middle = _spaced(outline, begin, end, cells, np.asarray(center_mm))
+        before = ends[k] + halves[k] * np.arange(ahead) / max(ahead, 1)
+        after = end + halves[k + 1] * np.arange(1, behind) / max(behind, 1)
+        found = np.concatenate([before, begin + (end - begin) * middle, [end], after])
+        # The anchor that ends this side begins the next one.
+        found = found[: cells + ahead + behind]
+        lengths[(corners[k] + np.arange(len(found))) % count] = found
+    return outline.at_mm(lengths)
 
 
-def _side_spacing(
-    first: np.ndarray, last: np.ndarray, cells: int, center: tuple[float, float] | None
+def _spaced(
+    outline: PadOutline, begin: float, end: float, cells: int, center: np.ndarray
 ) -> np.ndarray:
-    """Fractions along a straight side of its inner nodes, shape [cells - 1]."""
-    even = np.arange(1, cells) / cells
-    if center is None:
-        return even
-    along = last - first
-    length = float(np.linalg.norm(along))
-    unit = along / length
-    foot = float((center - first) @ unit)
-    distance = float(np.linalg.norm(first + foot * unit - center))
-    a0, a1 = np.arctan2(-foot, distance), np.arctan2(length - foot, distance)
-    seen = (foot + distance * np.tan(a0 + (a1 - a0) * even)) / length
+    """Fractions of the length from ``begin`` to ``end`` of the first ``cells`` nodes there."""
+    t = np.linspace(0, 1, _SIDE_SAMPLES + 1)
+    offset = outline.at_mm(begin + (end - begin) * t)[0] - center
+    angle = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
+    even = np.arange(cells) / cells
+    seen = np.interp(angle[0] + (angle[-1] - angle[0]) * even, angle, t)
     return _ANGLE_WEIGHT * seen + (1 - _ANGLE_WEIGHT) * even

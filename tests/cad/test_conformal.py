@@ -8,11 +8,21 @@ import pytest
 
 from cad.mesh.conformal import disc_automorphism, disc_map
 from cad.mesh.plan_smoothing import smooth_plan
+from cad.parts.pad_outline import PadOutline, d_shape, rounded_rectangle
 
 
-@pytest.mark.parametrize("shape", [(12.0, 10.0, 2.0), (10.0, 12.5, 1.5), (8.0, 8.0, 4.0)])
-def test_outline_maps_to_the_circle_and_back(shape: tuple[float, float, float]) -> None:
-    chart = disc_map(*shape)
+@pytest.mark.parametrize(
+    "outline",
+    [
+        rounded_rectangle(24, 20, 2),
+        rounded_rectangle(20, 25, 1.5),
+        rounded_rectangle(16, 16, 4),
+        d_shape(18.4, 25, 1.3),
+        d_shape(18.4, 25, 1.3).inset(0.9),
+    ],
+)
+def test_outline_maps_to_the_circle_and_back(outline: PadOutline) -> None:
+    chart = disc_map(outline)
     np.testing.assert_allclose(np.abs(chart.disc_from_plan(chart.outline_mm)), 1, atol=2e-4)
     for factor in (0.2, 0.5, 0.8):
         z = factor * chart.outline_mm
@@ -20,7 +30,7 @@ def test_outline_maps_to_the_circle_and_back(shape: tuple[float, float, float]) 
 
 
 def test_map_is_conformal() -> None:
-    chart = disc_map(12.0, 10.0, 2.0)
+    chart = disc_map(rounded_rectangle(24, 20, 2))
     w = 0.7 * np.exp(1j * np.linspace(0, 2 * np.pi, 40))
     step = 1e-6
     along = chart.plan_from_disc(w + step) - chart.plan_from_disc(w)
@@ -31,7 +41,7 @@ def test_map_is_conformal() -> None:
 
 
 def test_a_circle_maps_by_scaling_alone() -> None:
-    chart = disc_map(10.0, 10.0, 9.999)
+    chart = disc_map(rounded_rectangle(20, 20, 9.999))
     w = np.array([0.3 + 0.2j, -0.8j])
     np.testing.assert_allclose(chart.plan_from_disc(w), 10 * w, atol=5e-3)
 
