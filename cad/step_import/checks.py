@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from build123d import Solid
 from OCP.BOPAlgo import BOPAlgo_CheckStatus
 from OCP.BRep import BRep_Tool
@@ -17,14 +16,12 @@ from OCP.BRepAlgoAPI import BRepAlgoAPI_Check
 from OCP.BRepCheck import BRepCheck_Analyzer
 
 from cad.mesh.surface import LabelledSurface
+from cad.mesh.thickness import least_thickness
 from cad.step_import.reader import StepBody
 from taccel_lab.errors import InputError
 
 MIN_THICKNESS_MM = 0.05
 """Least thickness of a body anywhere but at its edges [mm]."""
-_PROBES = 600
-_OPPOSITE = -0.9
-_AREA_SHARE = 1e-6
 
 
 def one_solid(bodies: Sequence[StepBody], path: Path, name: str | None) -> StepBody:
@@ -90,42 +87,11 @@ def check_solid(solid: Solid, path: Path) -> None:
 
 
 def check_thickness(surface: LabelledSurface, path: Path) -> float:
-    """Least thickness seen from the middles of triangles, straight inward [mm].
-
-    A ray counts where it meets a face that looks the other way, so that the sharp edge between two
-    faces is not taken for a thin sheet. Raises InputError below 0.05 mm.
-    """
-    corners = surface.vertices_mm[surface.triangles]
-    areas, normals = surface.areas_mm2(), surface.normals()
-    real = np.flatnonzero(areas > _AREA_SHARE * areas.sum())
-    step = max(len(real) // _PROBES, 1)
-    probes = real[::step]
-    starts = corners[probes].mean(axis=1)
-    best, where = np.inf, np.zeros(3)
-    for k, start in zip(probes, starts, strict=True):
-        opposite = normals @ normals[k] < _OPPOSITE
-        distance = _first_hit(start, -normals[k], corners[opposite])
-        if distance < best:
-            best, where = distance, start
+    """Least thickness of the body [mm]; raises InputError, with the place, below 0.05 mm."""
+    best, where = least_thickness(surface.vertices_mm, surface.triangles)
     if best < MIN_THICKNESS_MM:
         raise InputError(
             f"{path}: the body is {best:.3g} mm thick at x {where[0]:.2f}, y {where[1]:.2f}, "
             f"z {where[2]:.2f} mm; allowed: at least {MIN_THICKNESS_MM} mm"
         )
-    return float(best)
-
-
-def _first_hit(start: np.ndarray, way: np.ndarray, corners: np.ndarray) -> float:
-    """Distance along a ray to the nearest of some triangles (Moeller and Trumbore, 1997)."""
-    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    p = np.cross(way, edge2)
-    determinant = (edge1 * p).sum(axis=1)
-    good = np.abs(determinant) > 1e-300
-    inverse = np.where(good, 1 / np.where(good, determinant, 1), 0)
-    offset = start - corners[:, 0]
-    u = (offset * p).sum(axis=1) * inverse
-    q = np.cross(offset, edge1)
-    v = (q @ way) * inverse
-    t = (edge2 * q).sum(axis=1) * inverse
-    hit = good & (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (t > -1e-9)
-    return float(t[hit].min(initial=np.inf))
+    return best
