@@ -87,8 +87,7 @@ def _checked(
             f"the surface to repair has triangles of vertices {int(faces.min())} to "
             f"{int(faces.max())}, but {len(points)} vertices"
         )
-    finite: np.ndarray = np.isfinite(points).all(axis=1)
-    whole = finite[faces].all(axis=1)
+    whole = np.isfinite(points[faces]).all(axis=(1, 2))
     if not whole.any():
         raise InputError("every triangle of the surface to repair has NaN or infinite corners")
     if not whole.all():
@@ -124,13 +123,10 @@ def _manifold(
     pymeshlab: ModuleType, points: np.ndarray, faces: np.ndarray, actions: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     meshes = _mesh_set(pymeshlab, points, faces)
-    measures = meshes.get_topological_measures()
-    edges, corners = measures["non_two_manifold_edges"], measures["non_two_manifold_vertices"]
+    edges = meshes.get_topological_measures()["non_two_manifold_edges"]
     if edges:
         meshes.meshing_repair_non_manifold_edges()
-    if edges or corners:
-        meshes.meshing_repair_non_manifold_vertices()
-        actions.append(f"took apart {edges} edges and {corners} vertices that are not manifold")
+        actions.append(f"took apart {edges} edges that are not manifold")
     return _arrays(meshes)
 
 
@@ -170,27 +166,33 @@ def _closed(
     actions: list[str],
 ) -> tuple[np.ndarray, np.ndarray]:
     meshes = _mesh_set(pymeshlab, points, faces)
-    holes = meshes.get_topological_measures()["number_holes"]
-    if holes:
-        # Lids that cross nothing where there are any, then the rest: crossings are looked for later.
+    measures = meshes.get_topological_measures()
+    open_edges, corners = measures["boundary_edges"], measures["non_two_manifold_vertices"]
+    if open_edges:
+        # Lids that cross nothing where there are any, then the rest: crossings are sought later.
         meshes.meshing_close_holes(maxholesize=max_hole_edges, selfintersection=True)
-        if meshes.get_topological_measures()["boundary_edges"]:
-            meshes.meshing_close_holes(maxholesize=max_hole_edges, selfintersection=False)
+        corners = meshes.get_topological_measures()["non_two_manifold_vertices"]
+    if corners:
+        meshes.meshing_repair_non_manifold_vertices()
+        actions.append(f"took apart {corners} vertices that are not manifold")
+    if meshes.get_topological_measures()["boundary_edges"]:
+        meshes.meshing_close_holes(maxholesize=max_hole_edges, selfintersection=False)
     before = np.asarray(meshes.current_mesh().face_matrix())
     meshes.meshing_re_orient_faces_coherently()
     turned = int((np.asarray(meshes.current_mesh().face_matrix()) != before).any(axis=1).sum())
     if 0 < turned < len(before):
         actions.append(f"turned {turned} triangles the way of their neighbours")
+    left = meshes.get_topological_measures()["boundary_edges"]
+    if left:
+        raise InputError(
+            f"the repaired surface is not a closed manifold surface: {left} open edges are left, "
+            f"at holes of more than {max_hole_edges} edges or with tangled borders; close them in "
+            "the program that the surface comes from"
+        )
     closed_points, closed = _arrays(meshes)
-    if holes:
-        left = _mesh_set(pymeshlab, closed_points, closed).get_topological_measures()
-        if left["boundary_edges"]:
-            raise InputError(
-                f"the repaired surface is not a closed manifold surface: {left['boundary_edges']} "
-                f"open edges are left at holes of more than {max_hole_edges} edges; close them in "
-                "the program that the surface comes from"
-            )
-        actions.append(f"closed {holes} holes with {len(closed) - len(faces)} triangles")
+    if open_edges:
+        lids = len(closed) - len(faces)
+        actions.append(f"closed holes of {open_edges} edges with {lids} triangles")
     return closed_points, closed
 
 

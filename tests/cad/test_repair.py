@@ -121,7 +121,7 @@ def _pierced(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndar
     [
         (_loose, "merged .* vertices of the same place"),
         (_nan, "cut out 6 triangles with NaN"),
-        (_hole, "closed 1 holes with"),
+        (_hole, "closed holes of 8 edges with 4 triangles"),
         (_twice, "cut out 4 duplicate triangles"),
         (_flat, "cut out 1 triangles without area"),
         (_fin, "took apart .* edges"),
@@ -175,7 +175,7 @@ def _crossed(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndar
     [
         (_sheet, "thick at x"),
         (_two_bodies, "2 separate pieces"),
-        (_half, "open edges are left at holes of more than 12 edges"),
+        (_half, "open edges are left, at holes of more than 12 edges"),
         (_crossed, "passes through itself in .* triangles around x"),
     ],
 )
