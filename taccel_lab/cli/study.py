@@ -147,8 +147,8 @@ class Study:
 
 
 def _print_lists(options: Study) -> None:
-    from studies.plan import default_kit
     from studies.describe import press_in_words
+    from studies.plan import default_kit
     from taccel_lab.cli.console import print_json
 
     kit = default_kit()

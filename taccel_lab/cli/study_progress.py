@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -13,6 +14,10 @@ if TYPE_CHECKING:
 
     from studies.runner import Outcome
     from studies.stored import StoredDesign
+
+
+LINE_EVERY_S = 20.0
+"""Where there is no terminal to draw a bar on, a line is written at most this often."""
 
 
 class StudyProgress(Listener):
@@ -42,7 +47,8 @@ class StudyProgress(Listener):
         )
         self._task: Any = None
         self._workers: dict[int, Any] = {}
-        self._lost = 0
+        self._total = self._done = self._lost = 0
+        self._begun = self._line_at = time.monotonic()
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -63,6 +69,7 @@ class StudyProgress(Listener):
             self._bar.console.print(
                 Text(f"{stored} of {total} designs are there already, {to_do} to do")
             )
+        self._total, self._begun = to_do, time.monotonic()
         self._task = self._bar.add_task("designs", total=to_do, note="")
 
     def finished(self, design: StoredDesign) -> None:
@@ -71,8 +78,25 @@ class StudyProgress(Listener):
         if design.status != "done":
             self._lost += 1
             self._bar.console.print(Text(f"{design.id} {design.status}: {design.cause}"))
+        self._done += 1
+        self._write_line()
         note = f"{self._lost} failed" if self._lost else ""
         self._bar.update(self._task, advance=1, note=note)
+
+    def _write_line(self) -> None:
+        now = time.monotonic()
+        last = self._done == self._total
+        if self._console.is_terminal or (now - self._line_at < LINE_EVERY_S and not last):
+            return
+        self._line_at = now
+        spent = now - self._begun
+        left = spent * (self._total - self._done) / self._done
+        self._console.print(
+            f"{self._done} of {self._total} designs, {self._lost} failed, {spent:.0f} s spent, "
+            f"about {left:.0f} s left",
+            highlight=False,
+            soft_wrap=True,
+        )
 
     def underway(self, worker: int, what: str, done: int, total: int) -> None:
         if not total:

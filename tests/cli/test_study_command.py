@@ -62,6 +62,7 @@ def test_a_study_runs_and_says_where_to_look(
     assert app.main(["study", str(file)]) == 0
     out, err = capsys.readouterr()
     assert "3 designs compared" in out and "stiffness" in out
+    assert "3 of 3 designs, 0 failed" in err
     assert "out/thickness/designs.csv" in err and "out/thickness/report.html" in err
     root = file.parent / "out" / "thickness"
     assert (root / "study.toml").read_text() == file.read_text()
