@@ -13,7 +13,7 @@ from taccel_lab.geometry import Region
 from taccel_lab.optics.description import Camera, Light, Window
 
 if TYPE_CHECKING:
-    from build123d import Face
+    from build123d import Face, Solid
 
     from cad.assembly import Assembly
     from cad.parts.housing import HousingShape
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 LEAST_LED_MM = 0.5
 """Side of the placeholder of a light that is modelled as a point [mm]."""
 _ON_FACE_MM = 1e-3
+_GRID = (0.011, 0.27, 0.51, 0.73, 0.989)
 _LAYER_COLORS = {"gel": (0.93, 0.80, 0.62), "skin": (0.25, 0.25, 0.27)}
 
 
@@ -78,19 +79,35 @@ def gel_layers(pad: Pad, gel: LabelledSolid) -> dict[str, LabelledSolid]:
     """The layers of the gel by name, core first; a face inside the gel counts as side."""
     from cad.parts.labelled_solid import LabelledSolid
 
-    if len(pad.layer_names) < 2:
-        return {pad.layer_names[0]: gel}
+    names: list[str] = list(pad.layer_names)
+    if len(names) == 1:
+        return {names[0]: gel}
+    layers = {name: _with_window(solid, gel) for name, solid in pad.layer_solids().items()}
     return {
         name: LabelledSolid(solid, [_region_of(face, gel) for face in solid.faces()])
-        for name, solid in pad.layer_solids().items()
+        for name, solid in layers.items()
     }
+
+
+def _with_window(layer: Solid, gel: LabelledSolid) -> Solid:
+    """The layer with the gel's window drawn on a face that holds all of it."""
+    from cad.parts.imprint import imprint
+
+    for window in gel.faces(Region.WINDOW):
+        for face in layer.faces():
+            spare = face.area - window.area
+            if spare > _ON_FACE_MM and face.distance_to(window.center()) < _ON_FACE_MM:
+                return imprint(layer, face, window.outer_wire())
+    return layer
 
 
 def _region_of(face: Face, gel: LabelledSolid) -> Region:
     """Region of the face of the whole gel that a layer's face is a part of."""
-    points = (face.center(), face.position_at(0.3, 0.7))
+    # A face may have a hole in its middle.
+    grid = [(u, v) for u in _GRID for v in _GRID]
+    points = [point for point in (face.position_at(*uv) for uv in grid) if face.is_inside(point)]
     for whole, region in zip(gel.solid.faces(), gel.regions, strict=True):
-        if all(whole.distance_to(point) < _ON_FACE_MM for point in points):
+        if points and all(whole.distance_to(point) < _ON_FACE_MM for point in points):
             return region
     return Region.SIDE
 

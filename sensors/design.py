@@ -1,24 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a family and its parameters to files: CAD, labelled mesh, quality, picture, profile."""
+"""From a family and its parameters to files: CAD, moulds, drawings, mesh, quality, profile."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cad.mesh.gel_mesh import gel_mesh
-from cad.mesh.quality import MeshQuality, measure_quality, require_quality
+from cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
 from cad.parts.pad import Pad
 from sensors.base import FamilyParameters, SensorFamily
 from sensors.profile import designed_profile
+from sensors.workshop import WORKSHOP_PARTS, Workshop, check_parts
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.output import atomic_directory, require_replaceable, write_json
 from taccel_lab.profile import SensorProfile, save_profile
+
+if TYPE_CHECKING:
+    from cad.moulds import MouldOptions
 
 MESHERS = ("structured", "tetwild")
 DEFAULT_MESHER = "structured"
@@ -42,9 +47,11 @@ class DesignResult:
     mesher: str
     out_dir: Path
     files: dict[str, Path]
-    """Written files by kind: step, stl, mesh, quality, parameters, preview, profile."""
+    """Written files by kind: mesh, quality, parameters, preview, profile, those of the workshop."""
     seconds: dict[str, float]
     """Time of each stage [s]."""
+    warnings: list[str]
+    """What a maker should know, in words."""
 
 
 def design_sensor(
@@ -54,43 +61,54 @@ def design_sensor(
     mesher: str = DEFAULT_MESHER,
     edge_mm: float = 1.0,
     *,
+    parts: Sequence[str] = WORKSHOP_PARTS,
+    mould_options: MouldOptions | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> DesignResult:
-    """Build the gel pad of ``family`` and write everything to ``out_dir``, whole or not at all.
+    """Build a sensor of ``family`` and write everything to ``out_dir``, whole or not at all.
 
-    ``edge_mm`` is the target edge length of the mesh [mm]. ``progress`` is told each stage.
+    ``edge_mm`` is the target edge length of the mesh [mm], ``parts`` the files for the workshop
+    (``WORKSHOP_PARTS``); mesh, quality, parameters, preview and profile are always written.
+    ``progress`` is told each stage. A mesh that fails its gate raises InputError and leaves a
+    picture of where in ``refused_folder(out_dir)``.
     """
+    check_parts(parts)
     if mesher not in MESHERS:
         raise InputError(f"mesher {mesher!r} is not allowed; use one of {', '.join(MESHERS)}")
     require_replaceable(out_dir)
     parameters = family.parameters(overrides)
     pad = parameters.pad()
     seconds: dict[str, float] = {}
-    tell = _StageClock(seconds, progress)
+    tell = StageClock(seconds, progress)
 
     tell("cad")
-    from cad.export import dimensions, write_step, write_stl
+    from cad.export import dimensions
     from cad.mesh.tessellate import tessellate_solid
     from cad.preview import write_preview
+    from sensors.assembly import gel_layers, sensor_parts
 
     part = pad.labelled_solid()
+    assembly = None
+    if "assembly" in parts or "drawing" in parts:
+        with _hint(parts, "assembly"):
+            assembly = sensor_parts(family.name, parameters, part)
+    layers = gel_layers(pad, part)
     tell("mesh")
     if mesher == "tetwild":
         from cad.mesh.tetrahedralize import tetwild_gel_mesh
 
-        mesh = tetwild_gel_mesh(pad, edge_mm, part=part)
+        mesh = tetwild_gel_mesh(pad, edge_mm, part=part, picture_folder=refused_folder(out_dir))
     else:
         mesh = gel_mesh(pad, edge_mm)
     tell("quality")
     surface = tessellate_solid(part)
-    quality = measure_quality(mesh, pad, cad_volume_mm3=part.solid.volume, cad_surface=surface)
-    require_quality(mesh, quality)
+    quality = measure_quality(mesh, pad, cad_volume_mm3=part.volume_mm3, cad_surface=surface)
+    gate = QualityGate().at_edge(edge_mm)
+    require_quality(mesh, quality, gate, picture_folder=refused_folder(out_dir))
     profile = designed_profile(family, parameters, mesh, quality, mesher=mesher)
     tell("files")
     out_dir = Path(out_dir)
     names = {
-        "step": "pad.step",
-        "stl": "pad.stl",
         "mesh": "pad.vtu",
         "quality": "quality.json",
         "parameters": "parameters.json",
@@ -98,8 +116,21 @@ def design_sensor(
         "profile": "profile",
     }
     with atomic_directory(out_dir) as folder:
-        write_step(part, folder / names["step"], name=f"{family.name}_gel_pad")
-        write_stl(surface, folder / names["stl"])
+        workshop = Workshop(
+            name=family.name,
+            folder=folder,
+            gel=part,
+            surface=surface,
+            layers=layers,
+            assembly=assembly,
+            table=_table(pad),
+        )
+        for kind in WORKSHOP_PARTS:
+            if kind in parts:
+                tell(kind)
+                with _hint(parts, kind):
+                    workshop.write((kind,), mould_options)
+        tell("files")
         write_mesh_vtu(folder / names["mesh"], mesh)
         write_preview(mesh, folder / names["preview"], title=f"{family.name} ({mesher} mesh)")
         save_profile(profile, folder / names["profile"])
@@ -115,6 +146,7 @@ def design_sensor(
                 "title": family.title,
                 "parameters": parameters.describe(),
                 "part": dimensions(part, pad),
+                "warnings": workshop.warnings,
                 "references": list(family.references),
             },
         )
@@ -127,12 +159,34 @@ def design_sensor(
         profile=profile,
         mesher=mesher,
         out_dir=out_dir,
-        files={kind: out_dir / name for kind, name in names.items()},
+        files={kind: out_dir / name for kind, name in {**workshop.files, **names}.items()},
         seconds=seconds,
+        warnings=workshop.warnings,
     )
 
 
-class _StageClock:
+def refused_folder(out_dir: Path | str) -> Path:
+    """Where the picture of a refused mesh goes: beside the folder that was not written."""
+    out_dir = Path(out_dir)
+    return out_dir.with_name(f"{out_dir.name}_refused")
+
+
+def _table(pad: Pad) -> dict[str, tuple[float | int | str, str]]:
+    """Parameters of the pad for the table of a drawing."""
+    return {name: (item["value"], item["unit"]) for name, item in pad.describe().items()}
+
+
+@contextmanager
+def _hint(parts: Sequence[str], kind: str) -> Iterator[None]:
+    """Add to an error how to leave out what cannot be built."""
+    try:
+        yield
+    except InputError as error:
+        others = " ".join(["--parts", *(part for part in parts if part != kind)])
+        raise InputError(f"{error} (or leave the {kind} out: {others})") from error
+
+
+class StageClock:
     """Times the stages and tells who listens which one begins; None ends the last."""
 
     def __init__(self, seconds: dict[str, float], listener: Callable[[str], None] | None) -> None:
@@ -143,7 +197,7 @@ class _StageClock:
     def __call__(self, stage: str | None) -> None:
         now = time.perf_counter()
         if self._stage is not None:
-            self._seconds[self._stage] = now - self._began
+            self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now - self._began
         self._stage, self._began = stage, now
         if stage is not None and self._listener is not None:
             self._listener(stage)

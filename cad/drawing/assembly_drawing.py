@@ -40,7 +40,8 @@ def write_assembly_drawing(
         return float(origin[0] + scale * u), float(origin[1] + scale * v)
 
     for k, (part, cut) in enumerate(cuts):
-        fill = to_hex(0.55 + 0.45 * np.array(part.color))
+        r, g, b = (0.55 + 0.45 * c for c in part.color)
+        fill = to_hex((r, g, b))
         for loops in cut.faces:
             sheet.area(
                 [origin + scale * loop for loop in loops], fill=fill, width=THIN * 1.4,

@@ -14,8 +14,8 @@ import math
 from dataclasses import dataclass
 
 from build123d import Face, Location, Plane, Pos, Solid, Vector, Wire
-from OCP.BRepFeat import BRepFeat_SplitShape
 
+from cad.parts.imprint import imprint
 from cad.parts.outline import grown, prism, rounded_rectangle
 from cad.parts.part import Part
 from taccel_lab.errors import InputError
@@ -114,10 +114,7 @@ def _with_patch(plate: Solid, shape: WindowShape) -> Solid:
     wire = Wire.make_polygon(corners, close=True)
     if not all(inside) or front.outer_wire().distance_to(wire) < MIN_BOND_MM:
         return plate
-    split = BRepFeat_SplitShape(plate.wrapped)
-    split.Add(wire.wrapped, front.wrapped)
-    split.Build()
-    return Solid.cast(split.Shape()).solids()[0]
+    return imprint(plate, front, wire)
 
 
 def _plate_face(shape: WindowShape, face: Face) -> str:

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from build123d import Face, GeomType, Solid, Vector, Wire
 from OCP.BRepBuilderAPI import BRepBuilderAPI_Transform
-from OCP.BRepFeat import BRepFeat_SplitShape
 from OCP.gp import gp_Trsf
 
 from cad.mesh.surface import LabelledSurface
 from cad.mesh.tessellate import tessellate_solid
 from cad.mesh.units import check_units
+from cad.parts.imprint import imprint
 from cad.parts.labelled_solid import LabelledSolid
 from cad.step_import.checks import check_solid, check_thickness, one_solid
 from cad.step_import.reader import read_step
@@ -225,10 +225,7 @@ def _with_window(part: LabelledSolid, size_mm: tuple[float, float], path: Path) 
 
 
 def _split(part: LabelledSolid, face: Face, wire: Wire) -> LabelledSolid:
-    splitter = BRepFeat_SplitShape(part.solid.wrapped)
-    splitter.Add(wire.wrapped, face.wrapped)
-    splitter.Build()
-    solid = Solid.cast(splitter.Shape()).solids()[0]
+    solid = imprint(part.solid, face, wire)
     old = list(zip(part.solid.faces(), part.regions, strict=True))
     regions = []
     for new in solid.faces():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab design``: a sensor's gel pad as CAD files, labelled mesh and profile."""
+"""``taccel-lab design``: a sensor as CAD files, moulds, drawings, labelled mesh and profile."""
 
 from __future__ import annotations
 
@@ -19,13 +19,17 @@ _STAGES = {
     "cad": "building the solid",
     "mesh": "meshing",
     "quality": "measuring the mesh",
+    "pad": "writing the gel pad",
+    "assembly": "joining the parts",
+    "mould": "building the moulds",
+    "drawing": "drawing",
     "files": "writing files",
 }
 
 
 @dataclass(frozen=True)
 class Design:
-    """Build a sensor's gel pad: STEP, STL, labelled tet mesh (VTU), mesh quality, profile."""
+    """Build a sensor: gel, assembly, moulds, drawings, labelled tet mesh (VTU), profile."""
 
     sensor: Positional[str]
     """Sensor of the catalogue, e.g. gelsight."""
@@ -37,6 +41,14 @@ class Design:
     """structured: exact, repeatable, at once. tetwild: follows free-form edges, takes longer."""
     edge_mm: float = 1.0
     """Wanted edge length of the mesh [mm]."""
+    parts: tuple[Literal["pad", "assembly", "mould", "drawing"], ...] = (
+        "pad",
+        "assembly",
+        "mould",
+        "drawing",
+    )
+    """Files for the workshop: pad as STEP, STL, 3MF and DXF; all parts in place; moulds for casting
+    the gel; dimensioned drawings."""
 
     def run(self) -> None:
         from rich.console import Console
@@ -54,6 +66,7 @@ class Design:
                 self.out,
                 self.mesher,
                 self.edge_mm,
+                parts=self.parts,
                 progress=lambda stage: status.update(_STAGES[stage]),
             )
         _print_result(console, result)
@@ -82,4 +95,6 @@ def _print_result(console: Console, result: DesignResult) -> None:
         table.add_row(name, "-" if value is None else format(value, style), unit)
     console.print(table)
     for kind, path in result.files.items():
-        console.print(f"{kind:>11}  {path}", highlight=False, soft_wrap=True)
+        console.print(f"{kind:>16}  {path}", highlight=False, soft_wrap=True)
+    for words in result.warnings:
+        console.print(f"note: {words}", highlight=False, soft_wrap=True)

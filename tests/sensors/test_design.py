@@ -24,7 +24,12 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> DesignResult:
 
 def test_every_file_is_there(result: DesignResult) -> None:
     assert set(result.files) == {
-        "step", "stl", "mesh", "quality", "parameters", "preview", "profile",
+        "mesh", "quality", "parameters", "preview", "profile",
+        "step", "stl", "3mf", "dxf",
+        "assembly", "assembly_report", "window_step", "window_stl", "housing_step", "housing_stl",
+        "cover_step", "cover_stl",
+        "mould_cavity", "mould_lid", "mould_3mf", "mould_report",
+        "drawing", "drawing_pdf", "assembly_drawing",
     }  # fmt: skip
     for path in result.files.values():
         assert path.exists(), path
@@ -39,7 +44,39 @@ def test_quality_file_holds_the_measured_figures(result: DesignResult) -> None:
     assert abs(written["volume_error_percent"]) < 0.5
     assert written["hausdorff_mm"] < 0.1
     assert written["back_plane_error_mm"] < 1e-9
-    assert set(written["seconds"]) == {"cad", "mesh", "quality", "files"}
+    assert set(written["seconds"]) == {
+        "cad", "mesh", "quality", "pad", "assembly", "mould", "drawing", "files",
+    }  # fmt: skip
+    assert all(value > 0 for value in written["seconds"].values())
+
+
+def test_reports_of_assembly_and_mould_hold_their_checks(result: DesignResult) -> None:
+    assembly = json.loads(result.files["assembly_report"].read_text())
+    assert all(c["overlap_mm3"] < 1e-3 for c in assembly["clearances"] if not c["placeholder"])
+    assert assembly["parts"]["window"]["position_mm"] == pytest.approx([0, 0, -4.5])
+    assert assembly["parts"]["window"]["joints"] == ["bond", "seat"]
+    mould = json.loads(result.files["mould_report"].read_text())["mould"]
+    grown = mould["gel_volume_mm3"] + mould["shrinkage_volume_mm3"] + mould["draft_volume_mm3"]
+    assert mould["cavity_volume_mm3"] == pytest.approx(grown, rel=1e-5)
+    assert mould["options"]["draft_deg"]["value"] == 2.0
+    assert mould["gates"][0]["kind"] == "pour"
+
+
+def test_files_for_the_workshop_can_be_left_out(tmp_path: Path) -> None:
+    found = design_sensor(FAMILY, None, tmp_path / "out", edge_mm=1.5, parts=())
+    assert set(found.files) == {"mesh", "quality", "parameters", "preview", "profile"}
+    with pytest.raises(InputError, match=r"parts engine do not exist; use any of pad, assembly"):
+        design_sensor(FAMILY, None, tmp_path / "other", parts=("engine",))
+    assert not (tmp_path / "other").exists()
+
+
+def test_what_cannot_be_built_says_how_to_leave_it_out(tmp_path: Path) -> None:
+    overrides = {"housing_x_mm": 24.2}
+    with pytest.raises(
+        InputError, match=r"size_mm x = 24\.2 .*leave the assembly out: --parts pad"
+    ):
+        design_sensor(FAMILY, overrides, tmp_path / "out", parts=("pad", "assembly"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_parameters_tell_defaults_from_overrides(result: DesignResult) -> None:
@@ -94,12 +131,16 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
             "rim_mm=0.4",
             "--edge-mm",
             "2",
+            "--parts",
+            "pad",
+            "drawing",
         ],
     )
     command.run()
     printed = capsys.readouterr().out
     assert "smallest dihedral angle" in printed and "pad.step" in printed
     assert json.loads((out / "parameters.json").read_text())["part"]["pad"]["rim"] == "chamfer"
+    assert (out / "drawing.svg").exists() and not (out / "mould_cavity.step").exists()
 
 
 def test_command_line_refuses_unknown_sensor(tmp_path: Path) -> None:

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A user's own gel from a STEP file as the same files that a design gives, without a profile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
+from sensors.design import StageClock, refused_folder
+from sensors.workshop import Workshop, check_parts
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.vtu import write_mesh_vtu
+from taccel_lab.output import atomic_directory, require_replaceable, write_json
+
+if TYPE_CHECKING:
+    from cad.moulds import MouldOptions
+    from cad.step_import import FaceSelection, ImportedGel
+
+IMPORT_PARTS = ("pad", "mould", "drawing")
+"""Files for the workshop that an imported gel can have."""
+
+
+@dataclass(frozen=True)
+class ImportResult:
+    """What ``import_design`` made."""
+
+    gel: ImportedGel
+    mesh: TetMesh
+    quality: MeshQuality
+    out_dir: Path
+    files: dict[str, Path]
+    """Written files by kind."""
+    seconds: dict[str, float]
+    """Time of each stage [s]."""
+
+
+def import_design(
+    path: Path | str,
+    selection: FaceSelection,
+    out_dir: Path | str,
+    edge_mm: float = 1.0,
+    *,
+    parts: Sequence[str] = IMPORT_PARTS,
+    mould_options: MouldOptions | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> ImportResult:
+    """Import the gel of a STEP file, mesh it with fTetWild and write everything to ``out_dir``.
+
+    Besides ``parts``: the labelled mesh, its quality, a picture, and gel.json, which says what was
+    selected and how the file's frame became the gel frame.
+    """
+    check_parts(parts)
+    if "assembly" in parts:
+        raise InputError(
+            f"an imported gel has no assembly; parts are any of {', '.join(IMPORT_PARTS)}"
+        )
+    require_replaceable(out_dir)
+    seconds: dict[str, float] = {}
+    tell = StageClock(seconds, progress)
+    tell("import")
+    from cad.export import dimensions
+    from cad.mesh.tetrahedralize import tetwild_mesh
+    from cad.preview import write_preview
+    from cad.step_import import import_gel
+
+    gel = import_gel(path, selection)
+    tell("mesh")
+    refused = refused_folder(out_dir)
+    mesh = tetwild_mesh(gel.surface, edge_mm, picture_folder=refused)
+    tell("quality")
+    quality = measure_quality(
+        mesh, None, cad_volume_mm3=gel.part.volume_mm3, cad_surface=gel.surface
+    )
+    gate = QualityGate().at_edge(edge_mm)
+    require_quality(mesh, quality, gate, picture_folder=refused)
+    tell("files")
+    out_dir = Path(out_dir)
+    names = {
+        "mesh": "pad.vtu",
+        "quality": "quality.json",
+        "gel": "gel.json",
+        "preview": "preview.png",
+    }
+    with atomic_directory(out_dir) as folder:
+        workshop = Workshop(gel.name, folder, gel.part, gel.surface, {"gel": gel.part})
+        for kind in parts:
+            tell(kind)
+            workshop.write((kind,), mould_options)
+        tell("files")
+        write_mesh_vtu(folder / names["mesh"], mesh)
+        write_preview(mesh, folder / names["preview"], title=f"{gel.name} (tetwild mesh)")
+        tell(None)
+        write_json(
+            folder / names["quality"],
+            {"mesher": "tetwild", "edge_mm": edge_mm, **quality.to_json(), "seconds": seconds},
+        )
+        write_json(folder / names["gel"], _description(Path(path), selection, gel, dimensions))
+    return ImportResult(
+        gel=gel,
+        mesh=mesh,
+        quality=quality,
+        out_dir=out_dir,
+        files={kind: out_dir / name for kind, name in {**workshop.files, **names}.items()},
+        seconds=seconds,
+    )
+
+
+def _description(
+    path: Path,
+    selection: FaceSelection,
+    gel: ImportedGel,
+    dimensions: Callable[..., dict[str, Any]],
+) -> dict[str, Any]:
+    """What was read, selected and moved, as plain values."""
+    return {
+        "file": path.name,
+        "body": gel.name,
+        "selection": {**vars(selection)},
+        "gel_from_file": {"rotation_and_scale": gel.rotation, "shift_mm": gel.shift_mm},
+        "min_thickness_mm": gel.min_thickness_mm,
+        "thickness_mm": gel.thickness_mm,
+        "part": dimensions(gel.part),
+        "faces": [vars(face) for face in gel.faces],
+    }

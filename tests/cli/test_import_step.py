@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab import-step`` lists faces and hands its options to the importer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cad.export import write_step
+from cad.parts.gel_pad import GelPad
+from cad.step_import import FaceSelection
+from taccel_lab.cli.app import main, parse
+
+
+@pytest.fixture
+def step(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.step"
+    write_step(GelPad().labelled_solid(), path)
+    return path
+
+
+def test_without_out_the_faces_are_listed(step: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["import-step", str(step)]) == 0
+    printed = capsys.readouterr().out
+    assert "middle [mm], outward normal" in printed
+    for name in ("contact", "bond", "window", "side"):
+        assert f"  {name}\n" in printed
+    assert len(printed.splitlines()) == 12
+
+
+def test_options_override_the_selection_file(
+    step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Any] = []
+
+    def stop(path: Path, selection: FaceSelection, *args: object, **_: object) -> None:
+        seen.append((path, selection, args))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sensors.imported.import_design", stop)
+    file = tmp_path / "faces.toml"
+    file.write_text('contact = "normal:+y"\nbond = "plane:-y"\nnormal = "+y"\n')
+    arguments = [
+        "import-step", str(step), "--out", str(tmp_path / "out"), "--select", str(file),
+        "--bond", "index:0", "index:2", "--window", "rect:18x14", "--edge-mm", "1.5",
+    ]  # fmt: skip
+    assert main(arguments) == 130
+    ((path, selection, rest),) = seen
+    assert path == step and rest == (tmp_path / "out", 1.5)
+    assert selection == FaceSelection(
+        contact=("normal:+y",), bond=("index:0", "index:2"), window=("rect:18x14",), normal="+y"
+    )
+
+
+def test_bad_input_is_told_without_a_traceback(
+    step: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "out")
+    assert main(["import-step", str(step), "--out", out, "--contact", "name:top"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: ") and "names in the file: bond, contact, side, window" in told
+    assert main(["import-step", str(tmp_path / "no.step")]) == 2
+    assert main(["import-step", str(step), "--out", out, "--select", "no.toml"]) == 2
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(SystemExit):
+        parse(["import-step", str(step), "--parts", "assembly"])

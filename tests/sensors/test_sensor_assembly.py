@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every sensor of the catalogue becomes an assembly whose parts do not interpenetrate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cad.assembly import require_no_overlap
+from cad.moulds import casting_moulds
+from sensors.assembly import camera_shape, gel_layers, led_shapes, sensor_parts
+from sensors.registry import sensor_families, sensor_family
+from taccel_lab.optics.description import Camera, Light
+
+FAMILIES = sorted(sensor_families())
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_parts_fit(name: str) -> None:
+    parameters = sensor_family(name).parameters()
+    pad, optics = parameters.pad(), parameters.optics()
+    gel = pad.labelled_solid()
+    assembly = sensor_parts(name, parameters, gel)
+    clearances = assembly.clearances()
+    require_no_overlap(clearances)
+    touching = {(c.first, c.second) for c in clearances if c.gap_mm == 0}
+    layers = [part for part in assembly.parts if part.gel]
+    assert sum(part.solid.volume for part in layers) == pytest.approx(gel.volume_mm3, rel=2e-3)
+    if optics is not None and optics.window is not None:
+        assert (layers[0].name, "window") in touching
+        assert ("window", "housing") in touching
+        window = assembly.part("window").solid
+        assert window.location.position.Z == pytest.approx(-pad.thickness_mm)
+    else:
+        assert (layers[0].name, "housing") in touching
+    if optics is not None:
+        camera = assembly.part("camera").solid.location.position
+        assert tuple(camera) == pytest.approx(optics.camera.position_mm, abs=1e-9)
+        assert sum(part.name.startswith("led_") for part in assembly.parts) == len(optics.lights)
+    housing = parameters.housing()
+    assert housing is not None
+    box = assembly.part("housing").solid.bounding_box()
+    cover = assembly.part("cover").solid.bounding_box()
+    assert (box.size.X, box.size.Y) == pytest.approx(housing.size_mm[:2], abs=1e-6)
+    assert box.max.Z - cover.min.Z == pytest.approx(housing.size_mm[2], abs=1e-6)
+    for part in assembly.parts:
+        assert part.solid.is_valid, part.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FAMILIES)
+def test_gels_can_be_cast(name: str) -> None:
+    pad = sensor_family(name).parameters().pad()
+    gel = pad.labelled_solid()
+    layers = gel_layers(pad, gel)
+    found = casting_moulds(gel, layers)
+    assert len(found) == len(layers)
+    for mould, report in found:
+        assert mould.cavity.solid.is_valid and mould.lid.solid.is_valid
+        assert report.undercut_mm2 < 0.05 and report.overlap_mm3 < 1e-3
+
+
+def test_two_layers_are_two_parts_that_fill_the_gel() -> None:
+    parameters = sensor_family("9dtact").parameters()
+    pad = parameters.pad()
+    gel = pad.labelled_solid()
+    layers = gel_layers(pad, gel)
+    assert list(layers) == list(pad.layer_names) == ["gel", "skin"]
+    volumes = [layer.volume_mm3 for layer in layers.values()]
+    assert sum(volumes) == pytest.approx(gel.volume_mm3, rel=1e-6)
+    names = {part.name: set(part.face_names) for part in sensor_parts("s", parameters).parts[:2]}
+    assert names["gel"] == {"bond", "window", "side"}
+    assert names["skin"] == {"bond", "contact", "side"}
+
+
+def test_poses_turn_as_the_optics_do() -> None:
+    half = np.sqrt(0.5)
+    camera = Camera(
+        640, 480, 500.0, 500.0, 319.5, 239.5, (1.0, 2.0, -30.0), rotation=(half, 0.0, 0.0, half)
+    )
+    pose = camera_shape(camera).pose
+    turn = camera.gel_from_camera()
+    assert pose.z_axis == pytest.approx(tuple(turn[:, 2]))
+    assert pose.x_axis == pytest.approx(tuple(turn[:, 0]))
+    up = Light((0.0, 0.0, -5.0), (0.0, 0.0, 1.0), (1.0, 0.5, 0.0), name="a")
+    side = Light((5.0, 0.0, -5.0), (-1.0, 0.0, 0.0), (0.0, 0.2, 0.0), (3.0, 1.0), name="a")
+    first, second = led_shapes((up, side))
+    assert [first.name, second.name] == ["led_a", "led_a_1"]
+    assert first.size_mm == (0.5, 0.5) and second.size_mm == (3.0, 1.0)
+    assert first.color == (1.0, 0.5, 0.0) and second.color == (0.0, 1.0, 0.0)
+    # The width lies in the xy plane.
+    assert second.pose.x_axis == pytest.approx((0, -1, 0)) or second.pose.x_axis[2] == 0
