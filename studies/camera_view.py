@@ -21,8 +21,11 @@ _DENTED = 0.1
 """Part of the largest dent from which a pixel counts as dented."""
 
 
-def view_model(parameters: FamilyParameters, record: PressRecord | None = None) -> OpticalModel:
-    """Optical model of a design, on the mesh of a press or on the even mesh of its pad.
+def view_model(
+    parameters: FamilyParameters, record: PressRecord | None = None, *, markers: bool = True
+) -> OpticalModel:
+    """Optical model of a design, on the mesh of a press or on the even mesh of its pad, with its
+    markers or without.
 
     Raises Unavailable for a family without optics.
     """
@@ -36,12 +39,13 @@ def view_model(parameters: FamilyParameters, record: PressRecord | None = None) 
     scale = min(1.0, VIEW_PX / max(width, height))
     size = (max(2, round(width * scale)), max(2, round(height * scale)))
     mesh = gel_mesh(parameters.pad()) if record is None else record.mesh
-    return OpticalModel(design, mesh, size_px=size, markers=parameters.markers())
+    dots = parameters.markers() if markers else None
+    return OpticalModel(design, mesh, size_px=size, markers=dots)
 
 
 def photometry(parameters: FamilyParameters) -> Photometry:
     """Photometric figures of the untouched gel, without its markers."""
-    return view_model(parameters).photometry()
+    return view_model(parameters, markers=False).photometry()
 
 
 def picture_change(model: OpticalModel, record: PressRecord, steps: list[int]) -> np.ndarray:

@@ -41,6 +41,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.doctor import Doctor
     from taccel_lab.cli.import_step import ImportStep
     from taccel_lab.cli.press import Press
+    from taccel_lab.cli.preview import Preview
     from taccel_lab.cli.profile import ProfileShow, ProfileValidate
     from taccel_lab.cli.sensors import SensorsList, SensorsShow
     from taccel_lab.cli.study import Study
@@ -58,6 +59,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(name="demo")(Demo)
     app.command(name="design")(Design)
     app.command(name="import-step")(ImportStep)
+    app.command(name="preview")(Preview)
     app.command(name="press")(Press)
     app.command(calibrate, name="calibrate", help="Fit a block of a profile to real captures.")
     app.command(profile, name="profile", help="Show or check an exported sensor profile.")

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One design before it is built: the pictures of its camera, photometric figures, a few presses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from studies.camera_view import photometry
+from studies.design_point import DesignPoint, DesignResult
+from studies.evaluate import Progress, evaluate_designs
+from studies.metrics import METRICS, Metric
+from studies.press_record import PressRecord
+from studies.presses import standard_presses
+from taccel_lab.errors import InputError
+from taccel_lab.report.style import BLUE, in_report_style, new_figure, save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from sensors.base import FamilyParameters, SensorFamily
+    from taccel_lab.optics.frames import LightField, PreviewImage
+    from taccel_lab.optics.photometry import Photometry
+    from taccel_lab.optics.render import OpticalModel
+
+_GAIN = 3.0
+"""By how much the picture of the change is amplified."""
+
+
+@dataclass(frozen=True)
+class DesignPreview:
+    """What can be said of a design without building it."""
+
+    family: SensorFamily
+    parameters: FamilyParameters
+    rest: PreviewImage
+    light: LightField
+    photometry: Photometry
+    pressed: PreviewImage | None
+    """At full depth of the first press; None without presses."""
+    rest_of_press: PreviewImage | None
+    """The same sensor untouched, on the mesh of the press."""
+    record: PressRecord | None
+    result: DesignResult
+    metrics: tuple[Metric, ...]
+    """Those that the presses feed, in order."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Figures with units, causes of missing ones, photometry, force curves."""
+        return {
+            "sensor": self.family.name,
+            "parameters": self.parameters.values(),
+            "figures": {
+                metric.name: {
+                    "value": self.result.figures.get(metric.name),
+                    "unit": metric.unit,
+                    "description": metric.description,
+                    "cause": self.result.causes.get(metric.name),
+                }
+                for metric in self.metrics
+            },
+            "photometry": self.photometry.to_json(),
+            "presses": self.result.curves,
+            "causes": self.result.causes,
+            "simulations": self.result.simulations,
+        }
+
+
+def preview_design(
+    family: SensorFamily,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    presses: Sequence[str] = ("sphere",),
+    size_px: int = 640,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> DesignPreview:
+    """Render a design untouched and pressed, and compute what its presses tell.
+
+    Args:
+        family: Sensor of the catalogue.
+        overrides: Parameters other than the defaults.
+        presses: Names of standard presses; the picture shows the first one.
+        size_px: Longest side of the pictures.
+        device: Warp device.
+        progress: As of ``evaluate_designs``.
+
+    Raises:
+        InputError: Parameters out of bounds, a family without optics, an unknown press.
+    """
+    from cad.mesh.gel_mesh import gel_mesh
+
+    chosen = standard_presses(list(presses))
+    parameters = family.parameters(overrides)
+    model = _model(parameters, gel_mesh(parameters.pad()), size_px, device)
+    metrics = tuple(m for m in METRICS.values() if set(m.presses) <= set(presses))
+    point = DesignPoint("design", family.name, dict(overrides or {}))
+    (result,) = evaluate_designs([point], chosen, metrics, device=device, progress=progress)
+    record = next((r for made in result.records.values() for r in made if r.down.stop), None)
+    pressed = rest_of_press = None
+    if record is not None:
+        on_press = _model(parameters, record.mesh, size_px, device)
+        rest_of_press = on_press.render(record.rest_m)
+        pressed = on_press.render(record.positions_m(record.down.stop - 1))
+    return DesignPreview(
+        family, parameters, model.render(), model.light_field(), photometry(parameters), pressed,
+        rest_of_press, record, result, metrics,
+    )  # fmt: skip
+
+
+def write_preview(preview: DesignPreview, folder: Path) -> dict[str, Path]:
+    """Write pictures and figures into a folder; names by kind."""
+    from PIL import Image
+
+    from taccel_lab.output import write_json
+
+    files = {"figures": folder / "preview.json", "overview": folder / "overview.png"}
+    write_json(files["figures"], preview.to_json())
+    save_figure(draw_preview(preview), files["overview"])
+    images = {"rest": preview.rest, "pressed": preview.pressed}
+    for name, image in images.items():
+        if image is not None:
+            files[name] = folder / f"{name}.png"
+            Image.fromarray(image.rgb).save(files[name])
+    return files
+
+
+@in_report_style
+def draw_preview(preview: DesignPreview) -> Figure:
+    """Pictures above, maps and force curves below."""
+    figure, axes = new_figure(11.5, 7.0, 2, 3)
+    _show(axes[0, 0], preview.rest.rgb, "untouched")
+    _draw_press(axes[0, 1], axes[0, 2], preview)
+    _draw_maps(figure, axes[1, 0], axes[1, 1], preview)
+    _draw_forces(axes[1, 2], preview)
+    given = preview.result.point.parameters
+    changed = ", ".join(f"{name} = {value}" for name, value in given.items()) or "defaults"
+    name = preview.family.name
+    figure.suptitle(f"{name}, {changed}: predicted by the optical model, not captured")
+    return figure
+
+
+def _model(parameters: FamilyParameters, mesh: Any, size_px: int, device: str) -> OpticalModel:
+    from taccel_lab.optics.render import OpticalModel
+
+    design = parameters.optics()
+    if design is None:
+        raise InputError("the family has no optical model: there is nothing to preview")
+    if not 32 <= size_px <= 4096:
+        raise InputError(f"the size of a preview must lie in [32, 4096] px, got {size_px}")
+    width, height = design.camera.width_px, design.camera.height_px
+    scale = size_px / max(width, height)
+    size = (max(2, round(width * scale)), max(2, round(height * scale)))
+    markers = parameters.markers()
+    return OpticalModel(design, mesh, size_px=size, markers=markers, device=device)
+
+
+def _show(axes: Any, image: np.ndarray, title: str) -> None:
+    axes.imshow(image)
+    axes.set_title(title)
+    axes.set_axis_off()
+
+
+def _draw_press(picture: Any, change: Any, preview: DesignPreview) -> None:
+    if preview.pressed is None or preview.rest_of_press is None or preview.record is None:
+        for axes in (picture, change):
+            axes.text(0.5, 0.5, "no press", ha="center", va="center")
+            axes.set_axis_off()
+        return
+    record = preview.record
+    step = record.down.stop - 1
+    force = float(record.force_n[step, 2])
+    _show(
+        picture,
+        preview.pressed.rgb,
+        f"{record.indenter}, {record.depth_mm[step]:.2g} mm deep, {force:.2g} N",
+    )
+    moved = preview.pressed.rgb.astype(float) - preview.rest_of_press.rgb
+    _show(
+        change,
+        np.clip(128 + _GAIN * moved, 0, 255).astype(np.uint8),
+        f"change, {_GAIN:g} times, on grey",
+    )
+
+
+def _draw_maps(figure: Figure, size: Any, evenness: Any, preview: DesignPreview) -> None:
+    from taccel_lab.optics.photometry import pixel_footprint
+
+    across, down, _ = pixel_footprint(preview.light.points_mm)
+    shown = size.imshow(np.sqrt(across * down), cmap="viridis")
+    figure.colorbar(shown, ax=size, shrink=0.8)
+    size.set_title("size of a pixel on the gel [mm]")
+    light = preview.light.irradiance().mean(axis=-1)
+    light = np.where(preview.light.mask, light, np.nan)
+    shown = evenness.imshow(light / np.nanmean(light), cmap="magma", vmin=0)
+    figure.colorbar(shown, ax=evenness, shrink=0.8)
+    evenness.set_title("light on the coating over its mean")
+    for axes in (size, evenness):
+        axes.set_axis_off()
+
+
+def _draw_forces(axes: Any, preview: DesignPreview) -> None:
+    for k, (name, made) in enumerate(preview.result.records.items()):
+        for record in made:
+            depth = np.concatenate([[0.0], record.depth_mm[record.down]])
+            force = np.concatenate([[0.0], record.normal_n])
+            color = BLUE if len(preview.result.records) == 1 else f"C{k}"
+            label = name if record is made[0] else None
+            axes.plot(depth, force, "o-", markersize=3.5, color=color, label=label)
+    axes.set_title("normal force")
+    axes.set_xlabel("depth past first touch [mm]")
+    axes.set_ylabel("force [N]")
+    if preview.result.records:
+        axes.legend()
