@@ -72,10 +72,10 @@ class _Bench:
     level: tuple[float, float, float]
     """Medians of the real background: its exposure and white balance."""
 
-    def model(self, top: Any = None) -> OpticalModel:
+    def model(self) -> OpticalModel:
         return OpticalModel.from_formula(
             self.design,
-            top or self.top,
+            self.top,
             half_size_mm=self.half_mm,
             back_z_mm=self.back_z_mm,
             step_mm=STEP_MM,
@@ -150,9 +150,7 @@ def _compare_press(
     contact = min(radius * mm_per_px, 0.98 * press.ball_mm)
     center = (float(at[0]), float(at[1]))
     top = pressed_top(bench.top, center, contact, press.ball_mm, thin=press.thin_gel)
-    pressed = bench.model(top)
-    # Exposure is that of the untouched gel.
-    model = untouched.display.rgb(pressed.render().linear)
+    model = untouched.render_formula(top).rgb
     real = tuple(_resized(image, bench.size_px) for image in (press.background, press.image))
     match = compare_press((real[0], real[1]), (preview.rgb, model), (u, v), radius)
     return match, (real[1], model)

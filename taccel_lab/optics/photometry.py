@@ -79,7 +79,7 @@ class Photometry:
 def measure_photometry(model: OpticalModel) -> Photometry:
     """Figures of the untouched gel of a model."""
     light = model.light_field()
-    preview = model.render()
+    preview = model.picture(light)
     mask = light.mask
     linear = preview.linear[mask].astype(np.float64)
     mean = linear.mean(axis=0)

@@ -96,6 +96,7 @@ class OpticalModel:
         self.device = device
         self._shadows = shadows
         self._gel: GelFace | None = None
+        self._grid_mm: tuple[np.ndarray, np.ndarray] | None = None
         if mesh is not None:
             self._gel = GelFace(mesh)
             face, back_mm = self._gel.rest, glued_back_mm(mesh)
@@ -144,7 +145,9 @@ class OpticalModel:
         )
         corners = [[sx * x[-1], sy * y[-1], back_z_mm] for sx in (-1, 1) for sy in (-1, 1)]
         face = height_face(top_mm, x, y)
-        return cls(design, None, face=face, back_mm=np.array(corners), **options)
+        model = cls(design, None, face=face, back_mm=np.array(corners), **options)
+        model._grid_mm = (x, y)
+        return model
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -159,16 +162,26 @@ class OpticalModel:
                 numpy or Warp array; at rest when None.
         """
         if positions_m is None:
-            return self._preview(self.light_field())
+            return self.picture(self.light_field())
         positions = positions_m.numpy() if hasattr(positions_m, "numpy") else positions_m
         positions = np.asarray(positions, dtype=np.float64)
         if positions.ndim == 2:
-            return self._preview(self.light_field(positions))
+            return self.picture(self.light_field(positions))
         if positions.ndim != 3 or len(positions) == 0:
             raise InputError(f"positions has shape {positions.shape}; [env, node, 3] is needed")
-        frames = [self._preview(self.light_field(env)) for env in positions]
+        frames = [self.picture(self.light_field(env)) for env in positions]
         names = ("rgb", "linear", "mask", "points_mm", "normals")
         return PreviewImage(*(np.stack([getattr(f, name) for f in frames]) for name in names))
+
+    def render_formula(self, top_mm: Callable[[np.ndarray], np.ndarray]) -> PreviewImage:
+        """The image of another face, such as a pressed one, of a model made ``from_formula``; its
+        formula has to be defined where the model's is."""
+        if self._grid_mm is None:
+            raise InputError("a model made from a mesh takes node positions, not a formula")
+        face = height_face(top_mm, *self._grid_mm)
+        if not np.array_equal(face.triangles, self.rest_face.triangles):
+            raise InputError("the formula is defined elsewhere than that of the untouched gel")
+        return self.picture(self._light_of(face))
 
     def light_field(self, positions_m: np.ndarray | None = None) -> LightField:
         """Light on what each pixel sees, for node positions [m] of one environment or at rest."""
@@ -177,6 +190,9 @@ class OpticalModel:
             if self._gel is None:
                 raise InputError("a model made from a formula has no nodes to move")
             face = self._gel.at(positions_m)
+        return self._light_of(face)
+
+    def _light_of(self, face: FineFace) -> LightField:
         self._place(face)
         width, height = self.size_px
         count = width * height
@@ -262,7 +278,8 @@ class OpticalModel:
             albedo = turbid_reflectance(albedo, scattering * depth)
         return albedo
 
-    def _preview(self, light: LightField) -> PreviewImage:
+    def picture(self, light: LightField) -> PreviewImage:
+        """The image of a light field."""
         linear = self._radiance(light)
         return PreviewImage(
             rgb=self.display.rgb(linear),

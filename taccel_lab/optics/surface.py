@@ -202,7 +202,7 @@ def height_face(
     triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     points = np.concatenate([xy, z[..., None]], axis=-1).reshape(-1, 3)
     normals = np.stack([-slopes[0], -slopes[1], np.ones_like(z)], axis=-1).reshape(-1, 3)
-    good = np.isfinite(np.concatenate([points, normals], axis=1)).all(axis=1)
+    good = np.isfinite(points.sum(axis=1) + normals.sum(axis=1))
     triangles = triangles[good[triangles].all(axis=1)]
     if len(triangles) == 0:
         raise InputError("the height formula is nowhere defined on the given grid")

@@ -251,6 +251,19 @@ def test_turbid_gel_over_black_skin_darkens_where_it_is_thin() -> None:
     assert image.linear[15, 20, 0] < 0.85 * whole.linear[15, 20, 0]
 
 
+def test_other_formulas_keep_the_exposure() -> None:
+    def lower(xy: np.ndarray) -> np.ndarray:
+        return np.full(xy.shape[:-1], -1.0)
+
+    optics = model(design(*two_lights(), window=PLATE))
+    pressed = optics.render_formula(lower)
+    assert np.nanmax(pressed.points_mm[..., 2]) == pytest.approx(-1.0, abs=1e-5)
+    alone = model(design(*two_lights(), window=PLATE), lower).render()
+    np.testing.assert_allclose(pressed.linear, alone.linear, rtol=1e-5)
+    assert (pressed.rgb != alone.rgb).any()
+    np.testing.assert_array_equal(optics.render().rgb, optics.picture(optics.light_field()).rgb)
+
+
 def test_exposure_puts_the_median_at_its_level() -> None:
     red, blue = two_lights()
     optics = design(red, replace(blue, rgb=(0.0, 0.1, 0.2)), window=PLATE)
@@ -284,5 +297,7 @@ def test_input_that_shows_nothing() -> None:
         model(looking_back)
     with pytest.raises(InputError, match="no nodes to move"):
         model(design(light)).render(np.zeros((4, 3)))
+    with pytest.raises(InputError, match="defined elsewhere"):
+        model(design(light)).render_formula(lambda xy: np.where(xy[..., 0] > 0, np.nan, 0.0))
     with pytest.raises(InputError, match="needs a mesh"):
         OpticalModel(design(light), None)
