@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Standard presses on coarse meshes in few steps, and pads on which closed forms hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import numpy as np
+
+from sensors.gelsight import GelSightParameters
+from studies.press_batch import simulate
+from studies.press_job import PressJob, press_jobs
+from studies.press_record import PressRecord
+from studies.presses import STANDARD_PRESSES, StandardPress
+
+COARSE: dict[str, Any] = {"cells": 2.5, "core": 4, "rings": 6, "layers": 2}
+THICK = {
+    "thickness_mm": 20.0, "length_x_mm": 60.0, "length_y_mm": 60.0, "crown_radius_mm": 0.0,
+    "friction": 0.0,
+}  # fmt: skip
+"""Nearly a half-space for a contact of a millimetre."""
+
+
+def coarse(press: str, /, **changes: Any) -> StandardPress:
+    """A standard press on a mesh of some hundred nodes."""
+    return dataclasses.replace(STANDARD_PRESSES[press], **{**COARSE, **changes})
+
+
+def jobs(press: StandardPress, **parameters: Any) -> list[PressJob]:
+    """Simulations of a press on a GelSight."""
+    return press_jobs(press, GelSightParameters(**parameters))
+
+
+def pressed(press: StandardPress, **parameters: Any) -> PressRecord:
+    """A GelSight pressed once, with the reference modulus."""
+    record = simulate(jobs(press, **parameters))[0].record
+    assert record.cause == ""
+    return record
+
+
+@functools.cache
+def sphere_on_gelsight() -> PressRecord:
+    """Three steps down on the default pad."""
+    return pressed(coarse("sphere", steps=3))
+
+
+def fake_record(**changes: Any) -> PressRecord:
+    """The default press with arrays of one's own."""
+    return dataclasses.replace(sphere_on_gelsight(), **changes)
+
+
+def down_record(depth_mm: list[float], normal_n: list[float], **changes: Any) -> PressRecord:
+    """A press straight down with these depths and forces."""
+    count = len(depth_mm)
+    real = sphere_on_gelsight()
+    force = np.zeros((count, 3))
+    force[:, 2] = normal_n
+    return fake_record(
+        depth_mm=np.array(depth_mm),
+        force_n=force,
+        **{
+            "shear_mm": np.zeros(count),
+            "twist_deg": np.zeros(count),
+            "torque_nm": np.zeros(count),
+            "bond_peak_pa": np.ones(count),
+            "moved_m": np.repeat(real.moved_m[-1:], count, axis=0),
+            **changes,
+        },
+    )

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metrics on made-up presses whose figures are known."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sensors.gelsight import GelSightParameters
+from studies.evidence import Evidence, at_load, contact_radius_mm, dent_mm
+from studies.metrics import METRICS, Unavailable
+from studies.metrics.edge_sharpness import rise_width
+from studies.metrics.hysteresis import lost_part
+from studies.metrics.two_point import contrast, sizes
+from studies.metrics.uniformity import variation
+from studies.press_record import PressRecord
+from studies.presses import STANDARD_PRESSES
+from tests.studies.quick import down_record, sphere_on_gelsight
+
+GELSIGHT = GelSightParameters()
+
+
+def figure(name: str, *records: PressRecord, load_n: float = 0.5) -> float:
+    press = METRICS[name].presses[0]
+    return METRICS[name].compute(Evidence(GELSIGHT, {press: list(records)}, load_n=load_n))
+
+
+def test_the_registry() -> None:
+    assert len(METRICS) >= 25
+    for name, metric in METRICS.items():
+        assert metric.name == name and metric.unit and metric.description
+        assert metric.better in ("higher", "lower", "none")
+        assert set(metric.presses) <= set(STANDARD_PRESSES)
+
+
+@given(
+    power=st.floats(0.3, 2.5), factor=st.floats(0.01, 10), load=st.floats(0.06, 1.0),
+)  # fmt: skip
+def test_power_laws_are_read_exactly(power: float, factor: float, load: float) -> None:
+    force = np.array([0.05, 0.2, 0.5, 1.0])
+    record = down_record([0.1, 0.2, 0.3, 0.4], force.tolist())
+    read = at_load(record, factor * force**power, load)
+    assert read == pytest.approx(factor * load**power, rel=1e-9)
+
+
+def test_loads_out_of_reach() -> None:
+    record = down_record([0.1, 0.2], [0.3, 0.4])
+    with pytest.raises(Unavailable, match=r"press sphere ends at 0\.4 N, below the load of 0\.5 N"):
+        at_load(record, np.ones(2), 0.5)
+    with pytest.raises(Unavailable, match=r"first step of press sphere has 0\.3 N"):
+        at_load(record, np.ones(2), 0.02)
+    with pytest.raises(Unavailable, match="does not rise"):
+        at_load(down_record([0.1, 0.2], [0.3, 0.3]), np.ones(2), 0.2)
+
+
+def test_stiffness_of_hertz() -> None:
+    depth = np.array([0.2, 0.4, 0.6, 0.8])
+    record = down_record(depth.tolist(), (2.0 * depth**1.5).tolist())
+    at = (0.5 / 2) ** (2 / 3)
+    assert figure("stiffness_secant", record) == pytest.approx(0.5 / at)
+    assert figure("stiffness_tangent", record) == pytest.approx(1.5 * 0.5 / at, rel=0.01)
+
+
+def test_stiffness_of_a_punch_starts_at_no_depth() -> None:
+    depth = np.array([0.1, 0.2, 0.3, 0.4])
+    record = down_record(depth.tolist(), (0.05 + 1.3 * depth + 0.4 * depth**2).tolist())
+    assert figure("stiffness_punch", record) == pytest.approx(1.3)
+    with pytest.raises(Unavailable, match="three are needed"):
+        figure("stiffness_punch", down_record([0.1, 0.2], [0.1, 0.2]))
+
+
+def test_force_range() -> None:
+    depth = np.linspace(0.25, 2.5, 10)
+    modulus = GELSIGHT.young_modulus_mpa / (1 - GELSIGHT.poisson_ratio**2)
+    hertz = 4 / 3 * modulus * math.sqrt(3) * depth**1.5
+    # As soft as a half-space, 5 mm thick: 40 % are 2 mm.
+    record = down_record(depth.tolist(), hertz.tolist(), thickness_mm=5.0)
+    assert figure("force_range", record) == pytest.approx(hertz[7])
+    # A thick gel was not pressed that deep.
+    thick = dataclasses.replace(record, thickness_mm=10.0)
+    assert figure("force_range", thick) == pytest.approx(hertz[-1] * (4 / 2.5) ** 1.5)
+    # One that stiffens by the cube is three times as stiff as Hertz's before.
+    cubic = 2 * modulus * depth**3
+    stiff = down_record(depth.tolist(), cubic.tolist(), thickness_mm=5.0)
+    limit = (2 * math.sqrt(3) * 3 / 6) ** (2 / 3)
+    assert figure("force_range", stiff) == pytest.approx(2 * modulus * limit**3, rel=0.1)
+
+
+def test_readings_of_a_real_press() -> None:
+    record = sphere_on_gelsight()
+    dent = dent_mm(record)
+    # Nodes of coarse elements hang below a ball that touches the middles of their edges.
+    assert dent == pytest.approx(record.depth_mm, abs=0.08)
+    radius = contact_radius_mm(record)
+    assert (np.diff(radius) > 0).all() and radius[-1] < 3.0
+    load = float(record.normal_n[-1])
+    assert figure("contact_area", record, load_n=load) == pytest.approx(math.pi * radius[-1] ** 2)
+    px = figure("sensitivity_px", record, load_n=load)
+    assert px == pytest.approx(radius[-1] / 0.0295 / load)
+    assert figure("sensitivity_um", record, load_n=load) == pytest.approx(dent[-1] * 1e3 / load)
+    assert 0 < figure("sensitivity_marker_px", record, load_n=load) * load * 0.0295 < 1.0
+    expected = record.bond_peak_pa[-1] * 1e-3
+    assert figure("bond_stress", record, load_n=load) == pytest.approx(expected)
+
+
+def test_presses_that_failed_or_are_missing_say_why() -> None:
+    lost = dataclasses.replace(sphere_on_gelsight(), cause="step 2 of 6: no luck")
+    with pytest.raises(Unavailable, match="press sphere: step 2 of 6: no luck"):
+        figure("contact_area", lost)
+    with pytest.raises(Unavailable, match="'sphere' was not asked for"):
+        METRICS["contact_area"].compute(Evidence(GELSIGHT, {}))
+    unmade = Evidence(GELSIGHT, {}, {"sphere": "too near to the edge"})
+    with pytest.raises(Unavailable, match="press sphere: too near to the edge"):
+        METRICS["contact_area"].compute(unmade)
+
+
+def test_virtual_markers_cover_the_view() -> None:
+    points = Evidence(GELSIGHT, {}).marker_points_mm()
+    assert len(points) == 19 * 15
+    assert np.abs(points).max(axis=0) == pytest.approx([9.0, 7.0])
+    assert [0.0, 0.0] in points.tolist()
+
+
+@given(width=st.floats(0.2, 2.0), peak=st.floats(0.01, 1.0))
+def test_rise_of_an_exponential_dent(width: float, peak: float) -> None:
+    x = np.linspace(-8, 8, 1601)
+    dent = peak * np.exp(-np.abs(x) / width)
+    assert rise_width(x, dent) == pytest.approx(width * math.log(9), rel=1e-3)
+
+
+def test_a_dent_as_wide_as_the_pad_has_no_width() -> None:
+    with pytest.raises(Unavailable, match="does not fall below 10%"):
+        rise_width(np.linspace(-1, 1, 101), 1 - 0.5 * np.abs(np.linspace(-1, 1, 101)))
+
+
+def test_contrast() -> None:
+    x = np.linspace(-2, 2, 401)
+    two = np.exp(-((np.abs(x) - 1) ** 2) / 0.02)
+    assert contrast(x, two, 1.0) == pytest.approx(1.0, abs=1e-3)
+    assert contrast(x, two + 1, 1.0) == pytest.approx(0.5, abs=1e-3)
+    assert contrast(x, np.ones(401), 1.0) == 0.0
+    assert contrast(x, np.zeros(401), 1.0) == 0.0
+    assert sizes("pair:0.25x1.2") == [0.25, 1.2]
+
+
+def test_lost_work() -> None:
+    way = np.array([0.0, 1.0, 2.0, 1.0, 0.0])
+    assert lost_part(way, np.array([0.0, 1.0, 2.0, 1.0, 0.0])) == 0.0
+    # Coulomb's force turns round with the motion; the trapezoid at the turn has half a step of it.
+    assert lost_part(way, np.array([1.0, 1.0, 1.0, -1.0, -1.0])) == pytest.approx(1.5)
+    assert lost_part(-way, -np.array([0.0, 2.0, 4.0, 1.0, 0.0])) == pytest.approx(0.25)
+    with pytest.raises(Unavailable, match="no loop"):
+        lost_part(np.array([0.0, 1.0, 2.0]), np.ones(3))
+    with pytest.raises(Unavailable, match="takes no work"):
+        lost_part(way, np.zeros(5))
+
+
+def test_variation() -> None:
+    assert variation([2.0, 2.0, 2.0]) == 0.0
+    assert variation([1.0, 2.0, 3.0]) == pytest.approx(0.5)
