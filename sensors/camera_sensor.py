@@ -25,8 +25,8 @@ from sensors.parameter_groups import (
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import Light, MarkerGrid, OpticalDesign, Window
 
-MIN_SEEN_MM = 1.0
-"""Least extent of the face that is marked as seen through."""
+MIN_SEEN_SHARE = 0.45
+"""Least extent of the face that is marked as seen through, in units of the gel's."""
 
 
 @dataclass(frozen=True)
@@ -101,9 +101,12 @@ class CameraSensorParameters(
     def seen_mm(
         self, length_x_mm: float, length_y_mm: float, margin_mm: float
     ) -> tuple[float, float]:
-        """Extents of the back that the camera looks through [mm]: what the image shows, cut
-        ``margin_mm`` inside a gel of the given size."""
-        return (
-            max(min(self.view_mm()[0], length_x_mm - 2 * margin_mm), MIN_SEEN_MM),
-            max(min(self.view_mm()[1], length_y_mm - 2 * margin_mm), MIN_SEEN_MM),
-        )
+        """Extents of the back that is marked as seen through [mm].
+
+        What the image shows, but at least 0.45 of the gel and cut ``margin_mm`` inside a gel of
+        the given size: smaller patches and thinner margins would rule the mesh.
+        """
+        seen = []
+        for view, length in zip(self.view_mm(), (length_x_mm, length_y_mm), strict=True):
+            seen.append(min(max(view, MIN_SEEN_SHARE * length), length - 2 * margin_mm))
+        return seen[0], seen[1]

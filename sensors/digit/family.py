@@ -10,7 +10,7 @@ from typing import ClassVar
 from cad.parameters import parameter, restated
 from cad.parts.digit_pad import DigitPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import MIN_SEEN_MM, CameraSensorParameters
+from sensors.camera_sensor import CameraSensorParameters
 from taccel_lab.optics.description import Light, Window
 
 _GEL = "measured on the gel of digit-design (facebookresearch, figures only)"
@@ -117,7 +117,7 @@ class DigitParameters(CameraSensorParameters):
         x, y = self.seen_mm(self.width_mm, self.length_mm, 1.0)
         radius = self.width_mm / 2
         tip = self.length_mm / 2 - radius + math.sqrt((radius - 0.25) ** 2 - (x / 2) ** 2)
-        return x, max(min(y, 2 * tip), MIN_SEEN_MM)
+        return x, min(y, 2 * tip)
 
     def window(self) -> Window:
         """The acrylic plate, 0.1 mm narrower than the gel."""
