@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from taccel_lab.signals.color_model import ColorModel
 
 
+PREDICTED_PX = 640
+"""Longest side of the picture that the optical model predicts."""
+
+
 @dataclass(frozen=True)
 class Press:
     """Press an indenter into a gel: height map, normals, image, force and wrench, mesh, figures.
@@ -31,7 +35,8 @@ class Press:
     """
 
     sensor: Positional[str]
-    """Profile folder, or a sensor of the catalogue (then there is no colour model, so no image)."""
+    """Profile folder, or a sensor of the catalogue, which has no colour model yet: its image is
+    the one that the optical model predicts (predicted.png)."""
     out: Path
     """Folder to write; an earlier one is replaced when everything is done."""
     depth_mm: float
@@ -277,6 +282,8 @@ def _write(
         import cv2
 
         cv2.imwrite(str(folder / "image_raw.png"), arrays["rgb"][..., ::-1])
+    else:
+        _write_predicted(folder / "predicted.png", profile, outcome)
     np.savez_compressed(folder / "signals.npz", **arrays)
     write_mesh_vtu(
         folder / "gel.vtu",
@@ -324,6 +331,22 @@ def _write(
             "tool_version": __version__,
         },
     )
+
+
+def _write_predicted(path: Path, profile: SensorProfile, outcome: PressOutcome) -> None:
+    """The picture that the optical model of an uncalibrated sensor expects, if it has one."""
+    design = profile.optical_design()
+    if design is None:
+        return
+    import cv2
+
+    from taccel_lab.optics.render import OpticalModel
+
+    scale = min(1.0, PREDICTED_PX / max(design.camera.width_px, design.camera.height_px))
+    size = (round(design.camera.width_px * scale), round(design.camera.height_px * scale))
+    markers = None if profile.markers is None else profile.markers.grid()
+    model = OpticalModel(design, outcome.mesh, size_px=size, markers=markers)
+    cv2.imwrite(str(path), model.render(outcome.positions_m).rgb[..., ::-1])
 
 
 def _print_outcome(console: Console, outcome: PressOutcome) -> None:

@@ -35,6 +35,8 @@ FILES = {
     "signals.npz",
 }
 IMAGES = {"image.png", "image_raw.png"}
+PREDICTED = {"predicted.png"}
+"""Of a sensor without colour model whose optics are known."""
 SMALL = partial(PressMeshOptions, elements_per_radius=5.0, core=6, rings=10, layers=3)
 
 
@@ -42,6 +44,7 @@ SMALL = partial(PressMeshOptions, elements_per_radius=5.0, core=6, rings=10, lay
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Coarser meshes than the command's, so that a press takes a fraction of a second."""
     monkeypatch.setattr("sensors.press_mesh.PressMeshOptions", SMALL)
+    monkeypatch.setattr("taccel_lab.cli.press.PREDICTED_PX", 64)
 
 
 def press(sensor: object, out: Path, *options: str) -> int:
@@ -70,7 +73,8 @@ def test_press_on_a_sensor_of_the_catalogue(
     out = tmp_path / "deep" / "press"
     options = ["--depth-mm", "0.4", "--at-mm", "1.0", "-0.5", "--shear-mm", "0.1", "0"]
     assert press("gelsight", out, *options, "--twist-deg", "2") == 0
-    assert {path.name for path in out.iterdir()} == FILES
+    assert {path.name for path in out.iterdir()} == FILES | PREDICTED
+    assert cv2.imread(str(out / "predicted.png")).shape == (48, 64, 3)
     assert os.listdir(out.parent) == ["press"]
     values = read(out)
     check_press_figures(values, 3)
@@ -128,12 +132,12 @@ def test_press_on_a_profile_gives_an_image(tmp_path: Path) -> None:
     assert np.median(changed[:, :10]) < np.median(changed[mask]) / 2
 
 
-def test_profile_without_colour_gives_no_image(tmp_path: Path) -> None:
+def test_profile_without_colour_gives_a_predicted_image(tmp_path: Path) -> None:
     profile = write_profile(tmp_path / "unit", color=False)
     out = tmp_path / "press"
     options = ["--depth-mm", "0.2", "--friction", "0", "--mesh", "profile"]
     assert press(profile, out, *options, "--indenter", "box:4x3") == 0
-    assert {path.name for path in out.iterdir()} == FILES
+    assert {path.name for path in out.iterdir()} == FILES | PREDICTED
     values = read(out)
     assert values["mesh"]["node_count"] == load_profile(profile).mesh.node_count
     assert values["indenter"] == "box:4x3"
@@ -164,7 +168,7 @@ def test_earlier_press_is_replaced(tmp_path: Path) -> None:
     assert press("gelsight", out, "--depth-mm", "0.2") == 0
     (out / "image.png").write_bytes(b"of another press")
     assert press("gelsight", out, "--depth-mm", "0.3") == 0
-    assert {path.name for path in out.iterdir()} == FILES
+    assert {path.name for path in out.iterdir()} == FILES | PREDICTED
     assert read(out)["path"]["depth_mm"] == 0.3
     assert os.listdir(tmp_path) == ["press"]
 
