@@ -6,7 +6,8 @@
     .taccel_lab_study     marks the folder, and is locked while a run works in it
     study.toml            the study file as last run
     designs.csv           the table, a row each design
-    designs/ID/           result.json and what is kept of the design
+    designs/ID/           result.json, picture and presses of a design
+    meshes/, steps/       of each different pad
     report.html           and report.json, figures/
 
 Each file appears whole or not at all, so that a run may be killed at any time.
@@ -85,9 +86,10 @@ class StudyFolder:
     def _sweep_up(self) -> None:
         """Remove temporary files of a run that was killed while it wrote."""
         self.designs.mkdir(exist_ok=True)
-        for path in (*self.root.glob(".designs.*"), *self.designs.glob("*/.*")):
-            if path.is_file():
-                path.unlink()
+        for pattern in (".designs.*", "designs/*/.*", "meshes/.*", "steps/.*"):
+            for path in self.root.glob(pattern):
+                if path.is_file():
+                    path.unlink()
 
     def add_result(self, stored: StoredDesign) -> None:
         """Write the result of a design, its last file: with it the design counts as evaluated.

@@ -7,61 +7,69 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from studies.design_point import DesignResult
+from studies.folder import StudyFolder
 from studies.spec import Output
+from studies.stored import identity
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
-    from sensors.base import FamilyParameters
+    from cad.parts.pad import Pad
 
-MESH, STEP, PICTURE = "mesh.vtu", "pad.step", "picture.png"
+MESHES, STEPS, PICTURE = "meshes", "steps", "picture.png"
+"""Designs with the same pad share one mesh and one STEP file, named by a hash of the pad."""
 
 
 def keep_files(
-    folder: Path, result: DesignResult, output: Output
+    folder: StudyFolder, result: DesignResult, output: Output
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Write what ``output`` asks for into the design's folder.
+    """Write what ``output`` asks for.
 
     Returns:
-        Written files by kind, relative to the folder, and causes why some could not be.
+        Files by kind, relative to the study's folder, and causes why some could not be written.
     """
     from sensors.registry import sensor_family
 
-    parameters = sensor_family(result.point.family).parameters(result.point.parameters)
+    family = result.point.family
+    parameters = sensor_family(family).parameters(result.point.parameters)
+    pad = parameters.pad()
     files: dict[str, str] = {}
     causes: dict[str, str] = {}
     if output.meshes:
-        try:
-            _write_mesh(parameters, folder / MESH)
-            files["mesh"] = MESH
-        except InputError as error:
-            causes["file mesh"] = str(error)
+        files["mesh"] = f"{MESHES}/{identity(repr(pad))}.vtu"
     if output.step:
+        files["step"] = f"{STEPS}/{identity(repr(pad))}.step"
+    for kind, write in (("mesh", _write_mesh), ("step", _write_step)):
+        path = folder.root / files.get(kind, ".")
+        if kind not in files or path.is_file():
+            continue
+        path.parent.mkdir(exist_ok=True)
         try:
-            _write_step(parameters, folder / STEP, result.point.family)
-            files["step"] = STEP
+            write(pad, path, family)
         except InputError as error:
-            causes["file step"] = str(error)
+            causes[f"file {kind}"] = str(error)
+            del files[kind]
     if output.pictures:
         from studies.pictures import write_picture
 
-        title = f"{result.point.family}, design {result.point.id}"
-        if write_picture(parameters, result.records, folder / PICTURE, title) is not None:
-            files["picture"] = PICTURE
+        name = f"designs/{result.point.id}/{PICTURE}"
+        title = f"{family}, design {result.point.id}"
+        if write_picture(parameters, result.records, folder.root / name, title) is not None:
+            files["picture"] = name
     return files, causes
 
 
-def _write_mesh(parameters: FamilyParameters, path: Path) -> None:
+def _write_mesh(pad: Pad, path: Path, family: str) -> None:
     """The gel at the default resolution; presses have finer meshes of their own."""
     from cad.mesh.gel_mesh import gel_mesh
     from taccel_lab.geometry.vtu import write_mesh_vtu
 
-    write_mesh_vtu(path, gel_mesh(parameters.pad()))
+    write_mesh_vtu(path, gel_mesh(pad))
 
 
-def _write_step(parameters: FamilyParameters, path: Path, family: str) -> None:
+def _write_step(pad: Pad, path: Path, family: str) -> None:
     from cad.export import write_step
     from taccel_lab.output import atomic_file
 
     with atomic_file(path) as staging:
-        write_step(parameters.pad().labelled_solid(), staging, name=f"{family}_gel_pad")
+        write_step(pad.labelled_solid(), staging, name=f"{family}_gel_pad")
         staging.chmod(0o644)

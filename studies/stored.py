@@ -43,7 +43,7 @@ class StoredDesign:
     press_keys: dict[str, str] = field(default_factory=dict)
     """By press: stands for its settings."""
     files: dict[str, str] = field(default_factory=dict)
-    """What was kept, by kind, relative to the design's folder."""
+    """What was kept, by kind, relative to the study's folder."""
     tool_version: str = ""
     finished: str = ""
     """UTC."""

@@ -97,7 +97,7 @@ def _kept(folder: StudyFolder, job: Job, batch: Batch, result: DesignResult) -> 
     if stored.unbuildable:
         return stored
     try:
-        files, causes = keep_files(folder.design(stored.id), result, job.output)
+        files, causes = keep_files(folder, result, job.output)
     except Exception as error:
         files, causes = {}, {"files": _note(folder, stored.id, error)}
     return replace(stored, files=files, causes={**stored.causes, **causes})

@@ -100,7 +100,7 @@ def _cards(outcome: Outcome, values: dict[str, Any]) -> list[dict[str, Any]]:
     for word, good, ids in wanted:
         for number, row in enumerate(_chosen(outcome, ids)):
             picture = row.files.get("picture")
-            path = outcome.folder.design(row.id) / picture if picture else None
+            path = outcome.folder.root / picture if picture else None
             cards.append(
                 {
                     "title": f"{word} {number + 1}" if len(ids) > 1 else word,

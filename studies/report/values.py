@@ -45,6 +45,7 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
         "sweep": spec.sweep.model_dump(),
         "seed": spec.study.seed,
         "goal": goal.text() if goal else None,
+        "goal_metric": goal.metric if goal else None,
         "constraints": [constraint.text() for constraint in spec.constraints],
         "counts": {
             "designs": outcome.total,

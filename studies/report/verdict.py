@@ -61,7 +61,7 @@ def _described(outcome: Outcome, design_id: str) -> str:
 
 def _best_sentence(outcome: Outcome, values: dict[str, Any]) -> str:
     row = next(row for row in outcome.rows if row.id == values["best"][0])
-    metric = values["goal"].split(" ", 1)[1]
+    metric = values["goal_metric"]
     unit = values["metrics"][metric]["unit"]
     return (
         f"The {values['goal']} has design {row.id} with {format_number(row.figures[metric])} "
@@ -88,7 +88,7 @@ def _strongest(values: dict[str, Any]) -> list[str]:
     """Which parameter moves the goal's metric most."""
     if not values["goal"]:
         return []
-    metric = values["goal"].split(" ", 1)[1]
+    metric = values["goal_metric"]
     effects = values["sensitivities"][metric]["effects"]
     known = {n: e["elasticity"] for n, e in effects.items() if e["elasticity"] is not None}
     if not known:

@@ -64,6 +64,8 @@ def test_leftovers_of_a_killed_write_are_removed(tmp_path: Path) -> None:
     outcome = run_study(study(), tmp_path, processes=0)
     design = outcome.folder.design(outcome.rows[0].id)
     leftovers = [tmp_path / ".designs.x1.csv", design / ".result.y2.json"]
+    (tmp_path / "meshes").mkdir()
+    leftovers.append(tmp_path / "meshes" / ".half.vtu")
     for path in leftovers:
         path.write_text("half")
     run_study(study(), tmp_path, processes=0)
