@@ -153,7 +153,11 @@ def _serve(pipe: Connection, job: Job) -> None:
     wp.config.log_level = wp.LOG_ERROR
 
     def tell(what: str, done: int, total: int) -> None:
-        pipe.send((what, done, total))
+        try:
+            pipe.send((what, done, total))
+        except OSError:
+            # The parent is gone: not a fault of the designs, which stay without a row.
+            os._exit(1)
 
     while True:
         try:
