@@ -12,11 +12,16 @@ import numpy as np
 from cad.mesh.columns import check_range, check_unfolded, level_fractions
 from cad.mesh.structured_plan import Focus, focus_plan, rim_distances_mm, rim_rings
 from cad.mesh.structured_topology import grid_topology, ring_of_node
+from cad.mesh.tet_smoothing import Sheet, improve_worst_tets
 from cad.parts.height_pad import HeightPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
 _LIMITS = {"core": (4, 64), "rings": (3, 128), "layers": (1, 64)}
+WANTED_DEG = 1.0
+"""Tets with a smaller dihedral angle are smoothed [deg]."""
+_POWERS = (4, 4)
+_KEPT_RADII = 0.3
 MIN_FOCUS_EDGE_MM = 1.5
 """Least distance between a focus centre and the pad's outline [mm]."""
 
@@ -77,6 +82,13 @@ def structured_gel_mesh(
     far = np.linalg.norm(top - focus.center_mm, axis=1) - focus.radius_mm
     ratio = layer_ratio ** (1 - np.clip(far / pad.thickness_mm, 0, 1))
     nodes = _stack_levels(pad, top, bottom, level_fractions(layers - skin_layers, ratio))
+    free = _movable(pad, core, rings, layers)
+    # Fine cells of the contact face stay as they are.
+    free[-len(top) :][far < _KEPT_RADII * focus.radius_mm] = False
+    sheet = Sheet(np.arange(len(nodes) - len(top), len(nodes)), pad.height_mm)
+    nodes = improve_worst_tets(
+        nodes, topology.tets, free, wanted_deg=WANTED_DEG, powers=_POWERS, sheet=sheet
+    )
     check_unfolded(nodes, topology.tets)
     regions = topology.face_regions.copy()
     if pad.sides_bonded:
@@ -95,6 +107,23 @@ def structured_gel_mesh(
     )
 
 
+def _movable(pad: HeightPad, core: int, rings: int, layers: int) -> np.ndarray:
+    """What may move to make tets rounder, bool by coordinate, shape [n, 3].
+
+    Nodes slide on the back and the contact face and climb the wall; rings along the edge and
+    levels on the border of a skin stay.
+    """
+    edge_rings = rim_rings(pad)
+    ring = np.tile(ring_of_node(core, rings), layers + 1)
+    level = np.repeat(np.arange(layers + 1), len(ring) // (layers + 1))
+    free = np.ones((len(ring), 3), dtype=bool)
+    free[ring >= rings - edge_rings, :2] = False
+    free[(level == 0) | (level == layers), 2] = False
+    if pad.skin_top_mm:
+        free[level >= layers - 1] = False
+    return free
+
+
 def _stack_levels(
     pad: HeightPad, top: np.ndarray, bottom: np.ndarray, fraction: np.ndarray
 ) -> np.ndarray:
@@ -103,12 +132,11 @@ def _stack_levels(
     A skin on the contact face adds a level above those of the gel proper.
     """
     s = fraction[..., None]
-    xy = (1 - s) * bottom + s * top
-    upper = pad.height_mm(xy) - pad.skin_top_mm
-    z = -pad.thickness_mm * (1 - fraction) + upper * fraction
-    levels = np.concatenate([xy, z[..., None]], axis=-1)
+    back = np.column_stack([bottom, np.full(len(bottom), -pad.thickness_mm)])
+    face = np.column_stack([top, pad.height_mm(top)])
+    levels = (1 - s) * back + s * (face - [0, 0, pad.skin_top_mm])
     if pad.skin_top_mm:
-        levels = np.concatenate([levels, levels[-1:] + [0, 0, pad.skin_top_mm]])
+        levels = np.concatenate([levels, face[None]])
     return levels.reshape(-1, 3)
 
 

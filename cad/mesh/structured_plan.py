@@ -89,7 +89,7 @@ def focus_plan(pad: HeightPad, core: int, rings: int, focus: Focus) -> np.ndarra
 
     free = rings - rim_rings(pad)
     # The core keeps the wanted cells, unless the outline is too near for them.
-    half = min(core * focus.size_mm / 2 * per_mm, 0.3)
+    half = min(core * focus.size_mm / 2 * per_mm, 0.18)
     size = 2 * half / core
     start = half * bulged_radius(theta - theta[0] - 0.75 * np.pi)
     wanted = round((focus.radius_mm * per_mm - half) / size)

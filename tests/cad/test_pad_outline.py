@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Outlines against polygons and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cad.mesh.outline_nodes import MAX_SAGITTA_MM, needed_cells, outline_nodes
+from cad.parts.pad_outline import PadOutline, d_shape, rounded_rectangle
+
+ANY_OUTLINE = st.one_of(
+    st.builds(rounded_rectangle, st.floats(14, 40), st.floats(14, 40), st.floats(0.3, 6)),
+    st.builds(d_shape, st.floats(12, 26), st.floats(22, 40), st.floats(0.5, 4)),
+)
+
+
+def dense(outline: PadOutline, count: int = 6000) -> np.ndarray:
+    return outline.at_mm(np.linspace(0, outline.perimeter_mm, count, endpoint=False))[0]
+
+
+def test_digit_has_the_measured_outline() -> None:
+    outline = d_shape(18.4, 25.0, 1.3)
+    np.testing.assert_allclose(outline.bounds_mm(), [[-9.2, -12.5], [9.2, 12.5]], atol=1e-12)
+    # Half circle, rectangle below it, less two corners.
+    area = np.pi * 9.2**2 / 2 + 18.4 * 15.8 - (2 - np.pi / 2) * 1.3**2
+    assert outline.area_mm2 == pytest.approx(area, rel=1e-12)
+    perimeter = np.pi * 9.2 + 2 * 14.5 + 15.8 + np.pi * 1.3
+    assert outline.perimeter_mm == pytest.approx(perimeter, rel=1e-12)
+    points = np.array([[0.0, 3.3], [0, 12], [8, 0], [0, -12], [-9.5, -5]])
+    np.testing.assert_allclose(outline.inside_distance_mm(points), [9.2, 0.5, 1.2, 0.5, -0.3])
+
+
+@given(ANY_OUTLINE, st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_distance_is_that_of_the_nearest_outline_point(outline: PadOutline, seed: int) -> None:
+    low, high = outline.bounds_mm()
+    points = np.random.default_rng(seed).uniform(low - 3, high + 3, (60, 2))
+    loop = dense(outline)
+    nearest = np.linalg.norm(points[:, None] - loop, axis=-1).min(axis=1)
+    distance = outline.inside_distance_mm(points)
+    np.testing.assert_allclose(np.abs(distance), nearest, atol=2e-3)
+    edge = points + distance[:, None] * outline.outward_normal(points)
+    np.testing.assert_allclose(outline.inside_distance_mm(edge), 0, atol=1e-9)
+
+
+@given(ANY_OUTLINE)
+@settings(max_examples=25, deadline=None)
+def test_lengths_areas_and_normals_are_those_of_the_loop(outline: PadOutline) -> None:
+    loop = dense(outline)
+    following = np.roll(loop, -1, axis=0)
+    steps = following - loop
+    assert outline.perimeter_mm == pytest.approx(np.linalg.norm(steps, axis=1).sum(), rel=1e-4)
+    cross = loop[:, 0] * following[:, 1] - loop[:, 1] * following[:, 0]
+    assert outline.area_mm2 == pytest.approx(cross.sum() / 2, rel=1e-5)
+    _, normals = outline.at_mm(np.linspace(0, outline.perimeter_mm, 6000, endpoint=False))
+    across = (steps * normals).sum(axis=1) / np.linalg.norm(steps, axis=1)
+    assert np.abs(across).max() < 0.05
+
+
+@given(ANY_OUTLINE, st.floats(0.5, 2))
+@settings(max_examples=15, deadline=None)
+def test_nodes_keep_the_sagitta(outline: PadOutline, edge_mm: float) -> None:
+    needed = needed_cells(outline, edge_mm)
+    cells = 2 * int(np.ceil(needed.max() / 2))
+    nodes, _ = outline_nodes(outline, cells)
+    assert nodes.shape == (4 * cells, 2)
+    np.testing.assert_allclose(outline.inside_distance_mm(nodes), 0, atol=1e-9)
+    t = np.linspace(0, 1, 9)[:, None, None]
+    chords = (1 - t) * nodes + t * np.roll(nodes, -1, axis=0)
+    assert outline.inside_distance_mm(chords).max() < 1.1 * MAX_SAGITTA_MM
+    along = np.roll(nodes, -1, axis=0) - nodes
+    assert (nodes[:, 0] * along[:, 1] - nodes[:, 1] * along[:, 0] > 0).all()
