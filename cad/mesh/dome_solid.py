@@ -36,14 +36,16 @@ _POCKET_WALL_SHARE = 0.5
 """Share of the wall's rings whose columns end on the pocket's wall."""
 _POCKET_CAP_SHARE = 0.83
 """Share of the pocket's ceiling on which the columns of the cap end."""
-_DEPTH = 1.95
-"""Mean height of the layers over the width of the fine cells."""
-_BULGE = 1.8
-"""How much taller the layers half way down are than those at the pocket."""
-_TOP_LAYERS = (0.9, 1.07)
-"""Heights of the layer between coarse and fine and of the fine ones over that at the pocket."""
+_TALL = 1.5
+"""Height of the coarse layers over the mean width of their cells, under the apex."""
+_GROWTH_POWER = 1.8
+"""Power of the ratio of cell widths at surface and pocket with which the layers grow."""
+_BULGE = 0.8
+"""How much taller the coarse layers half way down are for it."""
+_TOP_LAYERS = (0.6, 0.5)
+"""Heights of the layer between and of the fine ones over that of the uppermost coarse one."""
 _BASE_LAYERS = (1.0, 0.7)
-"""The same along the base."""
+"""The same along the base, where the coarse layers are even."""
 _POCKET_SAG = 0.0135
 """Sagitta of the chords round the pocket at an edge of 1 mm [mm]; it grows with its square."""
 
@@ -54,6 +56,8 @@ class _Layers:
 
     coarse: int
     fine: int
+    growth: float = 1.0
+    """Height of the uppermost coarse layer over the lowest, under the apex."""
 
 
 def even_solid_mesh(pad: SolidDomePad, edge_mm: float = 1.0) -> TetMesh:
@@ -66,7 +70,7 @@ def even_solid_mesh(pad: SolidDomePad, edge_mm: float = 1.0) -> TetMesh:
     fine = _doubled(coarse)
     disc = even_cap(fine.cap, pad.cap_angle, None)
     columns = dome_columns(fine, disc, pad.cap_angle, _wall_drops(pad, fine))
-    layers = _Layers(max(2, round(pad.thickness_mm / (_DEPTH * edge_mm))), 1)
+    layers = _even_layers(pad, coarse, edge_mm)
     inside = _on_pocket(pad, fine, columns)
     shares = _even_shares(pad, columns, layers)
     return _assemble(pad, coarse, fine, columns, inside, shares, layers)
@@ -120,6 +124,17 @@ def _even_grid(pad: SolidDomePad, edge: float) -> DomeGrid:
         free_rings=max(2, round((pad.wall_height_mm - bonded) / tall)),
         bonded_rings=max(1, round(bonded / tall)) if bonded else 0,
     )
+
+
+def _even_layers(pad: SolidDomePad, coarse: DomeGrid, edge: float) -> _Layers:
+    """Layers about as tall as the coarse cells are wide on the way from pocket to surface."""
+    below = 2 * math.pi * pad.pocket_radius_mm / (4 * coarse.cap.core)
+    above = 2 * edge
+    # The width changes evenly along a column, so the number of layers is the integral of 1 / width.
+    ratio = above / below
+    mean = (above - below) / math.log(ratio) if abs(ratio - 1) > 1e-6 else above
+    count = max(3, round(pad.thickness_mm / (_TALL * mean)))
+    return _Layers(coarse=count, fine=1, growth=ratio**_GROWTH_POWER)
 
 
 def _wall_drops(pad: SolidDomePad, grid: DomeGrid) -> np.ndarray:
@@ -193,10 +208,13 @@ def _assemble(
 def _even_shares(pad: SolidDomePad, columns: Columns, layers: _Layers) -> np.ndarray:
     """Height of each level over the pocket as a share of its column, shape [levels, n].
 
-    Under the apex the layers are thin at both ends, along the base they are even.
+    Under the apex the layers grow from the pocket up, along the base they are even.
     """
     middle = np.sin(np.pi * (np.arange(layers.coarse) + 0.5) / layers.coarse)
-    axis = _stacked(1 + _BULGE * middle, _TOP_LAYERS, layers.fine)
+    rise = layers.growth ** (np.arange(layers.coarse) / (layers.coarse - 1))
+    grown = rise * (1 + _BULGE * middle)
+    top = (grown[-1] * _TOP_LAYERS[0], grown[-1] * _TOP_LAYERS[1])
+    axis = _stacked(grown, top, layers.fine)
     base = _stacked(np.ones(layers.coarse), _BASE_LAYERS, layers.fine)
     outside = pad.dome_radius_mm * columns.theta + columns.drop_mm
     f = outside / outside.max()
