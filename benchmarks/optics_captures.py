@@ -102,7 +102,7 @@ def gelsight_mini() -> RealSensor:
     background = _read(data_folder() / "gsmini_normalflow/examples/data/background.png")
     return RealSensor(
         "gelsight_mini",
-        "GelSight Mini (NormalFlow, R. Gao; MIT)",
+        "Mini (NormalFlow, R. Gao; MIT)",
         "MIT",
         background,
         tuple(inside[::6][:4]),

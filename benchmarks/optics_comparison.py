@@ -162,6 +162,29 @@ def _resized(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     return cv2.resize(image, size_px, interpolation=cv2.INTER_AREA)
 
 
+Picture = tuple[str, np.ndarray]
+
+
+def _rows(comparisons: list[Comparison]) -> list[list[Picture]]:
+    """Four titled pictures a row: background and press of a sensor, or two backgrounds."""
+    rows: list[list[Picture]] = []
+    alone: list[Picture] = []
+    for item in comparisons:
+        c = item.background.correlation
+        pair = [
+            (item.sensor.title, item.real_background),
+            (f"model: r = {c[0]:.2f}, {c[1]:.2f}, {c[2]:.2f}", item.model_background),
+        ]
+        if item.real_press is None or item.model_press is None:
+            alone += pair
+            continue
+        cosine = np.mean([press.mean_cosine for press in item.presses])
+        contrast = np.mean([press.contrast for press in item.presses])
+        title = f"model: cosine {cosine:.2f}, contrast {contrast:.2f}"
+        rows.append([*pair, ("real press", item.real_press), (title, item.model_press)])
+    return rows + [alone[i : i + 4] for i in range(0, len(alone), 4)]
+
+
 def plot(comparisons: list[Comparison], path: Path) -> None:
     """Real and model side by side, one sensor a row; only what its licence lets be shown."""
     import matplotlib
@@ -169,31 +192,18 @@ def plot(comparisons: list[Comparison], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    shown = [c for c in comparisons if c.sensor.may_show]
+    rows = _rows([c for c in comparisons if c.sensor.may_show])
     figure, axes = plt.subplots(
-        len(shown), 4, figsize=(10.0, 2.05 * len(shown)), squeeze=False, layout="constrained"
+        len(rows), 4, figsize=(10.0, 2.05 * len(rows)), squeeze=False, layout="constrained"
     )
-    for row, item in zip(axes, shown, strict=True):
-        c = item.background.correlation
-        pressed = ""
-        if item.presses:
-            cosine = np.mean([press.mean_cosine for press in item.presses])
-            contrast = np.mean([press.contrast for press in item.presses])
-            pressed = f"model: colour cosine {cosine:.2f}, contrast {contrast:.2f}"
-        pictures = [
-            (item.sensor.title, item.real_background),
-            (f"model: r = {c[0]:.2f}, {c[1]:.2f}, {c[2]:.2f}", item.model_background),
-            ("real press", item.real_press),
-            (pressed, item.model_press),
-        ]
-        for axis, (title, picture) in zip(row, pictures, strict=True):
-            axis.set_axis_off()
-            if picture is None:
-                continue
+    for axis in axes.ravel():
+        axis.set_axis_off()
+    for row, pictures in zip(axes, rows, strict=True):
+        for axis, (title, picture) in zip(row, pictures, strict=False):
             axis.imshow(picture)
-            axis.set_title(title, fontsize=8)
+            axis.set_title(title, fontsize=9)
     with atomic_file(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png")
+        figure.savefig(temporary, dpi=85, format="png")
     plt.close(figure)
 
 
