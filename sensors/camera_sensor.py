@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from cad.parts.pad import Pad
 from sensors.base import FamilyParameters
 from sensors.parameter_groups import (
     CameraParameters,
@@ -46,6 +48,11 @@ class CameraSensorParameters(
     def lights(self) -> tuple[Light, ...]:
         """The LEDs, made with ``led``."""
 
+    @cached_property
+    def _built_pad(self) -> Pad:
+        # Made once for all that asks for its extents; a pad is checked when it is made.
+        return self.pad()
+
     def gel_depth_mm(self) -> float:
         """Gel on the optical axis between the apex and what lies behind it [mm]."""
         return getattr(self, "thickness_mm")  # noqa: B009  # a parameter of most families
@@ -62,7 +69,7 @@ class CameraSensorParameters(
 
     def window(self) -> Window | None:
         """The window: a plate as large as the gel."""
-        (x0, y0, _), (x1, y1, _) = self.pad().bounds_mm()
+        (x0, y0, _), (x1, y1, _) = self._built_pad.bounds_mm()
         return Window(
             thickness_mm=self.window_thickness_mm,
             size_mm=(float(x1 - x0), float(y1 - y0)),
@@ -95,7 +102,7 @@ class CameraSensorParameters(
 
     def markers(self) -> MarkerGrid | None:
         """The dots, as far as there is gel for them."""
-        pad = self.pad()
+        pad = self._built_pad
         return self.marker_grid(lambda xy: np.isfinite(pad.top_mm(xy)))
 
     def seen_mm(

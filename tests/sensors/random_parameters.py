@@ -31,12 +31,28 @@ def random_value(spec: Parameter, rng: np.random.Generator) -> Any:
     return round(value) if isinstance(spec.default, int) else value
 
 
+def value_near_default(spec: Parameter, rng: np.random.Generator, share: float) -> Any:
+    """The default changed by up to ``share`` of itself, inside the bounds; choices stay."""
+    if spec.choices or (spec.zero_means and spec.default == 0):
+        return spec.default
+    value = spec.default * (1 + share * rng.uniform(-1, 1))
+    value = min(max(value, float(spec.minimum or 0.0)), float(spec.maximum or 0.0))
+    return round(value) if isinstance(spec.default, int) else value
+
+
 def random_parameters(
-    family: SensorFamily, rng: np.random.Generator
+    family: SensorFamily, rng: np.random.Generator, near: float | None = None
 ) -> FamilyParameters | InputError:
-    """Parameters drawn inside their bounds, or why the family refuses the combination."""
+    """Parameters drawn inside their bounds, or why the family refuses the combination.
+
+    With ``near`` they differ from the defaults by up to that share.
+    """
     specs = family.parameters_type.parameters()
+    draw = {
+        name: random_value(spec, rng) if near is None else value_near_default(spec, rng, near)
+        for name, spec in specs.items()
+    }
     try:
-        return family.parameters({name: random_value(spec, rng) for name, spec in specs.items()})
+        return family.parameters(draw)
     except InputError as error:
         return error

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cad.mesh.gel_mesh import gel_mesh
+from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh
 from cad.mesh.quality import measure_quality, require_quality
 from cad.parameters import Parameter
 from cad.parts.pad import Pad
@@ -30,55 +30,49 @@ MOST_REFUSED = 0.6
 """Share of random draws that a family may refuse: more, and its bounds say too little."""
 
 
-def accepted(family: SensorFamily, seed: int) -> FamilyParameters:
+def accepted(family: SensorFamily, seed: int, near: float | None = None) -> FamilyParameters:
     """The first random parameters of a seed that the family accepts."""
     rng = np.random.default_rng(seed)
     for _ in range(40):
-        found = random_parameters(family, rng)
+        found = random_parameters(family, rng, near)
         if not isinstance(found, InputError):
             return found
     raise AssertionError(f"{family.name} refused 40 random sets of parameters")
 
 
-def edge_mm(pad: Pad) -> float:
-    """A coarse edge length for a pad of any size."""
-    return float(max(0.09 * np.ptp(pad.bounds_mm(), axis=0)[:2].max(), 1.5))
-
-
-def checked_mesh(pad: Pad) -> TetMesh:
-    mesh = gel_mesh(pad, edge_mm(pad))
+def require_fit(pad: Pad) -> TetMesh:
+    """The mesh at the default resolution; raises InputError when the gate refuses it."""
+    mesh = gel_mesh(pad)
     quality = measure_quality(mesh, pad)
     require_quality(mesh, quality)
     assert quality.min_dihedral_deg >= 10.0
     return mesh
 
 
-def press(parameters: FamilyParameters, mesh: TetMesh) -> np.ndarray:
-    """Forces [N] of a ball at two depths of a press on the apex, shape [2, 3]."""
+def assert_pressed(parameters: FamilyParameters) -> None:
+    """A ball pressed twice as deep pushes back harder, straight up; on a small focused mesh."""
+    pad = parameters.pad()
+    radius = 0.12 * float(np.ptp(pad.bounds_mm(), axis=0)[:2].min())
+    depth = min(0.05 * pad.thickness_mm, 0.1 * radius)
+    focus = FocusOptions((0.0, 0.0), 0.6 * radius, 0.12 * radius, core=6, rings=8, layers=3)
+    mesh = focused_gel_mesh(pad, focus)
     layers = [
         Material(m.young_modulus_pa, m.poisson_ratio, m.density_kg_m3)
         for m in parameters.layer_materials()
     ]
-    depth = 0.04 * parameters.pad().thickness_mm
     env = PressEnv(
         mesh,
         layered_material(layers, mesh),
-        parse_indenter("sphere:4"),
+        parse_indenter(f"sphere:{radius}"),
         np.zeros((1, 2)),
         friction_coefficient=parameters.material().friction_coefficient,
     )
     forces = []
     for part in (0.5, 1.0):
-        report = env.move_to(part * depth)
-        assert report.converged.all()
+        assert env.move_to(part * depth).converged.all()
         forces.append(env.wrench[0, :3].copy())
-    return np.array(forces)
-
-
-def assert_pressed(parameters: FamilyParameters, mesh: TetMesh) -> None:
-    forces = press(parameters, mesh)
-    assert 0 < forces[0, 2] < forces[1, 2]
-    assert np.abs(forces[:, :2]).max() < 0.2 * forces[1, 2]
+    assert 0 < 1.5 * forces[0][2] < forces[1][2]
+    assert np.abs(forces[1][:2]).max() < 0.15 * forces[1][2]
 
 
 # Words ----------------------------------------------------------------------------------------
@@ -108,7 +102,7 @@ def test_figures_of_a_sensor_are_not_those_of_another() -> None:
 # Formulas -------------------------------------------------------------------------------------
 
 
-@settings(max_examples=8)
+@settings(max_examples=6)
 @given(seed=st.integers(0, 2**32 - 1))
 @pytest.mark.parametrize("name", FAMILIES)
 def test_random_parameters_build_or_say_which_bound_they_break(name: str, seed: int) -> None:
@@ -137,7 +131,7 @@ def test_random_parameters_build_or_say_which_bound_they_break(name: str, seed: 
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
 def test_bounds_leave_room_for_one_another(family: SensorFamily) -> None:
     rng = np.random.default_rng(11)
-    refused = [isinstance(random_parameters(family, rng), InputError) for _ in range(60)]
+    refused = [isinstance(random_parameters(family, rng), InputError) for _ in range(30)]
     assert np.mean(refused) < MOST_REFUSED
 
 
@@ -159,21 +153,38 @@ def test_one_step_out_of_bounds_is_refused_by_name(family: SensorFamily) -> None
 
 
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
-def test_nominal_sensor_is_meshed_and_pressed(family: SensorFamily) -> None:
+def test_nominal_sensor_is_meshed(family: SensorFamily) -> None:
     parameters = family.parameters()
-    mesh = checked_mesh(parameters.pad())
+    mesh = require_fit(parameters.pad())
     volume = mesh.volumes_m3().sum() * 1e9
-    assert volume == pytest.approx(pad_volume_mm3(parameters.pad()), rel=0.02)
+    assert volume == pytest.approx(pad_volume_mm3(parameters.pad()), rel=5e-3)
     assert set(np.unique(mesh.tet_layers)) == set(range(len(parameters.layer_materials())))
-    assert_pressed(parameters, mesh)
+
+
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
+def test_nominal_sensor_is_pressed(family: SensorFamily) -> None:
+    assert_pressed(family.parameters())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
+def test_similar_sensors_are_meshed(family: SensorFamily) -> None:
+    """Within 15 % of the defaults; a mesh that misses the gate is refused, with the reason."""
+    refused = 0
+    for seed in range(4):
+        try:
+            require_fit(accepted(family, seed, near=0.15).pad())
+        except InputError as error:
+            assert "dihedral" in str(error)
+            refused += 1
+    assert refused <= 2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
-def test_random_sensor_is_meshed_and_pressed(family: SensorFamily, seed: int) -> None:
-    parameters = accepted(family, seed)
-    assert_pressed(parameters, checked_mesh(parameters.pad()))
+def test_random_sensor_is_pressed(family: SensorFamily, seed: int) -> None:
+    assert_pressed(accepted(family, seed))
 
 
 @pytest.mark.slow

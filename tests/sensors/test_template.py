@@ -61,14 +61,12 @@ def test_template_is_in_the_catalogue_and_shown(
 @pytest.mark.usefixtures("template")
 def test_template_is_built_and_meshed() -> None:
     family = sensor_family("my_sensor")
-    for overrides in ({}, {"thickness_mm": 5.0, "edge_mm": 1.2}):
-        pad = family.parameters(overrides).pad()
-        mesh = gel_mesh(pad, 2.0)
-        quality = measure_quality(mesh, pad)
-        require_quality(mesh, quality)
-        assert mesh.volumes_m3().sum() * 1e9 == pytest.approx(
-            pad.labelled_solid().solid.volume, 5e-3
-        )
+    pad = family.parameters({"thickness_mm": 5.0, "edge_mm": 1.2}).pad()
+    mesh = gel_mesh(pad)
+    quality = measure_quality(mesh, pad)
+    require_quality(mesh, quality)
+    built = pad.labelled_solid().solid.volume
+    assert mesh.volumes_m3().sum() * 1e9 == pytest.approx(built, rel=5e-3)
 
 
 @pytest.mark.usefixtures("template")
