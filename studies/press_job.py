@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
+from cad.parts.dome_pad import DomePad
 from cad.parts.pad import Pad
 from sensors.base import FamilyParameters
 from studies.presses import StandardPress
@@ -28,6 +29,11 @@ from taccel_lab.scene import Ball
 
 FINE_RADII = 1.15
 """Radius of the fine part of a mesh in half widths of the contact."""
+
+
+DOME_RINGS_LESS = 4
+"""Domes get rings of their own around the fine part, and a layer less is enough under it: with all
+a press of DIGIT 360 has five times the nodes of one of a pad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +127,7 @@ def _mesh(
     press: StandardPress, indenter: Indenter, pad: Pad, at_mm: tuple[float, float]
 ) -> TetMesh:
     contact = contact_mm(press, indenter, pad.thickness_mm)
+    dome = isinstance(pad, DomePad)
     return focused_gel_mesh(
         pad,
         FocusOptions(
@@ -128,8 +135,8 @@ def _mesh(
             radius_mm=FINE_RADII * contact,
             size_mm=contact / press.cells,
             core=press.core,
-            rings=press.rings,
-            layers=press.layers,
+            rings=press.rings - DOME_RINGS_LESS if dome else press.rings,
+            layers=max(2, press.layers - 1) if dome else press.layers,
             layer_ratio=press.layer_ratio,
         ),
     )

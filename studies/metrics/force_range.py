@@ -8,12 +8,14 @@ import math
 import numpy as np
 
 from studies.evidence import Evidence
-from studies.metrics.base import metric
+from studies.metrics.base import Unavailable, metric
 from taccel_lab.envs import parse_indenter
 from taccel_lab.scene import Ball
 
 BOTTOM_STRAIN = 0.4
 """Depth over thickness at which a gel counts as bottomed out."""
+MOST_AHEAD = 1.5
+"""How far beyond its deepest step a press may be continued."""
 BOTTOM_STIFFENING = 3.0
 """Or earlier: slope of the force over Hertz's, for the same ball on a half-space."""
 
@@ -27,7 +29,7 @@ def force_range(evidence: Evidence) -> float:
     """Force at the lesser of both depths.
 
     Hertz's slope 2 E* sqrt(R d) takes the modulus of the gel proper, E* = E / (1 - nu^2). Where a
-    thick gel was not pressed as deep, the power law of the last two steps goes on.
+    thick gel was not pressed quite as deep, the power law of the last two steps goes on.
     """
     record = evidence.one("sphere")
     depth, force = record.depth_mm[record.down], record.normal_n
@@ -47,6 +49,11 @@ def force_range(evidence: Evidence) -> float:
         )  # fmt: skip
         limit = min(limit, at)
     power = math.log(force[-1] / force[-2]) / math.log(depth[-1] / depth[-2])
+    if limit > MOST_AHEAD * depth[-1]:
+        raise Unavailable(
+            f"the gel bottoms at {limit:.3g} mm at the earliest, and press sphere ends at "
+            f"{depth[-1]:.3g} mm"
+        )
     if limit > depth[-1]:
         return float(force[-1] * (limit / depth[-1]) ** power)
     return float(np.exp(np.interp(math.log(limit), np.log(depth), np.log(force))))

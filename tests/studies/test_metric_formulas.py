@@ -82,8 +82,10 @@ def test_force_range() -> None:
     record = down_record(depth.tolist(), hertz.tolist(), thickness_mm=5.0)
     assert figure("force_range", record) == pytest.approx(hertz[7])
     # A thick gel was not pressed that deep.
-    thick = dataclasses.replace(record, thickness_mm=10.0)
-    assert figure("force_range", thick) == pytest.approx(hertz[-1] * (4 / 2.5) ** 1.5)
+    thick = dataclasses.replace(record, thickness_mm=9.0)
+    assert figure("force_range", thick) == pytest.approx(hertz[-1] * (3.6 / 2.5) ** 1.5)
+    with pytest.raises(Unavailable, match=r"bottoms at 8 mm .* ends at 2\.5 mm"):
+        figure("force_range", dataclasses.replace(record, thickness_mm=20.0))
     # One that stiffens by the cube is three times as stiff as Hertz's before.
     cubic = 2 * modulus * depth**3
     stiff = down_record(depth.tolist(), cubic.tolist(), thickness_mm=5.0)
