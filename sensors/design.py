@@ -88,11 +88,6 @@ def design_sensor(
     from sensors.assembly import gel_layers, sensor_parts
 
     part = pad.labelled_solid()
-    assembly = None
-    if "assembly" in parts or "drawing" in parts:
-        with _hint(parts, "assembly"):
-            assembly = sensor_parts(family.name, parameters, part)
-    layers = gel_layers(pad, part)
     tell("mesh")
     if mesher == "tetwild":
         from cad.mesh.tetrahedralize import tetwild_gel_mesh
@@ -106,6 +101,12 @@ def design_sensor(
     gate = QualityGate().at_edge(edge_mm)
     require_quality(mesh, quality, gate, picture_folder=refused_folder(out_dir))
     profile = designed_profile(family, parameters, mesh, quality, mesher=mesher)
+    tell("assembly")
+    assembly = None
+    if "assembly" in parts:
+        with _hint(parts, "assembly"):
+            assembly = sensor_parts(family.name, parameters, part)
+    layers = gel_layers(pad, part)
     tell("files")
     out_dir = Path(out_dir)
     names = {

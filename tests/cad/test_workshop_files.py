@@ -93,7 +93,8 @@ def test_3mf_holds_named_bodies_in_millimetres(sensor: Assembly, tmp_path: Path)
         points = np.array([list(v.Coordinates) for v in body.GetVertices()])
         corners = points[np.array([list(t.Indices) for t in body.GetTriangleIndices()])]
         volume = np.linalg.det(corners).sum() / 6
-        assert volume == pytest.approx(part.solid.volume, rel=1e-3)
+        # Chords of 0.06 rad under the crown of radius 50 mm cost up to 0.02 mm of height.
+        assert volume == pytest.approx(part.solid.volume, rel=3e-3)
         group, index, _ = body.GetObjectLevelProperty()
         material = reader.model.GetBaseMaterialGroupByID(group)
         color = reader.wrapper.ColorToFloatRGBA(material.GetDisplayColor(index))
