@@ -20,7 +20,7 @@ from taccel_lab.geometry import Region, TetMesh
 _LIMITS = {"core": (4, 64), "rings": (3, 128), "layers": (1, 64)}
 WANTED_DEG = 1.0
 """Tets with a smaller dihedral angle are smoothed [deg]."""
-_POWERS = (4, 4)
+_POWERS = (4, 8)
 _KEPT_RADII = 0.3
 MIN_FOCUS_EDGE_MM = 1.5
 """Least distance between a focus centre and the pad's outline [mm]."""

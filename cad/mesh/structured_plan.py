@@ -80,7 +80,7 @@ def focus_plan(pad: HeightPad, core: int, rings: int, focus: Focus) -> np.ndarra
     # Turn the grid so that the corners of the outline are as near to nodes as they can be.
     turn = float(np.angle(np.exp(1j * corner_angles * count).mean())) / count
     theta = turn + step * (np.arange(count) - round((0.75 * np.pi + turn) / step))
-    half_arcs = _half_arcs(pad.outline, core)
+    half_arcs = _half_arcs(border, core)
     corners = _corner_indices(corner_angles, float(theta[0]), core, half_arcs)
     outline, normals = _outline_nodes(pad.outline, corners, half_arcs, core, focus.center_mm)
     inner = outline - normals * setback
@@ -126,14 +126,15 @@ def _half_arc_lengths_mm(outline: PadOutline) -> np.ndarray:
     return np.where(turn < 0.75 * np.pi, outline.piece_lengths_mm[piece] / 2, 0.0)
 
 
-def _half_arcs(outline: PadOutline, core: int) -> np.ndarray:
-    """Cells on half of each corner arc: at least one, and none longer than on the sides, [4].
+def _half_arcs(border: PadOutline, core: int) -> np.ndarray:
+    """Cells on half of each corner arc, none longer than on the sides, shape [4].
 
-    They depend on the outline and the grid alone, so every focus gives the same connectivity.
+    At least one, or two of a fine grid; fewer where the arc of the grid's border is so short that
+    they would be slivers. They depend on the outline and the grid alone.
     """
-    half = _half_arc_lengths_mm(outline)
-    cells = np.round(4 * core * half / outline.perimeter_mm).astype(int)
-    return np.where(half > 0, np.clip(cells, 1 if core < 12 else 2, core // 2 - 1), 0)
+    ratio = 4 * core * _half_arc_lengths_mm(border) / border.perimeter_mm
+    least = np.where(ratio < 0.15, 0, np.where((ratio < 0.5) | (core < 12), 1, 2))
+    return np.clip(np.round(ratio).astype(int), least, core // 2 - 1)
 
 
 def _corner_angles(
@@ -184,7 +185,8 @@ def _outline_nodes(
     count = 4 * core
     anchors = outline_anchors(outline)
     ends = np.append(anchors, anchors[0] + outline.perimeter_mm)
-    halves = np.append(_half_arc_lengths_mm(outline), _half_arc_lengths_mm(outline)[0])
+    halves = np.where(half_arcs > 0, _half_arc_lengths_mm(outline), 0.0)
+    halves = np.append(halves, halves[0])
     lengths = np.empty(count)
     for k in range(4):
         ahead, behind = half_arcs[k], half_arcs[(k + 1) % 4]
