@@ -42,7 +42,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Photometry:
-    """Figures of the untouched gel; channels in the order red, green, blue."""
+    """Figures of the untouched gel without its dots; channels in the order red, green, blue."""
 
     uniformity_min_over_mean: tuple[float, float, float]
     """Darkest over mean of the linear image, 1 for an even one; NaN for a channel without light."""
@@ -79,13 +79,14 @@ class Photometry:
 def measure_photometry(model: OpticalModel) -> Photometry:
     """Figures of the untouched gel of a model."""
     light = model.light_field()
-    preview = model.picture(light)
     mask = light.mask
-    linear = preview.linear[mask].astype(np.float64)
+    # Dots are no unevenness of the light.
+    picture = model.radiance(light, markers=False)
+    linear = picture[mask].astype(np.float64)
     mean = linear.mean(axis=0)
     lit = np.where(mean > 0, mean, np.nan)
     rank, condition = channel_independence(light.vectors[mask])
-    gain, weakest = _shading_gain(model, light, preview.linear)
+    gain, weakest = _shading_gain(model, light, picture)
     across, down, anisotropy = pixel_footprint(light.points_mm)
     return Photometry(
         uniformity_min_over_mean=_triple(linear.min(axis=0) / lit),
@@ -99,7 +100,7 @@ def measure_photometry(model: OpticalModel) -> Photometry:
         shadowed_fraction=float(light.blocked.sum() / max(light.facing.sum(), 1e-30)),
         levels_per_deg=_triple(np.median(gain, axis=0)),
         weakest_levels_per_deg=float(np.median(weakest)),
-        saturated_fraction=float((preview.rgb[mask] == 255).mean()),
+        saturated_fraction=float((model.display.rgb(linear) == 255).mean()),
         depth_of_field=depth_of_field(model, light),
     )
 
@@ -190,7 +191,7 @@ def _shading_gain(
     vectors = light.vectors[mask].astype(np.float64)
     tangential = vectors - np.einsum("pcx,px->pc", vectors, normal)[..., None] * normal[:, None]
     slope = model.display.levels_per_radiance(linear[mask]) * model.passed[mask][:, None]
-    albedo = model.reflectance(light)[mask] / math.pi
+    albedo = model.reflectance(light, markers=False)[mask] / math.pi
     if model.design.gel_scattering_per_mm > 0:
         tangential = np.zeros_like(tangential)
     change = tangential * (slope * albedo)[..., None] * math.radians(1.0)

@@ -113,7 +113,7 @@ class OpticalModel:
         self._upload(face)
         light = self.light_field()
         self._ambient = self._ambient_light(light)
-        linear = self._radiance(light)
+        linear = self.radiance(light)
         self.display: Display = exposed(
             linear, light.mask, level=level, gamma=gamma, white_balance=white_balance
         )
@@ -263,13 +263,13 @@ class OpticalModel:
 
         return measure_photometry(self)
 
-    def reflectance(self, light: LightField) -> np.ndarray:
-        """Diffuse reflectance of what each pixel sees, markers included, shape [H, W, 3]."""
+    def reflectance(self, light: LightField, *, markers: bool = True) -> np.ndarray:
+        """Diffuse reflectance of what each pixel sees, with or without dots, shape [H, W, 3]."""
         albedo = np.broadcast_to(
             np.array(self.design.coating.albedo_rgb, dtype=np.float32), light.points_mm.shape
         )
         scattering = self.design.gel_scattering_per_mm
-        if self.markers is not None:
+        if markers and self.markers is not None:
             albedo = albedo * marker_factor(self.markers, light)[..., None]
         if scattering > 0:
             if self._back_z_mm is None:
@@ -280,7 +280,7 @@ class OpticalModel:
 
     def picture(self, light: LightField) -> PreviewImage:
         """The image of a light field."""
-        linear = self._radiance(light)
+        linear = self.radiance(light)
         return PreviewImage(
             rgb=self.display.rgb(linear),
             linear=linear,
@@ -289,10 +289,10 @@ class OpticalModel:
             normals=light.normals,
         )
 
-    def _radiance(self, light: LightField) -> np.ndarray:
+    def radiance(self, light: LightField, *, markers: bool = True) -> np.ndarray:
         """Radiance that reaches the camera, float32, shape [H, W, 3]; 0 outside the mask."""
         irradiance = self._diffuse_irradiance(light) + self._ambient
-        radiance = self.reflectance(light) / math.pi * irradiance + light.specular
+        radiance = self.reflectance(light, markers=markers) / math.pi * irradiance + light.specular
         linear = np.where(light.mask[..., None], radiance * self.passed[..., None], 0.0)
         return linear.astype(np.float32)
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.optics import Coating, Light
+from taccel_lab.optics import Coating, Light, MarkerGrid
 from taccel_lab.optics.depth_of_field import blur_px, sharp_range_mm
 from taccel_lab.optics.photometry import channel_independence, pixel_footprint
 from tests.optics.flat_gel import CAMERA_Z, GEL_MM, PLATE, camera, design, model, towards
@@ -107,6 +107,41 @@ def test_visible_fraction(half: float) -> None:
     shown = 41 * 0.5 * 31 * 0.5
     expected = min(1.0, shown / (2 * half) ** 2)
     assert optics.photometry().visible_fraction == pytest.approx(expected, rel=0.02)
+
+
+def test_visible_part_of_a_dome() -> None:
+    """A pinhole in the centre of a sphere sees R^2 times its rectangle's solid angle."""
+    radius = 12.0
+
+    def cap(xy: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.maximum(radius**2 - np.sum(xy**2, axis=-1), 0.04)) - radius
+
+    lights = far_lights((0.0, 120.0, 240.0), 60.0)
+    centred = camera(
+        width_px=164, height_px=124, fx_px=120.0, fy_px=120.0, cx_px=81.5, cy_px=61.5,
+        position_mm=(0.0, 0.0, -radius),
+    )  # fmt: skip
+    half = 11.0
+    optics = model(design(*lights, camera=centred), cap, half=half, step_mm=0.1, refraction=False)
+    angles = [math.atan(82 / 120), math.atan(62 / 120)]
+    seen = 4 * math.asin(math.sin(angles[0]) * math.sin(angles[1])) * radius**2
+    face = optics.rest_face
+    corners = face.points_mm[face.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    whole = 0.5 * np.linalg.norm(normals, axis=1).sum()
+    figures = optics.photometry()
+    assert figures.visible_fraction == pytest.approx(seen / whole, rel=0.01)
+
+
+def test_dots_count_in_no_figure() -> None:
+    lights = far_lights((0.0, 120.0, 240.0), 40.0)
+    plain = model(design(*lights), refraction=False).photometry()
+    dotted = model(
+        design(*lights), refraction=False, markers=MarkerGrid(3, 4, 4.0, 4.0, 1.5)
+    ).photometry()
+    assert dotted.uniformity_min_over_mean == pytest.approx(plain.uniformity_min_over_mean)
+    # Exposure is that of the picture with its dots.
+    assert dotted.levels_per_deg == pytest.approx(plain.levels_per_deg, rel=0.1)
 
 
 def test_window_smaller_than_the_view_hides_the_rest() -> None:
