@@ -221,7 +221,7 @@ def _dimension_section(
     contact = _contact_curve(cut, gel)
     if along == "x":
         label_at = (view.at(low[0], 0)[0] + 12, view.at(0, low[1])[1] - 14)
-        _dimension_heights(sheet, view, cut, low, high)
+        _dimension_heights(sheet, view, cut, low, high, gel.solid.bounding_box().size.Z)
     else:
         label_at = (view.at(0, (low[1] + high[1]) / 2)[0], view.at(high[0], 0)[1] + 14)
         _dimension_wall(sheet, view, cut, low, low, along)
@@ -241,11 +241,13 @@ def _contact_curve(cut: Section, gel: LabelledSolid) -> np.ndarray:
 
 
 def _dimension_heights(
-    sheet: Sheet, view: _View, cut: Section, low: np.ndarray, high: np.ndarray
+    sheet: Sheet, view: _View, cut: Section, low: np.ndarray, high: np.ndarray, greatest: float
 ) -> None:
+    """Heights in section A-A; ``greatest`` is the body's, where that is not in the section."""
     total = high[1] - low[1]
     start = view.at(low[0], low[1])
-    sheet.dimension(start, view.at(low[0], high[1]), 20, mm_words(total), along="y")
+    more = f" (max {mm_words(greatest)})" if greatest > total + 2e-3 else ""
+    sheet.dimension(start, view.at(low[0], high[1]), 20, mm_words(total) + more, along="y")
     _dimension_wall(sheet, view, cut, low, high, "x")
     apex = _apex_thickness(cut)
     if apex is not None and apex < total - 1e-3:
