@@ -135,8 +135,8 @@ def test_markers_move_with_the_gel(mesh: TetMesh) -> None:
         dark = image.linear[..., 1] < 0.5 * plain.render(positions).linear[..., 1]
         return image.points_mm[dark].mean(axis=0)[:2]
 
-    np.testing.assert_allclose(dark_centre(None), (0, 0), atol=0.03)
-    np.testing.assert_allclose(dark_centre(moved), (0.6, -0.4), atol=0.03)
+    np.testing.assert_allclose(dark_centre(None), (0, 0), atol=0.02)
+    np.testing.assert_allclose(dark_centre(moved), (0.6, -0.4), atol=0.02)
 
 
 def test_bevels_stay_sharp() -> None:
