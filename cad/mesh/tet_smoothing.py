@@ -112,7 +112,7 @@ def _minimise(
 
     def energy(steps: np.ndarray) -> tuple[float, np.ndarray]:
         moved = place(steps)
-        value, gradient = _shape_energy(moved, patch, power, softness)
+        value, gradient = shape_energy(moved, patch, power, softness)
         if sheet is not None:
             gradient[held, :2] += gradient[held, 2:] * sheet.slope(moved[held, :2])
         return value, gradient[free] * scale
@@ -129,7 +129,7 @@ def _six_volumes(p: np.ndarray) -> np.ndarray:
     return np.linalg.det(p[:, 1:] - p[:, :1])
 
 
-def _shape_energy(
+def shape_energy(
     nodes: np.ndarray, tets: np.ndarray, power: int, softness: float = 0.0
 ) -> tuple[float, np.ndarray]:
     """Sum of inverse mean ratios to a power and its gradient by the nodes, shape [n, 3].

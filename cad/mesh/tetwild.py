@@ -59,12 +59,12 @@ def run_tetwild(
         nodes, tets = _without_unused(nodes, tets[~flat])
         faces = boundary_faces(tets)
         regions = transfer_regions(nodes, faces, given.surface)
-    if not (np.linalg.det(nodes[tets][:, 1:] - nodes[tets][:, :1]) > 0).all():
-        raise InputError("putting the glued nodes on their surface turned tets inside out")
     inner = np.setdiff1d(np.arange(len(nodes)), faces)
     if len(given.inner_mm):
         inner = inner[~_on_triangles(nodes[inner], given.inner_mm, 2 * _epsilon_mm(given, epsilon))]
     nodes = improve_worst_tets(nodes, tets, inner, wanted_deg=wanted_deg + _MARGIN_DEG)
+    if not (np.linalg.det(nodes[tets][:, 1:] - nodes[tets][:, :1]) > 0).all():
+        raise InputError("putting the glued nodes on their surface turned tets inside out")
     return TetMesh(nodes_m=nodes * 1e-3, tets=tets, faces=faces, face_regions=regions)
 
 

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random dome pads for property-based tests, and those of real sensors."""
+
+from __future__ import annotations
+
+from hypothesis import strategies as st
+
+from cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
+
+DIGIT_360 = SolidDomePad(
+    dome_radius_mm=12.5, wall_height_mm=13.5, pocket_radius_mm=4.927, pocket_taper_deg=2,
+    pocket_depth_mm=1.55, pocket_edge_radius_mm=0.25, pocket_dome_radius_mm=7.439,
+)  # fmt: skip
+R_TAC = ShellDomePad(dome_radius_mm=15, thickness_mm=1.5, window_deg=60)
+GEL_TIP = ShellDomePad(dome_radius_mm=11.5, thickness_mm=2, skirt_mm=10, window_deg=70)
+
+
+@st.composite
+def shell_domes(draw: st.DrawFn) -> ShellDomePad:
+    """Shells of the proportions of real sensors."""
+    radius = draw(st.floats(6, 20))
+    opening = draw(st.one_of(st.just(90.0), st.floats(40, 90)))
+    return ShellDomePad(
+        dome_radius_mm=radius,
+        thickness_mm=radius * draw(st.floats(0.08, 0.3)),
+        opening_deg=opening,
+        skirt_mm=radius * draw(st.floats(0.2, 1.5)) if opening == 90 else 0.0,
+        window_deg=opening * draw(st.floats(0.45, 0.9)),
+        rim=draw(st.sampled_from(["bonded", "free"])),
+    )
+
+
+@st.composite
+def solid_domes(draw: st.DrawFn) -> SolidDomePad:
+    """Solid domes of the proportions of real sensors."""
+    radius = draw(st.floats(6, 14))
+    wall, pocket = radius * draw(st.floats(0.4, 1.3)), radius * draw(st.floats(0.35, 0.6))
+    return SolidDomePad(
+        dome_radius_mm=radius,
+        wall_height_mm=wall,
+        bonded_wall_mm=draw(st.sampled_from([0.0, 0.4])) * wall,
+        pocket_radius_mm=pocket,
+        pocket_taper_deg=draw(st.floats(0, 8)),
+        pocket_depth_mm=radius * draw(st.floats(0.1, 0.2)),
+        pocket_edge_radius_mm=0.2,
+        pocket_dome_radius_mm=pocket * draw(st.floats(1.4, 4)),
+    )
+
+
+def domes() -> st.SearchStrategy[DomePad]:
+    """Either kind."""
+    return st.one_of(shell_domes(), solid_domes())

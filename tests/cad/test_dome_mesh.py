@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Structured meshes of domes: the gate, constant connectivity, fine around contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dome_strategies import DIGIT_360, GEL_TIP, R_TAC, shell_domes, solid_domes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cad.mesh.dome import even_dome_mesh, focused_dome_mesh
+from cad.mesh.dome_columns import graded_shares
+from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh
+from cad.mesh.quality import PRESS_GATE, QualityGate, measure_quality, require_quality
+from cad.mesh.refined_topology import coarse_plan_nodes, refined_topology
+from cad.mesh.structured_topology import plan_triangles
+from cad.mesh.surface import check_closed
+from cad.mesh.tessellate import tessellate_solid
+from cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region, TetMesh
+
+
+def check_mesh(mesh: TetMesh, pad: DomePad) -> None:
+    check_closed(mesh.faces, "boundary")
+    assert np.array_equal(np.unique(mesh.tets), np.arange(mesh.node_count))
+    bonded = mesh.nodes_m[mesh.bonded_nodes()] * 1e3
+    assert np.abs(bonded - pad.bond_projection_mm(bonded)).max() < 1e-9
+    contact = mesh.nodes_m[mesh.region_nodes(Region.CONTACT)] * 1e3
+    assert pad.contact_error_mm(contact).max() < 1e-9
+    assert contact[:, 2].min() > -pad.dome_radius_mm * (1 - np.cos(pad.cap_angle)) - 1e-9
+    centers = mesh.nodes_m[mesh.faces].mean(axis=1) * 1e3
+    # Chords lie a little off the surfaces, so that faces at borders may go either way.
+    assert (pad.region_of(centers) == mesh.face_regions).mean() > 0.9
+
+
+@pytest.mark.parametrize("pad", [DIGIT_360, GEL_TIP], ids=["digit360", "geltip"])
+def test_real_sensors_pass_the_gate_at_the_default_edge(pad: DomePad) -> None:
+    mesh = gel_mesh(pad)
+    part = pad.labelled_solid()
+    found = measure_quality(
+        mesh, pad, cad_volume_mm3=part.volume_mm3, cad_surface=tessellate_solid(part)
+    )
+    require_quality(mesh, found, QualityGate())
+    assert mesh.node_count < 15_000
+    check_mesh(mesh, pad)
+    for region in Region:
+        wanted = pad.meridian.area_mm2(region)
+        assert found.region_areas_mm2[region.name.lower()] == pytest.approx(wanted, rel=0.01)
+
+
+@given(shell_domes(), st.floats(0.8, 1.5))
+@settings(max_examples=8, deadline=None)
+def test_even_shells_are_sound(pad: ShellDomePad, edge_mm: float) -> None:
+    mesh = even_dome_mesh(pad, min(edge_mm, pad.dome_radius_mm / 8))
+    check_mesh(mesh, pad)
+    quality = measure_quality(mesh, pad, cad_volume_mm3=pad.meridian.volume_mm3())
+    assert quality.min_dihedral_deg >= 10
+    assert quality.volume_error_percent is not None and -1.5 < quality.volume_error_percent < 0
+    window = pad.meridian.area_mm2(Region.WINDOW)
+    assert quality.region_areas_mm2["window"] == pytest.approx(window, rel=0.05)
+
+
+@given(solid_domes())
+@settings(max_examples=4, deadline=None)
+def test_even_solids_are_sound(pad: SolidDomePad) -> None:
+    mesh = even_dome_mesh(pad, pad.dome_radius_mm / 9)
+    check_mesh(mesh, pad)
+    quality = measure_quality(mesh, pad, cad_volume_mm3=pad.meridian.volume_mm3())
+    assert quality.min_dihedral_deg >= 9
+    assert quality.volume_error_percent is not None and abs(quality.volume_error_percent) < 0.7
+    window = pad.meridian.area_mm2(Region.WINDOW)
+    assert quality.region_areas_mm2["window"] == pytest.approx(window, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("pad", "changes"),
+    [
+        (R_TAC, {"thickness_mm": 1.8, "opening_deg": 89.0}),
+        (GEL_TIP, {"skirt_mm": 10.3, "thickness_mm": 2.2, "dome_radius_mm": 11.6}),
+        (DIGIT_360, {"wall_height_mm": 13.7, "pocket_depth_mm": 1.7, "dome_radius_mm": 12.6}),
+    ],
+)
+def test_a_sweep_keeps_the_connectivity(pad: DomePad, changes: dict[str, float]) -> None:
+    meshes = [even_dome_mesh(p, 1.6) for p in (pad, pad.with_values(changes))]
+    for name in ("tets", "faces", "face_regions"):
+        assert getattr(meshes[0], name).tobytes() == getattr(meshes[1], name).tobytes()
+    assert np.abs(meshes[0].nodes_m - meshes[1].nodes_m).max() > 1e-5
+
+
+@pytest.mark.parametrize("pad", [DIGIT_360, R_TAC, GEL_TIP], ids=["digit360", "rtac", "geltip"])
+def test_focused_meshes_share_connectivity_and_are_fine_at_the_contact(pad: DomePad) -> None:
+    reference = None
+    for share, turn in ((0.0, 0.0), (0.5, 1.0), (0.8, -2.5)):
+        at = share * pad.cap_radius_mm * np.array([np.cos(turn), np.sin(turn)])
+        options = FocusOptions((float(at[0]), float(at[1])), radius_mm=3.8, size_mm=0.2)
+        mesh = focused_gel_mesh(pad, options)
+        check_mesh_of_press(mesh, pad)
+        reference = reference or mesh
+        for name in ("tets", "faces", "face_regions"):
+            assert getattr(mesh, name).tobytes() == getattr(reference, name).tobytes()
+        corners = mesh.nodes_m[mesh.region_faces(Region.CONTACT)] * 1e3
+        lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+        place = np.append(at, pad.top_mm(at))
+        away = np.linalg.norm(corners.mean(axis=1) - place, axis=1)
+        assert np.quantile(lengths[away < 3], 0.25) == pytest.approx(0.2, rel=0.3)
+        assert lengths[away < 3].max() < 3.2 * 0.2
+        assert np.median(lengths[away > 10]) > 5 * 0.2
+
+
+def check_mesh_of_press(mesh: TetMesh, pad: DomePad) -> None:
+    bonded = mesh.nodes_m[mesh.bonded_nodes()] * 1e3
+    assert np.abs(bonded - pad.bond_projection_mm(bonded)).max() < 1e-9
+    contact = mesh.nodes_m[mesh.region_nodes(Region.CONTACT)] * 1e3
+    assert pad.contact_error_mm(contact).max() < 1e-9
+    quality = measure_quality(mesh, pad, cad_volume_mm3=pad.meridian.volume_mm3())
+    require_quality(mesh, quality, PRESS_GATE)
+
+
+@given(st.floats(0, 0.75), st.floats(-np.pi, np.pi), st.floats(2.5, 4))
+@settings(max_examples=4, deadline=None)
+def test_focused_shells_are_sound_anywhere(share: float, turn: float, radius: float) -> None:
+    at = share * R_TAC.cap_radius_mm * np.array([np.cos(turn), np.sin(turn)])
+    mesh = focused_dome_mesh(
+        R_TAC, focus_mm=(at[0], at[1]), focus_radius_mm=radius, focus_size_mm=radius / 19
+    )
+    check_mesh_of_press(mesh, R_TAC)
+
+
+def test_same_input_gives_the_same_bytes() -> None:
+    meshes = [focused_dome_mesh(DIGIT_360, focus_mm=(5, -4)) for _ in range(2)]
+    assert meshes[0].nodes_m.tobytes() == meshes[1].nodes_m.tobytes()
+
+
+def test_volume_converges_with_the_square_of_the_edge() -> None:
+    exact = R_TAC.meridian.volume_mm3()
+    errors = [
+        1 - even_dome_mesh(R_TAC, edge).volumes_m3().sum() * 1e9 / exact for edge in (2.8, 1.4, 0.7)
+    ]
+    assert 3 < errors[0] / errors[1] < 5.5 and 3 < errors[1] / errors[2] < 5.5
+
+
+def test_the_fine_plan_holds_four_triangles_for_each_coarse_one() -> None:
+    nodes = coarse_plan_nodes(3, 2)
+    assert len(np.unique(nodes)) == 4 * 4 + 12 * 2
+    topology = refined_topology(3, 2, 2, 1)
+    count, fine = len(nodes), topology.fine_count
+    # Every triangle between two tets is seen from both sides: no gap between coarse and fine.
+    check_closed(topology.faces, "boundary")
+    levels = np.concatenate([np.repeat([0.0, 1, 2], count), np.repeat([3.0, 4], fine)])
+    plan = np.zeros((fine, 2))
+    # Squares inside squares, so that middles of coarse edges lie on them.
+    theta = -0.75 * np.pi + 2 * np.pi * np.arange(24) / 24
+    t = np.linspace(-1, 1, 7)
+    plan[:49] = np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1).reshape(-1, 2)
+    for ring in range(4):
+        square = np.maximum(np.abs(np.cos(theta)), np.abs(np.sin(theta)))
+        radius = (1 + 0.5 * (ring + 1)) / square
+        plan[49 + 24 * ring : 73 + 24 * ring] = np.stack(
+            [radius * np.cos(theta), radius * np.sin(theta)], axis=-1
+        )
+    xy = np.concatenate([np.tile(plan[nodes], (3, 1)), np.tile(plan, (2, 1))])
+    points = np.column_stack([xy, levels])[topology.tets]
+    volumes = np.linalg.det(points[:, 1:] - points[:, :1]) / 6
+    assert volumes.min() > 0
+    # A square of side 6, 4 high; nodes by angle miss the middles of its sides a little.
+    assert volumes.sum() == pytest.approx(36 * 4, rel=0.02)
+    top = (topology.faces >= 3 * count + fine).all(axis=1).sum()
+    assert top == 4 * len(plan_triangles(3, 2))
+
+
+@given(st.floats(0.05, 3), st.floats(1, 30), st.integers(1, 20))
+def test_graded_layers_fill_their_column(size: float, length: float, layers: int) -> None:
+    shares = graded_shares(np.array([size]), np.array([length]), layers)[:, 0]
+    heights = np.diff(shares)
+    assert shares[0] == 0 and shares[-1] == 1 and (heights > 0).all()
+    assert (np.diff(heights) <= 1e-9).all()
+    if layers > 5 and size < length / (3 * layers):
+        assert heights[-1] * length == pytest.approx(size, rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("pad", "options", "word"),
+    [
+        (R_TAC, {"focus_mm": (14.93, 0)}, "allowed: up to 14.925"),
+        (R_TAC, {"focus_mm": (20, 0)}, "from the axis"),
+        (R_TAC, {"focus_mm": (float("nan"), 0)}, "pair of numbers"),
+        (R_TAC, {"focus_mm": (0, 0), "core": 7}, "both be even"),
+        (R_TAC, {"focus_mm": (0, 0), "rings": 400}, "rings = 400"),
+        (DIGIT_360, {"focus_mm": (0, 0), "layers": 0}, "layers = 0"),
+        (DIGIT_360, {"focus_mm": (0, 0), "focus_size_mm": 9}, "focus_size_mm"),
+        (DIGIT_360, {"focus_mm": (0, 0), "focus_radius_mm": 99}, "focus_radius_mm"),
+    ],
+)
+def test_bad_options_say_what_is_allowed(
+    pad: DomePad, options: dict[str, object], word: str
+) -> None:
+    with pytest.raises(InputError, match=word):
+        focused_dome_mesh(pad, **options)  # type: ignore[arg-type]
+
+
+def test_edges_out_of_bounds_are_refused() -> None:
+    for edge in (0.1, 99.0, float("nan")):
+        with pytest.raises(InputError, match="edge_mm"):
+            even_dome_mesh(R_TAC, edge)
