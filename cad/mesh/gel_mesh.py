@@ -40,10 +40,21 @@ class FocusOptions:
     """Thickness of a layer over that of the one above it, at the contact."""
 
 
-def gel_mesh(pad: Pad, edge_mm: float = DEFAULT_EDGE_MM) -> TetMesh:
-    """Structured mesh of ``pad`` whose elements are about ``edge_mm`` long."""
-    if isinstance(pad, HeightPad):
-        return even_gel_mesh(pad, edge_mm)
+def gel_mesh(
+    pad: Pad, edge_mm: float = DEFAULT_EDGE_MM, *, counts_of: Pad | None = None
+) -> TetMesh:
+    """Structured mesh of ``pad`` whose elements are about ``edge_mm`` long.
+
+    ``counts_of`` names the pad whose dimensions choose how many cells there are: with the same one
+    every pad of a sweep has the same connectivity. So far for pads with a flat back.
+    """
+    if isinstance(pad, HeightPad) and (counts_of is None or isinstance(counts_of, HeightPad)):
+        return even_gel_mesh(pad, edge_mm, counts_of=counts_of)
+    if counts_of is not None:
+        raise InputError(
+            f"counts_of: {type(pad).__name__} cannot have the cell counts of "
+            f"{type(counts_of).__name__}; both must be pads with a flat back"
+        )
     if isinstance(pad, DomePad):
         return even_dome_mesh(pad, edge_mm)
     raise InputError(f"no structured mesher for {type(pad).__name__}; use the mesher tetwild")

@@ -94,7 +94,9 @@ def structured_gel_mesh(
     if pad.sides_bonded:
         regions[regions == int(Region.SIDE)] = Region.BOND
     level, plan = np.divmod(topology.tets, len(top))
-    skin = (level >= layers - skin_layers).all(axis=1) if skin_layers else np.zeros(len(level), bool)
+    skin = (
+        (level >= layers - skin_layers).all(axis=1) if skin_layers else np.zeros(len(level), bool)
+    )
     if pad.skin_wall_mm:
         inside = int((rim_distances_mm(pad) < pad.skin_wall_mm).sum())
         skin |= (ring_of_node(core, rings)[plan] >= rings - inside).all(axis=1)
