@@ -46,3 +46,14 @@ def stiffness_tangent(evidence: Evidence) -> float:
     depth = record.depth_mm[record.down]
     a, b = (at_load(record, depth, load * evidence.load_n) for load in (0.99, 1.0))
     return 0.01 * evidence.load_n / (b - a)
+
+
+@metric(
+    "stiffness_roller", "N/mm",
+    "load over depth of a roller of 2 mm radius and 6 mm length at the load", "none", ("cylinder",),
+)  # fmt: skip
+def stiffness_roller(evidence: Evidence) -> float:
+    """F / d of a line contact at the load."""
+    record = evidence.one("cylinder")
+    depth = at_load(record, record.depth_mm[record.down], evidence.load_n)
+    return evidence.load_n / depth

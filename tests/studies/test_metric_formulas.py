@@ -63,6 +63,7 @@ def test_stiffness_of_hertz() -> None:
     record = down_record(depth.tolist(), (2.0 * depth**1.5).tolist())
     at = (0.5 / 2) ** (2 / 3)
     assert figure("stiffness_secant", record) == pytest.approx(0.5 / at)
+    assert figure("stiffness_roller", record) == pytest.approx(0.5 / at)
     assert figure("stiffness_tangent", record) == pytest.approx(1.5 * 0.5 / at, rel=0.01)
 
 
