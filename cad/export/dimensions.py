@@ -18,7 +18,7 @@ def dimensions(part: LabelledSolid, pad: Pad | None = None) -> dict[str, Any]:
         "frame": "x right and y down in the image, z out of the gel; origin at the apex",
         "bounding_box_min": [box.min.X, box.min.Y, box.min.Z],
         "bounding_box_max": [box.max.X, box.max.Y, box.max.Z],
-        "volume_mm3": part.solid.volume,
+        "volume_mm3": part.volume_mm3,
         "area_mm2": {region.name.lower(): part.area_mm2(region) for region in Region},
     }
     if pad is None:

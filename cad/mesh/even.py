@@ -76,7 +76,7 @@ def _stacked(pad: HeightPad, counts: EvenCounts, plan: EvenPlan) -> np.ndarray:
             first = len(top) - (counts.band + 1 - k) * wall
             top[first : first + wall] = plan.fillet.points_mm(fraction)
     skin = top - [0, 0, pad.skin_top_mm]
-    s = level_fractions(counts.gel_layers, np.float64(LAYER_RATIO))[:, None, None]
+    s = level_fractions(counts.gel_layers, np.array(LAYER_RATIO))[:, None, None]
     levels = (1 - s) * back + s * skin
     if plan.fillet is not None:
         climbing = _wall_levels(pad, counts, plan)
@@ -94,7 +94,7 @@ def _wall_levels(pad: HeightPad, counts: EvenCounts, plan: EvenPlan) -> np.ndarr
     arc = [plan.fillet.points_mm(k / total) for k in range(counts.side_arc + 1)]
     steps = counts.gel_layers - counts.side_arc
     foot = np.column_stack([plan.outline, np.full(len(plan.outline), -pad.thickness_mm)])
-    s = level_fractions(steps, np.float64(LAYER_RATIO))[:, None, None]
+    s = level_fractions(steps, np.array(LAYER_RATIO))[:, None, None]
     return np.concatenate([(1 - s) * foot + s * arc[0], np.array(arc[1:])])
 
 
@@ -153,4 +153,4 @@ def _tet_layers(tets: np.ndarray, counts: EvenCounts) -> np.ndarray:
     ring = ring_of_node(counts.core, counts.rings)[plan]
     above = (level >= counts.gel_layers).all(axis=1) & (counts.skin_layers > 0)
     beside = (ring >= counts.rings - counts.skin_rings).all(axis=1) & (counts.skin_rings > 0)
-    return (above | beside).astype(np.int32)
+    return np.asarray(above | beside, dtype=np.int32)

@@ -28,7 +28,8 @@ def smooth_plan(
         free[nodes] = True
     if not free.any():
         return xy.copy()
-    touched = quads[free.any(axis=1)[quads].any(axis=1)]
+    moving = np.asarray(free.any(axis=1))
+    touched = quads[moving[quads].any(axis=1)]
     corner = touched.ravel()
     ahead, behind = np.roll(touched, -1, axis=1).ravel(), np.roll(touched, 1, axis=1).ravel()
     area = np.abs(_cross(xy[ahead] - xy[corner], xy[behind] - xy[corner]))

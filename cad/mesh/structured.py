@@ -105,7 +105,7 @@ def structured_gel_mesh(
         tets=topology.tets.copy(),
         faces=topology.faces.copy(),
         face_regions=regions,
-        tet_layers=skin.astype(np.int32),
+        tet_layers=np.asarray(skin, dtype=np.int32),
     )
 
 

@@ -87,7 +87,7 @@ def _minimise(
 ) -> np.ndarray:
     from scipy.optimize import minimize
 
-    chosen = free.any(axis=1)
+    chosen = np.asarray(free.any(axis=1))
     if not chosen.any():
         return nodes
     patch = tets[chosen[tets].any(axis=1)]
