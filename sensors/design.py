@@ -99,7 +99,7 @@ def design_sensor(
     surface = tessellate_solid(part)
     quality = measure_quality(mesh, pad, cad_volume_mm3=part.volume_mm3, cad_surface=surface)
     gate = QualityGate().at_edge(edge_mm)
-    require_quality(mesh, quality, gate, picture_folder=refused_folder(out_dir))
+    passed = require_quality(mesh, quality, gate, picture_folder=refused_folder(out_dir))
     profile = designed_profile(family, parameters, mesh, quality, mesher=mesher)
     tell("assembly")
     assembly = None
@@ -138,7 +138,13 @@ def design_sensor(
         tell(None)
         write_json(
             folder / names["quality"],
-            {"mesher": mesher, "edge_mm": edge_mm, **quality.to_json(), "seconds": seconds},
+            {
+                "mesher": mesher,
+                "edge_mm": edge_mm,
+                **quality.to_json(),
+                "gate": passed.to_json(),
+                "seconds": seconds,
+            },
         )
         write_json(
             folder / names["parameters"],

@@ -76,7 +76,7 @@ def import_design(
         mesh, None, cad_volume_mm3=gel.part.volume_mm3, cad_surface=gel.surface
     )
     gate = QualityGate().at_edge(edge_mm)
-    require_quality(mesh, quality, gate, picture_folder=refused)
+    passed = require_quality(mesh, quality, gate, picture_folder=refused)
     tell("files")
     out_dir = Path(out_dir)
     names = {
@@ -96,7 +96,13 @@ def import_design(
         tell(None)
         write_json(
             folder / names["quality"],
-            {"mesher": "tetwild", "edge_mm": edge_mm, **quality.to_json(), "seconds": seconds},
+            {
+                "mesher": "tetwild",
+                "edge_mm": edge_mm,
+                **quality.to_json(),
+                "gate": passed.to_json(),
+                "seconds": seconds,
+            },
         )
         write_json(folder / names["gel"], _description(Path(path), selection, gel, dimensions))
     return ImportResult(

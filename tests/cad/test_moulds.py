@@ -25,7 +25,6 @@ from taccel_lab.geometry import Region
 
 CROWNED = GelPad(crown_radius_x_mm=50.0, crown_radius_y_mm=50.0, thickness_mm=5.0)
 PADS = {
-    "flat": GelPad(thickness_mm=4.0),
     "crowned": CROWNED,
     "fillet": GelPad(thickness_mm=4.0, rim="fillet", rim_mm=0.8),
     "shell": ShellDomePad(skirt_mm=5.0),

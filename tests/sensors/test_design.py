@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,6 +44,7 @@ def test_quality_file_holds_the_measured_figures(result: DesignResult) -> None:
     assert written["min_dihedral_deg"] == result.quality.min_dihedral_deg > 10
     assert written["node_count"] == result.mesh.node_count
     assert abs(written["volume_error_percent"]) < 0.5
+    assert written["gate"]["passed"] and written["gate"]["limits"]["min_dihedral_deg"] == 10
     assert written["hausdorff_mm"] < 0.1
     assert written["back_plane_error_mm"] < 1e-9
     assert set(written["seconds"]) == {
@@ -151,3 +154,27 @@ def test_command_line_refuses_unknown_sensor(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="name=value"):
         Design(sensor="gelsight", out=tmp_path / "out", set=("thickness",)).run()
     assert not (tmp_path / "out").exists()
+
+
+def test_a_bad_mesh_is_refused_with_a_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from cad.mesh.gel_mesh import gel_mesh
+    from taccel_lab.geometry import TetMesh
+
+    def squeezed(pad: Any, edge_mm: float) -> TetMesh:
+        mesh = gel_mesh(pad, edge_mm)
+        nodes = mesh.nodes_m.copy()
+        inner = np.setdiff1d(np.arange(len(nodes)), np.unique(mesh.faces))
+        # One inner node nearly onto a neighbour: flat tets, but all of positive volume.
+        tet = mesh.tets[(mesh.tets == inner[0]).any(axis=1)][0]
+        neighbour = next(int(node) for node in tet if node != inner[0])
+        nodes[inner[0]] += 0.95 * (nodes[neighbour] - nodes[inner[0]])
+        return dataclasses.replace(mesh, nodes_m=nodes)
+
+    monkeypatch.setattr("sensors.design.gel_mesh", squeezed)
+    with pytest.raises(InputError, match=r"dihedral angle under .*/out_refused/bad_mesh\.png"):
+        design_sensor(FAMILY, None, tmp_path / "out", edge_mm=1.5, parts=())
+    assert [path.name for path in tmp_path.iterdir()] == ["out_refused"]
+    picture = tmp_path / "out_refused" / "bad_mesh.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
