@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
-from sensors.parameter_groups import RectangleGelParameters
+from sensors.rectangle_sensor import RectangleSensorParameters
 from taccel_lab.optics.description import Light
 
 _GELMAP = "taxim 1.4.1, calib/gelsight/gelmap.npy"
@@ -31,7 +30,7 @@ _ASSUMED_PLAN = (
 
 
 @dataclass(frozen=True)
-class GelSightParameters(RectangleGelParameters, CameraSensorParameters):
+class GelSightParameters(RectangleSensorParameters):
     """Parameters of a classic GelSight."""
 
     length_x_mm: float = restated(24.0, source=_ASSUMED_PLAN)
@@ -76,21 +75,12 @@ class GelSightParameters(RectangleGelParameters, CameraSensorParameters):
     )
 
     def pad(self) -> GelPad:
-        """The gel pad; its window is what the camera sees."""
-        window_x, window_y = self.seen_mm(
-            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
-        )
-        return GelPad(
-            length_x_mm=self.length_x_mm,
-            length_y_mm=self.length_y_mm,
-            corner_radius_mm=self.corner_radius_mm,
-            thickness_mm=self.thickness_mm,
+        """The gel pad with its spherical crown."""
+        return self.gel_pad(
             crown_radius_x_mm=self.crown_radius_mm,
             crown_radius_y_mm=self.crown_radius_mm,
             rim=self.rim,
             rim_mm=self.rim_mm,
-            window_x_mm=window_x,
-            window_y_mm=window_y,
         )
 
     def lights(self) -> tuple[Light, ...]:

@@ -9,8 +9,7 @@ from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
 from cad.parts.height_pad import MIN_WALL_MM
 from sensors.base import SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
-from sensors.parameter_groups import RectangleGelParameters
+from sensors.rectangle_sensor import RectangleSensorParameters
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import Light
 
@@ -22,7 +21,7 @@ _LIGHTS = "assumption: beside the acrylic, as fits to the classic GelSight have 
 
 
 @dataclass(frozen=True)
-class GelSight40Parameters(RectangleGelParameters, CameraSensorParameters):
+class GelSight40Parameters(RectangleSensorParameters):
     """Parameters of the square GelSight."""
 
     length_x_mm: float = restated(40.0, minimum=16, maximum=80, source=f"{_PAD}: 40 x 40 mm")
@@ -83,20 +82,11 @@ class GelSight40Parameters(RectangleGelParameters, CameraSensorParameters):
                 f"thickness_mm = {self.thickness_mm:g}; allowed: up to "
                 f"{self.thickness_mm - MIN_WALL_MM:g} mm"
             )
-        window_x, window_y = self.seen_mm(
-            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
-        )
-        return GelPad(
-            length_x_mm=self.length_x_mm,
-            length_y_mm=self.length_y_mm,
-            corner_radius_mm=self.corner_radius_mm,
-            thickness_mm=self.thickness_mm,
+        return self.gel_pad(
             rim="chamfer",
             rim_mm=self.bevel_mm,
             wall_mm=self.thickness_mm - self.bevel_height_mm,
             bond_sides="yes",
-            window_x_mm=window_x,
-            window_y_mm=window_y,
         )
 
     def lights(self) -> tuple[Light, ...]:

@@ -14,9 +14,8 @@ from typing import ClassVar
 from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
-from sensors.parameter_groups import RectangleGelParameters
 from sensors.parameter_groups.lights import BLUE, GREEN, RED
+from sensors.rectangle_sensor import RectangleSensorParameters
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import Light
 
@@ -34,7 +33,7 @@ _ANSYS = "gelsight_ansys_sim (irisxu02)"
 
 
 @dataclass(frozen=True)
-class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
+class GelSightMiniParameters(RectangleSensorParameters):
     """Parameters of a GelSight Mini; the gel with markers."""
 
     length_x_mm: float = restated(25.25, minimum=14, maximum=40, source=f"{_GEL}: 25.25 mm")
@@ -133,16 +132,9 @@ class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
     housing_offset_mm: ClassVar[tuple[float, float]] = (0.25, -0.5)
 
     def pad(self) -> GelPad:
-        """The gel pad."""
-        window_x, window_y = self.seen_mm(
-            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
-        )
+        """The gel pad: crown, and a rim that rises as an arc from the wall."""
         try:
-            return GelPad(
-                length_x_mm=self.length_x_mm,
-                length_y_mm=self.length_y_mm,
-                corner_radius_mm=self.corner_radius_mm,
-                thickness_mm=self.thickness_mm,
+            return self.gel_pad(
                 crown_radius_x_mm=self.crown_radius_x_mm,
                 crown_radius_y_mm=self.crown_radius_y_mm,
                 crown_pillow=self.crown_pillow,
@@ -150,8 +142,6 @@ class GelSightMiniParameters(RectangleGelParameters, CameraSensorParameters):
                 rim_mm=self.rim_mm,
                 wall_mm=self.thickness_mm - self.rim_drop_mm,
                 rim_radius_mm=self.rim_radius_mm,
-                window_x_mm=window_x,
-                window_y_mm=window_y,
             )
         except InputError as error:
             raise InputError(f"{error} (wall_mm is thickness_mm less rim_drop_mm)") from error

@@ -6,10 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cad.parameters import restated
-from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
-from sensors.parameter_groups import RectangleGelParameters
+from sensors.rectangle_sensor import RectangleSensorParameters
 from taccel_lab.optics.description import Light
 
 _TACSL = "TacSL, tacsl_gelsight_r15.yaml"
@@ -22,7 +20,7 @@ _LIGHT_FIT = (
 
 
 @dataclass(frozen=True)
-class GelSightR15Parameters(RectangleGelParameters, CameraSensorParameters):
+class GelSightR15Parameters(RectangleSensorParameters):
     """Parameters of a GelSight R1.5."""
 
     length_x_mm: float = restated(23.977, source=f"{_TACSL}: elastomer 23.977 x 32 mm")
@@ -49,20 +47,6 @@ class GelSightR15Parameters(RectangleGelParameters, CameraSensorParameters):
     window_thickness_mm: float = restated(9.5, source="assumption: as the classic GelSight's")
     housing_x_mm: float = restated(30.0, source=_NOT_PUBLISHED)
     housing_y_mm: float = restated(38.0, source=_NOT_PUBLISHED)
-
-    def pad(self) -> GelPad:
-        """The flat gel pad."""
-        window_x, window_y = self.seen_mm(
-            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
-        )
-        return GelPad(
-            length_x_mm=self.length_x_mm,
-            length_y_mm=self.length_y_mm,
-            corner_radius_mm=self.corner_radius_mm,
-            thickness_mm=self.thickness_mm,
-            window_x_mm=window_x,
-            window_y_mm=window_y,
-        )
 
     def lights(self) -> tuple[Light, ...]:
         """One LED of each colour, 120 degrees apart, as in the classic GelSight."""

@@ -10,10 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cad.parameters import restated
-from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
-from sensors.parameter_groups import RectangleGelParameters
+from sensors.rectangle_sensor import RectangleSensorParameters
 from taccel_lab.optics.description import Light
 
 _MODULUS = "EstimateModulus (GelSight-lab)"
@@ -23,7 +21,7 @@ _LIGHTS = "assumption: beside the acrylic, as fits to the classic GelSight have 
 
 
 @dataclass(frozen=True)
-class GelSightWedgeParameters(RectangleGelParameters, CameraSensorParameters):
+class GelSightWedgeParameters(RectangleSensorParameters):
     """Parameters of a GelSight Wedge."""
 
     length_x_mm: float = restated(35.0, source=f"{_MODULUS}: 35 x 25.5 mm")
@@ -60,20 +58,6 @@ class GelSightWedgeParameters(RectangleGelParameters, CameraSensorParameters):
     housing_y_mm: float = restated(32.0, source=_NOT_PUBLISHED)
     housing_z_mm: float = restated(42.0, source=f"{_NOT_PUBLISHED}; holds the unfolded path")
     housing_front_mm: float = restated(5.5, source="assumption: level with the back of the gel")
-
-    def pad(self) -> GelPad:
-        """The flat gel pad."""
-        window_x, window_y = self.seen_mm(
-            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
-        )
-        return GelPad(
-            length_x_mm=self.length_x_mm,
-            length_y_mm=self.length_y_mm,
-            corner_radius_mm=self.corner_radius_mm,
-            thickness_mm=self.thickness_mm,
-            window_x_mm=window_x,
-            window_y_mm=window_y,
-        )
 
     def lights(self) -> tuple[Light, ...]:
         """One LED of each colour, 120 degrees apart, as in the classic GelSight."""

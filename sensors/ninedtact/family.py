@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import GelMaterial, SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
-from sensors.parameter_groups import RectangleGelParameters, SkinParameters
+from sensors.parameter_groups import SkinParameters
 from sensors.parameter_groups.lights import WHITE
+from sensors.rectangle_sensor import RectangleSensorParameters
 from taccel_lab.optics.description import Light
 
 _MOULD = "measured on the mould drawings of 9DTact (linchangyi1/9DTact, MIT)"
@@ -20,7 +20,7 @@ _SAME_SILICONE = "assumption: the same silicone as the core with black pigment; 
 
 
 @dataclass(frozen=True)
-class NineDTactParameters(RectangleGelParameters, SkinParameters, CameraSensorParameters):
+class NineDTactParameters(SkinParameters, RectangleSensorParameters):
     """Parameters of a 9DTact; its outer dimensions include the skin."""
 
     length_x_mm: float = restated(31.1, minimum=14, source=f"{_MOULD}: black skin 31.1 x 24.1 mm")
@@ -88,19 +88,8 @@ class NineDTactParameters(RectangleGelParameters, SkinParameters, CameraSensorPa
 
     def pad(self) -> GelPad:
         """The flat pad: translucent core and black skin."""
-        inside = 2 * self.skin_side_mm
-        window_x, window_y = self.seen_mm(
-            self.length_x_mm - inside, self.length_y_mm - inside, self.window_margin_mm()
-        )
-        return GelPad(
-            length_x_mm=self.length_x_mm,
-            length_y_mm=self.length_y_mm,
-            corner_radius_mm=self.corner_radius_mm,
-            thickness_mm=self.thickness_mm,
-            skin_mm=self.skin_top_mm,
-            skin_side_mm=self.skin_side_mm,
-            window_x_mm=window_x,
-            window_y_mm=window_y,
+        return self.gel_pad(
+            inset_mm=self.skin_side_mm, skin_mm=self.skin_top_mm, skin_side_mm=self.skin_side_mm
         )
 
     def layer_materials(self) -> tuple[GelMaterial, ...]:

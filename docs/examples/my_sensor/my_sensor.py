@@ -12,16 +12,15 @@ from dataclasses import dataclass
 from cad.parameters import parameter, restated
 from cad.parts.gel_pad import GelPad
 from sensors.base import SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
-from sensors.parameter_groups import RectangleGelParameters
 from sensors.parameter_groups.lights import BLUE, GREEN, RED, WHITE
+from sensors.rectangle_sensor import RectangleSensorParameters
 from taccel_lab.optics.description import Light
 
 _DRAWING = "our drawing 1207, revision B"
 
 
 @dataclass(frozen=True)
-class MySensorParameters(RectangleGelParameters, CameraSensorParameters):
+class MySensorParameters(RectangleSensorParameters):
     """Parameters of my sensor: those of all sensors, and what only this one has."""
 
     # What only this sensor has: name, bounds, unit, source, meaning.
@@ -54,19 +53,7 @@ class MySensorParameters(RectangleGelParameters, CameraSensorParameters):
 
     def pad(self) -> GelPad:
         """The gel; GelPad refuses dimensions that cannot be built and names the bound."""
-        window_x, window_y = self.seen_mm(
-            self.length_x_mm, self.length_y_mm, self.window_margin_mm()
-        )
-        return GelPad(
-            length_x_mm=self.length_x_mm,
-            length_y_mm=self.length_y_mm,
-            corner_radius_mm=self.corner_radius_mm,
-            thickness_mm=self.thickness_mm,
-            rim="fillet",
-            rim_mm=self.edge_mm,
-            window_x_mm=window_x,
-            window_y_mm=window_y,
-        )
+        return self.gel_pad(rim="fillet", rim_mm=self.edge_mm)
 
     def lights(self) -> tuple[Light, ...]:
         """One LED a side; 0 deg is +x, right in the image, and 90 deg is +y, down."""
