@@ -19,6 +19,7 @@ from taccel_lab.geometry import TetMesh
 MIN_FOCUS_EDGE_MM = 1.5
 """Least distance along the cap between a contact and the cap's edge [mm]."""
 _EVEN_DEG, _FOCUSED_DEG = 11.5, 3.0
+_POWERS = (4, 8, 16, 16, 16)
 _CORES, _RINGS, _LAYERS = (4, 64), (10, 128), (1, 64)
 
 
@@ -70,7 +71,7 @@ def _improved(mesh: TetMesh, wanted_deg: float) -> TetMesh:
     """The mesh with inner nodes moved where tets are flatter than wanted; the surface stays."""
     nodes = mesh.nodes_m * 1e3
     inner = np.setdiff1d(np.arange(mesh.node_count), mesh.faces)
-    moved = improve_worst_tets(nodes, mesh.tets, inner, wanted_deg=wanted_deg)
+    moved = improve_worst_tets(nodes, mesh.tets, inner, wanted_deg=wanted_deg, powers=_POWERS)
     return replace(mesh, nodes_m=moved * 1e-3)
 
 
