@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from cad.parameters import ParameterSet, parameter, parse_overrides
+from cad.parameters import ParameterSet, parameter, parse_overrides, restated
 from taccel_lab.errors import InputError
 
 
@@ -65,3 +65,39 @@ def test_overrides_of_another_form_are_refused(items: list[str]) -> None:
 
 def test_overrides_keep_everything_after_the_first_equals_sign() -> None:
     assert parse_overrides(["a = 1", "b=x=y"]) == {"a": "1", "b": "x=y"}
+
+
+@dataclass(frozen=True)
+class WideBox(Box):
+    parameter_group = "boxes"
+
+    width_mm: float = restated(5.0, maximum=8, source="drawing 9")
+    depth_mm: float = parameter(
+        1.0, minimum=0.5, maximum=2, unit="mm", description="depth", source="drawing 9"
+    )
+
+
+def test_a_restated_parameter_keeps_what_it_does_not_state() -> None:
+    spec = WideBox.parameters()["width_mm"]
+    assert (spec.default, spec.source, spec.minimum, spec.maximum) == (5.0, "drawing 9", 1, 8)
+    assert (spec.unit, spec.description) == ("mm", "width")
+    assert WideBox().width_mm == 5.0 and WideBox().count == 4
+    assert Box.parameters()["width_mm"].default == 2.0
+    with pytest.raises(InputError, match=r"width_mm = 9 is above its bound; allowed: 1 to 8 mm"):
+        WideBox(width_mm=9)
+
+
+def test_groups_are_those_of_the_declaring_class() -> None:
+    groups = {name: spec.group for name, spec in WideBox.parameters().items()}
+    assert groups == {
+        "width_mm": "", "count": "", "radius_mm": "", "style": "", "depth_mm": "boxes",
+    }  # fmt: skip
+    assert WideBox().describe()["depth_mm"]["group"] == "boxes"
+
+
+def test_only_inherited_parameters_can_be_restated() -> None:
+    with pytest.raises(TypeError, match="height_mm is restated, but no base class has"):
+
+        @dataclass(frozen=True)
+        class Tall(Box):
+            height_mm: float = restated(3.0, source="none")
