@@ -73,7 +73,7 @@ def test_pad_measures_agree_with_the_pad() -> None:
     found = measure_quality(mesh, pad, cad_volume_mm3=part.solid.volume, cad_surface=fine)
     assert found.back_plane_error_mm < 1e-12 and found.contact_error_mm < 1e-10
     assert found.region_areas_mm2["window"] == pytest.approx(18 * 14)
-    assert found.volume_error_percent is not None
+    assert found.volume_error_percent is not None and found.hausdorff_mm is not None
     assert -1 < found.volume_error_percent < 0
     # Chords of the corner arcs: two cells of 22.5 degrees on half an arc of radius 2.
     assert found.hausdorff_mm == pytest.approx(2 * (1 - np.cos(np.pi / 16)), abs=0.03)
