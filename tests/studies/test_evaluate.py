@@ -5,15 +5,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from studies import press_batch
 from studies.evaluate import METRICS, STANDARD_PRESSES, DesignPoint, evaluate_designs
+from taccel_lab.envs import PressEnv
 from taccel_lab.errors import InputError
 from taccel_lab.output import to_jsonable
-from taccel_lab.solvers import SolverConfig
+from taccel_lab.solvers import EnvStatus, StepReport
 from tests.studies.quick import coarse
 
 SPHERE = coarse("sphere", steps=3)
@@ -85,24 +87,32 @@ def test_a_press_that_cannot_be_set_up_leaves_the_others_alone() -> None:
 def test_a_press_that_does_not_converge_leaves_its_batch_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The thicker gel is pressed deeper, and needs more iterations than there are."""
-    few = SolverConfig(relative_tolerance=1e-3, max_newton_iterations=29, max_substep_halvings=0)
-    monkeypatch.setattr(press_batch, "CONFIG", few)
-    told: list[tuple[str, int, int]] = []
+    """The second environment of a batch is made to fail in the second of three steps."""
+    stays: list[list[bool]] = []
+
+    class Failing(PressEnv):
+        def try_to(self, *args: Any, stay: np.ndarray, **more: Any) -> StepReport:
+            stays.append(stay.tolist())
+            report = super().try_to(*args, stay=stay, **more)
+            if len(stays) == 2:
+                report.status[1] = EnvStatus.LINE_SEARCH
+            return report
+
+    monkeypatch.setattr(press_batch, "PressEnv", Failing)
     easy, hard = evaluate_designs(
-        [gelsight("easy", thickness_mm=2.6), gelsight("hard", thickness_mm=6)],
-        [coarse("sphere", steps=2)],
+        [gelsight("easy"), gelsight("hard", thickness_mm=6)],
+        [SPHERE],
         [METRICS["bond_stress"]],
-        progress=lambda *values: told.append(values),
-        load_n=0.1,
+        load_n=0.3,
     )
-    assert told[-1] == ("press sphere", 2, 2) and len(told) == 2
+    assert stays == [[False, False], [False, False], [False, True]]
     assert easy.causes == {} and easy.figures["bond_stress"] is not None
-    assert "NO_CONVERGENCE" in hard.causes["press sphere"]
-    assert hard.causes["press sphere"].startswith("step ")
+    assert len(easy.curves["sphere"][0]["depth_mm"]) == 3
+    cause = hard.causes["press sphere"]
+    assert cause.startswith("step 2 of 3: the press at (0, 0) mm") and "LINE_SEARCH" in cause
     assert hard.figures["bond_stress"] is None
-    assert hard.causes["bond_stress"] == f"press sphere: {hard.causes['press sphere']}"
-    assert len(hard.curves["sphere"][0]["depth_mm"]) < 2
+    assert hard.causes["bond_stress"] == f"press sphere: {cause}"
+    assert len(hard.curves["sphere"][0]["depth_mm"]) == 1
 
 
 def test_missing_presses_leave_figures_without_value() -> None:

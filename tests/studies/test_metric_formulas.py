@@ -79,7 +79,7 @@ def test_force_range() -> None:
     depth = np.linspace(0.25, 2.5, 10)
     modulus = GELSIGHT.young_modulus_mpa / (1 - GELSIGHT.poisson_ratio**2)
     hertz = 4 / 3 * modulus * math.sqrt(3) * depth**1.5
-    # As soft as a half-space, 5 mm thick: 40 % are 2 mm.
+    # 40 % of 5 mm are 2 mm.
     record = down_record(depth.tolist(), hertz.tolist(), thickness_mm=5.0)
     assert figure("force_range", record) == pytest.approx(hertz[7])
     # A thick gel was not pressed that deep.
@@ -87,11 +87,6 @@ def test_force_range() -> None:
     assert figure("force_range", thick) == pytest.approx(hertz[-1] * (3.6 / 2.5) ** 1.5)
     with pytest.raises(Unavailable, match=r"bottoms at 8 mm .* ends at 2\.5 mm"):
         figure("force_range", dataclasses.replace(record, thickness_mm=20.0))
-    # One that stiffens by the cube is three times as stiff as Hertz's before.
-    cubic = 2 * modulus * depth**3
-    stiff = down_record(depth.tolist(), cubic.tolist(), thickness_mm=5.0)
-    limit = (2 * math.sqrt(3) * 3 / 6) ** (2 / 3)
-    assert figure("force_range", stiff) == pytest.approx(2 * modulus * limit**3, rel=0.1)
 
 
 def test_readings_of_a_real_press() -> None:
