@@ -25,6 +25,8 @@ _ANGLE_WEIGHT = 0.6
 _HELD_RINGS = 2
 _BOUNDARY_DECAY = 3
 _SEEN_WEIGHT = 0.8
+_MAX_EVEN = 0.7
+"""Share of the rings that may fill the focus; the others lead out to the outline."""
 _SIDE_SAMPLES = 400
 
 
@@ -94,7 +96,7 @@ def focus_plan(pad: HeightPad, core: int, rings: int, focus: Focus) -> np.ndarra
     start = half * bulged_radius(theta - theta[0] - 0.75 * np.pi)
     wanted = round((focus.radius_mm * per_mm - half) / size)
     # At least half of the core's half width, so that the first ring clears the core's corners.
-    even = int(np.clip(wanted, np.ceil(core / 4), max(1, free - 2)))
+    even = int(np.clip(wanted, np.ceil(core / 4), max(1, min(free - 2, round(_MAX_EVEN * free)))))
     rho = ring_radii(start, float(np.clip(half + even * size, 1.5 * half, 0.7)), even, free)
     angle = theta + rho**_BOUNDARY_DECAY * (boundary - theta)
     zeta = np.concatenate([
