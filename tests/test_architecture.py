@@ -124,6 +124,29 @@ def test_imports_are_light(statement: str) -> None:
     assert done.stdout.split() == []
 
 
+_BARE = """
+import sys
+sys.modules.update(dict.fromkeys({absent!r}))  # None makes the import of a module fail.
+import warp as wp
+wp.config.log_level = wp.LOG_ERROR
+import {modules}
+"""
+
+
+def test_the_core_and_the_presses_of_studies_need_warp_numpy_and_scipy_alone() -> None:
+    """Compute nodes have neither CAD nor command line: presses and renders must run there."""
+    absent = [name for name in HEAVY if name not in ("warp", "scipy")]
+    absent += ["pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL"]
+    modules = "taccel_lab.envs, taccel_lab.signals, taccel_lab.outputs, taccel_lab.optics.render"
+    code = _BARE.format(
+        absent=absent, modules=f"{modules}, studies.evaluate, benchmarks.design_study"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
 def test_public_names_exist() -> None:
     import taccel_lab
 

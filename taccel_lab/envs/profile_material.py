@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from taccel_lab.envs.layers import layered_material
 from taccel_lab.geometry import TetMesh
-from taccel_lab.profile import MaterialBlock
 from taccel_lab.scene import Material, MaterialField
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import MaterialBlock
 
 
 def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | MaterialField:

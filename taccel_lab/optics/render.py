@@ -98,7 +98,7 @@ class OpticalModel:
         self._gel: GelFace | None = None
         self._grid_mm: tuple[np.ndarray, np.ndarray] | None = None
         if mesh is not None:
-            self._gel = GelFace(mesh)
+            self._gel = GelFace(mesh, device=device)
             face, back_mm = self._gel.rest, glued_back_mm(mesh)
         if face is None or back_mm is None:
             raise InputError("an optical model needs a mesh, or a face with the points of its back")

@@ -52,17 +52,21 @@ class FineFace:
 class GelFace:
     """Turns node positions of a tet mesh into the fine face that the camera sees."""
 
-    def __init__(self, mesh: TetMesh | QuadraticMesh, cuts: int | None = None) -> None:
+    def __init__(
+        self, mesh: TetMesh | QuadraticMesh, cuts: int | None = None, *, device: Any = "cpu"
+    ) -> None:
         """
         Args:
             mesh: Gel at rest. The contact face is seen, or with several layers the inner side of
                 the skin: where layer 0 meets the others.
             cuts: Parts that each edge is cut into; as many as make them ``FINE_EDGE_MM`` long, at
                 most ``MAX_CUTS``, when None.
+            device: Warp device of the network that smooths the face.
 
         Raises:
             InputError: The mesh has no contact face.
         """
+        self._device = device
         faces = seen_faces(mesh)
         self._node_idx, local = np.unique(faces, return_inverse=True)
         self._faces = local.reshape(-1, 3)
@@ -125,8 +129,8 @@ class GelFace:
 
         surface = ContactSurface.from_faces(self._faces, len(rest))
         return (
-            wp.array(surface.ring_start, dtype=wp.int32, device="cpu"),
-            wp.array(surface.ring_nodes, dtype=wp.int32, device="cpu"),
+            wp.array(surface.ring_start, dtype=wp.int32, device=self._device),
+            wp.array(surface.ring_nodes, dtype=wp.int32, device=self._device),
         )
 
     def _network_slopes(self, nodes: np.ndarray, corners: np.ndarray) -> np.ndarray | None:
@@ -137,8 +141,9 @@ class GelFace:
 
         from taccel_lab.signals.gradient_recovery import recover_gradients
 
-        points = wp.array(nodes[None], dtype=wp.vec3d, device="cpu")
-        height = wp.array(np.ascontiguousarray(nodes[None, :, 2]), dtype=wp.float64, device="cpu")
+        points = wp.array(nodes[None], dtype=wp.vec3d, device=self._device)
+        z = np.ascontiguousarray(nodes[None, :, 2])
+        height = wp.array(z, dtype=wp.float64, device=self._device)
         return recover_gradients(points, height, *self._rings).numpy()[0]
 
 
