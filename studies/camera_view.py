@@ -22,7 +22,11 @@ _DENTED = 0.1
 
 
 def view_model(
-    parameters: FamilyParameters, record: PressRecord | None = None, *, markers: bool = True
+    parameters: FamilyParameters,
+    record: PressRecord | None = None,
+    *,
+    markers: bool = True,
+    device: str = "cpu",
 ) -> OpticalModel:
     """Optical model of a design, on the mesh of a press or on the even mesh of its pad, with its
     markers or without.
@@ -40,12 +44,12 @@ def view_model(
     size = (max(2, round(width * scale)), max(2, round(height * scale)))
     mesh = gel_mesh(parameters.pad()) if record is None else record.mesh
     dots = parameters.markers() if markers else None
-    return OpticalModel(design, mesh, size_px=size, markers=dots)
+    return OpticalModel(design, mesh, size_px=size, markers=dots, device=device)
 
 
-def photometry(parameters: FamilyParameters) -> Photometry:
+def photometry(parameters: FamilyParameters, device: str = "cpu") -> Photometry:
     """Photometric figures of the untouched gel, without its markers."""
-    return view_model(parameters, markers=False).photometry()
+    return view_model(parameters, markers=False, device=device).photometry()
 
 
 def picture_change(model: OpticalModel, record: PressRecord, steps: list[int]) -> np.ndarray:

@@ -101,7 +101,7 @@ def evaluate_designs(
             progress(f"press {batch[0].press.name}", len(done), len(jobs))
     for design in prepared:
         started = time.perf_counter()
-        _conclude(design, done, metrics, load_n)
+        _conclude(design, done, metrics, load_n, device)
         if folder is not None:
             _keep(design.result, folder / design.result.point.id)
         design.result.seconds += time.perf_counter() - started
@@ -147,6 +147,7 @@ def _conclude(
     done: dict[str, Simulated],
     metrics: Sequence[Metric],
     load_n: float,
+    device: str,
 ) -> None:
     """Figures and curves of a design from its simulations."""
     result, parameters = design.result, design.parameters
@@ -172,7 +173,7 @@ def _conclude(
         for name, cause in result.causes.items()
         if name.removeprefix("press ") not in records
     }
-    evidence = Evidence(parameters, records, unmade, load_n)
+    evidence = Evidence(parameters, records, unmade, load_n, device)
     for metric in metrics:
         try:
             result.figures[metric.name] = float(metric.compute(evidence))

@@ -48,6 +48,8 @@ class Evidence:
     causes: dict[str, str] = field(default_factory=dict)
     """Why a press has no records, by press."""
     load_n: float = LOAD_N
+    device: str = "cpu"
+    """Warp device of the pictures."""
 
     def all(self, press: str) -> list[PressRecord]:
         """Records of a press; raises Unavailable when one did not get to its end."""
@@ -73,11 +75,13 @@ class Evidence:
     @cached_property
     def photometry(self) -> Photometry:
         """Photometric figures of the untouched gel; raises Unavailable without optics."""
-        return photometry(self.parameters)
+        return photometry(self.parameters, self.device)
 
     def picture_change(self, record: PressRecord, steps: list[int]) -> np.ndarray:
         """See ``camera_view.picture_change``."""
-        return picture_change(view_model(self.parameters, record), record, steps)
+        return picture_change(
+            view_model(self.parameters, record, device=record.device), record, steps
+        )
 
     def marker_points_mm(self) -> np.ndarray:
         """Gel xy of the markers that the camera sees, shape [marker, 2].
@@ -154,7 +158,7 @@ def contact_radius_mm(record: PressRecord) -> np.ndarray:
     grid = PixelGrid(*2 * [_CONTACT_PX], *2 * [2 * half / (_CONTACT_PX - 1)])
     points = np.stack([record.in_press(record.positions_m(step)) for step in range(count)])
     centers = np.stack([record.in_press(pose[:3]) for pose in record.indenter_poses[:count]])
-    fused = SignalFusedSurface(record.mesh, grid, contact_gap_m=DHAT_M)
+    fused = SignalFusedSurface(record.mesh, grid, contact_gap_m=DHAT_M, device=record.device)
     fused.update(points, SphereSurface(centers, ball.radius_m, grid))
     return fused.contact_radius_m * 1e3
 
@@ -166,7 +170,7 @@ def profile_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndar
     the face; shape [``_PROFILE_PX``] each. The finite-element surface, without the indenter's.
     """
     grid = PixelGrid(_PROFILE_PX, 3, 2 * half_mm / (_PROFILE_PX - 1), 0.02)
-    signal = SignalHeightMap(record.mesh, grid, mode=SurfaceMode.FACET)
+    signal = SignalHeightMap(record.mesh, grid, mode=SurfaceMode.FACET, device=record.device)
     points = np.stack(
         [record.in_press(p) for p in (record.rest_m, record.positions_m(record.down.stop - 1))]
     )

@@ -51,7 +51,13 @@ def camera_preview(
     scale = PREVIEW_PX / max(width, height)
     size = (max(2, round(width * scale)), max(2, round(height * scale)))
     try:
-        model = OpticalModel(design, record.mesh, size_px=size, markers=parameters.markers())
+        model = OpticalModel(
+            design,
+            record.mesh,
+            size_px=size,
+            markers=parameters.markers(),
+            device=record.device,
+        )
         return model.render(record.positions_m(record.down.stop - 1)).rgb, ""
     except InputError as error:
         return None, str(error)
@@ -67,7 +73,7 @@ def section_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndar
     from taccel_lab.signals import SignalHeightMap, SurfaceMode
 
     grid = PixelGrid(SECTION_PX, 3, 2 * half_mm / (SECTION_PX - 1), 0.02)
-    signal = SignalHeightMap(record.mesh, grid, mode=SurfaceMode.FACET)
+    signal = SignalHeightMap(record.mesh, grid, mode=SurfaceMode.FACET, device=record.device)
     shapes = [record.rest_m, *(record.positions_m(step) for step in range(record.down.stop))]
     signal.update(np.stack([record.in_press(points) for points in shapes]))
     return grid.x_mm(), signal.height_m[:, 1] * 1e3

@@ -128,6 +128,7 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
             thickness_mm=float(thickness_mm[i]),
             step_count=len(waypoints),
             cause=causes[i],
+            device=device,
             **_stacked(steps[i], meshes[i].node_count),
         )
         for i, job in enumerate(jobs)

@@ -54,6 +54,8 @@ class PressRecord:
     """Steps that were wanted."""
     cause: str = ""
     """Why there are fewer steps; empty when all converged."""
+    device: str = "cpu"
+    """Warp device that simulated it, and on which its surfaces are rebuilt and rendered."""
 
     @property
     def down(self) -> slice:

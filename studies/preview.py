@@ -107,7 +107,7 @@ def preview_design(
         rest_of_press = on_press.render(record.rest_m)
         pressed = on_press.render(record.positions_m(record.down.stop - 1))
     return DesignPreview(
-        family, parameters, model.render(), model.light_field(), photometry(parameters), pressed,
+        family, parameters, model.render(), model.light_field(), photometry(parameters, device), pressed,
         rest_of_press, record, result, metrics,
     )  # fmt: skip
 

@@ -27,7 +27,7 @@ class LabelledSolid:
 
     @property
     def volume_mm3(self) -> float:
-        """Volume [mm^3] to one in a million; ``solid.volume`` is off by up to 0.2 % under creases."""
+        """Volume [mm^3] to one in a million; ``solid.volume`` is off by up to 0.2 %."""
         found = GProp_GProps()
         BRepGProp.VolumeProperties_s(self.solid.wrapped, found, _VOLUME_TOLERANCE)
         return float(found.Mass())
