@@ -54,7 +54,7 @@ def simulate(jobs: Sequence[PressJob], device: str = "cpu") -> list[Simulated]:
     except InputError as error:
         if len(jobs) > 1:
             return [simulate([job], device)[0] for job in jobs]
-        records = [_nothing(jobs[0], str(error))]
+        records = [_nothing(jobs[0], str(error), device)]
     seconds = (time.perf_counter() - started) / len(jobs)
     return [Simulated(record, seconds) for record in records]
 
@@ -164,7 +164,7 @@ def _nodal(nodal: TetMesh | QuadraticMesh, mesh: TetMesh) -> TetMesh | Quadratic
     return mesh
 
 
-def _nothing(job: PressJob, cause: str) -> PressRecord:
+def _nothing(job: PressJob, cause: str, device: str) -> PressRecord:
     """The record of a press that could not be set up."""
     return PressRecord(
         press=job.press.name,
@@ -176,5 +176,6 @@ def _nothing(job: PressJob, cause: str) -> PressRecord:
         thickness_mm=math.nan,
         step_count=len(job.press.waypoints()),
         cause=cause,
+        device=device,
         **_stacked([], job.mesh.node_count),
     )

@@ -107,9 +107,17 @@ def preview_design(
         rest_of_press = on_press.render(record.rest_m)
         pressed = on_press.render(record.positions_m(record.down.stop - 1))
     return DesignPreview(
-        family, parameters, model.render(), model.light_field(), photometry(parameters, device), pressed,
-        rest_of_press, record, result, metrics,
-    )  # fmt: skip
+        family=family,
+        parameters=parameters,
+        rest=model.render(),
+        light=model.light_field(),
+        photometry=photometry(parameters, device),
+        pressed=pressed,
+        rest_of_press=rest_of_press,
+        record=record,
+        result=result,
+        metrics=metrics,
+    )
 
 
 def write_preview(preview: DesignPreview, folder: Path) -> dict[str, Path]:

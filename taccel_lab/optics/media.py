@@ -21,7 +21,11 @@ _FLAT_MM = 0.02
 
 
 def glued_back_mm(mesh: TetMesh | QuadraticMesh) -> np.ndarray:
-    """Nodes [mm] of the back that the camera looks through: its window, else all that is glued."""
+    """Nodes [mm] of the back that the camera looks through: its window, else all that is glued.
+
+    Of ten-node tets the corners alone: on a curved back their middle nodes lie on its chords.
+    """
+    mesh = mesh.base if isinstance(mesh, QuadraticMesh) else mesh
     nodes = mesh.region_nodes(Region.WINDOW)
     if len(nodes) == 0:
         nodes = mesh.region_nodes(Region.BOND)

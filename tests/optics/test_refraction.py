@@ -10,7 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cad.mesh.gel_mesh import gel_mesh
+from cad.parts.dome_pad import ShellDomePad
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import quadratic_mesh
+from taccel_lab.optics.media import glued_back_mm
 from taccel_lab.optics.refraction import (
     DomeMedia,
     FlatMedia,
@@ -202,3 +206,10 @@ def test_media_that_do_not_fit() -> None:
         DomeMedia((0, 0, 0), (2.0,), (1.0,))
     with pytest.raises(InputError, match="below the gel points"):
         snell_invariant(np.array([1.0]), [np.array([0.0])], [1.0])
+
+
+def test_back_of_a_curved_gel_is_read_at_the_corners_of_ten_node_tets() -> None:
+    pad = ShellDomePad(dome_radius_mm=15.0, thickness_mm=1.5)
+    mesh = quadratic_mesh(gel_mesh(pad, 3.0))
+    radius = np.linalg.norm(glued_back_mm(mesh) + [0, 0, 15.0], axis=1)
+    np.testing.assert_allclose(radius, 13.5, atol=1e-6)
