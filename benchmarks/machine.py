@@ -54,7 +54,7 @@ def _driver_version() -> str | None:
     path = Path("/proc/driver/nvidia/version")
     if not path.is_file():
         return None
-    words = path.read_text().split("Kernel Module", 1)[-1].split()
+    words = path.read_text(encoding="utf-8").split("Kernel Module", 1)[-1].split()
     return next((word for word in words if word[:1].isdigit() and "." in word), None)
 
 
@@ -91,7 +91,7 @@ def _commit() -> str:
 def _cpu_model() -> str:
     info = Path("/proc/cpuinfo")
     if info.is_file():
-        for line in info.read_text().splitlines():
+        for line in info.read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
     return platform.processor() or "unknown"

@@ -117,4 +117,4 @@ def _write(record: dict[str, Any], out: Path) -> None:
 
 def load(path: Path = RESULT) -> dict[str, Any]:
     """A result that ``run`` has written."""
-    return json.loads(path.read_text())
+    return json.loads(path.read_text(encoding="utf-8"))

@@ -21,6 +21,9 @@ from taccel_lab.geometry import Region, TetMesh
 
 WANTED_DEG = 12.0
 """Tets with a smaller dihedral angle are smoothed [deg]."""
+LEAST_DEG = 10.05
+"""Tets on fillets that stay flatter make the nodes of the fillet slide, too [deg]."""
+_FILLET_STEPS = 12
 _POWERS = (4, 8, 16, 32)
 LAYER_RATIO = 1.2
 """Thickness of a layer over that of the one above it."""
@@ -53,6 +56,17 @@ def counted_gel_mesh(pad: HeightPad, counts: EvenCounts) -> TetMesh:
     nodes = improve_worst_tets(
         nodes, tets, sliding, wanted_deg=WANTED_DEG, powers=_POWERS, sheet=sheet
     )
+    if pad.has_fillet:
+        # In small steps, which stop as soon as the angle is reached.
+        nodes = improve_worst_tets(
+            nodes,
+            tets,
+            sliding | _on_fillet(counts),
+            wanted_deg=LEAST_DEG,
+            powers=(8,) * _FILLET_STEPS,
+            iterations=2,
+            sheet=sheet,
+        )
     check_unfolded(nodes, tets)
     return TetMesh(
         nodes_m=nodes * 1e-3,
@@ -123,6 +137,20 @@ def _movable(pad: HeightPad, counts: EvenCounts) -> tuple[np.ndarray, Sheet]:
     if counts.skin_rings:
         free[ring == counts.rings - counts.skin_rings, :2] = False
     return free, Sheet(np.flatnonzero(top), pad.height_mm)
+
+
+def _on_fillet(counts: EvenCounts) -> np.ndarray:
+    """Coordinates in which nodes of a fillet's upper part may slide on it, bool, shape [n, 3].
+
+    It is tangent to the crown, so that there is no edge to be left; but nodes that gather on one
+    side leave long chords on the other.
+    """
+    ring = np.tile(ring_of_node(counts.core, counts.rings), counts.layers + 1)
+    level = np.repeat(np.arange(counts.layers + 1), counts.plan_count)
+    band = (ring >= counts.rings - counts.band) & (ring < counts.rings)
+    free = np.zeros((len(ring), 3), dtype=bool)
+    free[(level == counts.layers) & band, :2] = True
+    return free
 
 
 def _leaning(counts: EvenCounts, shift: np.ndarray) -> np.ndarray:

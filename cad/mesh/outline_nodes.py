@@ -13,7 +13,7 @@ from cad.parts.pad_outline import PadOutline
 
 MAX_SAGITTA_MM = 0.022
 """How far a chord of the outline may miss its arc [mm]."""
-MAX_ROUNDED_SAGITTA_MM = 0.0115
+MAX_ROUNDED_SAGITTA_MM = 0.0100
 """The same where the rim is rounded too, so that errors of both directions add up [mm]."""
 _GROWTH = 0.8
 _SAMPLES = 4096

@@ -102,7 +102,7 @@ def test_verdict_and_targets(values: dict[str, Any]) -> None:
 
 
 def test_page_is_self_contained(out: Path) -> None:
-    page = (out / "report.html").read_text()
+    page = (out / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") >= 5
     for outside in ('src="http', "src='http", 'href="http', 'src="figures'):
         assert outside not in page

@@ -65,7 +65,7 @@ def test_a_study_runs_and_says_where_to_look(
     assert "3 of 3 designs, 0 failed" in err
     assert "out/thickness/designs.csv" in err and "out/thickness/report.html" in err
     root = file.parent / "out" / "thickness"
-    assert (root / "study.toml").read_text() == file.read_text()
+    assert (root / "study.toml").read_text() == file.read_text(encoding="utf-8")
     assert len((root / "designs.csv").read_text().splitlines()) == 4
     assert app.main(["study", str(file)]) == 0
     assert "3 of 3 designs are there already" in capsys.readouterr().err
@@ -73,7 +73,7 @@ def test_a_study_runs_and_says_where_to_look(
 
 
 def test_processes_of_the_study_file_count(file: Path) -> None:
-    file.write_text(STUDY)
+    file.write_text(STUDY, encoding="utf-8")
     assert app.main(["study", str(file), "--out", "two", "--json"]) == 0
     values = json.loads((file.parent / "two" / "report.json").read_text())
     assert values["cost"]["processes"] == 2
@@ -105,7 +105,7 @@ def test_interruption_says_how_to_go_on(
 def test_no_design_within_the_constraints_is_exit_code_1(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file.write_text(file.read_text() + CONSTRAINT)
+    file.write_text(file.read_text(encoding="utf-8") + CONSTRAINT, encoding="utf-8")
     with pytest.raises(SystemExit) as caught:
         app.main(["study", str(file), "--out", "out"])
     assert caught.value.code == 1
@@ -114,7 +114,9 @@ def test_no_design_within_the_constraints_is_exit_code_1(
 
 
 def test_no_figures_at_all_is_exit_code_3(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file.write_text(file.read_text() + '\n[fixed]\nrim = "fillet"\n')
+    file.write_text(
+        file.read_text(encoding="utf-8") + '\n[fixed]\nrim = "fillet"\n', encoding="utf-8"
+    )
     assert app.main(["study", str(file), "--out", "out"]) == 3
     assert "no design has a figure" in capsys.readouterr().err
 
@@ -142,7 +144,7 @@ def test_bad_calls_leave_nothing_behind(
 
 
 def test_bad_files_name_the_key(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file.write_text(file.read_text().replace('"range"', '"rang"'))
+    file.write_text(file.read_text(encoding="utf-8").replace('"range"', '"rang"'), encoding="utf-8")
     assert app.main(["study", str(file)]) == 2
     assert "no metric 'rang' (did you mean range?)" in capsys.readouterr().err
 

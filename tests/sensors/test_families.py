@@ -180,7 +180,7 @@ def test_similar_sensors_are_meshed(family: SensorFamily) -> None:
         except InputError as error:
             assert "dihedral" in str(error)
             refused.append(pad)
-    assert len(refused) <= (4 if family.name == "digit" else 2)
+    assert len(refused) <= 2
     for pad in refused[:1]:
         mesh = tetwild_gel_mesh(pad, use_cache=False)
         assert measure_quality(mesh, pad).min_dihedral_deg >= 10.0

@@ -30,7 +30,9 @@ def wait_until(holds, seconds: float = 60.0) -> None:
 
 def children_of(pid: int) -> list[int]:
     path = Path(f"/proc/{pid}/task/{pid}/children")
-    return [int(child) for child in path.read_text().split()] if path.is_file() else []
+    return (
+        [int(child) for child in path.read_text(encoding="utf-8").split()] if path.is_file() else []
+    )
 
 
 @pytest.mark.parametrize("processes", [0, 2])
