@@ -26,8 +26,12 @@ Watch = Callable[[int, Any, list[Finding]], None]
 """Called after each step with its number, report and findings."""
 
 
-class BudgetOverrun(Exception):
-    """The time of a case is used up."""
+class BudgetOverrun(BaseException):
+    """The time of a case is used up.
+
+    No ``Exception``: it comes at any moment, and a library that catches those around its own work
+    would make an error of its own from it.
+    """
 
 
 @contextmanager

@@ -45,6 +45,15 @@ def test_a_replay_gives_the_same_bits() -> None:
         assert first[name] == second[name]
 
 
+def test_the_budget_ends_work_that_catches_exceptions() -> None:
+    with pytest.raises(BudgetOverrun), time_limit(0.05):
+        while True:
+            try:
+                sum(range(1000))
+            except Exception as error:
+                raise RuntimeError("an error of the library's own") from error
+
+
 def test_the_budget_is_kept() -> None:
     started = time.perf_counter()
     with pytest.raises(BudgetOverrun), time_limit(0.05):
