@@ -22,16 +22,21 @@ def level_fractions(layers: int, ratio: np.ndarray) -> np.ndarray:
     return fraction
 
 
-def check_unfolded(nodes_mm: np.ndarray, tets: np.ndarray) -> None:
-    """Raise InputError with the place when tets of a structured mesh are inverted or flat."""
+def check_unfolded(
+    nodes_mm: np.ndarray,
+    tets: np.ndarray,
+    *,
+    remedy: str = "with a focus, move it away from the edge or make focus_radius_mm or spread "
+    "smaller; without one, make the window smaller",
+) -> None:
+    """Raise InputError with the place, and the remedy, for tets that are flat or inside out."""
     p = nodes_mm[tets]
     volume = np.linalg.det(p[:, 1:] - p[:, :1]) / 6
     if (volume <= 0).any():
         x, y, z = p[int(volume.argmin())].mean(axis=0)
         raise InputError(
             f"{int((volume <= 0).sum())} of {len(tets)} tets of the structured mesh fold over, the "
-            f"worst at x {x:.2f}, y {y:.2f}, z {z:.2f} mm; with a focus, move it away from the "
-            "edge or make focus_radius_mm or spread smaller; without one, make the window smaller"
+            f"worst at x {x:.2f}, y {y:.2f}, z {z:.2f} mm; {remedy}"
         )
 
 

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from cad.mesh.columns import check_range
 from cad.mesh.dome_plan import CapGrid, angle_from_disc
-from taccel_lab.errors import InputError
 
 EDGE_BOUNDS_MM = (0.2, 6.0)
+FOLD_REMEDY = (
+    "move the focus away from the edge of the contact face or make it smaller, or use a smaller "
+    "edge_mm"
+)
 _SATURATION = 2.0
 """Tallest layer of a graded column over its mean one."""
 
@@ -116,19 +119,4 @@ def cell_sizes(points_mm: np.ndarray, quads: np.ndarray) -> np.ndarray:
 def check_edge(edge_mm: float, largest_mm: float) -> None:
     """Raise InputError for an element size that no dome can have."""
     low, high = EDGE_BOUNDS_MM
-    high = min(high, largest_mm)
-    if not (math.isfinite(edge_mm) and low <= edge_mm <= high):
-        raise InputError(f"edge_mm = {edge_mm!r} is not allowed; use {low:g} to {high:g}")
-
-
-def check_unfolded(nodes_mm: np.ndarray, tets: np.ndarray) -> None:
-    """Raise InputError, with the place, for tets that are flat or inside out."""
-    p = nodes_mm[tets]
-    volume = np.linalg.det(p[:, 1:] - p[:, :1]) / 6
-    if (volume <= 0).any():
-        x, y, z = p[int(volume.argmin())].mean(axis=0)
-        raise InputError(
-            f"{int((volume <= 0).sum())} of {len(tets)} tets of the dome's mesh fold over, the "
-            f"worst at x {x:.2f}, y {y:.2f}, z {z:.2f} mm; move the focus away from the edge of "
-            "the contact face or make it smaller, or use a smaller edge_mm"
-        )
+    check_range("edge_mm", edge_mm, low, min(high, largest_mm))

@@ -7,12 +7,13 @@ import math
 
 import numpy as np
 
+from cad.mesh.columns import check_unfolded
 from cad.mesh.dome_columns import (
+    FOLD_REMEDY,
     Columns,
     DomeGrid,
     cell_sizes,
     check_edge,
-    check_unfolded,
     dome_columns,
     even_drops,
     graded_shares,
@@ -97,7 +98,7 @@ def _assemble(
     share = shares[..., None]
     nodes = ((1 - share) * inside + share * outside).reshape(-1, 3)
     topology = grid_topology(grid.cap.core, grid.rings, layers, max(grid.cap.window_rings, 1))
-    check_unfolded(nodes, topology.tets)
+    check_unfolded(nodes, topology.tets, remedy=FOLD_REMEDY)
     return TetMesh(
         nodes_m=nodes * 1e-3,
         tets=topology.tets.copy(),

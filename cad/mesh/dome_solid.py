@@ -14,12 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cad.mesh.columns import check_unfolded
 from cad.mesh.dome_columns import (
+    FOLD_REMEDY,
     Columns,
     DomeGrid,
     cell_sizes,
     check_edge,
-    check_unfolded,
     dome_columns,
     even_drops,
     graded_shares,
@@ -196,7 +197,7 @@ def _assemble(
     levels = (1 - s) * inside + s * outside
     halved = levels[: layers.coarse + 1, topology.coarse_nodes].reshape(-1, 3)
     nodes = np.concatenate([halved, levels[layers.coarse + 1 :].reshape(-1, 3)])
-    check_unfolded(nodes, topology.tets)
+    check_unfolded(nodes, topology.tets, remedy=FOLD_REMEDY)
     return TetMesh(
         nodes_m=nodes * 1e-3,
         tets=topology.tets.copy(),
