@@ -29,6 +29,8 @@ def force_range(evidence: Evidence) -> float:
     """
     record = evidence.one("sphere")
     depth, force = record.depth_mm[record.down], record.normal_n
+    if len(force) < 2:
+        raise Unavailable("press sphere has one step alone; two are needed")
     limit = BOTTOM_STRAIN * record.thickness_mm
     if limit > MOST_AHEAD * depth[-1]:
         raise Unavailable(f"the gel bottoms at {limit:.3g} mm, and press sphere ends at "

@@ -161,3 +161,9 @@ def test_lost_work() -> None:
 def test_variation() -> None:
     assert variation([2.0, 2.0, 2.0]) == 0.0
     assert variation([1.0, 2.0, 3.0]) == pytest.approx(0.5)
+
+
+def test_the_force_range_needs_two_steps() -> None:
+    record = down_record([0.3], [0.4])
+    with pytest.raises(Unavailable, match="one step alone"):
+        figure("force_range", record)
