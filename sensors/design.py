@@ -98,7 +98,11 @@ def design_sensor(
     surface = tessellate_solid(part)
     quality = measure_quality(mesh, pad, cad_volume_mm3=part.volume_mm3, cad_surface=surface)
     gate = QualityGate().at_edge(edge_mm)
-    passed = require_quality(mesh, quality, gate, picture_folder=refused_folder(out_dir))
+    try:
+        passed = require_quality(mesh, quality, gate, picture_folder=refused_folder(out_dir))
+    except InputError as error:
+        other = "another edge_mm" if mesher == "tetwild" else "the mesher tetwild (takes longer)"
+        raise InputError(f"{error}. Try {other}, or dimensions nearer to the defaults") from error
     profile = designed_profile(family, parameters, mesh, quality, mesher=mesher)
     tell("assembly")
     assembly = None

@@ -173,7 +173,7 @@ def test_a_bad_mesh_is_refused_with_a_picture(
         return dataclasses.replace(mesh, nodes_m=nodes)
 
     monkeypatch.setattr("sensors.design.gel_mesh", squeezed)
-    with pytest.raises(InputError, match=r"dihedral angle under .*/out_refused/bad_mesh\.png"):
+    with pytest.raises(InputError, match=r"angle under .*/out_refused/bad_mesh\.png .* tetwild"):
         design_sensor(FAMILY, None, tmp_path / "out", edge_mm=1.5, parts=())
     assert [path.name for path in tmp_path.iterdir()] == ["out_refused"]
     picture = tmp_path / "out_refused" / "bad_mesh.png"
