@@ -39,9 +39,7 @@ def view_model(
     design = parameters.optics()
     if design is None:
         raise Unavailable("the family has no optical model")
-    width, height = design.camera.width_px, design.camera.height_px
-    scale = min(1.0, VIEW_PX / max(width, height))
-    size = (max(2, round(width * scale)), max(2, round(height * scale)))
+    size = design.camera.size_within(VIEW_PX)
     mesh = gel_mesh(parameters.pad()) if record is None else record.mesh
     dots = parameters.markers() if markers else None
     return OpticalModel(design, mesh, size_px=size, markers=dots, device=device)

@@ -47,9 +47,7 @@ def camera_preview(
     design = parameters.optics()
     if design is None:
         return None, "the family has no optical model"
-    width, height = design.camera.width_px, design.camera.height_px
-    scale = PREVIEW_PX / max(width, height)
-    size = (max(2, round(width * scale)), max(2, round(height * scale)))
+    size = design.camera.size_within(PREVIEW_PX, enlarged=True)
     try:
         model = OpticalModel(
             design,

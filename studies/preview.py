@@ -160,9 +160,7 @@ def _model(parameters: FamilyParameters, mesh: Any, size_px: int, device: str) -
         raise InputError("the family has no optical model: there is nothing to preview")
     if not 32 <= size_px <= 4096:
         raise InputError(f"the size of a preview must lie in [32, 4096] px, got {size_px}")
-    width, height = design.camera.width_px, design.camera.height_px
-    scale = size_px / max(width, height)
-    size = (max(2, round(width * scale)), max(2, round(height * scale)))
+    size = design.camera.size_within(size_px, enlarged=True)
     markers = parameters.markers()
     return OpticalModel(design, mesh, size_px=size, markers=markers, device=device)
 

@@ -118,8 +118,7 @@ def _movable(pad: HeightPad, counts: EvenCounts) -> tuple[np.ndarray, Sheet]:
     Nodes of the window's edge, the rim band and the sides of skins stay. On the wall nodes climb,
     on the back and the contact face they slide.
     """
-    ring = np.tile(ring_of_node(counts.core, counts.rings), counts.layers + 1)
-    level = np.repeat(np.arange(counts.layers + 1), counts.plan_count)
+    ring, level = _ring_and_level(counts)
     free = np.ones((len(ring), 3), dtype=bool)
     wall = ring == counts.rings
     free[wall, :2] = False
@@ -139,14 +138,19 @@ def _movable(pad: HeightPad, counts: EvenCounts) -> tuple[np.ndarray, Sheet]:
     return free, Sheet(np.flatnonzero(top), pad.height_mm)
 
 
+def _ring_and_level(counts: EvenCounts) -> tuple[np.ndarray, np.ndarray]:
+    """Ring and level of every node, shape [n] each."""
+    ring = np.tile(ring_of_node(counts.core, counts.rings), counts.layers + 1)
+    return ring, np.repeat(np.arange(counts.layers + 1), counts.plan_count)
+
+
 def _on_fillet(counts: EvenCounts) -> np.ndarray:
     """Coordinates in which nodes of a fillet's upper part may slide on it, bool, shape [n, 3].
 
     It is tangent to the crown, so that there is no edge to be left; but nodes that gather on one
     side leave long chords on the other.
     """
-    ring = np.tile(ring_of_node(counts.core, counts.rings), counts.layers + 1)
-    level = np.repeat(np.arange(counts.layers + 1), counts.plan_count)
+    ring, level = _ring_and_level(counts)
     band = (ring >= counts.rings - counts.band) & (ring < counts.rings)
     free = np.zeros((len(ring), 3), dtype=bool)
     free[(level == counts.layers) & band, :2] = True

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -76,8 +76,7 @@ def even_counts(pad: HeightPad, edge_mm: float) -> EvenCounts:
     )
     budget = NODE_BUDGET * min(edge_mm, 1.0) ** -3
     while found.node_count > budget and found.core > 8:
-        values = {**found.__dict__, "core": found.core - 2}
-        found = EvenCounts(**values)
+        found = replace(found, core=found.core - 2)
     return found
 
 

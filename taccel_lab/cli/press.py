@@ -342,8 +342,7 @@ def _write_predicted(path: Path, profile: SensorProfile, outcome: PressOutcome) 
 
     from taccel_lab.optics.render import OpticalModel
 
-    scale = min(1.0, PREDICTED_PX / max(design.camera.width_px, design.camera.height_px))
-    size = (round(design.camera.width_px * scale), round(design.camera.height_px * scale))
+    size = design.camera.size_within(PREDICTED_PX)
     markers = None if profile.markers is None else profile.markers.grid()
     model = OpticalModel(design, outcome.mesh, size_px=size, markers=markers)
     cv2.imwrite(str(path), model.render(outcome.positions_m).rgb[..., ::-1])

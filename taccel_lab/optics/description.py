@@ -80,6 +80,14 @@ class Camera:
         _in_range("camera aperture_mm", self.aperture_mm, 0.0, 100.0, " mm")
         _in_range("camera falloff", self.falloff, 0.0, 8.0)
 
+    def size_within(self, longest_px: int, *, enlarged: bool = False) -> tuple[int, int]:
+        """Width and height of a picture whose longer side has that many pixels, or the camera's
+        own if that is smaller and the picture must not be ``enlarged``."""
+        scale = longest_px / max(self.width_px, self.height_px)
+        if not enlarged:
+            scale = min(1.0, scale)
+        return max(2, round(self.width_px * scale)), max(2, round(self.height_px * scale))
+
     def gel_from_camera(self) -> np.ndarray:
         """Rotation matrix that turns directions of the camera into the gel frame, [3, 3]."""
         x, y, z, w = self.rotation
