@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tomllib
 from functools import partial
 from pathlib import Path
@@ -13,18 +12,32 @@ import numpy as np
 from pydantic import ValidationError
 
 from calibration.capture.captures import CaptureSet, ContactCircle, Press
+from calibration.capture.folder import BoardCaptures, CaptureFolder, EdgeCapture, Frame
+from calibration.capture.images import decode, file_sha256, read_image
+from calibration.capture.records import load_record
 from calibration.capture.schema import MANIFEST_NAME, CaptureManifest
 from calibration.capture.taxim_pack import load_taxim_pack
+from calibration.capture.video import load_markers
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid
 
 MIN_SIZE_PX = 32
 
 
 def load_captures(path: Path | str) -> CaptureSet:
-    """Load captures from a folder with ``captures.toml`` or from a Taxim ``dataPack.npz``.
+    """The ball presses of a capture folder, or of a Taxim ``dataPack.npz``.
 
     Every file is read and checked once; the images of the presses are then read again on demand.
+    Raises InputError naming the file, what was found and what is allowed.
+    """
+    path = Path(path)
+    if path.is_file() and path.suffix == ".npz":
+        return load_taxim_pack(path)
+    return load_capture_folder(path).ball_presses()
+
+
+def load_capture_folder(path: Path | str) -> CaptureFolder:
+    """Load everything that ``captures.toml`` names, checked; images are read again on demand.
+
     Raises InputError naming the file, what was found and what is allowed.
     """
     path = Path(path)
@@ -33,8 +46,6 @@ def load_captures(path: Path | str) -> CaptureSet:
             f"{path} does not exist; a capture folder with {MANIFEST_NAME} or a Taxim "
             "dataPack.npz is needed"
         )
-    if path.is_file() and path.suffix == ".npz":
-        return load_taxim_pack(path)
     manifest_path = path if path.name == MANIFEST_NAME else path / MANIFEST_NAME
     if not manifest_path.is_file():
         found = "an empty folder" if path.is_dir() and not any(path.iterdir()) else "no manifest"
@@ -67,84 +78,81 @@ def describe_validation_error(error: ValidationError) -> str:
     return "; ".join(lines)
 
 
-def read_image(path: Path) -> np.ndarray:
-    """Read an image file as RGB uint8, shape [height, width, 3]."""
-    image = _decode(path, cv2.IMREAD_COLOR)
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-
-
-def _decode(path: Path, flags: int) -> np.ndarray:
-    if not path.is_file():
-        raise InputError(f"{path} does not exist; the manifest names it")
-    # Decoding from memory keeps OpenCV from printing its own warning for a broken file.
-    data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    image = cv2.imdecode(data, flags) if data.size else None
-    if image is None:
-        raise InputError(f"{path} is not an image that can be read; PNG or JPEG is allowed")
-    return image
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _load_folder(manifest_path: Path) -> CaptureSet:
+def _load_folder(manifest_path: Path) -> CaptureFolder:
     manifest = read_manifest(manifest_path)
     folder = manifest_path.parent
-    background_path = folder / manifest.background
-    background = read_image(background_path)
-    height, width = background.shape[:2]
-    if min(height, width) < MIN_SIZE_PX:
-        raise InputError(
-            f"{background_path} is {width}x{height} px; at least {MIN_SIZE_PX}x{MIN_SIZE_PX} px"
-        )
-    mask = np.ones((height, width), dtype=bool)
-    if manifest.mask is not None:
-        grey = _decode(folder / manifest.mask, cv2.IMREAD_GRAYSCALE)
-        _check_size(grey, background, folder / manifest.mask, background_path)
-        mask = grey > 0
-        if not mask.any():
+    background = None
+    if manifest.background is not None:
+        background = _frame(folder / manifest.background)
+        height, width = background.image().shape[:2]
+        if min(height, width) < MIN_SIZE_PX:
             raise InputError(
-                f"{folder / manifest.mask} masks every pixel; some have to be non-zero"
+                f"{background.source} is {width}x{height} px; at least "
+                f"{MIN_SIZE_PX}x{MIN_SIZE_PX} px"
             )
     presses = []
     for entry in manifest.presses:
-        image_path = folder / entry.image
-        _check_size(read_image(image_path), background, image_path, background_path)
+        frame = _frame(folder / entry.image, background)
         circle = None
         if entry.contact is not None:
             circle = ContactCircle(**entry.contact.model_dump())
-        presses.append(
-            Press(
-                name=entry.name or image_path.stem,
-                source=str(image_path),
-                sha256=file_sha256(image_path),
-                circle=circle,
-                read=partial(read_image, image_path),
-            )
-        )
+        name = entry.name or frame.name
+        presses.append(Press(name, frame.source, frame.sha256, circle, frame.read))
     provenance = {"manifest_sha256": file_sha256(manifest_path)}
     if manifest.source is not None:
         provenance["source"] = manifest.source
     if manifest.license is not None:
         provenance["license"] = manifest.license
-    return CaptureSet(
+    scale = (manifest.mm_per_px_x, manifest.mm_per_px_y)
+    if (scale[0] is None) != (scale[1] is None):
+        raise InputError(f"{manifest_path}: give both mm_per_px_x and mm_per_px_y, or neither")
+    return CaptureFolder(
         source=str(manifest_path),
+        root=folder,
         sensor=manifest.sensor,
+        unit=manifest.unit,
         background=background,
-        background_sha256=file_sha256(background_path),
-        mask=mask,
-        ball_radius_mm=manifest.indenter.radius_mm,
-        grid=PixelGrid(
-            width_px=width,
-            height_px=height,
-            mm_per_px_x=manifest.mm_per_px_x,
-            mm_per_px_y=manifest.mm_per_px_y,
-        ),
+        untouched=tuple(_frame(folder / name, background) for name in manifest.untouched),
+        mask=_load_mask(folder, manifest.mask, background),
+        mm_per_px=None if scale[0] is None or scale[1] is None else (scale[0], scale[1]),
+        ball_radius_mm=None if manifest.indenter is None else manifest.indenter.radius_mm,
         presses=tuple(presses),
+        boards=tuple(
+            BoardCaptures(
+                entry,
+                tuple(_frame(folder / name) for name in entry.images),
+                background if entry.reference is None else _frame(folder / entry.reference),
+            )
+            for entry in manifest.boards
+        ),
+        edges=tuple(
+            EdgeCapture(entry, _frame(folder / entry.image, background)) for entry in manifest.edges
+        ),
+        markers=None
+        if manifest.markers is None
+        else load_markers(folder, manifest.markers, background),
+        records=tuple(load_record(folder, entry) for entry in manifest.records),
         provenance=provenance,
     )
+
+
+def _load_mask(folder: Path, name: str | None, background: Frame | None) -> np.ndarray | None:
+    if name is None:
+        return None
+    grey = decode(folder / name, cv2.IMREAD_GRAYSCALE)
+    if background is not None:
+        _check_size(grey, background.image(), folder / name, Path(background.source))
+    if not (grey > 0).any():
+        raise InputError(f"{folder / name} masks every pixel; some have to be non-zero")
+    return grey > 0
+
+
+def _frame(path: Path, like: Frame | None = None) -> Frame:
+    """An image file, read once to check it and, where given, that its size is that of ``like``."""
+    image = read_image(path)
+    if like is not None:
+        _check_size(image, like.image(), path, Path(like.source))
+    return Frame(path.stem, str(path), file_sha256(path), partial(read_image, path))
 
 
 def _check_size(image: np.ndarray, reference: np.ndarray, path: Path, reference_path: Path) -> None:

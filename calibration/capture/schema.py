@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 MANIFEST_NAME = "captures.toml"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""Version 1 held the background and the ball presses alone; it is still read."""
 
 MAX_MM_PER_PX = 1.0
 MIN_MM_PER_PX = 1e-4
@@ -53,23 +54,119 @@ class PressEntry(_Strict):
     """Contact circle when it is known; found in the image otherwise."""
 
 
-class CaptureManifest(_Strict):
-    """Contents of ``captures.toml``."""
+class SpherePress(PressEntry):
+    """A ball press of version 2, which may come with what a stage and a load cell said."""
 
-    schema_version: Literal[1]
+    radius_mm: Finite | None = Field(default=None, gt=0.05, le=50.0)
+    """Radius of the ball of this press, where it is not that of ``indenter`` [mm]."""
+    depth_mm: Finite | None = Field(default=None, ge=0.0, le=50.0)
+    """Travel past first touch [mm]."""
+    force_n: Finite | None = Field(default=None, ge=0.0, le=1e3)
+    """Normal force [N], positive into the gel."""
+
+
+class BoardEntry(_Strict):
+    """Views of one calibration board, or presses of one into the gel."""
+
+    kind: Literal["chessboard", "charuco", "dots", "pins"]
+    """``pins``: a board of pins or holes that is pressed into the gel."""
+    columns: int = Field(ge=2, le=200)
+    """Inner corners (chessboard), squares (charuco) or dots along a row."""
+    rows: int = Field(ge=2, le=200)
+    pitch_mm: Finite | None = Field(default=None, gt=0.0, le=200.0)
+    """Square size or distance of dots [mm]; without it the board gives intrinsics, no scale."""
+    marker_mm: Finite | None = Field(default=None, gt=0.0, le=200.0)
+    """ArUco marker size of a charuco board [mm]."""
+    dictionary: str = "DICT_4X4_50"
+    """OpenCV's name of the ArUco dictionary."""
+    on_gel: bool = False
+    """The board lies on, or is pressed into, the contact face: it gives scale and pose of the gel.
+    Otherwise it is shown to the camera from many sides: intrinsics and distortion."""
+    images: list[str] = Field(min_length=1)
+    reference: str | None = None
+    """Image without contact that a pressed board is compared with; ``background`` if missing."""
+
+
+class EdgeEntry(_Strict):
+    """A press of a straight edge of known length."""
+
+    image: str = Field(min_length=1)
+    length_mm: Finite = Field(gt=0.1, le=200.0)
+    """Length of the edge that touches [mm]."""
+    dihedral_deg: Finite = Field(default=90.0, gt=0.0, lt=180.0)
+    """Angle between its faces."""
+
+
+class VideoEntry(_Strict):
+    """Frames of one motion, in order: a video file, or images."""
+
+    file: str | None = None
+    frames: list[str] = Field(default_factory=list)
+    """Images relative to the manifest; a single entry may hold wildcards (``video/*.png``)."""
+    fps: Finite | None = Field(default=None, gt=0.0, le=1e4)
+    motion: Literal["press", "shear", "twist", "free"] = "free"
+    poses: str | None = None
+    """CSV of the indenter's path: ``time_s, x_mm, y_mm, z_mm, angle_deg`` (all or some)."""
+
+
+class MarkersEntry(_Strict):
+    """Dots painted on the gel."""
+
+    rest: str | None = None
+    """Image at rest; the background if missing."""
+    pitch_x_mm: Finite | None = Field(default=None, gt=0.0, le=50.0)
+    pitch_y_mm: Finite | None = Field(default=None, gt=0.0, le=50.0)
+    videos: list[VideoEntry] = Field(default_factory=list)
+
+
+class ToolEntry(_Strict):
+    """What touches the gel in a force record."""
+
+    kind: Literal["sphere", "cylinder", "flat"] = "sphere"
+    """``cylinder``: a flat round punch; ``flat``: a plate larger than the gel."""
+    radius_mm: Finite | None = Field(default=None, gt=0.05, le=500.0)
+    center_mm: tuple[Finite, Finite] = (0.0, 0.0)
+    """Where on the gel, gel frame [mm]."""
+
+
+class RecordEntry(_Strict):
+    """A record of forces: a CSV with a header, columns named with their unit."""
+
+    file: str = Field(min_length=1)
+    kind: Literal["indentation", "slide", "shear", "twist", "relaxation"]
+    """Columns: indentation ``depth_mm, force_n``; slide ``shift_mm, normal_n, tangential_n``;
+    shear ``depth_mm, shift_mm, normal_n, tangential_n``; twist ``depth_mm, angle_deg, torque_nmm``;
+    relaxation ``time_s, depth_mm, force_n``. ``sigma_n`` is optional everywhere."""
+    tool: ToolEntry = ToolEntry()
+    force_sigma_n: Finite | None = Field(default=None, gt=0.0, le=100.0)
+    """Standard deviation of a force reading [N]."""
+
+
+class CaptureManifest(_Strict):
+    """Contents of ``captures.toml``, version 2; every part is optional but ``sensor``."""
+
+    schema_version: Literal[1, 2]
     sensor: str = Field(min_length=1, pattern=r"^[a-z0-9_]+$")
     """Sensor family in the catalogue, such as ``gelsight``."""
-    background: str = Field(min_length=1)
+    unit: str | None = Field(default=None, min_length=1)
+    """Serial number or nickname of this very sensor."""
+    background: str | None = Field(default=None, min_length=1)
     """Image of the untouched sensor, relative to the manifest."""
+    untouched: list[str] = Field(default_factory=list)
+    """Further images of the untouched sensor, at other times: noise and drift."""
     mask: str | None = Field(default=None, min_length=1)
     """Grey image of the same size; pixels that are 0 are never used (dust, markers, frame)."""
-    mm_per_px_x: Finite = Field(ge=MIN_MM_PER_PX, le=MAX_MM_PER_PX)
-    """Scale along the image's rows [mm/px]."""
-    mm_per_px_y: Finite = Field(ge=MIN_MM_PER_PX, le=MAX_MM_PER_PX)
+    mm_per_px_x: Finite | None = Field(default=None, ge=MIN_MM_PER_PX, le=MAX_MM_PER_PX)
+    """Scale along the image's rows [mm/px], where it is known."""
+    mm_per_px_y: Finite | None = Field(default=None, ge=MIN_MM_PER_PX, le=MAX_MM_PER_PX)
     """Scale along the image's columns [mm/px]."""
     source: str | None = None
     """Where the captures come from, free text kept as provenance."""
     license: str | None = None
     """Licence of the captures, free text kept as provenance."""
-    indenter: SphereIndenter
-    presses: list[PressEntry] = Field(min_length=1)
+    indenter: SphereIndenter | None = None
+    presses: list[SpherePress] = Field(default_factory=list)
+    boards: list[BoardEntry] = Field(default_factory=list)
+    edges: list[EdgeEntry] = Field(default_factory=list)
+    markers: MarkersEntry | None = None
+    records: list[RecordEntry] = Field(default_factory=list)

@@ -35,7 +35,8 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
 
     from taccel_lab.cli.bench import HELP as BENCH_HELP
     from taccel_lab.cli.bench import bench_commands
-    from taccel_lab.cli.calibrate import CalibrateColor
+    from taccel_lab.cli.calibrate import HELP as CALIBRATE_HELP
+    from taccel_lab.cli.calibrate import calibrate_commands
     from taccel_lab.cli.demo import Demo
     from taccel_lab.cli.design import Design
     from taccel_lab.cli.doctor import Doctor
@@ -46,8 +47,6 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.sensors import SensorsList, SensorsShow
     from taccel_lab.cli.study import Study
 
-    calibrate = SubcommandApp()
-    calibrate.command(name="color")(CalibrateColor)
     profile = SubcommandApp()
     profile.command(name="show")(ProfileShow)
     profile.command(name="validate")(ProfileValidate)
@@ -61,7 +60,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(name="import-step")(ImportStep)
     app.command(name="preview")(Preview)
     app.command(name="press")(Press)
-    app.command(calibrate, name="calibrate", help="Fit a block of a profile to real captures.")
+    app.command(calibrate_commands(), name="calibrate", help=CALIBRATE_HELP)
     app.command(profile, name="profile", help="Show or check an exported sensor profile.")
     app.command(sensors, name="sensors", help="List the sensors of the catalogue.")
     app.command(name="study")(Study)

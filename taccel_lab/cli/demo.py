@@ -73,7 +73,7 @@ class Demo:
         from calibration.targets import choose_circles, resolve_contacts
         from sensors.design import design_sensor
         from sensors.registry import sensor_family
-        from taccel_lab.cli.calibrate import with_camera_of
+        from taccel_lab.cli.calibrate.color import with_camera_of
         from taccel_lab.cli.demo_report import DemoResults
         from taccel_lab.cli.press import check_depth, load_sensor
         from taccel_lab.cli.progress import count_progress, fit_progress

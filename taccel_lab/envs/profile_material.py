@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from taccel_lab.envs.layers import layered_material
 from taccel_lab.geometry import TetMesh
-from taccel_lab.scene import Material, MaterialField
+from taccel_lab.scene import Material, MaterialField, MaterialModel
 
 if TYPE_CHECKING:
     from taccel_lab.profile import MaterialBlock
@@ -20,5 +20,16 @@ def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | Material
         InputError: The mesh has a layer that the block states no material for.
     """
     solids = (block, *block.layers)
-    materials = [Material(s.young_modulus_pa, s.poisson_ratio, s.density_kg_m3) for s in solids]
+    # Layers share the law and the damping of the gel, as the solver asks of one body.
+    materials = [
+        Material(
+            solid.young_modulus_pa,
+            solid.poisson_ratio,
+            solid.density_kg_m3,
+            model=MaterialModel(block.model),
+            mooney_ratio=block.mooney_ratio,
+            damping_time_s=block.damping_time_s,
+        )
+        for solid in solids
+    ]
     return layered_material(materials, mesh)

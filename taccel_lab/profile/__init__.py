@@ -17,6 +17,11 @@ from taccel_lab.profile.optics_blocks import (
     OpticsBlock,
     WindowBlock,
 )
+from taccel_lab.profile.response_blocks import (
+    DepthResponseBlock,
+    NormalsBlock,
+    PerturbationBlock,
+)
 from taccel_lab.profile.schema import (
     SCHEMA_VERSION,
     BackgroundBlock,
@@ -38,6 +43,7 @@ __all__ = [
     "CameraBlock",
     "CoatingBlock",
     "ColorBlock",
+    "DepthResponseBlock",
     "Finding",
     "GelBlock",
     "HousingBlock",
@@ -46,7 +52,9 @@ __all__ = [
     "LightsBlock",
     "MarkersBlock",
     "MaterialBlock",
+    "NormalsBlock",
     "OpticsBlock",
+    "PerturbationBlock",
     "Provenance",
     "SensorBlock",
     "SensorProfile",

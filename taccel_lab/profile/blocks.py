@@ -11,6 +11,11 @@ from taccel_lab.profile.optics_blocks import (
     OpticsBlock,
     WindowBlock,
 )
+from taccel_lab.profile.response_blocks import (
+    DepthResponseBlock,
+    NormalsBlock,
+    PerturbationBlock,
+)
 from taccel_lab.profile.schema import (
     BackgroundBlock,
     Block,
@@ -31,6 +36,9 @@ _OPTIONAL: tuple[type[Block], ...] = (
     HousingBlock,
     BackgroundBlock,
     ColorBlock,
+    NormalsBlock,
+    DepthResponseBlock,
+    PerturbationBlock,
 )
 BLOCK_TYPES = _REQUIRED + _OPTIONAL
 OPTIONAL_BLOCKS = frozenset(block.key for block in _OPTIONAL)

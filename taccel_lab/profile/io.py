@@ -25,11 +25,13 @@ _DECODERS: dict[str, Callable[[bytes], Any]] = {
     "gel": arrays.decode_mesh,
     "background": arrays.decode_background,
     "color": arrays.decode_weights,
+    "normals": arrays.decode_weights,
 }
 _ENCODERS: dict[str, Callable[[Any], bytes]] = {
     "gel": arrays.encode_mesh,
     "background": arrays.encode_background,
     "color": arrays.encode_weights,
+    "normals": arrays.encode_weights,
 }
 _ARRAY_FILES = {
     block.key: block.model_fields["file"].default
@@ -101,7 +103,9 @@ def _toml_table(block: Block) -> dict[str, Any]:
     table = block.model_dump(mode="python")
     provenance = table.pop("provenance")
     table = {key: value for key, value in table.items() if value != ()}
-    table["provenance"] = {key: value for key, value in provenance.items() if value != {}}
+    table["provenance"] = {
+        key: value for key, value in provenance.items() if value not in ({}, (), None)
+    }
     return table
 
 

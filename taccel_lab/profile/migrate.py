@@ -24,7 +24,13 @@ def _add_optics_and_layers(document: Document) -> Document:
     return {**document, "schema_version": 2}
 
 
-STEPS: Mapping[int, Step] = {1: _add_optics_and_layers}
+def _add_responses(document: Document) -> Document:
+    """Version 3 adds optional blocks (normals, depth_response, perturbation), laws of the material
+    and more evidence in the provenance: a profile of version 2 has none of them."""
+    return {**document, "schema_version": 3}
+
+
+STEPS: Mapping[int, Step] = {1: _add_optics_and_layers, 2: _add_responses}
 
 
 def migrate(

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The blocks of a sensor profile, schema version 2; those of its optics are in ``optics_blocks``.
+"""The blocks of a sensor profile, schema version 3; those of its optics are in ``optics_blocks``,
+those of how it answers a touch in ``response_blocks``.
 
 Every block is frozen, refuses unknown keys, checks its bounds and says where it comes from
 (``Provenance``). Blocks are the same in memory and in ``profile.toml``; the arrays they describe
@@ -33,7 +34,7 @@ import taccel_lab
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
@@ -91,6 +92,14 @@ class Provenance(Frozen):
     """Standard deviation, or cross-validated spread, of each estimated quantity."""
     valid_region: dict[Name, tuple[float, float]] = Field(default_factory=dict)
     """Interval of each quantity inside which the block was tested."""
+    interval: dict[Name, tuple[float, float]] = Field(default_factory=dict)
+    """95 % confidence interval of each estimated quantity, where it is not 2 spreads about it."""
+    correlation: dict[Name, float] = Field(default_factory=dict)
+    """Correlation of two estimates, named ``first*second``, where it matters."""
+    verdict: Literal["good", "usable", "weak"] | None = None
+    """What a calibration says of itself; None of a block that was not calibrated."""
+    remarks: tuple[Text, ...] = ()
+    """What a user has to know: weak data, parameters that the data cannot tell."""
 
     @field_validator("created")
     @classmethod
@@ -105,9 +114,13 @@ class Provenance(Frozen):
             for name in ("inputs", "residuals", "valid_region"):
                 if not getattr(self, name):
                     raise ValueError(f"a calibrated block must name its {name}; the table is empty")
-        for name, (low, high) in self.valid_region.items():
-            if low > high:
-                raise ValueError(f"valid_region.{name}: {low} > {high}")
+        for table in ("valid_region", "interval"):
+            for name, (low, high) in getattr(self, table).items():
+                if low > high:
+                    raise ValueError(f"{table}.{name}: {low} > {high}")
+        for name, value in self.correlation.items():
+            if not -1 <= value <= 1:
+                raise ValueError(f"correlation.{name}: {value} is not in -1..1")
         return self
 
 
@@ -157,7 +170,7 @@ class GelBlock(Block):
 
 
 class _Solid(Frozen):
-    """A Neo-Hookean solid."""
+    """A hyperelastic solid at small strain."""
 
     young_modulus_pa: float = Field(ge=1e2, le=1e9)
     """Young's modulus at small strain [Pa]."""
@@ -189,7 +202,14 @@ class MaterialBlock(Block, _Solid):
 
     key: ClassVar[str] = "material"
 
-    model: Literal["neo_hookean"] = "neo_hookean"
+    model: Literal["neo_hookean", "stable_neo_hookean", "st_venant_kirchhoff", "mooney_rivlin"] = (
+        "neo_hookean"
+    )
+    """Energy of the gel and of its layers."""
+    mooney_ratio: float = Field(default=0.0, ge=0, le=1)
+    """Mooney-Rivlin only: c01 / (c10 + c01)."""
+    damping_time_s: float = Field(default=0.0, ge=0, le=1e4)
+    """Viscous over elastic stress at a strain rate of one a second [s]."""
     friction_coefficient: float = Field(ge=0, le=5)
     """Coulomb friction between the gel and what presses on it."""
     layers: tuple[LayerMaterial, ...] = ()

@@ -23,6 +23,11 @@ from taccel_lab.profile.optics_blocks import (
     OpticsBlock,
     WindowBlock,
 )
+from taccel_lab.profile.response_blocks import (
+    DepthResponseBlock,
+    NormalsBlock,
+    PerturbationBlock,
+)
 from taccel_lab.profile.schema import (
     BackgroundBlock,
     Block,
@@ -34,7 +39,12 @@ from taccel_lab.profile.schema import (
 )
 
 # Block key -> field of SensorProfile that holds the array(s) the block describes.
-ARRAY_FIELDS = {"gel": "mesh", "background": "background_rgb", "color": "color_weights"}
+ARRAY_FIELDS = {
+    "gel": "mesh",
+    "background": "background_rgb",
+    "color": "color_weights",
+    "normals": "normal_weights",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +73,17 @@ class SensorProfile:
     color: ColorBlock | None = None
     color_weights: Mapping[str, np.ndarray] | None = None
     """Weights of the colour model by name; ``color.architecture`` says how they combine."""
+    normals: NormalsBlock | None = None
+    normal_weights: Mapping[str, np.ndarray] | None = None
+    """Weights of the model from colour to normal by name."""
+    depth_response: DepthResponseBlock | None = None
+    perturbation: PerturbationBlock | None = None
 
     def __post_init__(self) -> None:
         self._check_mesh()
         self._check_background()
-        self._check_weights()
+        for key in ("color", "normals"):
+            self._check_weights(key)
 
     def grid(self) -> PixelGrid:
         """The pixel grid of the tactile image."""
@@ -101,8 +117,8 @@ class SensorProfile:
         """Return a profile with ``block`` added or replaced.
 
         ``arrays`` is what the block describes: a TetMesh for a GelBlock, an RGB image for a
-        BackgroundBlock, named weights for a ColorBlock, nothing for the others. A camera of
-        another image size needs ``without("background", "color")`` first.
+        BackgroundBlock, named weights for a ColorBlock or NormalsBlock, nothing for the others. A
+        camera of another image size needs ``without("background", "color")`` first.
         """
         changes: dict[str, Any] = {block.key: block}
         if block.key in ARRAY_FIELDS:
@@ -162,22 +178,24 @@ class SensorProfile:
         image.setflags(write=False)
         object.__setattr__(self, "background_rgb", image)
 
-    def _check_weights(self) -> None:
-        if (self.color is None) != (self.color_weights is None):
-            raise InputError("a color block and its weights come together; one is missing")
-        if self.color_weights is None:
+    def _check_weights(self, key: str) -> None:
+        field = ARRAY_FIELDS[key]
+        given = getattr(self, field)
+        if (getattr(self, key) is None) != (given is None):
+            raise InputError(f"a {key} block and its weights come together; one is missing")
+        if given is None:
             return
-        if not self.color_weights:
-            raise InputError("the color model has no weights")
+        if not given:
+            raise InputError(f"the {key} model has no weights")
         weights = {}
-        for name, value in self.color_weights.items():
+        for name, value in given.items():
             array = np.array(value)
             if array.dtype not in (np.float32, np.float64):
                 raise InputError(
-                    f"color weight {name!r} must be float32 or float64, got {array.dtype}"
+                    f"{key} weight {name!r} must be float32 or float64, got {array.dtype}"
                 )
             if not np.isfinite(array).all():
-                raise InputError(f"color weight {name!r} holds NaN or infinite values")
+                raise InputError(f"{key} weight {name!r} holds NaN or infinite values")
             array.setflags(write=False)
             weights[name] = array
-        object.__setattr__(self, "color_weights", MappingProxyType(weights))
+        object.__setattr__(self, field, MappingProxyType(weights))

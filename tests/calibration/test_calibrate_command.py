@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from taccel_lab.cli.calibrate import CalibrateColor
+from taccel_lab.cli.calibrate.color import CalibrateColor
 from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile, save_profile
 from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, synthetic_captures, tiny_profile

@@ -18,7 +18,7 @@ from calibration.simulate import MAX_ROUNDS, simulate_presses
 from calibration.surfaces import PressSurface
 from sensors.press_mesh import PressMeshOptions
 from sensors.profile import catalogue_profile
-from taccel_lab.cli.calibrate import with_camera_of
+from taccel_lab.cli.calibrate.color import with_camera_of
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile

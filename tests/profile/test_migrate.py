@@ -85,3 +85,15 @@ def test_version_1_is_written_as_the_current_one(tmp_path: Path) -> None:
     assert load_profile(tmp_path / "p").blocks() == profile.blocks()
     for name in ("mesh.npz", "background.npz", "color_model.safetensors"):
         assert (tmp_path / "p" / name).read_bytes() == (OLD / "v1" / name).read_bytes()
+
+
+def test_version_2_is_read_as_it_was() -> None:
+    """The stored folder adds markers and a window to that of version 1."""
+    assert "schema_version = 2\n" in (OLD / "v2" / "profile.toml").read_text()
+    assert validate_profile(OLD / "v2") == []
+    profile = load_profile(OLD / "v2")
+    assert profile.markers is not None and profile.markers.pitch_y_mm == 2.1
+    assert profile.material.model == "neo_hookean" and profile.material.damping_time_s == 0.0
+    assert profile.normals is None and profile.depth_response is None
+    assert profile.perturbation is None
+    assert profile.material.provenance.verdict is None

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything in a capture folder, in memory; images are read on demand.
+
+``CaptureSet`` is the part that colour calibration needs; ``CaptureFolder.ball_presses`` gives it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from calibration.capture.captures import CaptureSet, Press
+from calibration.capture.schema import BoardEntry, EdgeEntry, RecordEntry, VideoEntry
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image."""
+
+    name: str
+    source: str
+    """File the image comes from, for error messages."""
+    sha256: str
+    read: Callable[[], np.ndarray]
+
+    def image(self) -> np.ndarray:
+        """The image, RGB uint8, shape [height_px, width_px, 3]."""
+        return self.read()
+
+
+@dataclass(frozen=True)
+class BoardCaptures:
+    """Views of one board."""
+
+    entry: BoardEntry
+    frames: tuple[Frame, ...]
+    reference: Frame | None
+
+
+@dataclass(frozen=True)
+class EdgeCapture:
+    """A press of a straight edge."""
+
+    entry: EdgeEntry
+    frame: Frame
+
+
+@dataclass(frozen=True)
+class Video:
+    """Frames of one motion, in order."""
+
+    entry: VideoEntry
+    source: str
+    sha256: str
+    """Hash of the file, or of the frames' hashes in order."""
+    frame_count: int
+    frames: Callable[[], list[np.ndarray]]
+    """All frames, RGB uint8."""
+    poses: dict[str, np.ndarray] = field(default_factory=dict)
+    """Columns of the path, each of shape [row]."""
+
+
+@dataclass(frozen=True)
+class MarkerCaptures:
+    """Dots at rest, and in motion."""
+
+    rest: Frame
+    pitch_x_mm: float | None
+    pitch_y_mm: float | None
+    videos: tuple[Video, ...]
+
+
+@dataclass(frozen=True)
+class ForceRecord:
+    """A checked record of forces."""
+
+    entry: RecordEntry
+    source: str
+    sha256: str
+    columns: dict[str, np.ndarray]
+    """By name, each of shape [row]."""
+
+
+@dataclass(frozen=True)
+class CaptureFolder:
+    """Everything that was captured of one sensor."""
+
+    source: str
+    root: Path
+    sensor: str
+    unit: str | None
+    background: Frame | None
+    untouched: tuple[Frame, ...]
+    mask: np.ndarray | None
+    """Pixels that may be used, bool, shape [height_px, width_px]; None: all."""
+    mm_per_px: tuple[float, float] | None
+    """Scale in x and y where the manifest states it [mm/px]."""
+    ball_radius_mm: float | None
+    presses: tuple[Press, ...]
+    boards: tuple[BoardCaptures, ...] = ()
+    edges: tuple[EdgeCapture, ...] = ()
+    markers: MarkerCaptures | None = None
+    records: tuple[ForceRecord, ...] = ()
+    provenance: dict[str, str] = field(default_factory=dict)
+
+    def grid(self, mm_per_px: tuple[float, float] | None = None) -> PixelGrid:
+        """Pixel grid at the given scale, or at the stated one; InputError without either."""
+        scale = mm_per_px or self.mm_per_px
+        if scale is None:
+            raise InputError(
+                f"{self.source}: no scale; give mm_per_px_x and mm_per_px_y, or calibrate the "
+                "scale first (taccel-lab calibrate scale)"
+            )
+        height, width = self.require_background().image().shape[:2]
+        return PixelGrid(width, height, *scale)
+
+    def require_background(self) -> Frame:
+        """The background; InputError without one."""
+        if self.background is None:
+            raise InputError(
+                f"{self.source}: no background; give an image of the untouched sensor as "
+                'background = "..."'
+            )
+        return self.background
+
+    def ball_presses(self, mm_per_px: tuple[float, float] | None = None) -> CaptureSet:
+        """The ball presses for scale, contacts and colour; InputError says what is missing."""
+        background = self.require_background()
+        if not self.presses:
+            raise InputError(f"{self.source} holds no presses; at least one image is needed")
+        if self.ball_radius_mm is None:
+            raise InputError(
+                f"{self.source}: the radius of the ball is missing; give [indenter] radius_mm"
+            )
+        image = background.image()
+        mask = np.ones(image.shape[:2], dtype=bool) if self.mask is None else self.mask
+        return CaptureSet(
+            source=self.source,
+            sensor=self.sensor,
+            background=image,
+            background_sha256=background.sha256,
+            mask=mask,
+            ball_radius_mm=self.ball_radius_mm,
+            grid=self.grid(mm_per_px),
+            presses=self.presses,
+            provenance=self.provenance,
+        )

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Videos of the gel: a file that OpenCV decodes, or numbered images."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calibration.capture.folder import Frame, MarkerCaptures, Video
+from calibration.capture.images import file_sha256, read_image
+from calibration.capture.records import read_columns
+from calibration.capture.schema import MarkersEntry, VideoEntry
+from taccel_lab.errors import InputError
+
+
+def load_markers(folder: Path, entry: MarkersEntry, background: Frame | None) -> MarkerCaptures:
+    """The dots at rest and their videos; InputError when neither rest nor background is there."""
+    if entry.rest is not None:
+        path = folder / entry.rest
+        read_image(path)
+        rest = Frame(path.stem, str(path), file_sha256(path), partial(read_image, path))
+    elif background is not None:
+        rest = background
+    else:
+        raise InputError(f"{folder}: markers need an image at rest: markers.rest or background")
+    videos = tuple(load_video(folder, video) for video in entry.videos)
+    return MarkerCaptures(rest, entry.pitch_x_mm, entry.pitch_y_mm, videos)
+
+
+def load_video(folder: Path, entry: VideoEntry) -> Video:
+    """One motion; InputError when it does not decode or holds fewer than two frames."""
+    if (entry.file is None) == (not entry.frames):
+        raise InputError(f"{folder}: a video needs either a file or frames, and not both")
+    poses = {} if entry.poses is None else read_columns(folder / entry.poses)
+    if entry.file is not None:
+        path = folder / entry.file
+        frames = read_video(path)
+        return Video(
+            entry, str(path), file_sha256(path), len(frames), partial(read_video, path), poses
+        )
+    paths = [path for name in entry.frames for path in _expand(folder, name)]
+    if len(paths) < 2:
+        raise InputError(f"{folder}: a video needs at least 2 frames, found {len(paths)}")
+    digest = hashlib.sha256("".join(file_sha256(path) for path in paths).encode()).hexdigest()
+    return Video(entry, str(paths[0]), digest, len(paths), partial(_read_images, paths), poses)
+
+
+def read_video(path: Path) -> list[np.ndarray]:
+    """All frames of a video file, RGB uint8."""
+    if not path.is_file():
+        raise InputError(f"{path} does not exist; the manifest names it")
+    capture = cv2.VideoCapture(str(path))
+    frames = []
+    try:
+        while True:
+            read, frame = capture.read()
+            if not read:
+                break
+            frames.append(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
+    finally:
+        capture.release()
+    if len(frames) < 2:
+        raise InputError(
+            f"{path} does not decode as a video ({len(frames)} frames read); AVI (MJPEG) or MP4 "
+            "(H.264) is allowed, or give the frames as images"
+        )
+    return frames
+
+
+def _expand(folder: Path, name: str) -> list[Path]:
+    return sorted(folder.glob(name)) if any(c in name for c in "*?[") else [folder / name]
+
+
+def _read_images(paths: list[Path]) -> list[np.ndarray]:
+    return [read_image(path) for path in paths]

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every calibrator returns besides its block: estimates, remarks and a verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Protocol
+
+from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
+
+NORMAL_95 = 1.959963984540054
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
+
+
+class Verdict(StrEnum):
+    """How far a calibrated block can be trusted; a refusal is an InputError, not a verdict."""
+
+    GOOD = "good"
+    USABLE = "usable"
+    WEAK = "weak"
+
+
+class Severity(StrEnum):
+    """What a remark does to the verdict: nothing, at most usable, at most weak."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+@dataclass(frozen=True)
+class Remark:
+    """One thing that a user has to know, in a sentence with figures and what to do."""
+
+    severity: Severity
+    code: str
+    """Stable name for programs, such as ``scale_disagrees``."""
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.severity}: {self.message}"
+
+
+def judge(remarks: Iterable[Remark]) -> Verdict:
+    """The verdict that remarks leave."""
+    found = {remark.severity for remark in remarks}
+    if Severity.ERROR in found:
+        return Verdict.WEAK
+    return Verdict.USABLE if Severity.WARNING in found else Verdict.GOOD
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its standard deviation, and its 95 % interval where it is not symmetric."""
+
+    value: float
+    sigma: float
+    unit: str = ""
+    interval: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.value) or math.isnan(self.sigma) or self.sigma < 0:
+            raise InputError(f"an estimate needs a finite value and sigma >= 0, got {self}")
+
+    @property
+    def interval95(self) -> tuple[float, float]:
+        """The stated 95 % interval, or 1.96 sigma about the value."""
+        if self.interval is not None:
+            return self.interval
+        return self.value - NORMAL_95 * self.sigma, self.value + NORMAL_95 * self.sigma
+
+    def __str__(self) -> str:
+        return f"{self.value:.5g} ± {self.sigma:.2g} {self.unit}".rstrip()
+
+
+class CalibrationResult(Protocol):
+    """What the commands, the report and the whole-folder run need of a calibration."""
+
+    @property
+    def remarks(self) -> tuple[Remark, ...]: ...
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured, ready for JSON."""
+        ...
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with the calibrated blocks, their evidence in the provenance."""
+        ...

@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Synthetic captures with known truth: faults of cameras and people, injected on purpose."""
+
+from calibration.synthetic.faults import (
+    add_dust,
+    add_gradient,
+    add_noise,
+    blur,
+    drift,
+    poison,
+    quantise,
+    vignette,
+)
+
+__all__ = [
+    "add_dust",
+    "add_gradient",
+    "add_noise",
+    "blur",
+    "drift",
+    "poison",
+    "quantise",
+    "vignette",
+]

@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab calibrate``: one command a block, and all of them at once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+HELP = "Fit the blocks of a profile to real captures."
+
+
+def calibrate_commands() -> Any:
+    """The sub-commands; imported here so that help is fast."""
+    from tyro.extras import SubcommandApp
+
+    from taccel_lab.cli.calibrate.color import CalibrateColor
+
+    app = SubcommandApp()
+    app.command(name="color")(CalibrateColor)
+    return app

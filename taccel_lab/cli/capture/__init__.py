@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab capture``: check, import and plan captures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+HELP = "Check, import and plan captures."
+
+
+def capture_commands() -> Any:
+    """The sub-commands; imported here so that help is fast."""
+    from tyro.extras import SubcommandApp
+
+    app = SubcommandApp()
+    return app

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The optional blocks that say how a sensor answers a touch, besides its colour model: the inverse
+model from colour to surface, the depth of a grey sensor, and how far units and days differ."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from taccel_lab.profile.schema import Block, ConfigValue, Name
+
+Level = Annotated[float, Field(ge=0, le=255)]
+Triple = tuple[
+    Annotated[float, Field(ge=0, le=1e3)],
+    Annotated[float, Field(ge=0, le=1e3)],
+    Annotated[float, Field(ge=0, le=1e3)],
+]
+
+
+class NormalsBlock(Block):
+    """The model from colour and pixel position to surface normal.
+
+    Its weights are stored in ``normal_model.safetensors``.
+    """
+
+    key: ClassVar[str] = "normals"
+
+    file: Literal["normal_model.safetensors"] = "normal_model.safetensors"
+    architecture: dict[Name, ConfigValue]
+    """What is needed to rebuild the network: features, layer widths, activation, scales."""
+
+
+class DepthResponseBlock(Block):
+    """Indentation of a grey sensor (9DTact) from how far a pixel darkens: a monotone curve."""
+
+    key: ClassVar[str] = "depth_response"
+
+    channel: Literal["grey", "red", "green", "blue"] = "grey"
+    """Channel whose drop is read; grey is OpenCV's luma 0.299 R + 0.587 G + 0.114 B."""
+    drop_levels: tuple[Level, ...] = Field(min_length=2)
+    """Background minus image [levels of 255], rising."""
+    depth_mm: tuple[float, ...] = Field(min_length=2)
+    """Indentation of the contact face at each drop [mm], not falling."""
+
+    @model_validator(mode="after")
+    def _check_curve(self) -> Self:
+        drop, depth = self.drop_levels, self.depth_mm
+        if len(drop) != len(depth):
+            raise ValueError(f"drop_levels has {len(drop)} entries, depth_mm {len(depth)}")
+        if any(b <= a for a, b in pairwise(drop)):
+            raise ValueError("drop_levels must rise")
+        if any(b < a for a, b in pairwise(depth)) or depth[0] < 0:
+            raise ValueError("depth_mm must not fall and start at 0 or above")
+        return self
+
+
+class PerturbationBlock(Block):
+    """How far captures of this sensor spread, for domain randomisation; standard deviations.
+
+    A perturbed image is ``gain * image + offset + gradient + noise``; see
+    ``taccel_lab.signals.perturbation``.
+    """
+
+    key: ClassVar[str] = "perturbation"
+
+    gain_rgb: Triple = (0.0, 0.0, 0.0)
+    """Of the per-frame gain of each channel."""
+    offset_rgb: Triple = (0.0, 0.0, 0.0)
+    """Of the per-frame offset of each channel [levels]."""
+    gradient_rgb: Triple = (0.0, 0.0, 0.0)
+    """Of a linear gradient of the light over half the image [levels]."""
+    noise_levels: float = Field(default=0.0, ge=0, le=255)
+    """Of one pixel between frames [levels]."""
+    mm_per_px_relative: float = Field(default=0.0, ge=0, le=1)
+    """Of the scale, as a part of it."""
+    center_px: float = Field(default=0.0, ge=0, le=1e4)
+    """Of the gel's place in the image [px]."""
+    young_modulus_relative: float = Field(default=0.0, ge=0, le=10)
+    """Of Young's modulus, as a part of it."""
+    friction_coefficient: float = Field(default=0.0, ge=0, le=5)
+    """Of the coefficient of friction."""
