@@ -119,7 +119,7 @@ def test_no_presses(folder: Path) -> None:
     (folder / "captures.toml").write_text(
         text.replace("schema_version", "presses = []\nschema_version")
     )
-    with pytest.raises(InputError, match=r"presses.*at least 1"):
+    with pytest.raises(InputError, match=r"captures\.toml holds no presses; at least one"):
         load_captures(folder)
 
 

@@ -49,7 +49,7 @@ PROFILES: dict[str, tuple[Change, list[str]]] = {
     "no mesh": (remove("mesh.npz"), [r"profile/mesh\.npz: .*(missing|no such file)"]),
     "no TOML": (remove("profile.toml"), [r"profile\.toml: no such file"]),
     "newer schema": (
-        rewrite("schema_version = 2", "schema_version = 3"),
+        rewrite("schema_version = 3", "schema_version = 4"),
         [r"profile\.toml: schema_version", "newer version of taccel-lab"],
     ),
     "unknown key": (
