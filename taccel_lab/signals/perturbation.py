@@ -73,7 +73,7 @@ class Perturbation:
         return np.maximum(nominal + self.friction_shift, 0.0)
 
     def apply(self, images: Any, rng: np.random.Generator | None = None) -> Any:
-        """Images as the drawn sensors would show them: ``gain * image + offset + gradient + noise``.
+        """Images of the drawn sensors: ``gain * image + offset + gradient + noise``.
 
         Args:
             images: RGB levels 0..255, float, shape [env_count, height_px, width_px, 3]; a numpy
