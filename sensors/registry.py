@@ -20,6 +20,7 @@ ENTRY_POINT_GROUP = "taccel_lab.sensors"
 _BUILT_IN = (
     "digit",
     "digit_360",
+    "flat_pad",
     "gelsight",
     "gelsight_40",
     "gelsight_mini",
