@@ -3,45 +3,19 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
 import warnings
 import zipfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from taccel_lab.cache import CACHE_VARIABLE, cache_folder, content_key
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.output import atomic_file, to_jsonable
+from taccel_lab.output import atomic_file
 
-CACHE_VARIABLE = "TACCEL_LAB_CACHE"
 _ARRAYS = ("nodes_m", "tets", "faces", "face_regions", "tet_layers")
-
-
-def cache_folder() -> Path:
-    """$TACCEL_LAB_CACHE, or taccel_lab in $XDG_CACHE_HOME or ~/.cache."""
-    named = os.environ.get(CACHE_VARIABLE)
-    if named:
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "taccel_lab"
-
-
-def content_key(recipe: dict[str, Any]) -> str:
-    """SHA-256 of a recipe of plain values and arrays; equal recipes give equal keys."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, np.ndarray):
-            data = np.ascontiguousarray(value)
-            digest = hashlib.sha256(data.tobytes()).hexdigest()
-            return {"array": digest, "shape": list(data.shape), "dtype": data.dtype.str}
-        return to_jsonable(value)
-
-    text = json.dumps({k: plain(v) for k, v in recipe.items()}, sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def cached_mesh(recipe: dict[str, Any], build: Callable[[], TetMesh]) -> TetMesh:
