@@ -43,13 +43,15 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.import_step import ImportStep
     from taccel_lab.cli.press import Press
     from taccel_lab.cli.preview import Preview
-    from taccel_lab.cli.profile import ProfileShow, ProfileValidate
+    from taccel_lab.cli.profile import ProfileCompare, ProfileReport, ProfileShow, ProfileValidate
     from taccel_lab.cli.sensors import SensorsList, SensorsShow
     from taccel_lab.cli.study import Study
 
     profile = SubcommandApp()
     profile.command(name="show")(ProfileShow)
     profile.command(name="validate")(ProfileValidate)
+    profile.command(name="compare")(ProfileCompare)
+    profile.command(name="report")(ProfileReport)
     sensors = SubcommandApp()
     sensors.command(name="list")(SensorsList)
     sensors.command(name="show")(SensorsShow)
@@ -61,7 +63,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(name="preview")(Preview)
     app.command(name="press")(Press)
     app.command(calibrate_commands(), name="calibrate", help=CALIBRATE_HELP)
-    app.command(profile, name="profile", help="Show or check an exported sensor profile.")
+    app.command(profile, name="profile", help="Show, check, compare or report on sensor profiles.")
     app.command(sensors, name="sensors", help="List the sensors of the catalogue.")
     app.command(name="study")(Study)
     app.command(bench_commands(), name="bench", help=BENCH_HELP)

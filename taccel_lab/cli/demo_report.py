@@ -141,9 +141,8 @@ def _color(results: DemoResults) -> ColorSection:
 
 def _discs(results: DemoResults) -> tuple[NormalDisc, ...]:
     """Colour change over the hemisphere of normals at the middle and near the corners."""
-    from taccel_lab.report.figures_color import disc_normals
+    from calibration.report.color_discs import color_discs
 
-    model, grid = results.calibration.fit.model, results.captures.grid
     training = set(results.calibration.train_names)
     surfaces = [
         surface
@@ -152,24 +151,13 @@ def _discs(results: DemoResults) -> tuple[NormalDisc, ...]:
     ]
     tilt = np.concatenate([np.sqrt(1 - s.normals[..., 2].ravel() ** 2)[::7] for s in surfaces])
     trained = float(np.quantile(tilt, 0.9999))
-    span = min(0.98, 1.05 * trained)
-    normals = disc_normals(65, span)
-    seen = np.isfinite(normals[..., 0])
-    depth_mm = float(np.median([s.displacement_mm().min() for s in surfaces])) / 2
-    rest = results.surfaces[0].rest_normals
-    discs = []
-    for fu, fv in ((0.5, 0.5), (0.2, 0.25), (0.8, 0.25), (0.2, 0.75), (0.8, 0.75)):
-        u, v = round(fu * (grid.width_px - 1)), round(fv * (grid.height_px - 1))
-        count = int(seen.sum())
-        delta = np.full((*seen.shape, 3), np.nan)
-        delta[seen] = model.predict_pixels(
-            np.full(count, v * grid.width_px + u),
-            normals[seen],
-            np.full(count, depth_mm),
-            np.broadcast_to(rest[v, u], (count, 3)),
-        )
-        discs.append(NormalDisc((u, v), delta, span, trained))
-    return tuple(discs)
+    return color_discs(
+        results.calibration.fit.model,
+        min(0.98, 1.05 * trained),
+        float(np.median([s.displacement_mm().min() for s in surfaces])) / 2,
+        rest_normals=results.surfaces[0].rest_normals,
+        trained_sine=trained,
+    )
 
 
 def _press(results: DemoResults) -> PressSection:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab profile show`` and ``taccel-lab profile validate``."""
+"""``taccel-lab profile show``, ``validate``, ``compare`` and ``report``."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from tyro.conf import Positional
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
+    from calibration.comparison import ProfileComparison
     from taccel_lab.profile import SensorProfile
 
 
@@ -74,11 +75,100 @@ class ProfileValidate:
             raise InputError(f"{self.profile} is not a sound profile: {errors} error{plural}")
 
 
+@dataclass(frozen=True)
+class ProfileCompare:
+    """Compare two sensor profiles: every value that differs, and what they do.
+
+    Differences are measured in standard deviations where the blocks state their spread. Networks
+    are compared by their answers: the colour of every normal at five places of the image.
+    """
+
+    a: Positional[Path]
+    """Profile folder."""
+    b: Positional[Path]
+    """The other profile folder."""
+    out: Path | None = None
+    """Folder for a report (HTML, JSON, pictures); none is written when left out."""
+    json: bool = False
+    """Print the comparison as JSON instead of a table."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from calibration.comparison import compare_profiles
+        from calibration.report import write_page
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.output import require_replaceable
+        from taccel_lab.profile import load_profile
+
+        if self.out is not None:
+            require_replaceable(self.out)
+        names = (self.a.name, self.b.name)
+        if names[0] == names[1]:
+            names = (str(self.a), str(self.b))
+        found = compare_profiles(load_profile(self.a), load_profile(self.b), names)
+        if self.json:
+            print_json(found.figures())
+        else:
+            _print_comparison(found)
+        if self.out is not None:
+            write_page(found.page(), self.out)
+            Console(stderr=True).print(f"wrote {self.out / 'report.html'}", highlight=False)
+
+
+@dataclass(frozen=True)
+class ProfileReport:
+    """Write a page about a sensor profile: each block with its evidence, verdict and pictures."""
+
+    profile: Positional[Path]
+    """Profile folder."""
+    out: Path
+    """Folder to write: report.html, report.json and the pictures."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from calibration.report import write_page
+        from calibration.report.profile_page import profile_page
+        from taccel_lab.output import require_replaceable
+        from taccel_lab.profile import load_profile
+
+        require_replaceable(self.out)
+        page = profile_page(load_profile(self.profile))
+        console = Console(stderr=True)
+        with console.status("drawing the pictures"):
+            write_page(page, self.out)
+        console.print(f"wrote {self.out / 'report.html'}", highlight=False)
+
+
+def _print_comparison(found: ProfileComparison) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from taccel_lab.report.build import format_number
+
+    console = Console()
+    for remark in found.remarks:
+        console.print(Text(str(remark)))
+    for part in found.page().tables:
+        if not part.rows:
+            continue
+        table = Table(*part.columns, title=part.title, title_justify="left")
+        for row in part.rows:
+            table.add_row(*(Text(format_number(cell)) for cell in row))
+        console.print(table)
+
+
 def _as_dict(profile: SensorProfile) -> dict[str, Any]:
     blocks = {key: block.model_dump(mode="json") for key, block in profile.blocks().items()}
     if profile.color_weights is not None:
         blocks["color"]["weight_shapes"] = {
             name: list(array.shape) for name, array in profile.color_weights.items()
+        }
+    if profile.normal_weights is not None:
+        blocks["normals"]["weight_shapes"] = {
+            name: list(array.shape) for name, array in profile.normal_weights.items()
         }
     return blocks
 

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A whole profile as a page: what each block says, how far to trust it, and what it looks like."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from calibration.report.page import Page, Picture, Table
+from calibration.report.profile_figures import (
+    draw_depth_response,
+    draw_image_at_rest,
+    draw_perturbed,
+    draw_profile_discs,
+    draw_profile_mesh,
+)
+from calibration.result import NORMAL_95, Remark, Severity
+from taccel_lab.profile import Block, SensorProfile
+
+CORE = ("gel", "material", "camera", "background", "color")
+"""Blocks without which a sensor cannot be simulated with pictures."""
+
+
+def profile_page(profile: SensorProfile) -> Page:
+    """The profile's report: verdict from the blocks' own, a table a block, and pictures."""
+    blocks = profile.blocks()
+    return Page(
+        title=f"Sensor profile {profile.sensor.name}",
+        summary=f"A {profile.sensor.family}: {len(blocks)} blocks, "
+        f"{sum(b.provenance.kind == 'calibrated' for b in blocks.values())} of them calibrated "
+        "to captures.",
+        remarks=tuple(_remarks(profile)),
+        tables=(
+            _overview(blocks),
+            *(_block_table(key, b) for key, b in blocks.items()),
+            *(t for key, b in blocks.items() if (t := _residual_table(key, b)) is not None),
+        ),
+        pictures=tuple(_pictures(profile)),
+        figures={key: block.model_dump(mode="json") for key, block in blocks.items()},
+    )
+
+
+def _remarks(profile: SensorProfile) -> list[Remark]:
+    remarks = []
+    blocks = profile.blocks()
+    for key, block in blocks.items():
+        where = block.provenance
+        if where.verdict == "weak":
+            remarks.append(Remark(Severity.ERROR, "weak_block", f"{key}: calibrated, but weak"))
+        elif where.verdict == "usable":
+            remarks.append(
+                Remark(Severity.WARNING, "usable_block", f"{key}: usable, with reservations")
+            )
+        elif where.kind == "assumed" and key in CORE:
+            remarks.append(
+                Remark(
+                    Severity.WARNING,
+                    "assumed_block",
+                    f"{key}: assumed, not measured ({where.source})",
+                )
+            )
+        remarks += [Remark(Severity.INFO, "block_remark", f"{key}: {t}") for t in where.remarks]
+    for key in ("background", "color"):
+        if key not in blocks and profile.depth_response is None:
+            remarks.append(
+                Remark(
+                    Severity.INFO,
+                    "missing_block",
+                    f"{key}: missing, so no calibrated pictures; taccel-lab calibrate {key}",
+                )
+            )
+    return remarks
+
+
+def _overview(blocks: dict[str, Block]) -> Table:
+    rows = [
+        (
+            key,
+            block.provenance.kind,
+            block.provenance.verdict or "–",
+            block.provenance.method,
+            block.provenance.source,
+            len(block.provenance.inputs) or None,
+        )
+        for key, block in blocks.items()
+    ]
+    columns = ("block", "kind", "verdict", "method", "source", "inputs")
+    return Table("Blocks", columns, rows)
+
+
+def _block_table(key: str, block: Block) -> Table:
+    where = block.provenance
+    rows = []
+    for name, value in _flat(block.model_dump(mode="python", exclude={"provenance"})).items():
+        spread = where.spread.get(name)
+        interval = where.interval.get(name)
+        if interval is None and spread is not None and isinstance(value, (int, float)):
+            interval = (value - NORMAL_95 * spread, value + NORMAL_95 * spread)
+        rows.append((name, value, spread, _interval(interval), _interval(_valid(where, name))))
+    columns = ("key", "value", "standard deviation", "95 % interval", "tested within")
+    return Table(key, columns, rows)
+
+
+def _valid(where: Any, name: str) -> tuple[float, float] | None:
+    return where.valid_region.get(name)
+
+
+def _residual_table(key: str, block: Block) -> Table | None:
+    where = block.provenance
+    shown = set(_flat(block.model_dump(mode="python", exclude={"provenance"})))
+    rows: list[tuple[Any, ...]] = [
+        ("residual", name, value, None) for name, value in where.residuals.items()
+    ]
+    rows += [("spread", n, v, None) for n, v in where.spread.items() if n not in shown]
+    rows += [("tested within", n, *v) for n, v in where.valid_region.items() if n not in shown]
+    rows += [("correlation", name, value, None) for name, value in where.correlation.items()]
+    if not rows:
+        return None
+    return Table(f"{key}: evidence", ("kind", "quantity", "value", "to"), rows)
+
+
+def _interval(bounds: tuple[float, float] | None) -> str | None:
+    return None if bounds is None else f"{bounds[0]:.4g} to {bounds[1]:.4g}"
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Values by dotted key; long lists are shortened for the page, the JSON holds them whole."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, dict):
+            flat |= _flat(value, f"{prefix}{name}.")
+        elif isinstance(value, (list, tuple)):
+            text = ", ".join(str(item) for item in value)
+            flat[prefix + name] = text if len(text) < 90 else f"{len(value)} entries"
+        else:
+            flat[prefix + name] = value
+    return flat
+
+
+def _pictures(profile: SensorProfile) -> list[Picture]:
+    pictures = [
+        Picture("mesh", lambda: draw_profile_mesh(profile), "The gel's mesh, faces by region.")
+    ]
+    if profile.background_rgb is not None:
+        pictures.append(
+            Picture(
+                "image_at_rest",
+                lambda: draw_image_at_rest(profile),
+                "The untouched sensor, in mm of the gel frame"
+                + ("; circles are the markers' places." if profile.markers else "."),
+            )
+        )
+    if profile.color is not None:
+        pictures.append(
+            Picture(
+                "color_response",
+                lambda: draw_profile_discs(profile),
+                "Colour of every normal, 0.3 mm below rest, at the middle and near the corners; "
+                "the rim is a tilt of 44 degrees.",
+            )
+        )
+    if profile.depth_response is not None:
+        pictures.append(
+            Picture(
+                "depth_response",
+                lambda: draw_depth_response(profile),
+                "Indentation from how far a pixel darkens.",
+            )
+        )
+    if profile.perturbation is not None and profile.background_rgb is not None:
+        pictures.append(
+            Picture(
+                "perturbed",
+                lambda: draw_perturbed(profile),
+                "The image at rest of six sensors drawn from the measured spread.",
+            )
+        )
+    return pictures
