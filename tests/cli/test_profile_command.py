@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab profile show`` and ``validate``."""
+"""``taccel-lab profile show``, ``validate``, ``compare`` and ``report``."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from taccel_lab.profile import (
     Provenance,
     SensorBlock,
     SensorProfile,
+    load_profile,
     save_profile,
 )
 
@@ -90,3 +91,45 @@ def test_validate_damaged(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
 def test_absent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert app.main(["profile", "show", str(tmp_path / "none")]) == 2
     assert "none" in capsys.readouterr().err
+
+
+def test_compare_tells_what_differs(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile = load_profile(folder)
+    softer = profile.with_block(profile.material.replace(young_modulus_pa=1.2e5))
+    save_profile(softer, tmp_path / "q")
+    assert app.main(["profile", "compare", str(folder), str(tmp_path / "q")]) == 0
+    shown = capsys.readouterr().out
+    assert "material.young_modulus_pa" in shown and "-3.00e+04" in shown
+    arguments = ["profile", "compare", str(folder), str(tmp_path / "q"), "--json"]
+    assert app.main([*arguments, "--out", str(tmp_path / "page")]) == 0
+    (field,) = json.loads(capsys.readouterr().out)["fields"]
+    assert field["difference"] == pytest.approx(-3e4) and field["z"] is None
+    assert (tmp_path / "page" / "report.html").is_file()
+
+
+def test_report_writes_a_page(folder: Path, tmp_path: Path) -> None:
+    assert app.main(["profile", "report", str(folder), "--out", str(tmp_path / "page")]) == 0
+    html = (tmp_path / "page" / "report.html").read_text()
+    assert "Sensor profile unit 3" in html and "made up [bold]for[/] a test" in html
+
+
+@pytest.mark.parametrize("command", [["compare"], ["report", "--out", "page"]])
+def test_missing_profiles_and_foreign_folders_are_refused(
+    command: list[str],
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    others = [str(folder)] if command[0] == "compare" else []
+    assert app.main(["profile", *command, *others, "nowhere"]) == 2
+    assert "no such profile folder" in capsys.readouterr().err
+    (tmp_path / "page").mkdir()
+    (tmp_path / "page" / "mine.txt").write_text("keep")
+    out = [] if command[0] == "report" else ["--out", "page"]
+    assert app.main(["profile", *command, *others, str(folder), *out]) == 2
+    assert "did not write" in capsys.readouterr().err
+    assert (tmp_path / "page" / "mine.txt").read_text() == "keep"
