@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Capture folders: the manifest, the loader, and the importer of the Taxim ball presses."""
+"""Capture folders: the manifest, the loader, and importers of other projects' layouts."""
 
 from calibration.capture.captures import CaptureSet, ContactCircle, Press
 from calibration.capture.folder import (
@@ -11,8 +11,9 @@ from calibration.capture.folder import (
     MarkerCaptures,
     Video,
 )
+from calibration.capture.importers import ImportOptions, import_captures, import_taxim
 from calibration.capture.load import load_capture_folder, load_captures
-from calibration.capture.taxim_pack import find_taxim_pack, import_taxim
+from calibration.capture.taxim_pack import find_taxim_pack
 
 __all__ = [
     "BoardCaptures",
@@ -22,10 +23,12 @@ __all__ = [
     "EdgeCapture",
     "ForceRecord",
     "Frame",
+    "ImportOptions",
     "MarkerCaptures",
     "Press",
     "Video",
     "find_taxim_pack",
+    "import_captures",
     "import_taxim",
     "load_capture_folder",
     "load_captures",

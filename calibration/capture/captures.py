@@ -12,6 +12,9 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
+EQUATOR_SLACK = 1.03
+"""A contact may look larger than the ball by this factor: circles are off by a pixel or two."""
+
 
 @dataclass(frozen=True)
 class ContactCircle:
@@ -45,6 +48,12 @@ class Press:
     circle: ContactCircle | None
     """Contact circle given with the capture, or None."""
     read: Callable[[], np.ndarray]
+    radius_mm: float | None = None
+    """Radius of this press's ball, where it is not that of the set [mm]."""
+    depth_mm: float | None = None
+    """Travel past first touch, where a stage measured it [mm]."""
+    force_n: float | None = None
+    """Normal force, where a cell measured it [N]."""
 
     def image(self) -> np.ndarray:
         """The image, RGB uint8, shape [height_px, width_px, 3]."""
@@ -127,8 +136,18 @@ def check_circle(
             f"{circle.radius_px:g} px reaches outside the image of {grid.width_px}x"
             f"{grid.height_px} px; it has to lie inside"
         )
+    check_radius(circle, grid, ball_radius_mm, source)
+
+
+def check_radius(
+    circle: ContactCircle, grid: PixelGrid, ball_radius_mm: float, source: str
+) -> None:
+    """Refuse a contact circle larger than the ball, by more than circles are wrong by.
+
+    A ball pressed to its equator is seen as large as itself.
+    """
     radius_mm = circle.radius_px * grid.mm_per_px_x
-    if radius_mm > ball_radius_mm:
+    if radius_mm > EQUATOR_SLACK * ball_radius_mm:
         raise InputError(
             f"{source}: contact radius {circle.radius_px:g} px is {radius_mm:.3f} mm at "
             f"{grid.mm_per_px_x:g} mm/px, more than the ball's radius of {ball_radius_mm:g} mm; "

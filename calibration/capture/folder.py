@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -73,6 +74,8 @@ class MarkerCaptures:
     pitch_x_mm: float | None
     pitch_y_mm: float | None
     videos: tuple[Video, ...]
+    labels: dict[str, np.ndarray] = field(default_factory=dict)
+    """Columns of measured dots (``u_px, v_px, du_px, dv_px``), each of shape [dot]."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,21 @@ class CaptureFolder:
     records: tuple[ForceRecord, ...] = ()
     provenance: dict[str, str] = field(default_factory=dict)
 
+    def contents(self) -> dict[str, int]:
+        """How many there are of each kind of capture."""
+        return {
+            "background": int(self.background is not None),
+            "untouched": len(self.untouched),
+            "ball_presses": len(self.presses),
+            "labelled_presses": sum(press.circle is not None for press in self.presses),
+            "boards": len(self.boards),
+            "board_views": sum(len(board.frames) for board in self.boards),
+            "edges": len(self.edges),
+            "marker_images": int(self.markers is not None),
+            "marker_videos": 0 if self.markers is None else len(self.markers.videos),
+            "force_records": len(self.records),
+        }
+
     def grid(self, mm_per_px: tuple[float, float] | None = None) -> PixelGrid:
         """Pixel grid at the given scale, or at the stated one; InputError without either."""
         scale = mm_per_px or self.mm_per_px
@@ -128,15 +146,37 @@ class CaptureFolder:
             )
         return self.background
 
-    def ball_presses(self, mm_per_px: tuple[float, float] | None = None) -> CaptureSet:
-        """The ball presses for scale, contacts and colour; InputError says what is missing."""
+    def ball_radii_mm(self) -> dict[float, int]:
+        """Radii of the balls that were used [mm], with how many presses each made."""
+        radii = [press.radius_mm or self.ball_radius_mm for press in self.presses]
+        counts = Counter(radius for radius in radii if radius is not None)
+        return dict(counts.most_common())
+
+    def ball_presses(
+        self, mm_per_px: tuple[float, float] | None = None, radius_mm: float | None = None
+    ) -> CaptureSet:
+        """The presses of one ball for scale, contacts and colour; InputError says what is missing.
+
+        Without ``radius_mm`` it is the ball of ``[indenter]``, or the one that most presses were
+        made with. Presses of other balls are left out, which the provenance says.
+        """
         background = self.require_background()
         if not self.presses:
             raise InputError(f"{self.source} holds no presses; at least one image is needed")
-        if self.ball_radius_mm is None:
+        radius = radius_mm or self.ball_radius_mm or next(iter(self.ball_radii_mm()), None)
+        if radius is None:
             raise InputError(
                 f"{self.source}: the radius of the ball is missing; give [indenter] radius_mm"
             )
+        presses = tuple(p for p in self.presses if (p.radius_mm or radius) == radius)
+        if not presses:
+            raise InputError(
+                f"{self.source} holds no press of a ball of {radius:g} mm; the balls are of "
+                f"{', '.join(f'{r:g}' for r in self.ball_radii_mm())} mm"
+            )
+        provenance = dict(self.provenance)
+        if len(presses) < len(self.presses):
+            provenance["left_out"] = f"{len(self.presses) - len(presses)} presses of other balls"
         image = background.image()
         mask = np.ones(image.shape[:2], dtype=bool) if self.mask is None else self.mask
         return CaptureSet(
@@ -145,8 +185,8 @@ class CaptureFolder:
             background=image,
             background_sha256=background.sha256,
             mask=mask,
-            ball_radius_mm=self.ball_radius_mm,
+            ball_radius_mm=radius,
             grid=self.grid(mm_per_px),
-            presses=self.presses,
-            provenance=self.provenance,
+            presses=presses,
+            provenance=provenance,
         )

@@ -29,6 +29,12 @@ def decode(path: Path, flags: int) -> np.ndarray:
     return image
 
 
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image file [px]."""
+    height, width = decode(path, cv2.IMREAD_UNCHANGED).shape[:2]
+    return width, height
+
+
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

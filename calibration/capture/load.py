@@ -16,7 +16,7 @@ from calibration.capture.folder import BoardCaptures, CaptureFolder, EdgeCapture
 from calibration.capture.images import decode, file_sha256, read_image
 from calibration.capture.records import load_record
 from calibration.capture.schema import MANIFEST_NAME, CaptureManifest
-from calibration.capture.taxim_pack import load_taxim_pack
+from calibration.capture.taxim_pack import load_taxim_folder
 from calibration.capture.video import load_markers
 from taccel_lab.errors import InputError
 
@@ -29,16 +29,16 @@ def load_captures(path: Path | str) -> CaptureSet:
     Every file is read and checked once; the images of the presses are then read again on demand.
     Raises InputError naming the file, what was found and what is allowed.
     """
-    path = Path(path)
-    if path.is_file() and path.suffix == ".npz":
-        return load_taxim_pack(path)
     return load_capture_folder(path).ball_presses()
 
 
 def load_capture_folder(path: Path | str) -> CaptureFolder:
     """Load everything that ``captures.toml`` names, checked; images are read again on demand.
 
-    Raises InputError naming the file, what was found and what is allowed.
+    ``path`` is the folder, its manifest, or a Taxim ``dataPack.npz``.
+
+    Raises:
+        InputError: Names the file, what was found and what is allowed.
     """
     path = Path(path)
     if not path.exists():
@@ -46,11 +46,14 @@ def load_capture_folder(path: Path | str) -> CaptureFolder:
             f"{path} does not exist; a capture folder with {MANIFEST_NAME} or a Taxim "
             "dataPack.npz is needed"
         )
+    if path.is_file() and path.suffix == ".npz":
+        return load_taxim_folder(path)
     manifest_path = path if path.name == MANIFEST_NAME else path / MANIFEST_NAME
     if not manifest_path.is_file():
         found = "an empty folder" if path.is_dir() and not any(path.iterdir()) else "no manifest"
         raise InputError(
-            f"{path}: {found}; a capture folder holds {MANIFEST_NAME} (see docs/captures.md)"
+            f"{path}: {found}; a capture folder holds {MANIFEST_NAME} (see docs/captures.md); "
+            "taccel-lab capture import makes one of a folder in another layout"
         )
     return _load_folder(manifest_path)
 
@@ -97,7 +100,18 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         if entry.contact is not None:
             circle = ContactCircle(**entry.contact.model_dump())
         name = entry.name or frame.name
-        presses.append(Press(name, frame.source, frame.sha256, circle, frame.read))
+        presses.append(
+            Press(
+                name,
+                frame.source,
+                frame.sha256,
+                circle,
+                frame.read,
+                radius_mm=entry.radius_mm,
+                depth_mm=entry.depth_mm,
+                force_n=entry.force_n,
+            )
+        )
     provenance = {"manifest_sha256": file_sha256(manifest_path)}
     if manifest.source is not None:
         provenance["source"] = manifest.source

@@ -38,6 +38,14 @@ def load_record(folder: Path, entry: RecordEntry) -> ForceRecord:
     return ForceRecord(entry, str(path), file_sha256(path), columns)
 
 
+def kind_of_record(path: Path) -> str | None:
+    """Kind whose columns a CSV has, the one with most columns; None when it is no record."""
+    with path.open(encoding="utf-8", errors="replace", newline="") as stream:
+        header = {name.strip() for name in next(csv.reader(stream), [])}
+    fitting = [kind for kind, names in COLUMNS.items() if header.issuperset(names)]
+    return max(fitting, key=lambda kind: len(COLUMNS[kind]), default=None)
+
+
 def read_columns(path: Path) -> dict[str, np.ndarray]:
     """Columns of a CSV by name, float64, shape [row]; at least two rows of finite numbers."""
     if not path.is_file():

@@ -87,6 +87,16 @@ class BoardEntry(_Strict):
     """Image without contact that a pressed board is compared with; ``background`` if missing."""
 
 
+class LineEntry(_Strict):
+    """A line in the image, by its middle."""
+
+    u_px: Finite
+    v_px: Finite
+    length_px: Finite = Field(gt=0.0)
+    angle_deg: Finite
+    """From the image's x axis towards its y axis (clockwise as seen)."""
+
+
 class EdgeEntry(_Strict):
     """A press of a straight edge of known length."""
 
@@ -95,6 +105,8 @@ class EdgeEntry(_Strict):
     """Length of the edge that touches [mm]."""
     dihedral_deg: Finite = Field(default=90.0, gt=0.0, lt=180.0)
     """Angle between its faces."""
+    line: LineEntry | None = None
+    """Where the edge is in the image, when it is known; found otherwise."""
 
 
 class VideoEntry(_Strict):
@@ -114,6 +126,9 @@ class MarkersEntry(_Strict):
 
     rest: str | None = None
     """Image at rest; the background if missing."""
+    labels: str | None = None
+    """CSV ``u_px, v_px, du_px, dv_px``: dots of the image at rest that somebody has measured, and
+    how far they lie from where they are without any load. For validation."""
     pitch_x_mm: Finite | None = Field(default=None, gt=0.0, le=50.0)
     pitch_y_mm: Finite | None = Field(default=None, gt=0.0, le=50.0)
     videos: list[VideoEntry] = Field(default_factory=list)

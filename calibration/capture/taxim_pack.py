@@ -17,24 +17,19 @@ import zipfile
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from calibration.capture.captures import CaptureSet, ContactCircle, Press
-from calibration.capture.schema import (
-    MANIFEST_NAME,
-    MAX_MM_PER_PX,
-    MIN_MM_PER_PX,
-    SCHEMA_VERSION,
-)
+from calibration.capture.captures import ContactCircle, Press
+from calibration.capture.folder import CaptureFolder, Frame
+from calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid
-from taccel_lab.output import atomic_directory
 
-PACK_PATH_IN_WHEEL = Path("calib") / "gelsight" / "dataPack.npz"
+PACK_NAME = "dataPack.npz"
+PACK_PATH_IN_WHEEL = Path("calib") / "gelsight" / PACK_NAME
 TAXIM_BALL_RADIUS_MM = 2.0
 REQUIRED_KEYS = ("f0", "imgs", "touch_center", "touch_radius")
 SOURCE = "PyPI wheel taxim, calib/gelsight/dataPack.npz (Taxim, Si and Yuan 2022)"
+SOURCE_MINI = "PyPI wheel taxim, calib/gelsight_mini/dataPack.npz"
 LICENSE = "MIT"
 
 
@@ -55,8 +50,12 @@ def find_taxim_pack() -> Path:
     return path
 
 
-def load_taxim_pack(path: Path) -> CaptureSet:
-    """Captures of a Taxim ``dataPack.npz``; the scale comes from ``params.json`` beside it."""
+def load_taxim_folder(path: Path) -> CaptureFolder:
+    """Captures of a Taxim ``dataPack.npz``; the scale comes from ``params.json`` beside it.
+
+    The wheel's ``gelsight_mini`` was recorded with another ball, whose radius is stated nowhere, so
+    it is left open there.
+    """
     mm_per_px = _read_scale(path.parent / "params.json", path)
     arrays = _read_arrays(path)
     background = np.ascontiguousarray(arrays["f0"][..., ::-1])
@@ -64,7 +63,6 @@ def load_taxim_pack(path: Path) -> CaptureSet:
     centers = np.asarray(arrays["touch_center"], dtype=np.float64)
     radii = np.asarray(arrays["touch_radius"], dtype=np.float64)
     _check_arrays(path, background, images, centers, radii)
-    height, width = background.shape[:2]
     presses = tuple(
         Press(
             # Positional: the pack's own name list is one longer than its frames.
@@ -76,65 +74,33 @@ def load_taxim_pack(path: Path) -> CaptureSet:
         )
         for i in range(len(images))
     )
-    return CaptureSet(
+    mini = "mini" in path.resolve().parent.name.lower()
+    return CaptureFolder(
         source=str(path),
-        sensor="gelsight",
-        background=background,
-        background_sha256=hashlib.sha256(arrays["f0"].tobytes()).hexdigest(),
-        mask=np.ones((height, width), dtype=bool),
-        ball_radius_mm=TAXIM_BALL_RADIUS_MM,
-        grid=PixelGrid(width, height, mm_per_px, mm_per_px),
+        root=path.parent,
+        sensor="gelsight_mini" if mini else "gelsight",
+        unit=None,
+        background=Frame(
+            "background",
+            f"{path}[f0]",
+            hashlib.sha256(arrays["f0"].tobytes()).hexdigest(),
+            partial(np.copy, background),
+        ),
+        untouched=(),
+        mask=None,
+        mm_per_px=(mm_per_px, mm_per_px),
+        ball_radius_mm=None if mini else TAXIM_BALL_RADIUS_MM,
         presses=presses,
         provenance={
-            "source": SOURCE,
+            "source": SOURCE_MINI if mini else SOURCE,
             "license": LICENSE,
             "pack_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         },
     )
 
 
-def import_taxim(out_dir: Path | str, pack: Path | str | None = None) -> Path:
-    """Write the Taxim presses as a capture folder (PNG and ``captures.toml``); return the folder.
-
-    ``pack`` is the ``dataPack.npz`` to import, that of the installed wheel when None.
-    """
-    captures = load_taxim_pack(Path(pack) if pack is not None else find_taxim_pack())
-    grid = captures.grid
-    lines = [
-        f"schema_version = {SCHEMA_VERSION}",
-        f'sensor = "{captures.sensor}"',
-        'background = "background.png"',
-        f"mm_per_px_x = {grid.mm_per_px_x!r}",
-        f"mm_per_px_y = {grid.mm_per_px_y!r}",
-        f'source = "{SOURCE}"',
-        f'license = "{LICENSE}"',
-        "",
-        "[indenter]",
-        'kind = "sphere"',
-        f"radius_mm = {captures.ball_radius_mm!r}",
-    ]
-    with atomic_directory(out_dir) as folder:
-        _write_png(folder / "background.png", captures.background)
-        for press in captures.presses:
-            _write_png(folder / f"{press.name}.png", press.image())
-            lines += ["", "[[presses]]", f'image = "{press.name}.png"']
-            if press.circle is not None:
-                c = press.circle
-                lines.append(
-                    f"contact = {{ u_px = {c.u_px!r}, v_px = {c.v_px!r}, "
-                    f"radius_px = {c.radius_px!r} }}"
-                )
-        (folder / MANIFEST_NAME).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return Path(out_dir)
-
-
 def _rgb_frame(images: np.ndarray, index: int) -> np.ndarray:
     return np.ascontiguousarray(images[index][..., ::-1])
-
-
-def _write_png(path: Path, rgb: np.ndarray) -> None:
-    if not cv2.imwrite(str(path), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)):
-        raise OSError(f"{path} could not be written")
 
 
 def _read_scale(params_path: Path, pack_path: Path) -> float:

@@ -28,7 +28,11 @@ def load_markers(folder: Path, entry: MarkersEntry, background: Frame | None) ->
     else:
         raise InputError(f"{folder}: markers need an image at rest: markers.rest or background")
     videos = tuple(load_video(folder, video) for video in entry.videos)
-    return MarkerCaptures(rest, entry.pitch_x_mm, entry.pitch_y_mm, videos)
+    labels = {} if entry.labels is None else read_columns(folder / entry.labels)
+    missing = {"u_px", "v_px", "du_px", "dv_px"} - labels.keys()
+    if labels and missing:
+        raise InputError(f"{folder / str(entry.labels)} lacks {', '.join(sorted(missing))}")
+    return MarkerCaptures(rest, entry.pitch_x_mm, entry.pitch_y_mm, videos, labels)
 
 
 def load_video(folder: Path, entry: VideoEntry) -> Video:

@@ -37,6 +37,8 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.bench import bench_commands
     from taccel_lab.cli.calibrate import HELP as CALIBRATE_HELP
     from taccel_lab.cli.calibrate import calibrate_commands
+    from taccel_lab.cli.capture import HELP as CAPTURE_HELP
+    from taccel_lab.cli.capture import capture_commands
     from taccel_lab.cli.demo import Demo
     from taccel_lab.cli.design import Design
     from taccel_lab.cli.doctor import Doctor
@@ -62,6 +64,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(name="import-step")(ImportStep)
     app.command(name="preview")(Preview)
     app.command(name="press")(Press)
+    app.command(capture_commands(), name="capture", help=CAPTURE_HELP)
     app.command(calibrate_commands(), name="calibrate", help=CALIBRATE_HELP)
     app.command(profile, name="profile", help="Show, check, compare or report on sensor profiles.")
     app.command(sensors, name="sensors", help="List the sensors of the catalogue.")

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Importers: captures in the layouts of other projects become capture folders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from calibration.capture.importers import (
+    cube_edges,
+    feats,
+    fots,
+    gelslim,
+    gs_sdk,
+    markers,
+    ninedtact,
+    osaka,
+    plain,
+    py3dcal,
+    ruihangao,
+    rvsathu,
+    taxim,
+)
+from calibration.capture.importers.draft import Draft, ImportOptions
+from calibration.capture.importers.layout import Layout
+from calibration.capture.load import load_capture_folder
+from calibration.capture.schema import MANIFEST_NAME
+from calibration.capture.taxim_pack import find_taxim_pack
+from taccel_lab.errors import InputError
+from taccel_lab.output import atomic_directory
+
+LAYOUTS: dict[str, Layout] = {
+    module.LAYOUT.name: module.LAYOUT
+    # The most telling first: any folder of images is a plain one.
+    for module in (
+        taxim, fots, ninedtact, feats, py3dcal, gs_sdk, cube_edges, rvsathu, ruihangao, osaka,
+        gelslim, markers, plain,
+    )
+}  # fmt: skip
+AUTO = "auto"
+
+__all__ = [
+    "AUTO",
+    "LAYOUTS",
+    "Draft",
+    "ImportOptions",
+    "Layout",
+    "detect_layout",
+    "import_captures",
+    "import_taxim",
+    "read_drafts",
+]
+
+
+def detect_layout(source: Path | str) -> Layout:
+    """The layout that ``source`` follows.
+
+    Raises:
+        InputError: None of them; the message names all.
+    """
+    source = Path(source)
+    if not source.exists():
+        raise InputError(f"{source} does not exist")
+    for layout in LAYOUTS.values():
+        if layout.recognises(source):
+            return layout
+    known = "; ".join(f"{layout.name} ({layout.title})" for layout in LAYOUTS.values())
+    raise InputError(f"{source} follows none of the layouts known: {known}")
+
+
+def read_drafts(
+    source: Path | str, layout: str = AUTO, options: ImportOptions | None = None
+) -> tuple[Layout, list[Draft]]:
+    """What ``source`` holds, one draft for each sensor or set, with the options applied.
+
+    Raises:
+        InputError: Unknown or wrong layout, or a file that cannot be used.
+    """
+    source, options = Path(source), options or ImportOptions()
+    if layout != AUTO and layout not in LAYOUTS:
+        raise InputError(f"no layout {layout!r}; known: {AUTO}, {', '.join(LAYOUTS)}")
+    if not source.exists():
+        raise InputError(f"{source} does not exist")
+    chosen = detect_layout(source) if layout == AUTO else LAYOUTS[layout]
+    if not chosen.recognises(source):
+        raise InputError(f"{source} is not of the layout {chosen.name}: {chosen.title}")
+    drafts = chosen.read(source, options)
+    for draft in drafts:
+        draft.apply(options, source if source.is_dir() else source.parent)
+    return chosen, drafts
+
+
+def import_captures(
+    source: Path | str,
+    out: Path | str,
+    layout: str = AUTO,
+    options: ImportOptions | None = None,
+) -> list[Path]:
+    """Write ``source`` as capture folders of version 2; returns their paths.
+
+    Images keep their bytes. A source of several sensors or sets becomes one folder each below
+    ``out``. Every folder is loaded once, so that what is written can be used.
+
+    Raises:
+        InputError: Something in ``source`` cannot be used, or ``out`` holds foreign files.
+    """
+    source, out = Path(source), Path(out)
+    if (source / MANIFEST_NAME).is_file():
+        raise InputError(f"{source} is a capture folder already: it has {MANIFEST_NAME}")
+    _, drafts = read_drafts(source, layout, options)
+    with atomic_directory(out) as staging:
+        for draft in drafts:
+            folder = staging / draft.part
+            folder.mkdir(exist_ok=True)
+            draft.write(folder)
+            try:
+                load_capture_folder(folder)
+            except InputError as error:
+                text = str(error).replace(str(folder), str(source))
+                raise InputError(f"{text} (imported as {draft.source})") from error
+    return [out / draft.part for draft in drafts]
+
+
+def import_taxim(out: Path | str, pack: Path | str | None = None) -> Path:
+    """Write Taxim's presses as a capture folder; ``pack``: that of the installed wheel when None"""
+    return import_captures(find_taxim_pack() if pack is None else pack, out, "taxim")[0]

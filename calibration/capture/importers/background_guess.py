@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which of many images shows the untouched gel, when nobody says."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calibration.capture.images import read_image
+from taccel_lab.errors import InputError
+
+BACKGROUND_NAME = re.compile(
+    r"(^|[_\-. ])(bg|background|ref|reference|blank|no_?contact|untouched|init|empty|rest)"
+    r"($|[_\-. \d])",
+    re.IGNORECASE,
+)
+FIRST_FRAME_NAME = re.compile(r"^(frame|img|image|calib|sample)?[_\-]?0+$", re.IGNORECASE)
+"""Frame 0 is the background in several layouts; it counts less than a name that says so."""
+MAX_STACK = 61
+"""Frames that a median is taken over: more do not make it quieter than the camera's levels."""
+
+
+def median_image(images: Sequence[Path | np.ndarray | str]) -> np.ndarray:
+    """Median of images of one size, RGB uint8, over at most 61 of them, evenly picked."""
+    pick = np.unique(np.linspace(0, len(images) - 1, min(len(images), MAX_STACK)).astype(int))
+    stack = [_levels(images[i]) for i in pick]
+    if len({image.shape for image in stack}) > 1:
+        sizes = sorted({f"{image.shape[1]}x{image.shape[0]}" for image in stack})
+        raise InputError(f"images of different sizes ({', '.join(sizes)} px) have no median")
+    return np.median(np.stack(stack), axis=0).round().astype(np.uint8)
+
+
+def _levels(image: Path | np.ndarray | str) -> np.ndarray:
+    return image if isinstance(image, np.ndarray) else read_image(Path(image))
+
+
+def guess_background(paths: Sequence[Path]) -> tuple[Path | None, str]:
+    """The image that shows the untouched gel, and why; None when none of them does.
+
+    By name first. Otherwise the image nearest to the median of all (each freed of its own drift),
+    if it is as near as the noise allows: presses at changing places leave the median untouched.
+    """
+    named = [path for path in paths if BACKGROUND_NAME.search(path.stem)]
+    if named:
+        return named[0], f"{named[0].name} is called a background"
+    first = [path for path in paths if FIRST_FRAME_NAME.match(path.stem)]
+    if len(first) == 1 and len(paths) > 1:
+        return first[0], f"{first[0].name} is frame 0"
+    if len(paths) < 4:
+        return None, f"none of {len(paths)} images is called a background"
+    pick = np.unique(np.linspace(0, len(paths) - 1, min(len(paths), MAX_STACK)).astype(int))
+    small = [_small(read_image(paths[i])) for i in pick]
+    if len({image.shape for image in small}) > 1:
+        return None, "the images are of different sizes"
+    median = np.median(np.stack(small), axis=0)
+    spread = np.array([_contact_strength(image - median) for image in small])
+    best = int(np.argmin(spread))
+    typical = float(np.median(spread))
+    if spread[best] < 0.25 * typical:
+        path = paths[int(pick[best])]
+        return path, (
+            f"{path.name} differs least from the median of all ({spread[best]:.1f} levels, the "
+            f"others {typical:.1f})"
+        )
+    return None, (
+        f"no image is untouched: the one nearest to the median of all is still "
+        f"{spread[best]:.1f} levels off at its strongest, the typical one {typical:.1f}"
+    )
+
+
+def _small(image: np.ndarray) -> np.ndarray:
+    scale = 120 / max(image.shape[:2])
+    size = (max(8, round(image.shape[1] * scale)), max(8, round(image.shape[0] * scale)))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+def _contact_strength(change: np.ndarray) -> float:
+    change = change - np.median(change, axis=(0, 1), keepdims=True)
+    return float(np.percentile(np.linalg.norm(change, axis=-1), 99))

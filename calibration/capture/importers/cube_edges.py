@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Presses of a cube's edge: ``<n>/gelsight.png`` and ``label.npz`` with the line (a gs_sdk fork)"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from calibration.capture.importers.draft import Draft, ImportOptions
+from calibration.capture.importers.files import first_existing, load_npz, natural_key
+from calibration.capture.importers.layout import Layout
+from taccel_lab.errors import InputError
+
+SOURCE = "cube edges (jonaszilke/gs_sdk)"
+LICENSE = "GPL-3.0"
+EDGE_MM = 10.0
+
+
+def _labels(path: Path) -> list[Path]:
+    return sorted(path.glob("*/label.npz"), key=lambda label: natural_key(label.parent.name))
+
+
+def _recognises(path: Path) -> bool:
+    if not path.is_dir() or (path / "catalog.csv").is_file():
+        return False
+    labels = _labels(path)
+    return bool(labels) and "line_center" in load_npz(labels[0])
+
+
+def _read(path: Path, options: ImportOptions) -> list[Draft]:
+    draft = Draft("", "gelsight_mini", SOURCE, LICENSE)
+    background = first_existing(path / "background.png", path / "background.jpg")
+    if background is not None:
+        draft.set_background(background)
+    length = options.edge_mm
+    if length is None:
+        length = EDGE_MM
+        draft.notes.append(f"the edge is taken as {EDGE_MM:g} mm long, that of the published cube")
+    edges = []
+    for label in _labels(path):
+        image = first_existing(label.parent / "gelsight.png", label.parent / "digit.png")
+        if image is None:
+            raise InputError(f"{label.parent / 'gelsight.png'} does not exist")
+        arrays = load_npz(label)
+        missing = [k for k in ("line_center", "line_length", "line_angle") if k not in arrays]
+        if missing:
+            raise InputError(f"{label} lacks {', '.join(missing)}")
+        u, v = (float(value) for value in arrays["line_center"].ravel()[:2])
+        edges.append(
+            {
+                "image": draft.add_image(image, f"edge_{label.parent.name}"),
+                "length_mm": float(length),
+                "dihedral_deg": 90.0,
+                "line": {
+                    "u_px": u,
+                    "v_px": v,
+                    "length_px": float(arrays["line_length"]),
+                    "angle_deg": float(arrays["line_angle"]),
+                },
+            }
+        )
+    draft.manifest["edges"] = edges
+    return [draft]
+
+
+LAYOUT = Layout(
+    "cube-edges", "presses of a cube's edge: <n>/gelsight.png with label.npz", _recognises, _read
+)

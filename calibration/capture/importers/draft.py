@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A capture folder in the making: what an importer found, ready to be written or opened."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from calibration.capture.folder import CaptureFolder
+from calibration.capture.load import load_capture_folder
+from calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
+from taccel_lab.errors import InputError
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+COPIED_SUFFIXES = (".png", ".jpg", ".jpeg")
+"""Image files whose bytes are kept; others become PNG, which loses nothing."""
+MEDIAN = "median"
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What the person who imports knows better than the files."""
+
+    sensor: str | None = None
+    unit: str | None = None
+    radius_mm: float | None = None
+    mm_per_px_x: float | None = None
+    mm_per_px_y: float | None = None
+    background: str | None = None
+    """A file, relative to the source, or ``median`` for the median of the presses."""
+    edge_mm: float | None = None
+    """Length of the straight edge of edge presses [mm]."""
+    board: str | None = None
+    """``chessboard:6x6:2.5``: the images of a plain folder are views of this board (inner corners
+    or dots along a row x rows, and the pitch in mm where it is known)."""
+
+
+@dataclass
+class Draft:
+    """A manifest, the files it names, and what was assumed on the way."""
+
+    part: str
+    """Name of the folder below the target when the source holds several sensors or sets."""
+    sensor: str
+    source: str
+    license: str | None = None
+    manifest: dict[str, Any] = field(default_factory=dict)
+    files: dict[str, Path | np.ndarray | str] = field(default_factory=dict)
+    """By name in the folder: an image or any other file, RGB levels, or text."""
+    notes: list[str] = field(default_factory=list)
+    """What was assumed, guessed or left out; kept as comments in the manifest."""
+
+    def add_image(self, image: Path | np.ndarray, name: str | None = None) -> str:
+        """Take an image in; returns its name in the folder, made different where it is taken."""
+        if isinstance(image, Path):
+            stem = name or image.stem
+            suffix = image.suffix.lower()
+            suffix = suffix if suffix in COPIED_SUFFIXES else ".png"
+        else:
+            stem, suffix = name or "image", ".png"
+        chosen, count = f"{stem}{suffix}", 1
+        while chosen in self.files:
+            count += 1
+            chosen = f"{stem}_{count}{suffix}"
+        self.files[chosen] = image
+        return chosen
+
+    def set_background(self, image: Path | np.ndarray) -> None:
+        """Make ``image`` the background."""
+        old = self.manifest.get("background")
+        if old is not None:
+            del self.files[old]
+        self.manifest["background"] = self.add_image(image, "background")
+
+    def add_press(self, image: Path | np.ndarray, name: str | None = None, **values: Any) -> None:
+        """Add a ball press; ``values`` are further keys of its entry, None left out."""
+        entry = {"image": self.add_image(image, name)}
+        entry |= {key: value for key, value in values.items() if value is not None}
+        self.manifest.setdefault("presses", []).append(entry)
+
+    def set_ball(self, radius_mm: float) -> None:
+        self.manifest["indenter"] = {"kind": "sphere", "radius_mm": float(radius_mm)}
+
+    def set_scale(self, mm_per_px_x: float, mm_per_px_y: float | None = None) -> None:
+        self.manifest["mm_per_px_x"] = float(mm_per_px_x)
+        self.manifest["mm_per_px_y"] = float(mm_per_px_x if mm_per_px_y is None else mm_per_px_y)
+
+    def apply(self, options: ImportOptions, root: Path) -> None:
+        """Let what a person states replace what the layout says."""
+        self.sensor = options.sensor or self.sensor
+        if options.unit is not None:
+            self.manifest["unit"] = options.unit
+        if options.radius_mm is not None:
+            self.set_ball(options.radius_mm)
+        if options.mm_per_px_y is not None and options.mm_per_px_x is None:
+            raise InputError("mm-per-px-y was given without mm-per-px-x; give both, or x for both")
+        if options.mm_per_px_x is not None:
+            self.set_scale(options.mm_per_px_x, options.mm_per_px_y)
+        if options.edge_mm is not None:
+            for edge in self.manifest.get("edges", []):
+                edge["length_mm"] = options.edge_mm
+        if options.background == MEDIAN:
+            self.set_background(self.median_of_presses())
+            self.notes.append("the background is the median of the presses")
+        elif options.background is not None:
+            path = Path(options.background)
+            path = path if path.is_file() else root / path
+            if not path.is_file():
+                raise InputError(f"{options.background}: no such background image")
+            self.set_background(path)
+
+    def median_of_presses(self) -> np.ndarray:
+        """Median of the presses, RGB uint8: the untouched gel where presses are spread enough."""
+        from calibration.capture.importers.background_guess import median_image
+
+        names = [entry["image"] for entry in self.manifest.get("presses", [])]
+        if len(names) < 3:
+            raise InputError(
+                f"{self.source}: the median of {len(names)} presses is no background; at least 3"
+            )
+        return median_image([self.files[name] for name in names])
+
+    def write(self, folder: Path) -> None:
+        """Write files and manifest into ``folder``, which exists."""
+        for name, content in self.files.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if isinstance(content, str):
+                path.write_text(content, encoding="utf-8")
+            elif isinstance(content, np.ndarray):
+                write_png(path, content)
+            elif content.suffix.lower() in IMAGE_SUFFIXES and path.suffix == ".png" != (
+                content.suffix.lower()
+            ):
+                from calibration.capture.images import read_image
+
+                write_png(path, read_image(content))
+            else:
+                shutil.copyfile(content, path)
+        (folder / MANIFEST_NAME).write_text(self._manifest_text(), encoding="utf-8")
+
+    def _manifest_text(self) -> str:
+        import tomli_w
+
+        head: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "sensor": self.sensor}
+        rest = dict(self.manifest)
+        for key in ("unit", "background", "untouched", "mask", "mm_per_px_x", "mm_per_px_y"):
+            if key in rest:
+                head[key] = rest.pop(key)
+        head["source"] = self.source
+        if self.license is not None:
+            head["license"] = self.license
+        comments = "".join(f"# {line}\n" for note in self.notes for line in note.splitlines())
+        return comments + tomli_w.dumps(head | rest)
+
+    @contextmanager
+    def opened(self) -> Iterator[CaptureFolder]:
+        """The captures without writing them anywhere that stays."""
+        with tempfile.TemporaryDirectory(prefix="taccel_lab_") as name:
+            self.write(Path(name))
+            try:
+                folder = load_capture_folder(Path(name))
+            except InputError as error:
+                raise InputError(str(error).replace(name, self.source)) from error
+            yield replace(folder, source=self.source)
+
+
+def write_png(path: Path, rgb: np.ndarray) -> None:
+    """Write RGB (or grey) levels, uint8, as PNG."""
+    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
+    if not cv2.imwrite(str(path), bgr):
+        raise OSError(f"{path} could not be written")

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""FEATS (Helmut et al.; MIT): measured force-indentation points, and a homography in px per mm."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+
+from calibration.capture.importers.draft import Draft, ImportOptions
+from calibration.capture.importers.files import first_existing
+from calibration.capture.importers.layout import Layout
+from taccel_lab.errors import InputError
+
+SOURCE = "FEATS (feats-ai/feats)"
+LICENSE = "MIT"
+POINTS = "force_indentation.json"
+_RADIUS = re.compile(r"radius\s*([\d.]+)\s*mm", re.IGNORECASE)
+
+
+def _recognises(path: Path) -> bool:
+    return (path / POINTS).is_file() or (path.is_file() and path.name == POINTS)
+
+
+def _read(path: Path, options: ImportOptions) -> list[Draft]:
+    points = path if path.is_file() else path / POINTS
+    draft = Draft("", "gelsight_mini", SOURCE, LICENSE)
+    try:
+        values = json.loads(points.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{points} is not valid JSON: {error}") from error
+    depths = _numbers(points, values, "indentation_mm")
+    forces = _numbers(points, values, "normal_force_N")
+    if len(depths) != len(forces):
+        raise InputError(f"{points}: {len(depths)} indentations, {len(forces)} forces")
+    radius = options.radius_mm
+    if radius is None:
+        match = _RADIUS.search(str(values.get("indenter", "")))
+        if match is None:
+            raise InputError(f"{points}: the radius of the sphere is not stated; give radius-mm")
+        radius = float(match[1])
+    rows = [f"{depth!r},{force!r}" for depth, force in zip(depths, forces, strict=True)]
+    draft.files["force_indentation.csv"] = "\n".join(["depth_mm,force_n", *rows]) + "\n"
+    tool = {"kind": "sphere", "radius_mm": radius}
+    draft.manifest["records"] = [
+        {"file": "force_indentation.csv", "kind": "indentation", "tool": tool}
+    ]
+    homography = first_existing(
+        *(points.parent / place / "homography.npy" for place in ("src/feats/homography", "."))
+    )
+    if homography is not None:
+        _read_scale(homography, draft)
+    return [draft]
+
+
+def _numbers(path: Path, values: object, key: str) -> list[float]:
+    found = values.get(key) if isinstance(values, dict) else None
+    if not isinstance(found, list) or not all(isinstance(v, (int, float)) for v in found):
+        raise InputError(f"{path}: {key} has to be a list of numbers")
+    return [float(value) for value in found]
+
+
+def _read_scale(path: Path, draft: Draft) -> None:
+    """Scale from a homography of millimetres to pixels, whose axes may be swapped."""
+    matrix = np.load(path, allow_pickle=False)
+    if matrix.shape != (3, 3) or np.abs(matrix[2, :2]).max() > 1e-9 or matrix[2, 2] == 0:
+        draft.notes.append(f"{path.name} is no affine 3 x 3 matrix; its scale was left out")
+        return
+    px_per_mm = np.linalg.norm(matrix[:2, :2] / matrix[2, 2], axis=1)
+    draft.set_scale(float(1 / px_per_mm[0]), float(1 / px_per_mm[1]))
+    draft.notes.append(f"scale from {path.name}: {px_per_mm[0]:g} x {px_per_mm[1]:g} px/mm")
+
+
+LAYOUT = Layout("feats", "FEATS: force_indentation.json, homography.npy", _recognises, _read)

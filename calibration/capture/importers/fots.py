@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""FOTS (Zhao et al., RA-L 2024): ``mlp_calib`` with numbered presses, and ``marker_calib``.
+
+Facts used: ball of 4.70 mm and 19.58 px/mm for the GelSight Mini (``params.py``,
+``normal_to_rgb.yaml``); for the DIGIT both 4.7 and 6.0 mm appear in the code, so neither is taken.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from calibration.capture.importers.draft import Draft, ImportOptions
+from calibration.capture.importers.files import (
+    first_existing,
+    images_in,
+    label_for,
+    labels_of,
+)
+from calibration.capture.importers.layout import Layout
+from taccel_lab.errors import InputError
+
+SOURCE = "FOTS (Rancho-zhao/FOTS)"
+LICENSE = "MIT, says its README"
+MINI_BALL_RADIUS_MM = 2.35
+MINI_MM_PER_PX = 1 / 19.58
+
+
+def _recognises(path: Path) -> bool:
+    return (path / "mlp_calib").is_dir() or (path / "marker_calib").is_dir()
+
+
+def _read(path: Path, options: ImportOptions) -> list[Draft]:
+    drafts = []
+    labels = labels_of(path)
+    calib = path / "mlp_calib"
+    for part, sensor in (("gelsight", "gelsight_mini"), ("digit", "digit")):
+        if (calib / part).is_dir() and images_in(calib / part):
+            drafts.append(_presses(path, part, sensor, labels))
+    if (path / "marker_calib" / "data").is_dir():
+        drafts.append(_markers(path / "marker_calib" / "data"))
+    if not drafts:
+        raise InputError(
+            f"{path}: mlp_calib holds neither gelsight nor digit with images, and there is no "
+            "marker_calib/data"
+        )
+    return drafts
+
+
+def _presses(path: Path, part: str, sensor: str, labels: dict[str, dict[str, float]]) -> Draft:
+    calib = path / "mlp_calib"
+    draft = Draft(part, sensor, f"{SOURCE}, mlp_calib/{part}", LICENSE)
+    assets = path / "assets" / "gel" / f"{part}_bg.png"
+    if part == "gelsight":
+        background = first_existing(calib / "0000.png", assets)
+        draft.set_ball(MINI_BALL_RADIUS_MM)
+        draft.set_scale(MINI_MM_PER_PX)
+    else:
+        background = first_existing(calib / "scripts" / "0000.png", assets)
+        draft.notes.append(
+            "ball and scale of the DIGIT set are unproven (4.7 and 6.0 mm appear in its code); "
+            "add [indenter] radius_mm and mm_per_px_x, mm_per_px_y where you know them"
+        )
+    if background is None:
+        raise InputError(f"{path}: no background; {assets} or mlp_calib/0000.png is needed")
+    draft.set_background(background)
+    if assets.is_file() and assets != background:
+        _add_untouched(draft, assets)
+    for image in images_in(calib / part):
+        draft.add_press(image, contact=label_for(image, path, labels))
+    shadows = path / "shadow_calib" / "shadow_data"
+    if part == "digit" and shadows.is_dir():
+        for image in images_in(shadows):
+            draft.add_press(image)
+    return draft
+
+
+def _add_untouched(draft: Draft, image: Path) -> None:
+    """A further background, unless it is the same image again."""
+    from calibration.capture.images import file_sha256, read_image
+
+    first = draft.files[draft.manifest["background"]]
+    assert isinstance(first, Path)
+    if file_sha256(first) == file_sha256(image):
+        return
+    if read_image(first).shape == read_image(image).shape:
+        draft.manifest["untouched"] = [draft.add_image(image, "untouched")]
+
+
+def _markers(data: Path) -> Draft:
+    draft = Draft("markers", "gelsight_mini", f"{SOURCE}, marker_calib", LICENSE)
+    frames = images_in(data)
+    if not frames:
+        raise InputError(f"{data} holds no images")
+    markers: dict[str, Any] = {"rest": draft.add_image(frames[0], "rest")}
+    draft.manifest["markers"] = markers
+    table = first_existing(frames[0].with_suffix(".csv"))
+    if table is not None:
+        lines = table.read_text(encoding="utf-8").splitlines()
+        if lines and lines[0].replace(" ", "") == "Mx,My,dx,dy":
+            lines[0] = "u_px,v_px,du_px,dv_px"
+        draft.files["marker_labels.csv"] = "\n".join(lines) + "\n"
+        markers["labels"] = "marker_labels.csv"
+    if len(frames) > 1:
+        names = [draft.add_image(frame, f"frame_{frame.stem}") for frame in frames]
+        markers["videos"] = [{"frames": names}]
+    else:
+        draft.notes.append(
+            "the only frame is a press: its dots have moved by what marker_labels.csv says, and "
+            "there is no picture of the gel at rest"
+        )
+    return draft
+
+
+LAYOUT = Layout("fots", "FOTS: mlp_calib/{gelsight,digit}, marker_calib/data", _recognises, _read)

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""gs_sdk (CMU RPL): ``catalog.csv`` with numbered folders, or the examples of the package.
+
+``<ball>mm/<n>/gelsight.png`` with ``label.npz`` (``center``, ``radius``), ``catalog.csv``
+(``experiment_reldir, diameter(mm)``) and ``background.png``. The key ``ppmm`` of its YAML files
+holds millimetres per pixel, despite its name.
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from calibration.capture.importers.draft import Draft, ImportOptions
+from calibration.capture.importers.files import first_existing, load_npz, load_yaml
+from calibration.capture.importers.layout import Layout
+from calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
+from taccel_lab.errors import InputError
+
+CATALOG = "catalog.csv"
+DIAMETER = "diameter(mm)"
+FOLDER = "experiment_reldir"
+SOURCE = "gs_sdk layout (joehjhuang/gs_sdk)"
+_SENSORS = {"gelsight mini": "gelsight_mini", "digit": "digit"}
+
+
+def _background(path: Path) -> Path | None:
+    return first_existing(
+        path / "background.png",
+        path / "examples" / "data" / "background.png",
+        path / "data" / "background.png",
+    )
+
+
+def _recognises(path: Path) -> bool:
+    catalog = path / CATALOG
+    if catalog.is_file():
+        return DIAMETER in catalog.read_text(encoding="utf-8", errors="replace")
+    return (path / "examples" / "data" / "background.png").is_file()
+
+
+def _read(path: Path, options: ImportOptions) -> list[Draft]:
+    draft = Draft("", "gelsight_mini", SOURCE)
+    background = _background(path)
+    if background is None and options.background is None:
+        raise InputError(f"{path}: no background.png; gs_sdk stores one beside {CATALOG}")
+    if background is not None:
+        draft.set_background(background)
+    _read_config(path, draft)
+    if (path / CATALOG).is_file():
+        _read_catalog(path, draft)
+    else:
+        ball = first_existing(path / "assets" / "ball_image.png")
+        if ball is not None:
+            draft.add_press(ball)
+            if options.radius_mm is None:
+                draft.notes.append("the diameter of the ball is stated nowhere")
+        draft.notes.append("pictures of other objects were left out: only balls have a known shape")
+    return [draft]
+
+
+def _read_config(path: Path, draft: Draft) -> None:
+    """Scale and sensor of the YAML file, where there is one."""
+    places = (path, path / "configs", path / "examples" / "configs", path.parent)
+    configs = [
+        found for place in places if place.is_dir() for found in sorted(place.glob("*.y*ml"))
+    ]
+    for config in configs:
+        values = load_yaml(config)
+        scale, device = values.get("ppmm"), str(values.get("device_name", ""))
+        if not isinstance(scale, (int, float)):
+            continue
+        if not MIN_MM_PER_PX <= scale <= MAX_MM_PER_PX:
+            raise InputError(
+                f"{config}: ppmm is {scale:g}; gs_sdk stores millimetres per pixel under this "
+                f"name, {MIN_MM_PER_PX:g} to {MAX_MM_PER_PX:g} is allowed"
+            )
+        draft.set_scale(float(scale))
+        draft.sensor = next(
+            (name for key, name in _SENSORS.items() if key in device.lower()), draft.sensor
+        )
+        draft.notes.append(f"scale from {config.name}: its ppmm is in mm per pixel")
+        return
+
+
+def _read_catalog(path: Path, draft: Draft) -> None:
+    catalog = path / CATALOG
+    rows = list(csv.DictReader(catalog.read_text(encoding="utf-8").splitlines()))
+    if not rows or any(row.get(FOLDER) is None or row.get(DIAMETER) is None for row in rows):
+        raise InputError(f"{catalog} needs rows with {FOLDER} and {DIAMETER}")
+    diameters = []
+    for row in rows:
+        try:
+            diameters.append(float(row[DIAMETER]))
+        except ValueError as error:
+            raise InputError(f"{catalog}: diameter {row[DIAMETER]!r} is not a number") from error
+    common = max(set(diameters), key=diameters.count)
+    draft.set_ball(common / 2)
+    for row, diameter in zip(rows, diameters, strict=True):
+        folder = path / row[FOLDER]
+        image = first_existing(folder / "gelsight.png", folder / "digit.png")
+        if image is None:
+            raise InputError(f"{folder / 'gelsight.png'} does not exist; {catalog} names it")
+        draft.add_press(
+            image,
+            row[FOLDER].replace("/", "_").replace("\\", "_"),
+            radius_mm=None if diameter == common else diameter / 2,
+            contact=_circle(folder / "label.npz"),
+        )
+
+
+def _circle(label: Path) -> dict[str, float] | None:
+    if not label.is_file():
+        return None
+    arrays = load_npz(label)
+    if "center" not in arrays or "radius" not in arrays or arrays["center"].size != 2:
+        raise InputError(f"{label} holds {', '.join(arrays)}; center (2) and radius are needed")
+    u, v = (float(value) for value in arrays["center"].ravel())
+    return {"u_px": u, "v_px": v, "radius_px": float(arrays["radius"])}
+
+
+LAYOUT = Layout(
+    "gs-sdk", "gs_sdk: catalog.csv with numbered folders, or its examples", _recognises, _read
+)

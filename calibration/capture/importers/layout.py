@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an importer provides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.capture.importers.draft import Draft, ImportOptions
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One way in which people store captures."""
+
+    name: str
+    """Name on the command line."""
+    title: str
+    """One line: whose layout, and what tells it."""
+    recognises: Callable[[Path], bool]
+    """Whether a file or folder follows it; cheap, decodes no image."""
+    read: Callable[[Path, ImportOptions], list[Draft]]
+    """One draft for each sensor or set. Raises InputError naming the file, what was found and what
+    is allowed."""

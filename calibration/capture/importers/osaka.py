@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fisheye GelSight (Photon26/Gelsight_controller): ``fisheye`` chessboards, ``cam2`` presses.
+
+Facts used: 6 x 6 inner corners, squares of unknown size; ball of R = 5.5 mm. Its 0.0412 mm/px holds
+after its own undistortion only and is not taken.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from calibration.capture.importers.draft import Draft, ImportOptions
+from calibration.capture.importers.files import images_in
+from calibration.capture.importers.layout import Layout
+
+SOURCE = "Photon26/Gelsight_controller"
+BALL_RADIUS_MM = 5.5
+INNER_CORNERS = (6, 6)
+
+
+def _boards(path: Path) -> list[Path]:
+    return [place for place in sorted((path / "fisheye").glob("cam*")) if place.is_dir()]
+
+
+def _recognises(path: Path) -> bool:
+    return bool(_boards(path))
+
+
+def _read(path: Path, options: ImportOptions) -> list[Draft]:
+    drafts = []
+    cameras = _boards(path)
+    for camera in cameras:
+        draft = Draft(camera.name if len(cameras) > 1 else "", "flat_pad", SOURCE)
+        names = [draft.add_image(image, f"board_{image.stem}") for image in images_in(camera)]
+        draft.manifest["boards"] = [
+            {
+                "kind": "chessboard",
+                "columns": INNER_CORNERS[0],
+                "rows": INNER_CORNERS[1],
+                "images": names,
+            }
+        ]
+        presses = path / camera.name
+        if presses.is_dir():
+            for image in images_in(presses):
+                if image.stem == "0":
+                    draft.set_background(image)
+                elif image.stem.isdigit():
+                    draft.add_press(image, f"press_{image.stem}")
+            draft.set_ball(BALL_RADIUS_MM)
+        drafts.append(draft)
+    return drafts
+
+
+LAYOUT = Layout("osaka", "fisheye/cam<n> chessboards and cam<n> presses", _recognises, _read)

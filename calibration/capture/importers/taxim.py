@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Taxim: ``dataPack.npz`` with a ``params.json`` beside it (Si and Yuan, RA-L 2022; MIT)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from calibration.capture.importers.draft import Draft, ImportOptions
+from calibration.capture.importers.layout import Layout
+from calibration.capture.taxim_pack import PACK_NAME, load_taxim_folder
+
+
+def _pack(path: Path) -> Path:
+    return path / PACK_NAME if path.is_dir() else path
+
+
+def _recognises(path: Path) -> bool:
+    return _pack(path).is_file() and _pack(path).suffix == ".npz"
+
+
+def _read(path: Path, options: ImportOptions) -> list[Draft]:
+    folder = load_taxim_folder(_pack(path))
+    draft = Draft(
+        part="",
+        sensor=folder.sensor,
+        source=folder.provenance["source"],
+        license=folder.provenance["license"],
+    )
+    draft.set_background(folder.require_background().image())
+    if folder.mm_per_px is not None:
+        draft.set_scale(*folder.mm_per_px)
+    if folder.ball_radius_mm is not None:
+        draft.set_ball(folder.ball_radius_mm)
+    elif options.radius_mm is None:
+        draft.notes.append("the radius of the ball is stated nowhere; add [indenter] radius_mm")
+    for press in folder.presses:
+        circle = press.circle
+        contact = None
+        if circle is not None:
+            contact = {"u_px": circle.u_px, "v_px": circle.v_px, "radius_px": circle.radius_px}
+        draft.add_press(press.image(), press.name, contact=contact)
+    return [draft]
+
+
+LAYOUT = Layout("taxim", "Taxim: dataPack.npz and params.json", _recognises, _read)
