@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All dots of a picture: found by their size, fitted one by one, compared with each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.markers import dot_model as model
+from calibration.markers.brightness import bright_level, grey_levels
+from calibration.markers.dot_fit import DotFit, fit_dots
+from calibration.markers.dots import DotFlag, Dots
+from calibration.markers.merged import split_merged
+from calibration.markers.scale_space import (
+    MIN_CONTRAST,
+    DotScale,
+    find_blobs,
+    response,
+)
+
+_WEAK = 0.3
+"""A blob below this share of the usual contrast is not fitted."""
+_FULL = 0.93
+"""A dot of which less is seen is cut."""
+_NEIGHBOURS = 6
+_ODD_RADIUS = 1.6
+_ODD_ROUND = 2.2
+_ODD_CONTRAST = 0.35
+_SAME_PLACE = 0.75
+"""Fits nearer than this share of a radius found the same dot."""
+
+
+def detect_dots(image: np.ndarray, scale: DotScale) -> Dots:
+    """All dots of a known size and sign, strongest first.
+
+    Args:
+        image: RGB or grey levels, shape [height_px, width_px] or [.., 3].
+        scale: Size, sign and contrast of the dots, see ``scale_candidates``.
+    """
+    grey = grey_levels(image)
+    start = _start(grey, scale)
+    fit = fit_dots(grey, start)
+    fit, merged = split_merged(grey, fit, scale)
+    fit, keep = _without_twins(fit)
+    merged = merged[keep]
+    height, width = grey.shape
+    cut = fit.seen < _FULL
+    cut &= _reaches_border(fit.parameters, width, height)
+    if cut.any() and (~cut).sum() >= 3:
+        fit = _refit_cut(grey, fit, cut)
+    dots = dots_from_fit(fit, scale, (width, height))
+    flags = np.zeros(dots.count, dtype=np.uint8)
+    flags[cut] |= np.uint8(DotFlag.CUT)
+    flags[merged] |= np.uint8(DotFlag.MERGED)
+    flags[_odd(dots, cut, fit.converged)] |= np.uint8(DotFlag.ODD)
+    dots = replace(dots, flags=flags)
+    return dots.select(_in_picture(dots))
+
+
+def dots_from_fit(fit: DotFit, scale: DotScale, size_px: tuple[int, int]) -> Dots:
+    """Fitted dots, without flags."""
+    parameters = fit.parameters
+    level = parameters[:, model.LEVEL]
+    return Dots(
+        uv_px=parameters[:, :2].copy(),
+        covariance_px2=fit.covariance,
+        axes_px=model.semi_axes(parameters),
+        contrast=parameters[:, model.AMPLITUDE] / np.maximum(level, 1.0),
+        seen=fit.seen,
+        flags=np.zeros(len(parameters), dtype=np.uint8),
+        parameters=parameters,
+        scale=scale,
+        size_px=size_px,
+    )
+
+
+def start_parameters(uv_px: np.ndarray, radius_px: float | np.ndarray) -> np.ndarray:
+    """Round dots of one size at given places, shape [dot, 10]; levels are left to the fit."""
+    start = np.zeros((len(uv_px), model.PARAMETERS))
+    start[:, :2] = uv_px
+    start[:, model.SHAPE] = model.circle(np.broadcast_to(radius_px, len(uv_px)))
+    start[:, model.LOG_BLUR] = np.log(np.maximum(0.2 * np.asarray(radius_px), 0.6))
+    return start
+
+
+def _start(grey: np.ndarray, scale: DotScale) -> np.ndarray:
+    answer = response(grey, scale.sigma_px, bright_level(grey))
+    blobs = find_blobs(answer, scale.sigma_px, scale.sign, MIN_CONTRAST)
+    strong = blobs.contrast > scale.threshold
+    usual = float(np.median(blobs.contrast[strong])) if strong.any() else scale.threshold
+    kept = blobs.contrast > min(scale.threshold, max(_WEAK * usual, 3.0 * MIN_CONTRAST))
+    return start_parameters(blobs.uv_px[kept], scale.radius_px)
+
+
+def _without_twins(fit: DotFit) -> tuple[DotFit, np.ndarray]:
+    """Drop fits that fell onto a stronger one, or that lost their dot."""
+    p = fit.parameters
+    strength = np.abs(p[:, model.AMPLITUDE]) * np.where(fit.converged, 1.0, 0.5)
+    radius = model.mean_radius(p)
+    order = np.argsort(-strength)
+    keep: list[int] = []
+    for n in order:
+        gap = np.hypot(*(p[keep, :2] - p[n, :2]).T) if keep else np.array([np.inf])
+        if (gap > _SAME_PLACE * radius[n]).all():
+            keep.append(int(n))
+    chosen = np.array(keep, dtype=int)
+    return fit.select(chosen), chosen
+
+
+def _reaches_border(p: np.ndarray, width: int, height: int) -> np.ndarray:
+    radius = model.semi_axes(p)[:, 0] + 0.5
+    u, v = p[:, 0], p[:, 1]
+    return (u < radius) | (v < radius) | (u > width - 1 - radius) | (v > height - 1 - radius)
+
+
+def _refit_cut(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
+    """Fit the place of cut dots alone, with the shape of the nearest whole ones."""
+    p = fit.parameters
+    whole = np.flatnonzero(~cut)
+    start = p[cut].copy()
+    for n, dot in enumerate(start):
+        gap = np.hypot(*(p[whole, :2] - dot[:2]).T)
+        near = whole[np.argsort(gap)[:_NEIGHBOURS]]
+        start[n, model.SHAPE] = np.median(p[near, model.SHAPE], axis=0)
+        start[n, model.LOG_BLUR] = np.median(p[near, model.LOG_BLUR])
+    again = fit_dots(grey, start, free_shape=False, others=p[~cut, :2])
+    parts = {name: getattr(fit, name).copy() for name in DotFit.__dataclass_fields__}
+    for name, values in parts.items():
+        values[cut] = getattr(again, name)
+    return DotFit(**parts)
+
+
+def _odd(dots: Dots, cut: np.ndarray, converged: np.ndarray) -> np.ndarray:
+    """Dots unlike the nearest others in size, roundness or contrast."""
+    odd = ~converged | (np.sign(dots.contrast) != dots.scale.sign)
+    if dots.count < 4:
+        return odd
+    radius, contrast = np.log(dots.radius_px), np.abs(dots.contrast)
+    stretch = dots.axes_px[:, 0] / dots.axes_px[:, 1]
+    for n in range(dots.count):
+        gap = np.hypot(*(dots.uv_px - dots.uv_px[n]).T)
+        gap[cut] += gap.max()
+        near = np.argsort(gap)[1 : 2 * _NEIGHBOURS + 1]
+        if not cut[n]:
+            odd[n] |= abs(radius[n] - np.median(radius[near])) > np.log(_ODD_RADIUS)
+            odd[n] |= stretch[n] > _ODD_ROUND * max(np.median(stretch[near]), 1.0)
+        odd[n] |= contrast[n] < _ODD_CONTRAST * np.median(contrast[near])
+    return odd
+
+
+def _in_picture(dots: Dots) -> np.ndarray:
+    """Dots with their centre in the picture, or at most half a radius outside; strongest first."""
+    width, height = dots.size_px
+    slack = 0.5 * dots.radius_px
+    u, v = dots.uv_px[:, 0], dots.uv_px[:, 1]
+    inside = (u > -slack) & (v > -slack) & (u < width - 1 + slack) & (v < height - 1 + slack)
+    known = np.isfinite(dots.covariance_px2).all(axis=(1, 2))
+    kept = np.flatnonzero(inside & known & (np.sign(dots.contrast) == dots.scale.sign))
+    return kept[np.argsort(-np.abs(dots.contrast[kept]), kind="stable")]

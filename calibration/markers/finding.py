@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a picture shows dots at all, and all of them: detection and lattice help each other.
+
+Sizes and signs that blobs have are tried in turn, most dot-like first. Dots are those that form a
+lattice, or, without one, that stand far above everything else of their size. The lattice then says
+where faint dots may be looked for and which blobs are none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.markers.brightness import grey_levels
+from calibration.markers.detection import detect_dots, dots_from_fit, start_parameters
+from calibration.markers.dot_fit import fit_dots
+from calibration.markers.dots import DotFlag, Dots
+from calibration.markers.lattice import Lattice, lattice_index
+from calibration.markers.layout import LayoutFit, fit_layout
+from calibration.markers.scale_space import DotScale, scale_candidates
+from taccel_lab.errors import InputError
+
+MIN_DOTS = 9
+"""Dots of a lattice that a picture has to show."""
+_MIN_CONTRAST = 0.05
+_FREE_DOTS, _FREE_GAP, _FREE_CONTRAST = 12, 1.6, 0.15
+"""Without a lattice: how many dots, how far above the rest, how much contrast."""
+_FAINT = 0.3
+"""A dot in a gap has at least this share of the usual contrast."""
+_TRIED = 4
+_STRAY = 0.34
+"""An outermost line of odd blobs that is filled less than this is dirt."""
+
+
+@dataclass(frozen=True)
+class MarkerPicture:
+    """The dots of one picture, numbered."""
+
+    dots: Dots
+    lattice: Lattice
+    layout_px: LayoutFit | None
+    """The grid in pixels; None where the dots form no lattice."""
+
+
+def find_markers(image: np.ndarray) -> MarkerPicture:
+    """All dots of a picture, in whatever layout.
+
+    Args:
+        image: RGB or grey levels, shape [height_px, width_px] or [.., 3].
+
+    Raises:
+        InputError: The picture shows no dots; says what was found instead.
+    """
+    best_count, best = 0, None
+    for scale in scale_candidates(image)[:_TRIED]:
+        if scale.count < MIN_DOTS:
+            continue
+        dots = detect_dots(image, scale)
+        picture = _accept(dots, scale)
+        if picture is not None:
+            return _completed(image, picture)
+        if scale.count > best_count:
+            best_count, best = scale.count, dots
+    raise InputError("no dots found: " + _why_not(best))
+
+
+def _accept(dots: Dots, scale: DotScale) -> MarkerPicture | None:
+    likely = dots.select(np.flatnonzero(~dots.flagged(DotFlag.ODD)))
+    if likely.count < MIN_DOTS or np.median(np.abs(likely.contrast)) < _MIN_CONTRAST:
+        return None
+    lattice = lattice_index(dots.uv_px)
+    if lattice.kind == "none" and likely.count < dots.count:
+        dots = likely
+        lattice = lattice_index(dots.uv_px)
+    if lattice.kind != "none" and lattice.numbered.sum() >= MIN_DOTS:
+        return _numbered(dots, lattice)
+    clear = scale.gap >= _FREE_GAP and np.median(np.abs(likely.contrast)) >= _FREE_CONTRAST
+    if likely.count >= _FREE_DOTS and clear:
+        return MarkerPicture(likely, lattice_index(likely.uv_px), None)
+    return None
+
+
+def _numbered(dots: Dots, lattice: Lattice) -> MarkerPicture:
+    """Blobs beside the lattice that look odd are none; a place in the lattice redeems a dot."""
+    lattice = _without_stray_lines(lattice, dots.flagged(DotFlag.ODD))
+    keep = np.flatnonzero(lattice.numbered | ~dots.flagged(DotFlag.ODD))
+    dots = dots.select(keep)
+    lattice = replace(lattice, row=lattice.row[keep], column=lattice.column[keep])
+    layout = fit_layout(
+        dots.uv_px, lattice, covariance=dots.covariance_px2, in_view=_in_view(dots, lattice)
+    )
+    return MarkerPicture(dots, lattice, layout)
+
+
+def _without_stray_lines(lattice: Lattice, odd: np.ndarray) -> Lattice:
+    """Less outermost rows and columns that hold nothing but a few odd blobs: dirt where the next
+    line of dots would be."""
+    row, column = lattice.row.copy(), lattice.column.copy()
+    for line, across in ((row, lattice.columns), (column, lattice.rows)):
+        while (line >= 0).any():
+            ends = (line[line >= 0].min(), line.max())
+            stray = [
+                e for e in ends if odd[line == e].all() and (line == e).sum() < _STRAY * across
+            ]
+            if not stray or len(np.unique(line[line >= 0])) <= 2:
+                break
+            gone = np.isin(line, stray)
+            row[gone] = column[gone] = -1
+    numbered = row >= 0
+    for line in (row, column):
+        line[numbered] -= line[numbered].min()
+    # A lattice whose first row went has its odd and even rows swapped.
+    swapped = (lattice.row[numbered] - row[numbered]) % 2 == 1
+    stagger = -lattice.stagger if swapped.any() else lattice.stagger
+    return replace(lattice, row=row, column=column, stagger=stagger)
+
+
+def _completed(image: np.ndarray, picture: MarkerPicture) -> MarkerPicture:
+    """Look for faint dots where the lattice has gaps."""
+    if picture.layout_px is None or not picture.layout_px.missing:
+        return picture
+    dots, lattice = picture.dots, picture.lattice
+    places = _local_places(dots, lattice, np.array(picture.layout_px.missing))
+    start = start_parameters(places, float(np.median(dots.radius_px)))
+    fit = fit_dots(grey_levels(image), start, others=dots.uv_px)
+    found = dots_from_fit(fit, dots.scale, dots.size_px)
+    usual = float(np.median(np.abs(dots.contrast)))
+    radius = float(np.median(dots.radius_px))
+    off = np.hypot(*(found.uv_px - places).T)
+    gap = np.hypot(*(found.uv_px[:, None] - dots.uv_px[None]).T).min(axis=0)
+    good = fit.converged & (np.sign(found.contrast) == dots.scale.sign)
+    good &= np.abs(found.contrast) > max(_FAINT * usual, _MIN_CONTRAST)
+    good &= (off < 0.25 * min(picture.layout_px.pitch)) & (gap > radius)
+    good &= np.abs(np.log(found.radius_px / radius)) < np.log(1.6)
+    good &= (fit.seen > 0.5) & np.isfinite(found.covariance_px2).all(axis=(1, 2))
+    if not good.any():
+        return picture
+    new = found.select(np.flatnonzero(good))
+    new = replace(new, flags=np.full(new.count, np.uint8(DotFlag.ODD)))
+    joined = _join(dots, new)
+    numbers = np.array(picture.layout_px.missing)[good]
+    lattice = replace(
+        lattice,
+        row=np.concatenate([lattice.row, numbers[:, 0]]),
+        column=np.concatenate([lattice.column, numbers[:, 1]]),
+    )
+    return _numbered(joined, lattice)
+
+
+def _join(first: Dots, second: Dots) -> Dots:
+    names = ("uv_px", "covariance_px2", "axes_px", "contrast", "seen", "flags", "parameters")
+    return replace(
+        first,
+        **{name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names},
+    )
+
+
+def _in_view(dots: Dots, lattice: Lattice) -> np.ndarray:
+    """Places whose dot would lie wholly in the picture, bool, shape [rows, columns]."""
+    row, column = np.mgrid[: lattice.rows, : lattice.columns]
+    numbers = np.stack([row.ravel(), column.ravel()], axis=1)
+    places = _local_places(dots, lattice, numbers)
+    margin = float(np.median(dots.axes_px[:, 0]))
+    width, height = dots.size_px
+    u, v = places[:, 0], places[:, 1]
+    inside = (u > margin) & (v > margin) & (u < width - 1 - margin) & (v < height - 1 - margin)
+    return inside.reshape(row.shape)
+
+
+def _local_places(dots: Dots, lattice: Lattice, numbers: np.ndarray) -> np.ndarray:
+    """Where the dots around put a row and column: affine over the nearest, shape [place, 2]."""
+    known = np.flatnonzero(lattice.numbered)
+    steps = lattice.steps()[known]
+    wanted = Lattice(
+        numbers[:, 0], numbers[:, 1], lattice.kind, lattice.basis, lattice.stagger, 0.0
+    ).steps()
+    places = np.empty((len(numbers), 2))
+    for n, step in enumerate(wanted):
+        offset = steps - step
+        near = np.argsort((offset**2).sum(axis=1))[:12]
+        weight = 1.0 / (0.25 + (offset[near] ** 2).sum(axis=1))
+        design = np.column_stack([offset[near], np.ones(len(near))]) * weight[:, None]
+        target = dots.uv_px[known[near]] * weight[:, None]
+        places[n] = np.linalg.lstsq(design, target, rcond=None)[0][2]
+    return places
+
+
+def _why_not(dots: Dots | None) -> str:
+    if dots is None or dots.count == 0:
+        return (
+            f"fewer than {MIN_DOTS} blobs of one size stand out from the picture; a sensor without "
+            "markers has no markers block, and one with markers needs a sharp picture at rest"
+        )
+    contrast = float(np.median(np.abs(dots.contrast)))
+    return (
+        f"the {dots.count} blobs of radius {np.median(dots.radius_px):.1f} px that stand out most "
+        f"(contrast {100 * contrast:.0f} %) form no lattice and are not far stronger than the rest; "
+        "a sensor without markers has no markers block, and one with markers needs a sharp picture "
+        "at rest"
+    )

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which row and column of a lattice each of many points is: growth from a seed, locally affine.
+
+From a point with neighbours on opposite sides the numbering grows outwards: the place of each next
+lattice point is extrapolated by an affine map through the numbered points around it, so that
+perspective, lens distortion and a stretched gel bend the lattice freely while missing points leave
+gaps and stray points find no place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calibration.markers.lattice_growth import Growth, grow, leave_one_out
+from taccel_lab.errors import InputError
+
+Kind = Literal["rectangular", "hexagonal", "none"]
+
+_SEEDS = 10
+_SYMMETRIC = 0.25
+"""Opposite neighbours are opposite within this share of their distance."""
+_MIN_SINE = 0.45
+_ENOUGH = 0.9
+_LEAST = 6
+"""Points that a lattice has at least."""
+_REGULAR = 0.12
+"""Largest median error, in pitches, of predicting a point from its neighbours."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Numbered points."""
+
+    row: np.ndarray
+    """Row of each point, from 0 downwards, -1 for none, int, shape [point]."""
+    column: np.ndarray
+    """Column of each point, from 0 rightwards, -1 for none, int, shape [point]."""
+    kind: Kind
+    """Hexagonal: rows are alternately shifted by half a pitch, see ``stagger``."""
+    basis: np.ndarray
+    """Steps to the next column and the next row, (u, v), shape [2, 2]; without the shift of a
+    hexagonal lattice's rows."""
+    stagger: float
+    """Shift of odd rows in pitches along the row: 0, or +-0.5 in a hexagonal lattice."""
+    irregularity: float
+    """Median error, in pitches, of predicting a point from the points around it."""
+
+    @property
+    def rows(self) -> int:
+        return int(self.row.max(initial=-1)) + 1
+
+    @property
+    def columns(self) -> int:
+        return int(self.column.max(initial=-1)) + 1
+
+    @property
+    def numbered(self) -> np.ndarray:
+        """Points that belong to the lattice, bool, shape [point]."""
+        return self.row >= 0
+
+    def steps(self) -> np.ndarray:
+        """Columns and rows as numbers, with the shift of odd rows, float, shape [point, 2]."""
+        return steps_of(self.row, self.column, self.stagger)
+
+
+def steps_of(row: np.ndarray, column: np.ndarray, stagger: float) -> np.ndarray:
+    """Steps along the row and across the rows from the first dot, shape [.., 2]."""
+    row, column = np.asarray(row), np.asarray(column)
+    return np.stack([column + stagger * (row % 2), row.astype(np.float64)], axis=-1)
+
+
+def lattice_index(points: np.ndarray) -> Lattice:
+    """Number the points of a square, rectangular or hexagonal lattice, in any order.
+
+    Args:
+        points: Places such as dot centres (u, v), shape [point, 2]; some may be missing, some
+            may belong to no lattice.
+
+    Returns:
+        Rows count downwards (v), columns rightwards (u), both from 0 at the outermost numbered
+        dot; the row direction is the lattice direction nearest to +u. ``kind`` is ``none`` and all
+        numbers -1 where no lattice of at least 6 points explains half of the points.
+
+    Raises:
+        InputError: Not finite, or not of shape [point, 2].
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+        raise InputError(f"points must be finite, shape [point, 2], got {points.shape}")
+    best: Growth | None = None
+    if len(points) >= _LEAST:
+        tree = cKDTree(points)
+        for seed, a, b in _seeds(points, tree):
+            found = grow(points, tree, seed, a, b)
+            if best is None or found.count > best.count:
+                best = found
+            if best.count >= _ENOUGH * len(points):
+                break
+    if best is None:
+        return _nothing(len(points))
+    errors = leave_one_out(points, best)
+    best = best.without(errors > 2.5 * _REGULAR)
+    irregularity = float(np.median(errors[np.isfinite(errors)])) if best.count else np.inf
+    if best.count < max(_LEAST, 0.5 * len(points)) or irregularity > _REGULAR:
+        return _nothing(len(points))
+    return _canonical(points, best, irregularity)
+
+
+def _nothing(count: int) -> Lattice:
+    none = np.full(count, -1)
+    return Lattice(none, none.copy(), "none", np.full((2, 2), np.nan), 0.0, np.inf)
+
+
+def _seeds(points: np.ndarray, tree: cKDTree) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Points with two pairs of opposite neighbours, the most symmetric first, and their basis."""
+    found = []
+    _, near = tree.query(points, k=min(13, len(points)))
+    for n in range(len(points)):
+        vectors = points[near[n, 1:]] - points[n]
+        basis = _basis(vectors)
+        if basis is not None:
+            a, b, miss = basis
+            found.append((miss, n, a, b))
+    found.sort(key=lambda item: item[0])
+    # Spread over the ranks: the most symmetric few may all sit in one odd corner.
+    chosen = (
+        [found[k] for k in np.unique(np.linspace(0, len(found) - 1, _SEEDS).astype(int))]
+        if (found)
+        else []
+    )
+    return [(n, a, b) for _, n, a, b in chosen]
+
+
+def _basis(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """The two shortest independent steps that exist in both directions, and their asymmetry."""
+    length = np.hypot(vectors[:, 0], vectors[:, 1])
+    order = np.argsort(length)
+    pairs: list[tuple[np.ndarray, float]] = []
+    for k in order:
+        if length[k] <= 0:
+            return None
+        miss = np.hypot(*(vectors + vectors[k]).T)
+        other = int(np.argmin(miss))
+        if miss[other] > _SYMMETRIC * length[k]:
+            continue
+        step = 0.5 * (vectors[k] - vectors[other])
+        if not pairs:
+            pairs.append((step, miss[other] / length[k]))
+            continue
+        a = pairs[0][0]
+        sine = abs(a[0] * step[1] - a[1] * step[0]) / (np.hypot(*a) * np.hypot(*step))
+        if sine > _MIN_SINE:
+            return a, step, max(pairs[0][1], miss[other] / length[k])
+    return None
+
+
+def _canonical(points: np.ndarray, growth: Growth, irregularity: float) -> Lattice:
+    """Turn and flip the numbering so that columns run right and rows down, and count from 0."""
+    numbered = growth.numbered
+    index = growth.index[numbered].astype(np.float64)
+    design = np.column_stack([index, np.ones(len(index))])
+    basis = np.linalg.lstsq(design, points[numbered], rcond=None)[0][:2]
+    change = _reduce(basis)
+    basis = change @ basis
+    kind, stagger = "rectangular", 0.0
+    cosine = float(basis[0] @ basis[1] / np.prod(np.linalg.norm(basis, axis=1)))
+    ratio = float(np.divide(*np.linalg.norm(basis, axis=1)))
+    if abs(cosine) > 0.34 and 0.75 < ratio < 1.33:
+        kind = "hexagonal"
+    # The row direction is the lattice direction nearest to +-u.
+    options = [(1, 0), (0, 1)]
+    if kind == "hexagonal":
+        options.append((1, -1) if cosine > 0 else (1, 1))
+    along = max(options, key=lambda o: abs(_unit(np.array(o) @ basis)[0]))
+    across = next(o for o in options if o != along)
+    turn = np.array([along, across])
+    basis = turn @ basis
+    change = turn @ change
+    flip = np.diag([np.sign(basis[0, 0]) or 1.0, np.sign(basis[1, 1]) or 1.0])
+    if np.linalg.det(flip @ basis) < 0:
+        # Nearly diagonal rows: keep right-handed rather than both signs.
+        flip = flip @ np.diag([1.0, -1.0])
+    basis = flip @ basis
+    change = (flip @ change).astype(int)
+    new = np.rint(growth.index[numbered] @ np.linalg.inv(change)).astype(int)
+    new -= new.min(axis=0)
+    if kind == "hexagonal":
+        # A step across the rows goes half a pitch along them too; counted back in every second row.
+        lean = 0.5 * np.sign(float(basis[0] @ basis[1]))
+        half = new[:, 1] / 2
+        new[:, 0] += (np.floor(half) if lean > 0 else -np.ceil(half)).astype(int)
+        basis = np.stack([basis[0], basis[1] - lean * basis[0]])
+        stagger = 0.5
+        # Whether odd rows start to the right or to the left of even ones: what needs fewer columns.
+        other = new[:, 0] + new[:, 1] % 2
+        if np.ptp(other) < np.ptp(new[:, 0]):
+            new[:, 0], stagger = other, -0.5
+        new[:, 0] -= new[:, 0].min()
+    row, column = np.full(len(points), -1), np.full(len(points), -1)
+    column[numbered], row[numbered] = new[:, 0], new[:, 1]
+    return Lattice(row, column, kind, basis, stagger, irregularity)  # type: ignore[arg-type]
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)
+
+
+def _reduce(basis: np.ndarray) -> np.ndarray:
+    """Integer change of basis to the two shortest steps (Gauss's reduction)."""
+    change = np.eye(2, dtype=int)
+    b = basis.copy()
+    for _ in range(20):
+        if b[0] @ b[0] > b[1] @ b[1]:
+            b, change = b[::-1].copy(), change[::-1].copy()
+        k = round(float(b[0] @ b[1] / (b[0] @ b[0])))
+        if k == 0:
+            break
+        b[1] -= k * b[0]
+        change[1] -= k * change[0]
+    return change

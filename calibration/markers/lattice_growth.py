@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Growth of a lattice numbering over a point set by locally affine extrapolation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+_CATCH = 0.27
+"""A point is taken for a lattice point within this share of the shorter step from its place."""
+_REACH = 2
+"""Lattice steps around a place whose points predict it."""
+_MAX_GAP = 3
+"""Empty places that the growth can cross."""
+_NONE = np.iinfo(np.int64).min
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Numbering in the seed's basis."""
+
+    index: np.ndarray
+    """Steps along both basis vectors, int, shape [point, 2]; anything where not numbered."""
+    numbered: np.ndarray
+    """Bool, shape [point]."""
+    a: np.ndarray
+    b: np.ndarray
+    """Basis at the seed."""
+
+    @property
+    def count(self) -> int:
+        return int(self.numbered.sum())
+
+    def without(self, which: np.ndarray) -> Growth:
+        """The numbering less some points."""
+        return Growth(self.index, self.numbered & ~which, self.a, self.b)
+
+
+class _Field:
+    """Numbered points and what they predict."""
+
+    def __init__(self, points: np.ndarray, a: np.ndarray, b: np.ndarray) -> None:
+        self.points = points
+        self.basis = np.stack([a, b])
+        self.at: dict[tuple[int, int], int] = {}
+
+    def predict(
+        self, place: tuple[int, int], skip: int = -1
+    ) -> tuple[np.ndarray, np.ndarray, int] | None:
+        """Place of a lattice point, the local basis, and how many points say so."""
+        i, j = place
+        rows, targets, weights = [], [], []
+        span = range(-_REACH, _REACH + 1)
+        for di in span:
+            for dj in span:
+                n = self.at.get((i + di, j + dj))
+                if n is None or n == skip:
+                    continue
+                rows.append((di, dj))
+                targets.append(self.points[n])
+                weights.append(1.0 / (0.25 + di * di + dj * dj))
+        if not rows:
+            return None
+        steps, found = np.array(rows, dtype=np.float64), np.array(targets)
+        weight = np.array(weights)
+        # The seed's basis, as a belief that fades with every point, closes what few points leave
+        # open.
+        mean_step = weight @ steps / weight.sum()
+        mean_point = weight @ found / weight.sum()
+        ds, dp = steps - mean_step, found - mean_point
+        normal = (ds * weight[:, None]).T @ ds + 0.02 * np.eye(2)
+        basis = np.linalg.solve(normal, (ds * weight[:, None]).T @ dp + 0.02 * self.basis)
+        return mean_point - mean_step @ basis, basis, len(rows)
+
+
+def grow(points: np.ndarray, tree: cKDTree, seed: int, a: np.ndarray, b: np.ndarray) -> Growth:
+    """Number all points that a lattice through ``seed`` with basis ``a``, ``b`` reaches."""
+    field = _Field(points, a, b)
+    field.at[(0, 0)] = seed
+    taken = np.zeros(len(points), dtype=bool)
+    taken[seed] = True
+    gap = 1
+    tried: dict[tuple[int, int], int] = {}
+    while gap <= _MAX_GAP:
+        if _sweep(field, tree, taken, gap, tried):
+            gap = 1
+        else:
+            gap += 1
+    index = np.full((len(points), 2), _NONE)
+    for place, n in field.at.items():
+        index[n] = place
+    return Growth(index, taken, a, b)
+
+
+def _sweep(
+    field: _Field,
+    tree: cKDTree,
+    taken: np.ndarray,
+    gap: int,
+    tried: dict[tuple[int, int], int],
+) -> bool:
+    """Try every empty place next to a numbered one; best supported first. True on progress."""
+    steps = [(gap, 0), (-gap, 0), (0, gap), (0, -gap)]
+    if gap > 1:
+        steps += [(di, dj) for di in (-1, 1) for dj in (-1, 1)]
+    places = {(i + di, j + dj) for i, j in field.at for di, dj in steps} - field.at.keys()
+    guesses = []
+    for place in places:
+        guess = field.predict(place)
+        if guess is None or tried.get(place) == guess[2]:
+            continue
+        tried[place] = guess[2]
+        guesses.append((guess, place))
+    guesses.sort(key=lambda item: -item[0][2])
+    progress = False
+    for (where, basis, _), place in guesses:
+        if place in field.at:
+            continue
+        shorter = float(np.linalg.norm(basis, axis=1).min())
+        distance, n = tree.query(where)
+        if distance > _CATCH * shorter / np.sqrt(gap) or taken[n]:
+            continue
+        field.at[place] = int(n)
+        taken[n] = True
+        progress = True
+    return progress
+
+
+def leave_one_out(points: np.ndarray, growth: Growth) -> np.ndarray:
+    """Error, in shorter steps, of predicting each numbered point from the others; NaN without."""
+    field = _Field(points, growth.a, growth.b)
+    numbered = np.flatnonzero(growth.numbered)
+    for n in numbered:
+        field.at[(int(growth.index[n, 0]), int(growth.index[n, 1]))] = int(n)
+    errors = np.full(len(points), np.nan)
+    for n in numbered:
+        guess = field.predict((int(growth.index[n, 0]), int(growth.index[n, 1])), skip=int(n))
+        if guess is not None:
+            where, basis, _ = guess
+            shorter = float(np.linalg.norm(basis, axis=1).min())
+            errors[n] = np.hypot(*(where - points[n])) / max(shorter, 1e-9)
+    return errors

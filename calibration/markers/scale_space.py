@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How large the dots are and where they roughly lie, from the picture alone.
+
+The scale-normalised Laplacian of a Gaussian answers most where its width fits a disc: at sigma =
+r / sqrt(2), with 2/e of the disc's contrast (T. Lindeberg, "Feature detection with automatic scale
+selection", IJCV 30, 1998). Dots are many blobs of one size, of one sign, and far stronger than
+anything else of that size; a picture without dots has no such gap between strong and weak blobs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calibration.markers.brightness import bright_level, grey_levels, local_contrast
+
+DISC_RESPONSE = 2.0 / np.e
+"""Answer of the filter of the right width to a disc of contrast one."""
+MIN_SIGMA_PX = 1.0
+_RATIO = 1.2
+_LARGEST = 14.0
+"""The widest filter is the picture's shorter side over this; six dots in a row have to fit."""
+_AROUND = 4.0
+"""Neighbourhood of the local contrast, in widths of the filter."""
+MIN_CONTRAST = 0.03
+"""Relative contrast below which a blob is taken for shading or noise."""
+
+
+@dataclass(frozen=True)
+class Blobs:
+    """Local extrema of the filter, strongest first."""
+
+    uv_px: np.ndarray
+    """Whole pixels (u, v), shape [blob, 2]."""
+    contrast: np.ndarray
+    """Contrast that a disc of the filter's width would have, positive, shape [blob]."""
+
+
+@dataclass(frozen=True)
+class DotScale:
+    """Size and sign of the dots in a picture."""
+
+    sigma_px: float
+    """Width of the filter that fits the dots; their radius is sqrt(2) times it."""
+    sign: int
+    """-1 for dark dots, +1 for bright ones."""
+    threshold: float
+    """Contrast between the weakest dot and the strongest of what is none."""
+    gap: float
+    """Ratio of contrasts across that threshold: 1 for a continuum, large for clean dots."""
+    count: int
+    """Blobs above the threshold."""
+    noise: float
+    """Standard deviation of the filter's answer in the picture's quiet part, as a contrast."""
+
+    @property
+    def radius_px(self) -> float:
+        """Radius of a disc that the filter fits [px]."""
+        return self.sigma_px * np.sqrt(2.0)
+
+
+def response(grey: np.ndarray, sigma_px: float, bright: float) -> np.ndarray:
+    """Contrast of a disc of radius ``sqrt(2) sigma_px`` at each pixel, dark ones negative.
+
+    Beyond the border the light goes on as it falls there (odd reflection): a mirrored or held
+    picture has a kink where the light has a slope, and a kink answers like a dot.
+    """
+    margin = min(int(np.ceil(4.0 * sigma_px)) + 2, min(grey.shape) - 1)
+    wide = np.pad(grey, margin, mode="reflect", reflect_type="odd")
+    contrast = local_contrast(wide, _AROUND * sigma_px, bright)
+    smooth = cv2.GaussianBlur(contrast, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE)
+    laplacian = cv2.Laplacian(smooth, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REPLICATE)
+    inner = laplacian[margin:-margin, margin:-margin]
+    return -inner * np.float32(sigma_px**2 / DISC_RESPONSE)
+
+
+def find_blobs(answer: np.ndarray, sigma_px: float, sign: int, least: float) -> Blobs:
+    """Local extrema of ``response`` of one sign, at least ``least`` strong."""
+    signed = sign * answer
+    width = 2 * max(1, round(1.2 * sigma_px)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    peak = (signed >= cv2.dilate(signed, kernel)) & (signed >= least)
+    # Equal neighbours make one blob.
+    count, labels, _, centres = cv2.connectedComponentsWithStats(peak.astype(np.uint8))
+    if count < 2:
+        return Blobs(np.empty((0, 2)), np.empty(0))
+    uv = np.rint(centres[1:]).astype(int)
+    strength = signed[uv[:, 1], uv[:, 0]]
+    # The middle of a bent plateau may lie beside it.
+    uv, strength = uv[strength >= least], strength[strength >= least]
+    order = np.argsort(-strength)
+    return Blobs(uv[order].astype(np.float64), strength[order].astype(np.float64))
+
+
+def noise_contrast(answer: np.ndarray) -> float:
+    """Robust standard deviation of an answer, from its half nearest to zero."""
+    return float(np.median(np.abs(answer)) / 0.6745)
+
+
+def split_by_gap(contrast: np.ndarray) -> tuple[int, float]:
+    """Where strengths, sorted downwards, split best into dots and the rest.
+
+    Returns:
+        Number above the split, and the ratio of contrasts across it. Of all splits that keep a
+        range of at most eight in strength above it, the widest gap that leaves at least six; a
+        strong few (a glint, a label) over many alike must not win, so that gaps count by the
+        square root of the number above them.
+    """
+    if len(contrast) < 7:  # six dots and what is none
+        return len(contrast), 1.0
+    ratio = contrast[:-1] / np.maximum(contrast[1:], 1e-9)
+    above = np.arange(1, len(contrast))
+    middle = np.array([np.median(contrast[:n]) for n in above])
+    allowed = (above >= 6) & (contrast[:-1] > middle / 8) & (contrast[1:] < 0.75 * middle)
+    if not allowed.any():
+        return len(contrast), 1.0
+    score = np.where(allowed, np.log(ratio) * np.sqrt(above), -np.inf)
+    best = int(np.argmax(score))
+    return best + 1, float(ratio[best])
+
+
+def scale_candidates(image: np.ndarray) -> list[DotScale]:
+    """Sizes and signs that blobs in a picture have, most dot-like first.
+
+    Of every width and sign, the blobs that are extrema across widths too are counted; neighbouring
+    widths are taken together, as dots in one picture differ a little in size.
+    """
+    grey = grey_levels(image)
+    bright = bright_level(grey)
+    steps = np.log(min(grey.shape) / _LARGEST / MIN_SIGMA_PX) / np.log(_RATIO)
+    sigmas = MIN_SIGMA_PX * _RATIO ** np.arange(-1, max(3, int(steps) + 1))
+    answers = np.stack([response(grey, float(sigma), bright) for sigma in sigmas])
+    found = []
+    for sign in (-1, 1):
+        weight = _weight_by_scale(answers, sigmas, sign)
+        for k in _peaks(weight)[:3]:
+            scale = describe_scale(answers[k], float(sigmas[k]), sign)
+            found.append((weight[k], scale))
+    found.sort(key=lambda item: -item[0])
+    return [scale for weight, scale in found if weight > 0 and scale.count > 0]
+
+
+def describe_scale(answer: np.ndarray, sigma_px: float, sign: int) -> DotScale:
+    """Dots of a known size and sign: how many stand out, and by how much."""
+    noise = noise_contrast(answer)
+    least = max(MIN_CONTRAST, 1.5 * noise)
+    blobs = find_blobs(answer, sigma_px, sign, least)
+    # At the border a part of a dot, or the end of the light, answers as it likes.
+    contrast = blobs.contrast[_inside(blobs.uv_px, answer.shape, 1.5 * sigma_px)]
+    count, gap = split_by_gap(contrast)
+    if count == 0:
+        return DotScale(sigma_px, sign, least, 1.0, 0, noise)
+    strongest_other = contrast[count] if count < len(contrast) else least
+    threshold = float(np.sqrt(contrast[count - 1] * strongest_other))
+    if count == len(contrast):
+        gap = float(contrast[count - 1] / least)
+    return DotScale(sigma_px, sign, threshold, gap, count, noise)
+
+
+def _weight_by_scale(answers: np.ndarray, sigmas: np.ndarray, sign: int) -> np.ndarray:
+    """Sum of squared contrasts of the blobs that are extrema at each width, shape [width]."""
+    weight = np.zeros(len(sigmas))
+    for k in range(1, len(sigmas) - 1):
+        sigma = sigmas[k]
+        noise = noise_contrast(answers[k])
+        blobs = find_blobs(answers[k], float(sigma), sign, max(MIN_CONTRAST, 3.0 * noise))
+        if len(blobs.contrast) == 0:
+            continue
+        at = blobs.uv_px.astype(int)
+        at = at[_inside(at, answers[k].shape, 1.5 * float(sigma))]
+        signed = sign * answers[:, at[:, 1], at[:, 0]]
+        extremum = np.all([signed[k] >= signed[j] for j in (k - 1, k + 1)], axis=0)
+        strong = np.minimum(signed[k][extremum], 1.0)
+        weight[k] = float((strong**2).sum())
+    smooth = weight.copy()
+    smooth[1:] += 0.5 * weight[:-1]
+    smooth[:-1] += 0.5 * weight[1:]
+    return smooth
+
+
+def _inside(at: np.ndarray, shape: tuple[int, ...], margin: float) -> np.ndarray:
+    """Pixels (u, v) at least ``margin`` from the border."""
+    height, width = shape
+    u, v = at[:, 0], at[:, 1]
+    return (u >= margin) & (v >= margin) & (u < width - margin) & (v < height - margin)
+
+
+def _peaks(weight: np.ndarray) -> list[int]:
+    padded = np.concatenate([[0.0], weight, [0.0]])
+    peak = (weight >= padded[:-2]) & (weight >= padded[2:]) & (weight > 0)
+    return sorted(np.flatnonzero(peak).tolist(), key=lambda k: -weight[k])
