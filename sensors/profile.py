@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Literal
+from typing import Any, Literal
 
 from cad.mesh.gel_mesh import gel_mesh
 from cad.mesh.quality import MeshQuality, measure_quality, require_quality
@@ -146,10 +147,13 @@ class _Origin:
         )
 
 
-def catalogue_profile(name: str) -> SensorProfile:
-    """Profile of a catalogue sensor with its default parameters and the structured mesh."""
+def catalogue_profile(name: str, overrides: Mapping[str, Any] | None = None) -> SensorProfile:
+    """Profile of a catalogue sensor with the structured mesh; parameters as they stand there.
+
+    ``overrides`` replace some of the parameters.
+    """
     family = sensor_family(name)
-    parameters = family.parameters()
+    parameters = family.parameters(overrides)
     mesh = gel_mesh(parameters.pad())
     quality = measure_quality(mesh, parameters.pad())
     require_quality(mesh, quality)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,10 +15,13 @@ from hypothesis import strategies as st
 
 import calibration.simulate as simulate
 from calibration.capture import CaptureSet, ContactCircle, Press
-from calibration.simulate import MAX_ROUNDS, simulate_presses
+from calibration.simulate import simulate_presses
 from calibration.surfaces import PressSurface
+from calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
+from calibration.surfaces.press_batch import BatchOutcome
 from sensors.press_mesh import PressMeshOptions
 from sensors.profile import catalogue_profile
+from taccel_lab.cache import CACHE_VARIABLE
 from taccel_lab.cli.calibrate.color import with_camera_of
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
@@ -37,9 +41,9 @@ CIRCLES = (
 Law = Callable[[np.ndarray], np.ndarray]
 
 
-def search(targets_mm: np.ndarray, law: Law) -> tuple[simulate._DepthSearch, int]:
+def search(targets_mm: np.ndarray, law: Law) -> tuple[DepthSearch, int]:
     """Let the search run on an analytic radius(depth); returns it and its rounds."""
-    found = simulate._DepthSearch(targets_mm, BALL_MM, TOLERANCE_MM)
+    found = DepthSearch(targets_mm, BALL_MM, TOLERANCE_MM)
     for rounds in range(1, MAX_ROUNDS + 1):
         assert (found.depth_mm >= 0).all() and (found.depth_mm <= 1.2 * BALL_MM).all()
         if found.update(law(found.depth_mm)):
@@ -126,12 +130,12 @@ def profile() -> SensorProfile:
     return catalogue_profile("gelsight")
 
 
-@pytest.fixture(scope="module")
-def captures() -> CaptureSet:
+def flat_captures(sensor: str, circles: tuple[ContactCircle, ...]) -> CaptureSet:
+    """Black images: simulations look at circles, scale and ball alone."""
     black = np.zeros((GRID.height_px, GRID.width_px, 3), dtype=np.uint8)
     return CaptureSet(
         source="memory",
-        sensor="gelsight",
+        sensor=sensor,
         background=black,
         background_sha256="0" * 64,
         mask=np.ones(black.shape[:2], dtype=bool),
@@ -139,10 +143,15 @@ def captures() -> CaptureSet:
         grid=GRID,
         presses=tuple(
             Press(f"p{i}", f"memory[{i}]", f"{i:064x}", circle, partial(np.copy, black))
-            for i, circle in enumerate(CIRCLES)
+            for i, circle in enumerate(circles)
         ),
         provenance={},
     )
+
+
+@pytest.fixture(scope="module")
+def captures() -> CaptureSet:
+    return flat_captures("gelsight", CIRCLES)
 
 
 @pytest.fixture(scope="module")
@@ -239,8 +248,8 @@ def test_order_and_progress_with_several_processes(
 
 
 def test_circle_larger_than_the_ball_is_refused(captures: CaptureSet, base: SensorProfile) -> None:
-    circles = [CIRCLES[0], ContactCircle(48.0, 36.0, 20.0), CIRCLES[2]]
-    with pytest.raises(InputError, match=r"memory: press 'p1' has a contact radius of 2\.000 mm"):
+    circles = [CIRCLES[0], ContactCircle(48.0, 36.0, 21.0), CIRCLES[2]]
+    with pytest.raises(InputError, match=r"memory: p1: contact radius 21 px is 2\.100 mm"):
         simulate_presses(captures, circles, base, mesh=MESH, processes=1)
 
 
@@ -255,14 +264,85 @@ def test_a_circle_for_every_press(captures: CaptureSet, base: SensorProfile) -> 
         simulate_presses(captures, CIRCLES[:2], base, mesh=MESH, processes=1)
 
 
-def fail(batch: object) -> list[PressSurface]:
+def test_a_press_to_the_equator(captures: CaptureSet, base: SensorProfile) -> None:
+    """A circle as large as the ball, or larger by a pixel: what is seen ends at the equator."""
+    one = replace(captures, presses=captures.presses[:1])
+    (surface,) = simulate_presses(one, [ContactCircle(47.5, 35.5, 20.3)], base, processes=1)
+    assert 18.5 < surface.contact_radius_px <= 20.0
+    assert BALL_MM < surface.depth_mm <= 1.2 * BALL_MM
+    assert np.isfinite(surface.normals).all()
+    steepest = np.degrees(np.arccos(surface.normals[..., 2].min()))
+    assert 60 < steepest < 90
+
+
+def test_kept_presses_are_bitwise_those_that_were_simulated(
+    captures: CaptureSet,
+    base: SensorProfile,
+    surfaces: list[PressSurface],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    first = simulate_presses(captures, CIRCLES, base, mesh=MESH, processes=1, cache=True)
+    (kept,) = (tmp_path / "presses").iterdir()
+    monkeypatch.setattr(simulate, "simulate_batch", fail)
+    again = simulate_presses(captures, CIRCLES, base, mesh=MESH, processes=1, cache=True)
+    for one, two, three in zip(surfaces, first, again, strict=True):
+        for name in ("height_m", "normals", "rest_height_m", "rest_normals"):
+            assert np.array_equal(getattr(one, name), getattr(two, name))
+            assert np.array_equal(getattr(two, name), getattr(three, name))
+        assert (one.depth_mm, one.force_n) == (three.depth_mm, three.force_n)
+    # Anything else that matters asks for a simulation of its own.
+    stiffer = base.material.model_copy(update={"young_modulus_pa": 9e5})
+    for other, circles, mesh in (
+        (replace(base, material=stiffer), CIRCLES, MESH),
+        (base, (CIRCLES[1], *CIRCLES[1:]), MESH),
+        (base, CIRCLES, replace(MESH, layers=4)),
+    ):
+        with pytest.raises(SimulationError, match="made up"):
+            simulate_presses(captures, circles, other, mesh=mesh, processes=1, cache=True)
+    kept.write_bytes(kept.read_bytes()[:100])
+    with (
+        pytest.warns(UserWarning, match="are damaged"),
+        pytest.raises(SimulationError, match="made up"),
+    ):
+        simulate_presses(captures, CIRCLES, base, mesh=MESH, processes=1, cache=True)
+
+
+def test_a_cache_that_cannot_be_written_is_named(
+    captures: CaptureSet, base: SensorProfile, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    blocked = tmp_path / "file"
+    blocked.touch()
+    monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
+    one = replace(captures, presses=captures.presses[:1])
+    with pytest.raises(InputError, match=CACHE_VARIABLE):
+        simulate_presses(one, CIRCLES[:1], base, mesh=MESH, processes=1, cache=True)
+
+
+def test_a_stiff_skin_spreads_the_dent() -> None:
+    """A sensor with a skin is simulated with it: the same contact takes more force."""
+    forces = {}
+    for skin_mpa in (0.2, 2.0):
+        overrides = {"skin_young_modulus_mpa": skin_mpa}
+        profile = catalogue_profile("9dtact", overrides)
+        assert len(profile.material.layers) == 1
+        one = flat_captures("9dtact", (ContactCircle(48.0, 36.0, 10.0),))
+        (surface,) = simulate_presses(
+            one, [ContactCircle(48.0, 36.0, 10.0)], profile, mesh=MESH, processes=1
+        )
+        forces[skin_mpa] = surface.force_n
+    assert forces[2.0] > 1.2 * forces[0.2]
+
+
+def fail(batch: object) -> BatchOutcome:
     raise SimulationError("made up")
 
 
 def test_a_failed_press_stops_everything(
     captures: CaptureSet, base: SensorProfile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(simulate, "_simulate_batch", fail)
+    monkeypatch.setattr(simulate, "simulate_batch", fail)
     with pytest.raises(SimulationError, match="made up"):
         simulate_presses(captures, CIRCLES, base, mesh=MESH, processes=1)
 

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Some presses simulated together: what they need, and where they end."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from calibration.surfaces.depth_search import DepthSearch
+from calibration.surfaces.types import PressSurface, SimulationEffort
+from sensors.press_mesh import PressMeshOptions, press_mesh
+from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.profile import MaterialBlock
+
+if TYPE_CHECKING:
+    from taccel_lab.envs import PressEnv
+    from taccel_lab.solvers import StepReport
+
+RADIUS_TOLERANCE_PX = 0.25
+"""How near the simulated contact radius must come to the circle's."""
+STEP_MM = 0.35
+"""Largest change of depth in a step."""
+
+
+@dataclass(frozen=True)
+class PressBatch:
+    """What one process needs; plain data."""
+
+    first: int
+    """Index of the first press among the captures'."""
+    at_mm: np.ndarray
+    """Gel xy of the contacts [mm], shape [press, 2]."""
+    target_mm: np.ndarray
+    """Contact radii [mm], shape [press]."""
+    tolerance_mm: float
+    ball_radius_mm: float
+    family: str
+    parameters: dict[str, Any]
+    material: MaterialBlock
+    friction: float
+    mesh: PressMeshOptions
+
+    def recipe(self) -> dict[str, Any]:
+        """Everything that the outcome depends on, for the key that it is kept under."""
+        left_out = {"provenance", "friction_coefficient"}
+        return {
+            "at_mm": self.at_mm,
+            "target_mm": self.target_mm,
+            "tolerance_mm": self.tolerance_mm,
+            "ball_radius_mm": self.ball_radius_mm,
+            "family": self.family,
+            "parameters": self.parameters,
+            "material": self.material.model_dump(mode="json", exclude=left_out),
+            "friction": self.friction,
+            "mesh": asdict(self.mesh),
+        }
+
+    def meshes(self) -> list[TetMesh]:
+        """The gel of each press, at rest."""
+        return [
+            press_mesh(self.family, self.parameters, (float(x), float(y)), float(radius), self.mesh)
+            for (x, y), radius in zip(self.at_mm, self.target_mm, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class BatchOutcome:
+    """Where the presses of a batch ended; arrays of which the first axis is the press."""
+
+    positions_m: np.ndarray
+    """Nodes of the gel [m], shape [press, node, 3]."""
+    radius_mm: np.ndarray
+    depth_mm: np.ndarray
+    force_n: np.ndarray
+    residual_n: np.ndarray
+    newton_iterations: np.ndarray
+    min_distance_m: np.ndarray
+    seconds_per_step: np.ndarray
+    step_count: np.ndarray
+
+
+def simulate_batch(batch: PressBatch) -> BatchOutcome:
+    """Press until the contacts have their radii; runs in a process of its own."""
+    import warp as wp
+
+    from taccel_lab.envs import Indenter, PressEnv, profile_material
+    from taccel_lab.scene import Ball
+
+    wp.config.log_level = wp.LOG_WARNING
+    ball_mm, count = batch.ball_radius_mm, len(batch.at_mm)
+    meshes = batch.meshes()
+    env = PressEnv(
+        meshes[0],
+        profile_material(batch.material, meshes[0]),
+        Indenter(f"sphere:{ball_mm:g}", Ball(ball_mm * 1e-3)),
+        batch.at_mm,
+        friction_coefficient=batch.friction,
+        rest_positions_m=np.stack([mesh.nodes_m for mesh in meshes]),
+    )
+    search = DepthSearch(batch.target_mm, ball_mm, batch.tolerance_mm)
+    reports: list[StepReport] = []
+    while True:
+        reports += _press(env, search.depth_mm)
+        radii = [
+            _contact_radius_mm(env, i, meshes[i], _window(batch.at_mm[i], 1.4 * ball_mm), ball_mm)
+            for i in range(count)
+        ]
+        if search.update(np.array(radii)):
+            break
+    seconds = float(np.mean([r.seconds for r in reports]) / count)
+    return BatchOutcome(
+        positions_m=env.positions.copy(),
+        radius_mm=search.radius_mm,
+        depth_mm=search.depth_mm,
+        force_n=env.wrench[:, 2].copy(),
+        residual_n=np.asarray(reports[-1].residual_n, dtype=np.float64),
+        newton_iterations=np.sum([r.newton_iterations for r in reports], axis=0),
+        min_distance_m=np.min([r.min_distance_m for r in reports], axis=0),
+        seconds_per_step=np.full(count, seconds),
+        step_count=np.full(count, len(reports)),
+    )
+
+
+def surfaces_of(batch: PressBatch, outcome: BatchOutcome, grid: PixelGrid) -> list[PressSurface]:
+    """The surfaces on the pixels of the images."""
+    from taccel_lab.signals import SignalHeightMap
+
+    surfaces = []
+    for i, mesh in enumerate(batch.meshes()):
+        signal = SignalHeightMap(mesh, grid)
+        signal.update(np.stack([mesh.nodes_m, outcome.positions_m[i]]))
+        (rest_height, height), (rest_normals, normals) = signal.height_m, signal.normals
+        surfaces.append(
+            PressSurface(
+                height_m=height,
+                rest_height_m=rest_height,
+                normals=normals,
+                rest_normals=rest_normals,
+                contact_radius_px=float(outcome.radius_mm[i] / grid.mm_per_px_x),
+                depth_mm=float(outcome.depth_mm[i]),
+                force_n=float(outcome.force_n[i]),
+                residual_n=float(outcome.residual_n[i]),
+                provider=f"finite elements, friction {batch.friction:g}",
+                effort=SimulationEffort(
+                    step_count=int(outcome.step_count[i]),
+                    newton_iterations=int(outcome.newton_iterations[i]),
+                    seconds_per_step=float(outcome.seconds_per_step[i]),
+                    min_distance_m=float(outcome.min_distance_m[i]),
+                ),
+            )
+        )
+    return surfaces
+
+
+def _press(env: PressEnv, depth_mm: np.ndarray) -> list[StepReport]:
+    """Go to the depths in steps, since sliding with friction depends on the path."""
+    now = (env.touch_m - env.poses[:, 0, 2]) * 1e3
+    count = max(1, math.ceil(np.abs(depth_mm - now).max() / STEP_MM))
+    return [env.move_to(now + (depth_mm - now) * (i + 1) / count) for i in range(count)]
+
+
+def _window(at_mm: np.ndarray, reach_mm: float) -> PixelGrid:
+    """A small grid about a press, on which to measure its contact."""
+    size, step = 121, 2 * reach_mm / 120
+    middle = (size - 1) / 2
+    return PixelGrid(
+        size, size, step, step, middle - float(at_mm[0]) / step, middle - float(at_mm[1]) / step
+    )
+
+
+def _contact_radius_mm(
+    env: PressEnv, index: int, mesh: TetMesh, window: PixelGrid, ball_mm: float
+) -> float:
+    from taccel_lab.signals import SignalFusedSurface, SphereSurface
+
+    signal = SignalFusedSurface(mesh, window, contact_gap_m=env.solver.config.dhat_m)
+    sphere = SphereSurface(env.poses[index, 0, :3], ball_mm * 1e-3, window)
+    signal.update(env.positions[index : index + 1], sphere)
+    return float(signal.contact_radius_m[0] * 1e3)
