@@ -61,12 +61,11 @@ def detect_dots(image: np.ndarray, scale: DotScale) -> Dots:
 def dots_from_fit(fit: DotFit, scale: DotScale, size_px: tuple[int, int]) -> Dots:
     """Fitted dots, without flags."""
     parameters = fit.parameters
-    level = parameters[:, model.LEVEL]
     return Dots(
         uv_px=parameters[:, :2].copy(),
         covariance_px2=fit.covariance,
         axes_px=model.semi_axes(parameters),
-        contrast=parameters[:, model.AMPLITUDE] / np.maximum(level, 1.0),
+        contrast=parameters[:, model.CONTRAST].copy(),
         seen=fit.seen,
         flags=np.zeros(len(parameters), dtype=np.uint8),
         parameters=parameters,
@@ -96,7 +95,7 @@ def _start(grey: np.ndarray, scale: DotScale) -> np.ndarray:
 def _without_twins(fit: DotFit) -> tuple[DotFit, np.ndarray]:
     """Drop fits that fell onto a stronger one, or that lost their dot."""
     p = fit.parameters
-    strength = np.abs(p[:, model.AMPLITUDE]) * np.where(fit.converged, 1.0, 0.5)
+    strength = np.abs(p[:, model.CONTRAST]) * np.where(fit.converged, 1.0, 0.5)
     radius = model.mean_radius(p)
     order = np.argsort(-strength)
     keep: list[int] = []

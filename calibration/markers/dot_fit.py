@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from calibration.markers import dot_model as model
 
+_SMOOTH_PX = 0.6
+"""Blur before the fit: a step between pixels is no soft edge and would pull centres by 0.01 px."""
 _CHUNK = 400_000
 """Dots times pixels that are fitted in one go."""
 _STEPS = 25
@@ -21,7 +24,7 @@ _SETTLED_PX = 0.02
 """A centre that still moves by more in the last step is not found."""
 _HUBER = 2.0
 _OFF = 0.04
-"""Share of a dot's amplitude by which pixels may always be off: the model is no better."""
+"""Share of a dot's step in level by which pixels may always be off: the model is no better."""
 _LEVEL_SIGMA = 0.6
 """And standard deviation in levels that is always granted: rounding, and a little noise."""
 _PRIOR_BLUR = 1.0
@@ -75,12 +78,13 @@ def fit_dots(
     Args:
         grey: Levels, shape [height_px, width_px].
         start: ``dot_model`` parameters with centres in the image, shape [dot, 10]; level,
-            amplitude and slopes are read from the picture.
+            contrast and slopes are read from the picture.
         free_shape: Fit ellipse and blur too; otherwise they stay as in ``start``.
         others: Further centres (u, v) whose pixels are left out, shape [other, 2].
     """
     count = len(start)
     parts = []
+    grey = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX, borderType=cv2.BORDER_REPLICATE)
     centres = start[:, :2] if others is None else np.concatenate([start[:, :2], others])
     # Dots much larger than the rest would make all windows large.
     radii = model.mean_radius(start)
@@ -88,7 +92,7 @@ def fit_dots(
     first = 0
     while first < count:
         last = first + 1
-        while last < count and (last + 1 - first) * _pixels(radii[order[last]]) <= _CHUNK:
+        while last < count and (last + 1 - first) * _pixels(float(radii[order[last]])) <= _CHUNK:
             last += 1
         parts.append(_fit_chunk(grey, start, order[first:last], centres, free_shape))
         first = last
@@ -131,7 +135,7 @@ def _fit_chunk(
 
     free = np.ones(model.PARAMETERS, dtype=bool)
     free[[model.S11, model.S12, model.S22, model.LOG_BLUR]] = free_shape
-    scale = np.maximum(_LEVEL_SIGMA, _OFF * np.abs(p[:, model.AMPLITUDE]))
+    scale = np.maximum(_LEVEL_SIGMA, _OFF * np.abs(p[:, model.CONTRAST] * p[:, model.LEVEL]))
     damping = np.full(len(p), 1e-3)
     value, jacobian = model.evaluate(p, uv)
     weight = _weights(levels - value, own, scale)
@@ -218,7 +222,7 @@ def _read_levels(p: np.ndarray, uv: np.ndarray, levels: np.ndarray, own: np.ndar
         middle = levels[n][own[n] & (distance[n] < max(0.5 * radius[n, 0], 1.0))]
         p[n, model.LEVEL] = np.median(around) if len(around) else np.median(levels[n])
         inner = np.median(middle) if len(middle) else p[n, model.LEVEL]
-        p[n, model.AMPLITUDE] = inner - p[n, model.LEVEL]
+        p[n, model.CONTRAST] = inner / max(p[n, model.LEVEL], 1.0) - 1.0
     p[:, [model.SLOPE_U, model.SLOPE_V]] = 0.0
 
 
@@ -318,8 +322,9 @@ def _covariance(
 def _neighbours_alike(residual: np.ndarray, weight: np.ndarray, side: int) -> np.ndarray:
     """Factor on the variance for residuals that neighbours share (blur, compression), >= 1.
 
-    (1 + rho) / (1 - rho) of both directions, the effective number of samples of a first-order
-    autoregressive field.
+    White noise that went through a Gaussian of width s has the correlation exp(-d^2 / 4 s^2) at
+    distance d, whose sum is sqrt(4 pi) s along each direction: sqrt(pi / -ln rho) from neighbours'
+    correlation rho.
     """
     grid = np.where(weight > 0, residual, 0.0).reshape(len(residual), side, side)
     seen = (weight > 0).reshape(grid.shape)
@@ -330,8 +335,8 @@ def _neighbours_alike(residual: np.ndarray, weight: np.ndarray, side: int) -> np
         (grid[:, :, 1:], grid[:, :, :-1], seen[:, :, 1:], seen[:, :, :-1]),
     ):
         both = (a * b).sum(axis=(1, 2)) / np.maximum((m & n).sum(axis=(1, 2)), 1)
-        rho = np.clip(both / np.maximum(power, 1e-12), 0.0, 0.8)
-        factor *= (1 + rho) / (1 - rho)
+        rho = np.clip(both / np.maximum(power, 1e-12), 1e-3, 0.9)
+        factor *= np.maximum(np.sqrt(np.pi / -np.log(rho)), 1.0)
     return factor
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of one dot: a soft-edged ellipse on a plane of light, and its derivatives.
+"""The picture of one dot: a soft-edged ellipse in a plane of light, and its derivatives.
 
-``level = b0 + bu u + bv v + amplitude Phi((1 - q) r / w)`` with ``q = |S d|``: ``d`` is the way
-from the centre, ``S`` symmetric and ``1 / S`` the ellipse's semi-axes, ``r = det(S)^(-1/2)`` its
+``level = (b0 + bu u + bv v) (1 + contrast Phi((1 - q) r / w))`` with ``q = |S d|``: the plane is
+the light, which paint takes a share of; ``d`` is the way from the centre, ``S`` symmetric and ``1 / S`` the ellipse's semi-axes, ``r = det(S)^(-1/2)`` its
 mean radius, ``w`` the blur of its edge (camera, and the pixel's own width) and ``Phi`` the normal
 distribution: the edge of a half plane seen through a Gaussian blur.
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-CENTRE_U, CENTRE_V, S11, S12, S22, LOG_BLUR, AMPLITUDE, LEVEL, SLOPE_U, SLOPE_V = range(10)
+CENTRE_U, CENTRE_V, S11, S12, S22, LOG_BLUR, CONTRAST, LEVEL, SLOPE_U, SLOPE_V = range(10)
 PARAMETERS = 10
 SHAPE = slice(S11, S22 + 1)
 
@@ -64,8 +64,10 @@ def evaluate(parameters: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.nda
     blur = np.exp(p[:, LOG_BLUR])
     t = (1.0 - q) * radius / blur
     inside = ndtr(t)
-    amplitude = p[:, AMPLITUDE]
-    edge = amplitude * np.exp(-0.5 * t**2) / np.sqrt(2 * np.pi)
+    contrast = p[:, CONTRAST]
+    light = p[:, LEVEL] + p[:, SLOPE_U] * u + p[:, SLOPE_V] * v
+    edge = light * contrast * np.exp(-0.5 * t**2) / np.sqrt(2 * np.pi)
+    share = 1.0 + contrast * inside
 
     jacobian = np.empty((*inside.shape, PARAMETERS))
     per_q = -edge * radius / blur
@@ -77,8 +79,7 @@ def evaluate(parameters: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.nda
     jacobian[..., S12] = per_q * (yu * dv + yv * du) / q - 2 * per_det * s12
     jacobian[..., S22] = per_q * yv * dv / q + per_det * s11
     jacobian[..., LOG_BLUR] = -edge * t
-    jacobian[..., AMPLITUDE] = inside
-    jacobian[..., LEVEL] = 1.0
-    jacobian[..., SLOPE_U], jacobian[..., SLOPE_V] = u, v
-    level = amplitude * inside + p[:, LEVEL] + p[:, SLOPE_U] * u + p[:, SLOPE_V] * v
-    return level, jacobian
+    jacobian[..., CONTRAST] = light * inside
+    jacobian[..., LEVEL] = share
+    jacobian[..., SLOPE_U], jacobian[..., SLOPE_V] = share * u, share * v
+    return light * share, jacobian

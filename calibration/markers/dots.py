@@ -33,7 +33,7 @@ class Dots:
     axes_px: np.ndarray
     """Longer and shorter semi-axis, shape [dot, 2]."""
     contrast: np.ndarray
-    """Amplitude over the level around, negative for dark dots, shape [dot]."""
+    """Share of the light that the paint adds, negative for dark dots, shape [dot]."""
     seen: np.ndarray
     """Share of each dot that is in the image, shape [dot]."""
     flags: np.ndarray

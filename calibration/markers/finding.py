@@ -195,7 +195,7 @@ def _why_not(dots: Dots | None) -> str:
     contrast = float(np.median(np.abs(dots.contrast)))
     return (
         f"the {dots.count} blobs of radius {np.median(dots.radius_px):.1f} px that stand out most "
-        f"(contrast {100 * contrast:.0f} %) form no lattice and are not far stronger than the rest; "
-        "a sensor without markers has no markers block, and one with markers needs a sharp picture "
+        f"(contrast {100 * contrast:.0f} %) form no lattice and are not far stronger than the "
+        "rest; a sensor without markers has no markers block, and one with markers needs a sharp picture "
         "at rest"
     )

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from calibration.markers.lattice_growth import Growth, grow, leave_one_out
 from taccel_lab.errors import InputError
@@ -93,7 +93,7 @@ def lattice_index(points: np.ndarray) -> Lattice:
         raise InputError(f"points must be finite, shape [point, 2], got {points.shape}")
     best: Growth | None = None
     if len(points) >= _LEAST:
-        tree = cKDTree(points)
+        tree = KDTree(points)
         for seed, a, b in _seeds(points, tree):
             found = grow(points, tree, seed, a, b)
             if best is None or found.count > best.count:
@@ -115,7 +115,7 @@ def _nothing(count: int) -> Lattice:
     return Lattice(none, none.copy(), "none", np.full((2, 2), np.nan), 0.0, np.inf)
 
 
-def _seeds(points: np.ndarray, tree: cKDTree) -> list[tuple[int, np.ndarray, np.ndarray]]:
+def _seeds(points: np.ndarray, tree: KDTree) -> list[tuple[int, np.ndarray, np.ndarray]]:
     """Points with two pairs of opposite neighbours, the most symmetric first, and their basis."""
     found = []
     _, near = tree.query(points, k=min(13, len(points)))

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 _CATCH = 0.27
 """A point is taken for a lattice point within this share of the shorter step from its place."""
@@ -75,7 +75,7 @@ class _Field:
         return mean_point - mean_step @ basis, basis, len(rows)
 
 
-def grow(points: np.ndarray, tree: cKDTree, seed: int, a: np.ndarray, b: np.ndarray) -> Growth:
+def grow(points: np.ndarray, tree: KDTree, seed: int, a: np.ndarray, b: np.ndarray) -> Growth:
     """Number all points that a lattice through ``seed`` with basis ``a``, ``b`` reaches."""
     field = _Field(points, a, b)
     field.at[(0, 0)] = seed
@@ -96,7 +96,7 @@ def grow(points: np.ndarray, tree: cKDTree, seed: int, a: np.ndarray, b: np.ndar
 
 def _sweep(
     field: _Field,
-    tree: cKDTree,
+    tree: KDTree,
     taken: np.ndarray,
     gap: int,
     tried: dict[tuple[int, int], int],

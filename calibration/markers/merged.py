@@ -34,7 +34,7 @@ def split_merged(grey: np.ndarray, fit: DotFit, scale: DotScale) -> tuple[DotFit
     stretch = axes[:, 0] / axes[:, 1]
     long = (radius**2 > _AREA * usual**2) & (stretch > _STRETCH * np.median(stretch))
     long &= radius < 2.2 * usual
-    long &= np.sign(p[:, model.AMPLITUDE]) == scale.sign
+    long &= np.sign(p[:, model.CONTRAST]) == scale.sign
     if not long.any():
         return fit, none
     shape = np.median(p[~long], axis=0)
@@ -46,11 +46,11 @@ def split_merged(grey: np.ndarray, fit: DotFit, scale: DotScale) -> tuple[DotFit
     start[:, model.LOG_BLUR] = shape[model.LOG_BLUR]
     pair = fit_dots(grey, start, free_shape=False, others=p[~long, :2])
     good = np.ones(int(long.sum()), dtype=bool)
-    amplitude = pair.parameters[:, model.AMPLITUDE].reshape(-1, 2)
+    contrast = pair.parameters[:, model.CONTRAST].reshape(-1, 2)
     gap = np.hypot(*(pair.uv_px[0::2] - pair.uv_px[1::2]).T)
     good &= pair.converged.reshape(-1, 2).all(axis=1)
-    good &= np.abs(amplitude).min(axis=1) > 0.5 * np.abs(amplitude).max(axis=1)
-    good &= np.sign(amplitude).min(axis=1) == np.sign(amplitude).max(axis=1)
+    good &= np.abs(contrast).min(axis=1) > 0.5 * np.abs(contrast).max(axis=1)
+    good &= np.sign(contrast).min(axis=1) == np.sign(contrast).max(axis=1)
     good &= (gap > 0.6 * usual) & (gap < 3.0 * usual)
     replaced = np.flatnonzero(long)[good]
     stay = np.setdiff1d(np.arange(len(p)), replaced)

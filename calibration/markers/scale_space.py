@@ -83,7 +83,7 @@ def find_blobs(answer: np.ndarray, sigma_px: float, sign: int, least: float) -> 
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     peak = (signed >= cv2.dilate(signed, kernel)) & (signed >= least)
     # Equal neighbours make one blob.
-    count, labels, _, centres = cv2.connectedComponentsWithStats(peak.astype(np.uint8))
+    count, _, _, centres = cv2.connectedComponentsWithStats(peak.astype(np.uint8))
     if count < 2:
         return Blobs(np.empty((0, 2)), np.empty(0))
     uv = np.rint(centres[1:]).astype(int)
@@ -160,7 +160,10 @@ def describe_scale(answer: np.ndarray, sigma_px: float, sign: int) -> DotScale:
 
 
 def _weight_by_scale(answers: np.ndarray, sigmas: np.ndarray, sign: int) -> np.ndarray:
-    """Sum of squared contrasts of the blobs that are extrema at each width, shape [width]."""
+    """How much of the picture the blobs that are extrema at each width explain, shape [width].
+
+    Squared contrast times area: the rims of large dots are many small blobs of little area.
+    """
     weight = np.zeros(len(sigmas))
     for k in range(1, len(sigmas) - 1):
         sigma = sigmas[k]
@@ -173,7 +176,7 @@ def _weight_by_scale(answers: np.ndarray, sigmas: np.ndarray, sign: int) -> np.n
         signed = sign * answers[:, at[:, 1], at[:, 0]]
         extremum = np.all([signed[k] >= signed[j] for j in (k - 1, k + 1)], axis=0)
         strong = np.minimum(signed[k][extremum], 1.0)
-        weight[k] = float((strong**2).sum())
+        weight[k] = float((strong**2).sum() * sigma**2)
     smooth = weight.copy()
     smooth[1:] += 0.5 * weight[:-1]
     smooth[:-1] += 0.5 * weight[1:]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Synthetic captures with known truth: faults of cameras and people, injected on purpose."""
 
+from calibration.synthetic.dots import disc_coverage, draw_dots
 from calibration.synthetic.faults import (
     add_dust,
     add_gradient,
@@ -17,6 +18,8 @@ __all__ = [
     "add_gradient",
     "add_noise",
     "blur",
+    "disc_coverage",
+    "draw_dots",
     "drift",
     "poison",
     "quantise",
