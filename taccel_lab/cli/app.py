@@ -42,6 +42,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.demo import Demo
     from taccel_lab.cli.design import Design
     from taccel_lab.cli.doctor import Doctor
+    from taccel_lab.cli.export import Export
     from taccel_lab.cli.import_step import ImportStep
     from taccel_lab.cli.press import Press
     from taccel_lab.cli.preview import Preview
@@ -67,6 +68,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(capture_commands(), name="capture", help=CAPTURE_HELP)
     app.command(calibrate_commands(), name="calibrate", help=CALIBRATE_HELP)
     app.command(profile, name="profile", help="Show, check, compare or report on sensor profiles.")
+    app.command(name="export")(Export)
     app.command(sensors, name="sensors", help="List the sensors of the catalogue.")
     app.command(name="study")(Study)
     app.command(bench_commands(), name="bench", help=BENCH_HELP)

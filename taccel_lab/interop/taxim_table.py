@@ -10,6 +10,7 @@ both end here.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,23 +20,30 @@ from taccel_lab.errors import InputError
 
 TERMS = 6
 ChannelOrder = Literal["rgb", "bgr"]
+"""Which channel a reader's ``grad_r`` is: Taxim's own files hold blue there ("bgr", they were
+fitted to OpenCV's images), those of Isaac Lab red."""
+Direction = Literal["normal", "gradient"]
+"""What the bins of direction measure: the outward normal (Taxim, whose height maps grow into the
+gel) or the gradient of the height, half a turn apart (Isaac Lab)."""
 
 
 @dataclass(frozen=True)
 class TaximTable:
-    """Colour change by tilt and direction of the outward normal in the gel frame."""
+    """Colour change by tilt and direction of the surface in the gel frame."""
 
     bins: int
     """Bins of tilt, and of direction."""
     grad_rgb: np.ndarray
     """Coefficients [levels of 255], float64, shape [3, bins (tilt), bins (direction), 6]."""
+    direction: Direction = "normal"
 
     def __post_init__(self) -> None:
         grad = np.asarray(self.grad_rgb, dtype=np.float64)
         expected = (3, self.bins, self.bins, TERMS)
         if self.bins < 2 or grad.shape != expected:
-            raise InputError(f"a Taxim table of {self.bins} bins has shape {expected}, got "
-                             f"{grad.shape}")  # fmt: skip
+            raise InputError(
+                f"a Taxim table of {self.bins} bins has shape {expected}, got {grad.shape}"
+            )
         if not np.isfinite(grad).all():
             raise InputError("the Taxim table holds NaN or infinite values")
         object.__setattr__(self, "grad_rgb", grad)
@@ -45,65 +53,56 @@ class TaximTable:
 
         ``normals`` are outward unit normals in the gel frame, shape [..., height_px, width_px, 3].
         """
-        height, width = normals.shape[-3:-1]
-        tilt, direction = bin_indices(normals, self.bins)
-        v, u = np.mgrid[0:height, 0:width]
-        return np.einsum("c...k,...k->...c", self.grad_rgb[:, tilt, direction], pixel_terms(u, v))
+        v, u = np.mgrid[0 : normals.shape[-3], 0 : normals.shape[-2]]
+        return self.change_at(normals, u, v)
 
-    def arrays(self, order: ChannelOrder, *, turned: bool = False) -> dict[str, np.ndarray]:
-        """Contents of ``polycalib.npz``: ``bins`` and ``grad_r``, ``grad_g``, ``grad_b``.
+    def change_at(self, normals: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Colour change [levels of 255] at pixels (u, v) of shape [...] with normals [..., 3]."""
+        tilt, direction = bin_indices(normals, self.bins, self.direction)
+        coefficients = self.grad_rgb[:, tilt, direction]
+        return np.einsum("c...k,...k->...c", coefficients, pixel_terms(u, v))
 
-        ``order`` says which channel of the file comes first in the reader's RGB image: Taxim's own
-        files hold blue as ``grad_r`` ("bgr"), those of Isaac Lab red ("rgb"). ``turned`` is for a
-        reader that takes the gradient of the height instead of the normal's direction, half a turn
-        apart (Isaac Lab).
-        """
-        grad = self.grad_rgb[:, :, half_turn(self.bins)] if turned else self.grad_rgb
-        red, green, blue = grad
-        first, last = (red, blue) if order == "rgb" else (blue, red)
+    def arrays(self, order: ChannelOrder) -> dict[str, np.ndarray]:
+        """Contents of ``polycalib.npz``: ``bins`` and ``grad_r``, ``grad_g``, ``grad_b``."""
+        first, green, last = self.grad_rgb if order == "rgb" else self.grad_rgb[::-1]
         return {"bins": np.array(self.bins), "grad_r": first, "grad_g": green, "grad_b": last}
 
     @classmethod
     def from_arrays(
-        cls, arrays: dict[str, np.ndarray], order: ChannelOrder, *, turned: bool = False
+        cls,
+        arrays: Mapping[str, np.ndarray],
+        order: ChannelOrder,
+        direction: Direction = "normal",
     ) -> TaximTable:
-        """Inverse of ``arrays``, but for the bins that half a turn cannot reach exactly."""
+        """Inverse of ``arrays``."""
         missing = {"grad_r", "grad_g", "grad_b"} - set(arrays)
         if missing:
             raise InputError(f"the Taxim table lacks {', '.join(sorted(missing))}")
-        first, green, last = (np.asarray(arrays[f"grad_{c}"]) for c in "rgb")
-        red, blue = (first, last) if order == "rgb" else (last, first)
-        grad = np.stack([red, green, blue])
-        bins = grad.shape[1]
-        return cls(bins, grad[:, :, half_turn(bins)] if turned else grad)
+        grad = np.stack([np.asarray(arrays[f"grad_{channel}"]) for channel in "rgb"])
+        return cls(grad.shape[1], grad if order == "rgb" else grad[::-1], direction)
 
 
-def bin_indices(normals: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
+def bin_indices(
+    normals: np.ndarray, bins: int, direction: Direction = "normal"
+) -> tuple[np.ndarray, np.ndarray]:
     """Bins of tilt and direction of outward unit normals [..., 3], each of shape [...].
 
-    Tilt is ``atan(|(n_x, n_y)| / n_z)``, direction ``atan2(n_y, n_x)``, 0 where there is no tilt.
+    Tilt is ``atan(|(n_x, n_y)| / n_z)``; direction ``atan2(n_y, n_x)`` of the normal, or of its
+    opposite for the gradient; 0 where there is no tilt.
     """
     normals = np.asarray(normals, dtype=np.float64)
+    sign = 1.0 if direction == "normal" else -1.0
     across = np.hypot(normals[..., 0], normals[..., 1])
-    tilt = np.arctan2(across, normals[..., 2])
-    direction = np.where(across > 0, np.arctan2(normals[..., 1], normals[..., 0]), 0.0)
-    step_tilt, step_direction = bin_steps(bins)
-    return (
-        np.clip(np.floor(tilt / step_tilt).astype(np.int64), 0, bins - 1),
-        np.clip(np.floor((direction + np.pi) / step_direction).astype(np.int64), 0, bins - 1),
-    )
+    angle = np.where(across > 0, np.arctan2(sign * normals[..., 1], sign * normals[..., 0]), 0.0)
+    step_tilt, step_angle = bin_steps(bins)
+    tilt_bin = np.floor(np.arctan2(across, normals[..., 2]) / step_tilt).astype(np.int64)
+    angle_bin = np.floor((angle + np.pi) / step_angle).astype(np.int64)
+    return np.clip(tilt_bin, 0, bins - 1), np.clip(angle_bin, 0, bins - 1)
 
 
 def bin_steps(bins: int) -> tuple[float, float]:
     """Widths of a bin of tilt and of direction [rad]; the last bin of each holds its end only."""
     return 0.5 * np.pi / (bins - 1), 2 * np.pi / (bins - 1)
-
-
-def half_turn(bins: int) -> np.ndarray:
-    """Bin of direction that lies opposite to the middle of each, shape [bins]."""
-    _, step = bin_steps(bins)
-    middle = (np.arange(bins) + 0.5) * step
-    return np.floor(np.mod(middle + np.pi, 2 * np.pi) / step).astype(np.int64)
 
 
 def pixel_terms(u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab export``: a sensor profile as files of another simulator or tool."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True)
+class Export:
+    """Export a sensor profile for another simulator or tool.
+
+    The folder also gets export.json: what the files carry, what had to be left out and why, and
+    how far each approximation is off. docs/exporters.md describes the formats.
+    """
+
+    profile: Positional[Path]
+    """Profile folder."""
+    to: Literal[
+        "taccel",
+        "tacto",
+        "taxim",
+        "isaac-lab",
+        "gs-sdk",
+        "onnx",
+        "safetensors",
+        "opencv",
+        "urdf",
+    ]
+    """Format.
+    taccel: Taccel's fabrication list: JSON, tets as VTK, masks and markers, STL.
+    tacto: TACTO's sensor configuration: YAML with camera, gel and lights, STL.
+    taxim: Calibration folder of the PyPI package taxim and of TacEx: colour table, background.
+    isaac-lab: Isaac Lab's GelSight data folder (TacSL) with its configuration.
+    gs-sdk: gs_sdk's device file, background and network from colour to gradients.
+    onnx: The networks of colour and normals as ONNX graphs.
+    safetensors: The same networks as safetensors, with settings and formula.
+    opencv: Camera matrix, distortion and pose as OpenCV's YAML.
+    urdf: A URDF with meshes, inertias and the frames of gel and camera."""
+    out: Path
+    """Folder to write; an earlier export there is replaced when everything is done."""
+    json: bool = False
+    """Print export.json instead of a summary."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.output import require_replaceable
+        from taccel_lab.profile import load_profile
+
+        require_replaceable(self.out)
+        profile = load_profile(self.profile)
+
+        import warp as wp
+
+        from taccel_lab.interop.export import export_profile
+
+        wp.config.log_level = wp.LOG_WARNING
+        with Console(stderr=True).status(f"exporting {profile.sensor.name} to {self.to}"):
+            document = export_profile(profile, self.to, self.out)
+        if self.json:
+            print_json(document)
+        else:
+            _print_summary(Console(), document, self.out)
+
+
+def _print_summary(console: Any, document: dict[str, Any], out: Path) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=f"{document['sensor']} for {document['peer']}", title_justify="left")
+    table.add_column("", style="cyan", no_wrap=True)
+    table.add_column("block", no_wrap=True)
+    table.add_column("what", overflow="fold")
+    for heading in ("carries", "left_out"):
+        for name, text in document[heading].items():
+            table.add_row(heading.replace("_", " "), Text(name), Text(text))
+    for name, value in document["approximations"].items():
+        table.add_row("error", Text(name), f"{value:.4g}")
+    console.print(table)
+    for note in document["notes"]:
+        console.print(f"- {note}", highlight=False, markup=False)
+    console.print(f"wrote {len(document['files'])} files to {out}", highlight=False, markup=False)

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Surfaces of a profile as triangles, and the STL and VTK files that other tools read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taccel_lab.geometry import TetMesh
+from taccel_lab.profile import HousingBlock
+from taccel_lab.profile.units import m_from_mm
+
+if TYPE_CHECKING:
+    import pyvista
+
+
+def compact(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points that the faces use, and the faces in their numbering."""
+    used, local = np.unique(faces, return_inverse=True)
+    return points[used], local.reshape(np.shape(faces))
+
+
+def gel_surface(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Closed outward surface of the gel: points [m] in the gel frame and triangles."""
+    return compact(mesh.nodes_m, mesh.faces)
+
+
+def housing_box(housing: HousingBlock) -> tuple[np.ndarray, np.ndarray]:
+    """The housing's outer box, its front at ``front_z_mm``: points [m] in the gel frame and
+    outward triangles."""
+    half = np.array(housing.size_mm) / 2
+    center = np.array([*housing.offset_mm, housing.front_z_mm - half[2]])
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
+    return m_from_mm(center + corners * half), np.array(faces)
+
+
+def write_stl(path: Path, points_m: np.ndarray, faces: np.ndarray) -> None:
+    """Write triangles as binary STL; the unit of the numbers is the metre."""
+    import pyvista
+
+    pyvista.PolyData.from_regular_faces(points_m, np.asarray(faces)).save(str(path))
+
+
+def tet_grid(points_m: np.ndarray, tets: np.ndarray) -> pyvista.UnstructuredGrid:
+    """Tets as VTK's unstructured grid."""
+    import pyvista
+
+    return pyvista.UnstructuredGrid({pyvista.CellType.TETRA: np.asarray(tets, dtype=np.int64)},
+                                    np.asarray(points_m, dtype=np.float64))  # fmt: skip

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The networks of a profile as safetensors files that stand alone: weights, settings, formula."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.interop.record import MAKERS, ExportRecord
+from taccel_lab.output import write_json
+from taccel_lab.profile import ColorBlock, NormalsBlock, SensorProfile
+
+PEER = "safetensors 0.4 and later"
+Network = tuple[ColorBlock | NormalsBlock, Mapping[str, np.ndarray]]
+
+COLOR_FORMULA = (
+    "x = (inputs - input_mean) / input_scale, inputs in the order of `inputs`; u = 2 column / "
+    "(width_px - 1) - 1, v = 2 row / (height_px - 1) - 1; normal: outward unit normal in the gel "
+    "frame; displacement_mm: rise of the face over rest. Each layer: x = activation(weight x + "
+    "bias), the last without activation. change [levels of 255, RGB] = output_scale (f(pressed) - "
+    "f(at rest)), at rest being the same pixel with its resting normal and displacement 0."
+)
+NORMAL_FORMULA = (
+    "x = (features - input_mean) / input_scale, features in the order of `features`; each member: "
+    "x = silu(weight x + bias), the last layer without. tilt [rad] = the mean over the members of "
+    "the first two outputs, minus the same for the pixel without change of colour; expected angle "
+    "of error [rad] = sqrt((error_factor mean(exp(clip(third output, -12, 2)) + 3.5e-4))^2 + "
+    "spread of the members' tilts^2). The tilt turns the resting normal, leaning towards it."
+)
+
+
+def networks(profile: SensorProfile) -> dict[str, Network]:
+    """Block and weights of each network that the profile has, by key; InputError when none."""
+    found: dict[str, Network] = {}
+    if profile.color is not None and profile.color_weights is not None:
+        found["color"] = (profile.color, profile.color_weights)
+    if profile.normals is not None and profile.normal_weights is not None:
+        found["normals"] = (profile.normals, profile.normal_weights)
+    if not found:
+        raise InputError(
+            f"the profile of {profile.sensor.name!r} has neither of the blocks color and normals, "
+            f"whose networks are exported; made by {MAKERS['color']}, {MAKERS['normals']}"
+        )
+    return found
+
+
+def export_safetensors(profile: SensorProfile, folder: Path) -> ExportRecord:
+    """Write ``color_model.safetensors``, ``normal_model.safetensors`` and ``models.json``."""
+    from safetensors.numpy import save_file
+
+    record = ExportRecord(
+        notes=[
+            "the header's metadata holds the settings as JSON (key architecture); models.json "
+            "has them with the formula",
+        ]
+    )
+    described: dict[str, dict[str, object]] = {}
+    for key, (block, weights) in networks(profile).items():
+        settings, name = block.architecture, block.file
+        metadata = {
+            "kind": key,
+            "sensor": profile.sensor.name,
+            "architecture": json.dumps(settings, sort_keys=True),
+        }
+        tensors = {item: np.ascontiguousarray(weights[item]) for item in sorted(weights)}
+        save_file(tensors, str(folder / name), metadata=metadata)
+        described[key] = {
+            "file": name,
+            "architecture": settings,
+            "formula": COLOR_FORMULA if key == "color" else NORMAL_FORMULA,
+            "shapes": {item: list(tensor.shape) for item, tensor in tensors.items()},
+        }
+        record.carries[key] = "all weights, unchanged"
+    write_json(folder / "models.json", described)
+    record.leave_out_missing(profile, "color", "normals")
+    if profile.background_rgb is not None:
+        np.savez_compressed(folder / "background.npz", rgb=profile.background_rgb)
+        record.carries["background"] = "as background.npz, unchanged"
+    return record

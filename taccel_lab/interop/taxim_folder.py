@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The calibration folder of the PyPI package taxim, which TacEx reads as well.
+
+``polycalib.npz`` (table), ``dataPack.npz`` (background as ``f0``, BGR), ``gelmap.npy`` (height of
+the gel in pixels), ``shadowTable.npz`` and ``params.json``, as taxim 1.4.1 loads them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from taccel_lab.interop.record import ExportRecord, required
+from taccel_lab.interop.taxim_distil import distil_table
+from taccel_lab.output import write_json
+from taccel_lab.profile import SensorProfile
+from taccel_lab.signals.rest_surface import rest_surface
+
+BINS = 125
+PEER = "taxim 1.4.1 (PyPI), TacEx's GPU-Taxim"
+_DIRECTION_STEP = 0.1
+_HEIGHT_STEPS = 9
+_NO_SHADOW = [1e6]
+"""A shadow is the least of the table and the image: this one never is."""
+
+_RELATIVE = {
+    # Widths of Taxim's blurs and shadow steps, as fractions of image width and height: those of the
+    # folders that taxim ships, but for the background, which is not blurred.
+    "initial_frame_sigma_rel": [0.078125, 0.10416666666666667],
+    "shadow_step_rel": [0.001953125, 0.0026041666666666665],
+    "deform_pyramid_sigma_rel": [
+        [0.04765625, 0.02421875, 0.0125, 0.00546875, 0.003125, 0.00171875],
+        [
+            0.06354166666666666,
+            0.03229166666666667,
+            0.016666666666666666,
+            0.007291666666666667,
+            0.004166666666666667,
+            0.0022916666666666667,
+        ],
+    ],
+    "deform_final_sigma_rel": [0.003125, 0.004166666666666667],
+    "shadow_blur_sigma_rel": [0.00171875, 0.0022916666666666667],
+    "shadow_attachment_kernel_size_rel": [0.0078125, 0.010416667],
+}
+
+
+def export_taxim(profile: SensorProfile, folder: Path) -> ExportRecord:
+    """Write the folder; needs the blocks color and background."""
+    required(profile, "color", "a Taxim folder", profile.color)
+    background = required(profile, "background", "a Taxim folder", profile.background_rgb)
+    made = distil_table(profile, BINS)
+    grid = profile.grid()
+    thickness_px = profile.gel.thickness_mm / made.mm_per_px
+
+    np.savez(folder / "polycalib.npz", **made.table.arrays("bgr"))  # type: ignore[arg-type]
+    shape = (grid.height_px, grid.width_px)
+    np.save(folder / "gelmap.npy", np.full(shape, thickness_px, dtype=np.float64))
+    bgr = np.clip(np.rint(background), 0, 255).astype(np.uint8)[..., ::-1]
+    np.savez_compressed(folder / "dataPack.npz", f0=bgr, img_size=np.array(bgr.shape))
+    _write_shadows(folder / "shadowTable.npz")
+    write_json(folder / "params.json", _params(profile, made.mm_per_px))
+
+    rest = rest_surface(profile.mesh, grid)
+    record = ExportRecord(
+        carries={
+            "color": f"as Taxim's table of {BINS} x {BINS} bins, distilled from the network",
+            "background": "as f0 of dataPack.npz, 8 bit",
+            "camera": "image size and scale",
+            "gel": "thickness, as a flat gelmap",
+        },
+        approximations={
+            **made.errors,
+            "gel_sag_mm": float(-rest.height_m[rest.covered].min()) * 1e3,
+            "scale_difference": abs(grid.mm_per_px_x / grid.mm_per_px_y - 1),
+        },
+        notes=[
+            "height maps are z of the gel frame in mm over the flat gel, negative in a dent; row "
+            "and column are those of the profile's image",
+            "grad_r is blue and grad_b red, as the loader expects; f0 is BGR",
+            "frame_mixing_percentage is 0: the background is shown as it is, not blurred",
+            "contact_scale and the blurs are Taxim's model of the gel, with the defaults of its "
+            "own folders; set contact_scale to 0 to render a surface that was simulated elsewhere",
+        ],
+    )
+    record.left_out["shadow"] = (
+        "shadowTable.npz is neutral: the colour model holds no shadows cast beyond the pixel"
+    )
+    record.left_out["color.displacement"] = (
+        "the table knows only normals; it holds the mean over the displacements of ball presses"
+    )
+    record.left_out["gel.shape"] = (
+        "slopes are those over the rest surface, so gelmap is flat and the sag of the gel is not "
+        "in it"
+    )
+    for key in ("material", "optics", "lights", "markers"):
+        record.left_out[key] = "the format has no place for it"
+    return record
+
+
+def _write_shadows(path: Path) -> None:
+    directions = np.arange(0.0, 2 * np.pi, _DIRECTION_STEP)
+    table = np.empty((3, len(directions), _HEIGHT_STEPS), dtype=object)
+    for index in np.ndindex(table.shape):
+        table[index] = list(_NO_SHADOW)
+    # The format is an array of lists, which numpy can only pickle.
+    np.savez(path, shadowDirections=directions, shadowTable=table)
+
+
+def _params(profile: SensorProfile, mm_per_px: float) -> dict[str, dict[str, object]]:
+    grid = profile.grid()
+    return {
+        "simulator": {
+            "diff_threshold": 5,
+            "frame_mixing_percentage": 0.0,
+            "discretize_precision": _DIRECTION_STEP,
+            "height_precision": 0.1,
+            "fan_angle": 0.1,
+            "fan_precision": 0.05,
+            "contact_scale": 0.4,
+            **_RELATIVE,
+        },
+        "sensor": {
+            "pixmm": mm_per_px,
+            "num_bins": BINS,
+            "w": grid.width_px,
+            "h": grid.height_px,
+        },
+    }
