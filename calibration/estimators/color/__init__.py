@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The colour model: fit, cross-validation, and circles read again with its help.
+
+Pixels are drawn from the contact disc, the ring around it and the untouched rest. The loss is
+Huber's in levels unless another is asked for.
+"""
+
+from calibration.estimators.color.fit import ColorFit, disc_l1, fit_color_model
+from calibration.estimators.color.folds import FoldResult, cross_validate, fold_fits
+from calibration.estimators.color.frames import ColorFrame
+from calibration.estimators.color.options import ColorFitOptions, Loss, Progress
+
+__all__ = [
+    "ColorFit",
+    "ColorFitOptions",
+    "ColorFrame",
+    "FoldResult",
+    "Loss",
+    "Progress",
+    "cross_validate",
+    "disc_l1",
+    "fit_color_model",
+    "fold_fits",
+]
