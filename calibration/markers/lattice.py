@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 
 from calibration.markers.lattice_growth import Growth, grow, leave_one_out
 from taccel_lab.errors import InputError
+from taccel_lab.optics.description import lattice_steps
 
 Kind = Literal["rectangular", "hexagonal", "none"]
 
@@ -64,13 +65,7 @@ class Lattice:
 
     def steps(self) -> np.ndarray:
         """Columns and rows as numbers, with the shift of odd rows, float, shape [point, 2]."""
-        return steps_of(self.row, self.column, self.stagger)
-
-
-def steps_of(row: np.ndarray, column: np.ndarray, stagger: float) -> np.ndarray:
-    """Steps along the row and across the rows from the first dot, shape [.., 2]."""
-    row, column = np.asarray(row), np.asarray(column)
-    return np.stack([column + stagger * (row % 2), row.astype(np.float64)], axis=-1)
+        return lattice_steps(self.row, self.column, self.stagger)
 
 
 def lattice_index(points: np.ndarray) -> Lattice:

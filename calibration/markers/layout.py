@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from calibration.markers.lattice import Lattice, steps_of
+from calibration.markers.lattice import Lattice
 from taccel_lab.errors import InputError
+from taccel_lab.optics.description import lattice_middle, lattice_steps
 
 PITCH_X, PITCH_Y, ROTATION, CENTRE_X, CENTRE_Y = range(5)
 NAMES = ("pitch_x", "pitch_y", "rotation_rad", "centre_x", "centre_y")
@@ -66,15 +67,9 @@ class LayoutFit:
         return _grid_points(self.parameters, self._steps(row, column))
 
     def _steps(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        return steps_of(row, column, self.stagger) - middle_step(
+        return lattice_steps(row, column, self.stagger) - lattice_middle(
             self.rows, self.columns, self.stagger
         )
-
-
-def middle_step(rows: int, columns: int, stagger: float) -> np.ndarray:
-    """Steps to the middle of a grid: of the rows' mean shift too, shape [2]."""
-    shift = stagger * (rows // 2) / rows
-    return np.array([(columns - 1) / 2 + shift, (rows - 1) / 2])
 
 
 def fit_layout(
@@ -102,7 +97,9 @@ def fit_layout(
             f"a layout needs at least 4 numbered dots in 2 rows and 2 columns, got {len(numbered)} "
             f"in {lattice.rows} x {lattice.columns}"
         )
-    steps = lattice.steps()[numbered] - middle_step(lattice.rows, lattice.columns, lattice.stagger)
+    steps = lattice.steps()[numbered] - lattice_middle(
+        lattice.rows, lattice.columns, lattice.stagger
+    )
     found = np.asarray(points, dtype=np.float64)[numbered]
     weight = _weights(covariance, numbered)
     start, skew = _affine_start(steps, found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.optics.description import MarkerGrid
+from taccel_lab.optics.description import MarkerGrid, lattice_middle, lattice_steps
 from taccel_lab.optics.frames import LightField
 
 MARKER_ALBEDO = 0.05
@@ -20,9 +20,14 @@ def marker_factor(grid: MarkerGrid, light: LightField) -> np.ndarray:
     factor = np.ones(light.mask.shape, dtype=np.float32)
     xy = light.rest_mm[light.mask][:, :2] - np.array(grid.offset_mm)
     pitch = np.array([grid.pitch_x_mm, grid.pitch_y_mm])
-    middle = (np.array([grid.columns, grid.rows]) - 1) / 2
-    nearest = np.clip(np.rint(xy / pitch + middle), 0, 2 * middle) - middle
-    distance = np.linalg.norm(xy - nearest * pitch, axis=1)
+    middle = lattice_middle(grid.rows, grid.columns, grid.stagger)
+    steps = xy @ grid.gel_from_grid() / pitch + middle
+    # No dot reaches beyond half the distance of the rows, so that the nearest row holds it.
+    row = np.clip(np.rint(steps[:, 1]), 0, grid.rows - 1).astype(int)
+    shift = grid.stagger * (row % 2)
+    column = np.clip(np.rint(steps[:, 0] - shift), 0, grid.columns - 1).astype(int)
+    distance = np.linalg.norm((steps - lattice_steps(row, column, grid.stagger)) * pitch, axis=1)
+    distance = np.where(grid.present()[row, column], distance, np.inf)
     cover = np.clip((grid.radius_mm - distance) / _pixel_mm(light) + 0.5, 0.0, 1.0)
     factor[light.mask] = 1 - (1 - MARKER_ALBEDO) * cover
     return factor

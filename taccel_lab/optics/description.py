@@ -173,6 +173,18 @@ class Window:
             )
 
 
+def lattice_steps(row: np.ndarray, column: np.ndarray, stagger: float) -> np.ndarray:
+    """Pitches along and across the rows from the first dot of a lattice whose odd rows are shifted
+    by ``stagger`` pitches, shape [.., 2]."""
+    row, column = np.asarray(row), np.asarray(column)
+    return np.stack([column + stagger * (row % 2), row.astype(np.float64)], axis=-1)
+
+
+def lattice_middle(rows: int, columns: int, stagger: float) -> np.ndarray:
+    """Pitches from the first dot to the mean of all dots, shape [2]."""
+    return np.array([(columns - 1) / 2 + stagger * (rows // 2) / rows, (rows - 1) / 2])
+
+
 @dataclass(frozen=True)
 class MarkerGrid:
     """Dots painted on the contact face in a regular grid centred on the image."""
@@ -180,9 +192,18 @@ class MarkerGrid:
     rows: int
     columns: int
     pitch_x_mm: float
+    """Distance of neighbours along a row."""
     pitch_y_mm: float
+    """Distance of the rows."""
     radius_mm: float
     offset_mm: tuple[float, float] = (0.0, 0.0)
+    """Middle of the grid, missing dots included, in gel xy."""
+    rotation_deg: float = 0.0
+    """Turn of the rows about that middle, from gel x towards y."""
+    stagger: float = 0.0
+    """Shift of every second row along itself, in pitches: 0.5 or -0.5 in a hexagonal grid."""
+    missing: tuple[tuple[int, int], ...] = ()
+    """Row and column, from 0, of places without a dot."""
 
     def __post_init__(self) -> None:
         for name in ("rows", "columns"):
@@ -192,13 +213,39 @@ class MarkerGrid:
         least = min(self.pitch_x_mm, self.pitch_y_mm)
         _in_range("marker radius_mm", self.radius_mm, 0.01, least / 2, " mm (half of the pitch)")
         _finite("marker offset_mm", self.offset_mm, 2)
+        _in_range("marker rotation_deg", self.rotation_deg, -180.0, 180.0, " degrees")
+        _in_range("marker stagger", self.stagger, -0.5, 0.5)
+        for row, column in self.missing:
+            if not (0 <= row < self.rows and 0 <= column < self.columns):
+                raise InputError(
+                    f"the missing marker ({row}, {column}) is not in the grid of {self.rows} rows "
+                    f"and {self.columns} columns"
+                )
+
+    def present(self) -> np.ndarray:
+        """Places that hold a dot, bool, shape [rows, columns]."""
+        there = np.ones((self.rows, self.columns), dtype=bool)
+        for row, column in self.missing:
+            there[row, column] = False
+        return there
 
     def points_mm(self) -> np.ndarray:
-        """Gel xy of the dots [mm], row by row, shape [rows * columns, 2]."""
-        x = (np.arange(self.columns) - (self.columns - 1) / 2) * self.pitch_x_mm
-        y = (np.arange(self.rows) - (self.rows - 1) / 2) * self.pitch_y_mm
-        grid = np.stack(np.meshgrid(x, y, indexing="xy"), axis=-1).reshape(-1, 2)
-        return grid + np.array(self.offset_mm)
+        """Gel xy of the dots [mm], row by row without the missing ones, shape [dot, 2]."""
+        return self.places_mm()[self.present().ravel()]
+
+    def places_mm(self) -> np.ndarray:
+        """Gel xy of all places of the grid [mm], row by row, shape [rows * columns, 2]."""
+        row, column = np.mgrid[: self.rows, : self.columns].reshape(2, -1)
+        steps = lattice_steps(row, column, self.stagger)
+        steps = steps - lattice_middle(self.rows, self.columns, self.stagger)
+        along_rows = steps * (self.pitch_x_mm, self.pitch_y_mm)
+        return along_rows @ self.gel_from_grid().T + np.array(self.offset_mm)
+
+    def gel_from_grid(self) -> np.ndarray:
+        """Rotation from the directions along and across the rows to gel xy, shape [2, 2]."""
+        turn = math.radians(self.rotation_deg)
+        c, s = math.cos(turn), math.sin(turn)
+        return np.array([[c, -s], [s, c]])
 
 
 @dataclass(frozen=True)

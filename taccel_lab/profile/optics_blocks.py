@@ -167,7 +167,7 @@ class LightsBlock(Block):
 
 
 class MarkersBlock(Block):
-    """The dots painted on the contact face."""
+    """The dots painted on the contact face; see ``MarkerGrid``."""
 
     key: ClassVar[str] = "markers"
 
@@ -177,6 +177,9 @@ class MarkersBlock(Block):
     pitch_y_mm: float
     radius_mm: float
     offset_mm: tuple[float, float] = (0.0, 0.0)
+    rotation_deg: float = 0.0
+    stagger: float = 0.0
+    missing: tuple[tuple[int, int], ...] = ()
 
     @model_validator(mode="after")
     def _check_grid(self) -> Self:
