@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration targets: what a press of a known object looks like in an image."""
 
+from calibration.targets.agreement import LabelAgreement, compare_with_labels
 from calibration.targets.ball import (
     DetectedContact,
-    LabelAgreement,
-    compare_with_labels,
+    FoundContacts,
+    Refusal,
     detect_contact,
+    find_contacts,
     resolve_contacts,
 )
 from calibration.targets.fusion import choose_circles, fuse_circles
 
 __all__ = [
     "DetectedContact",
+    "FoundContacts",
     "LabelAgreement",
+    "Refusal",
     "choose_circles",
     "compare_with_labels",
     "detect_contact",
+    "find_contacts",
     "fuse_circles",
     "resolve_contacts",
 ]

@@ -1,41 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find the contact circle of a ball press in its image, without anybody clicking.
+"""Find the contact circles of ball presses in their images, without anybody clicking.
 
-Where a ball presses, the colour changes with the slope of the gel. The slope grows from the
-centre to the rim of the contact and falls off beyond it, so that along a ray from the centre the
-colour runs to an extreme at the rim and then drops steeply. Two measurements follow:
+1. The light's drift is taken off each frame (``calibration.background``); what is left, smoothed,
+   is the colour change of the press (``change``).
+2. A disc that stands out gives a first circle, the steepest drop of colour along rays from its
+   centre says whether it is round (``rough``).
+3. All presses together are explained by one map from the slope that a ball leaves to the colour
+   change; that moves centres and radii to a fraction of a pixel (``photometric``).
 
-1. the drop: the steepest colour gradient along each of many rays, and a robust circle through
-   these points, which gives the centre;
-2. the rise: the radius at which the colour change, averaged over all rays, is largest.
-
-The lens blurs both: the largest change appears inside the rim, and the steepest drop outside it,
-since the gel beyond the rim is still steep. The rim is taken midway between the two, and half the
-distance between them is its uncertainty.
+A single press goes the same way with a smaller map.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from calibration.capture.captures import CaptureSet, ContactCircle
-from calibration.targets.circle_fit import CircleFit, fit_circle_ransac
+from calibration.targets.change import ColorChange, color_change
+from calibration.targets.photometric import FittedContact, PhotometricFit, fit_contacts
+from calibration.targets.polar import PolarSamples, sample_rings
+from calibration.targets.rough import (
+    MIN_RADIUS_PX,
+    fit_drop,
+    gathered_share,
+    rough_circle,
+    turning_radius,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
-RAY_COUNT = 180
-SMOOTHING_PX = 2.0
 MIN_CONTRAST_LEVELS = 12.0
 """Weakest colour change that counts as a contact, in levels of 255."""
+MIN_CONTRAST_DARK_LEVELS = 5.0
+"""The same on a dark sensor: a tenth of its background's 90th percentile, but at least this."""
 MIN_CONTRAST_OVER_NOISE = 6.0
 MIN_INLIER_FRACTION = 0.4
-MIN_RADIUS_PX = 6.0
-SHADOW_LEVEL = 0.45
-"""Colour change, as a part of the strongest, that shadows beside a contact stay below."""
+MIN_EXPLAINED = 0.6
+CERTAINLY_EXPLAINED = 0.9
+MIN_GATHERED = 0.6
+"""Part of a strong colour change through the contact that has to end within two radii: an edge
+goes on."""
+MIN_VISIBLE = 0.55
+"""Share of the rings around a contact that has to lie in the image and outside the mask."""
+SAMPLING_BLUR_SHARE = 0.04
+"""Guess of the blur of gel and lens together, in ball radii, besides our own smoothing."""
+ROUNDS = 2
+
+Progress = Callable[[int, int], None]
+"""Called with (presses done, presses in all)."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +59,45 @@ class DetectedContact:
 
     circle: ContactCircle
     radius_sigma_px: float
-    """Half the distance between the largest colour change and its steepest drop."""
+    """Standard deviation of the radius."""
     inlier_fraction: float
-    """Rays whose steepest drop lies on the fitted circle."""
+    """Rays whose steepest drop of colour lies on one circle."""
     edge_rms_px: float
+    """Their distance from that circle."""
     contrast_levels: float
-    """99th percentile of the smoothed colour change [levels]."""
+    """90th percentile of the smoothed colour change in the contact [levels]."""
+    center_sigma_px: float = 0.0
+    """Standard deviation of the centre along an axis."""
+    explained: float = 1.0
+    """Share of the colour change that the ball's slope explains."""
+    visible: float = 1.0
+    """Share of the contact and its surroundings that lies in the image and outside the mask."""
+
+    @property
+    def confidence(self) -> float:
+        """0..1: explained share times visible share, less the more uncertain the circle is."""
+        sigma = np.hypot(self.center_sigma_px, self.radius_sigma_px)
+        doubt = 1 + (sigma / (0.08 * self.circle.radius_px)) ** 2
+        return float(np.clip(self.explained, 0, 1) * min(1.0, self.visible) / doubt)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a press cannot be used."""
+
+    name: str
+    message: str
+
+
+@dataclass(frozen=True)
+class FoundContacts:
+    """Contacts of a capture set: one or a refusal for every press, in order."""
+
+    contacts: list[DetectedContact | None]
+    refusals: dict[int, Refusal]
+    """By the index of the press."""
+    fit: PhotometricFit | None
+    """The joint fit; None when no press was usable."""
 
 
 def detect_contact(
@@ -59,205 +107,170 @@ def detect_contact(
     *,
     mask: np.ndarray | None = None,
     name: str = "image",
+    ball_radius_mm: float | None = None,
 ) -> DetectedContact:
     """Contact circle of one ball press.
 
     ``image`` and ``background`` are RGB levels, shape [height_px, width_px, 3]. Raises InputError
-    naming ``name`` when the image shows no contact or no round one.
+    naming ``name`` when the image shows no contact or no round one, or when the contact reaches out
+    of the image.
     """
-    change = _color_change(image, background, mask)
-    strength = np.linalg.norm(change, axis=-1)
-    contrast = float(np.percentile(strength, 99))
-    noise = 1.4826 * float(np.median(np.abs(strength - np.median(strength)))) + 1e-6
-    if contrast < MIN_CONTRAST_LEVELS or contrast < MIN_CONTRAST_OVER_NOISE * noise:
-        raise InputError(
-            f"{name}: no contact found; its strongest colour change is {contrast:.1f} levels of "
-            f"255 over a noise of {noise:.1f}, at least {MIN_CONTRAST_LEVELS:g} levels and "
-            f"{MIN_CONTRAST_OVER_NOISE:g} times the noise are needed. Remove the frame"
-        )
-    # Squared pixels: rows are resampled so that a round contact is a circle in the image.
-    ratio = grid.mm_per_px_y / grid.mm_per_px_x
-    if abs(ratio - 1) > 1e-6:
-        size = (change.shape[1], max(2, round(change.shape[0] * ratio)))
-        change = cv2.resize(change, size, interpolation=cv2.INTER_LINEAR)
-        strength = np.linalg.norm(change, axis=-1)
-    center, radius = _rough_circle(strength)
-    fit = None
-    for _ in range(4):
-        fit = _fit_drop(change, center, radius)
-        center, radius = fit.center, fit.radius
-    assert fit is not None
-    fraction = float(fit.inliers.mean())
-    limit = min(change.shape[:2]) / 2
-    if fraction < MIN_INLIER_FRACTION or not MIN_RADIUS_PX <= radius <= limit:
-        raise InputError(
-            f"{name}: no round contact found; {fraction:.0%} of the rays agree on a circle of "
-            f"radius {radius:.1f} px, at least {MIN_INLIER_FRACTION:.0%} and {MIN_RADIUS_PX:g} to "
-            f"{limit:g} px are needed. Remove the frame or give its circle"
-        )
-    rise = _rise_radius(change, center, radius)
-    return DetectedContact(
-        circle=ContactCircle(float(center[0]), float(center[1]) / ratio, (rise + radius) / 2),
-        radius_sigma_px=abs(radius - rise) / 2,
-        inlier_fraction=fraction,
-        edge_rms_px=fit.rms,
-        contrast_levels=contrast,
-    )
+    start = _start(color_change(image, background, grid, mask), background, name)
+    ball_px = None if ball_radius_mm is None else ball_radius_mm / grid.mm_per_px_x
+    contacts, _ = _refine([start], ball_px)
+    return _accept(start, contacts[0], grid)
 
 
-def _color_change(image: np.ndarray, background: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
-    """Smoothed drift-free difference to the background, float32, shape [height, width, 3]."""
-    change = image.astype(np.float32) - background.astype(np.float32)
-    if mask is not None and not mask.all():
-        # Masked pixels are filled from their neighbours before smoothing spreads them.
-        change = _fill(change, mask)
-    # Most of a frame is untouched, so its median is the light's drift.
-    change -= np.median(change, axis=(0, 1), keepdims=True)
-    return cv2.GaussianBlur(change, (0, 0), SMOOTHING_PX)
+def find_contacts(captures: CaptureSet, progress: Progress | None = None) -> FoundContacts:
+    """Contact of every press, or the reason why it has none; the presses are fitted together."""
+    starts: dict[int, _Start] = {}
+    refusals: dict[int, Refusal] = {}
+    for i, press in enumerate(captures.presses):
+        try:
+            change = color_change(press.image(), captures.background, captures.grid, captures.mask)
+            starts[i] = _start(change, captures.background, press.source)
+        except InputError as error:
+            refusals[i] = Refusal(press.name, str(error))
+        if progress is not None:
+            progress(i + 1, len(captures.presses))
+    found: list[DetectedContact | None] = [None] * len(captures.presses)
+    if not starts:
+        return FoundContacts(found, refusals, None)
+    ball_px = captures.ball_radius_mm / captures.grid.mm_per_px_x
+    contacts, fit = _refine(list(starts.values()), ball_px)
+    for (i, start), contact in zip(starts.items(), contacts, strict=True):
+        try:
+            found[i] = _accept(start, contact, captures.grid)
+        except InputError as error:
+            refusals[i] = Refusal(captures.presses[i].name, str(error))
+    return FoundContacts(found, refusals, fit)
 
 
-def _fill(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    weight = mask.astype(np.float32)
-    filled = np.where(mask[..., None], values, 0.0).astype(np.float32)
-    spread = cv2.GaussianBlur(filled, (0, 0), 4 * SMOOTHING_PX)
-    total = cv2.GaussianBlur(weight, (0, 0), 4 * SMOOTHING_PX)[..., None]
-    return np.where(mask[..., None], filled, spread / np.maximum(total, 1e-3)).astype(np.float32)
-
-
-def _rough_circle(strength: np.ndarray) -> tuple[np.ndarray, float]:
-    """Disc that stands out most from the ring of 1.4 times its radius, on a quarter-size image."""
-    factor = max(1, min(strength.shape) // 120)
-    size = (strength.shape[1] // factor, strength.shape[0] // factor)
-    # Shadows beside the contact are weaker than its rim; cutting low values off removes them.
-    strong = np.maximum(strength - SHADOW_LEVEL * np.percentile(strength, 99.5), 0.0)
-    small = cv2.resize(strong, size, interpolation=cv2.INTER_AREA)
-    best = (-np.inf, np.zeros(2), 0.0)
-    for radius in np.geomspace(max(3.0, MIN_RADIUS_PX / factor), min(size) / 2.2, 24):
-        reach = int(np.ceil(1.4 * radius))
-        distance = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
-        disc = distance <= radius
-        ring = (distance > radius) & (distance <= 1.4 * radius)
-        kernel = disc / disc.sum() - ring / ring.sum()
-        # Outside the image the gel is taken as untouched, so a cut disc scores less.
-        # The weight keeps a bright speck from winning over a whole contact.
-        score = np.sqrt(radius) * cv2.filter2D(
-            small, cv2.CV_32F, kernel, borderType=cv2.BORDER_CONSTANT
-        )
-        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
-        if score[row, column] > best[0]:
-            center = (np.array([column, row]) + 0.5) * factor - 0.5
-            best = (float(score[row, column]), center, float(radius * factor))
-    return best[1], best[2]
-
-
-def _rays(change: np.ndarray, center: np.ndarray, reach_px: float) -> np.ndarray:
-    """Colour change along rays from the centre at whole pixels, shape [RAY_COUNT, reach, 3].
-
-    Samples outside the image are NaN.
-    """
-    angle = np.arange(RAY_COUNT)[:, None] * (2 * np.pi / RAY_COUNT)
-    distance = np.arange(int(np.ceil(reach_px)) + 1)[None, :]
-    x = (center[0] + distance * np.cos(angle)).astype(np.float32)
-    y = (center[1] + distance * np.sin(angle)).astype(np.float32)
-    rays = cv2.remap(change, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    outside = (x < 0) | (y < 0) | (x > change.shape[1] - 1) | (y > change.shape[0] - 1)
-    rays[outside] = np.nan
-    return rays
-
-
-def _speed(change: np.ndarray, center: np.ndarray, reach_px: float) -> np.ndarray:
-    """Colour gradient along rays [levels/px], 0 outside the image, shape [RAY_COUNT, reach]."""
-    rays = _rays(change, center, reach_px)
-    return np.nan_to_num(np.linalg.norm(np.gradient(rays, axis=1), axis=-1), nan=0.0)
-
-
-def _fit_drop(change: np.ndarray, center: np.ndarray, radius: float) -> CircleFit:
-    """Circle through the point of each ray, near the given one, where the colour changes fastest"""
-    speed = _speed(change, center, 1.3 * radius + 4)
-    speed[:, : int(0.7 * radius)] = 0.0
-    peak = np.argmax(speed, axis=1)
-    angle = np.arange(RAY_COUNT) * (2 * np.pi / RAY_COUNT)
-    reach = peak + _parabola_offset(speed, peak)
-    points = center + reach[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    found = speed[np.arange(RAY_COUNT), peak] > 0
-    if found.sum() < 3:
-        found[:] = True
-    fit = fit_circle_ransac(points[found], tolerance=max(2.0, 0.06 * radius))
-    inliers = np.zeros(RAY_COUNT, dtype=bool)
-    inliers[np.flatnonzero(found)[fit.inliers]] = True
-    return CircleFit(fit.center, fit.radius, inliers, fit.rms)
-
-
-def _rise_radius(change: np.ndarray, center: np.ndarray, drop_radius: float) -> float:
-    """Radius of the largest mean colour change, at or inside the drop [px]."""
-    rays = _rays(change, center, 1.3 * drop_radius + 4)
-    with_data = ~np.isnan(rays[..., 0])
-    strength = np.where(with_data, np.linalg.norm(np.nan_to_num(rays), axis=-1), 0.0)
-    mean = strength.sum(axis=0) / np.maximum(with_data.sum(axis=0), 1)
-    low, high = int(0.6 * drop_radius), int(np.ceil(drop_radius)) + 1
-    peak = low + int(np.argmax(mean[low:high]))
-    return float(peak + _parabola_offset(mean[None], np.array([peak]))[0])
-
-
-def _parabola_offset(values: np.ndarray, peak: np.ndarray) -> np.ndarray:
-    """Sub-sample position of each row's peak relative to its index, within half a sample."""
-    rows = np.arange(len(values))
-    middle = np.clip(peak, 1, values.shape[1] - 2)
-    left, top, right = (values[rows, middle + k] for k in (-1, 0, 1))
-    curvature = left - 2 * top + right
-    offset = np.divide(0.5 * (left - right), curvature, out=np.zeros_like(top), where=curvature < 0)
-    return np.where(middle == peak, np.clip(offset, -0.5, 0.5), 0.0)
+def resolve_contacts(
+    captures: CaptureSet, progress: Progress | None = None
+) -> list[DetectedContact]:
+    """Detect the contact of every press; a press that shows none raises InputError."""
+    found = find_contacts(captures, progress)
+    if found.refusals:
+        raise InputError("\n".join(found.refusals[i].message for i in sorted(found.refusals)))
+    return [contact for contact in found.contacts if contact is not None]
 
 
 @dataclass(frozen=True)
-class LabelAgreement:
-    """Detected against given contact circles, errors over the labelled presses [px]."""
-
-    count: int
-    center_median_px: float
-    center_p90_px: float
-    radius_median_px: float
-    """Median of the absolute difference of the radii."""
-    radius_p90_px: float
-    radius_bias_px: float
-    """Median of detected minus given radius."""
+class _Start:
+    name: str
+    change: ColorChange
+    circle: ContactCircle
+    """In the picture of square pixels."""
+    inlier_fraction: float
+    edge_rms_px: float
+    contrast_levels: float
 
 
-def resolve_contacts(captures: CaptureSet) -> list[DetectedContact]:
-    """Detect the contact of every press; a press that shows none raises InputError."""
-    return [
-        detect_contact(
-            press.image(),
-            captures.background,
-            captures.grid,
-            mask=captures.mask,
-            name=press.source,
+def _start(change: ColorChange, background: np.ndarray, name: str) -> _Start:
+    """First circle of a press; InputError when there is nothing to start from."""
+    strength = change.strength()
+    center, radius = rough_circle(strength)
+    disc = _distance(strength.shape, center) <= radius
+    contrast = float(np.percentile(strength[disc], 90)) if disc.any() else 0.0
+    bright = float(np.percentile(background, 90))
+    needed = float(np.clip(0.1 * bright, MIN_CONTRAST_DARK_LEVELS, MIN_CONTRAST_LEVELS))
+    if contrast < needed or contrast < MIN_CONTRAST_OVER_NOISE * change.noise_levels:
+        raise InputError(
+            f"{name}: no contact found; its strongest colour change is {contrast:.1f} levels of "
+            f"255 over a noise of {change.noise_levels:.1f}, at least {needed:g} levels and "
+            f"{MIN_CONTRAST_OVER_NOISE:g} times the noise are needed. Remove the frame"
         )
-        for press in captures.presses
-    ]
+    turning = turning_radius(change.change, center, radius)
+    radius = float(np.clip(1.05 * turning, 0.5 * radius, radius))
+    drop = fit_drop(change.change, center, radius)
+    return _Start(
+        name,
+        change,
+        ContactCircle(float(center[0]), float(center[1]), radius),
+        float(drop.inliers.mean()),
+        drop.rms,
+        contrast,
+    )
 
 
-def compare_with_labels(
-    captures: CaptureSet, detected: Sequence[DetectedContact]
-) -> LabelAgreement | None:
-    """How far the detected circles lie from the given ones; None when none are given."""
-    center, radius = [], []
-    for press, found in zip(captures.presses, detected, strict=True):
-        if press.circle is not None:
-            center.append(
-                np.hypot(
-                    found.circle.u_px - press.circle.u_px, found.circle.v_px - press.circle.v_px
-                )
-            )
-            radius.append(found.circle.radius_px - press.circle.radius_px)
-    if not center:
-        return None
-    size = np.abs(radius)
-    return LabelAgreement(
-        count=len(center),
-        center_median_px=float(np.median(center)),
-        center_p90_px=float(np.percentile(center, 90)),
-        radius_median_px=float(np.median(size)),
-        radius_p90_px=float(np.percentile(size, 90)),
-        radius_bias_px=float(np.median(radius)),
+def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
+    return np.hypot(
+        np.arange(shape[1])[None, :] - center[0], np.arange(shape[0])[:, None] - center[1]
+    )
+
+
+def _refine(
+    starts: Sequence[_Start], ball_px: float | None
+) -> tuple[list[tuple[FittedContact, PolarSamples]], PhotometricFit]:
+    circles = [start.circle for start in starts]
+    fit, samples = None, []
+    for _ in range(ROUNDS):
+        samples = [
+            sample_rings(start.change.change, circle, start.change.mask)
+            for start, circle in zip(starts, circles, strict=True)
+        ]
+        for start, sample in zip(starts, samples, strict=True):
+            if sample.visible < 0.2:
+                raise InputError(f"{start.name}: no contact found inside the image; remove it")
+        widest = ball_px or max(circle.radius_px for circle in circles) / 0.7
+        blur = float(np.hypot(starts[0].change.smoothing_px, SAMPLING_BLUR_SHARE * widest))
+        fit = fit_contacts(samples, circles, ball_px, blur_px=blur)
+        circles = [contact.circle for contact in fit.contacts]
+    assert fit is not None
+    return list(zip(fit.contacts, samples, strict=True)), fit
+
+
+def _accept(
+    start: _Start, refined: tuple[FittedContact, PolarSamples], grid: PixelGrid
+) -> DetectedContact:
+    """The contact in the image's own pixels; InputError when it is none, or cut by the border."""
+    contact, samples = refined
+    circle = contact.circle
+    height, width = start.change.change.shape[:2]
+    limit = min(height, width) / 2
+    center = np.array([circle.u_px, circle.v_px])
+    drop = fit_drop(start.change.change, center, max(circle.radius_px, 2.0))
+    inliers = float(drop.inliers.mean())
+    # A smooth skin leaves no sharp rim, but then its whole colour wheel is a ball's.
+    round_enough = contact.explained >= CERTAINLY_EXPLAINED or (
+        inliers >= MIN_INLIER_FRACTION and contact.explained >= MIN_EXPLAINED
+    )
+    gathered = gathered_share(start.change.strength(), center, circle.radius_px)
+    if (
+        not round_enough
+        or gathered < MIN_GATHERED
+        or not MIN_RADIUS_PX <= circle.radius_px <= limit
+    ):
+        raise InputError(
+            f"{start.name}: no round contact found; {inliers:.0%} of the rays agree on a circle of "
+            f"radius {circle.radius_px:.1f} px and a ball's slope explains "
+            f"{max(contact.explained, 0):.0%} of the colour change, of which {gathered:.0%} lies "
+            f"within two radii; at least {MIN_INLIER_FRACTION:.0%}, {MIN_RADIUS_PX:g} to "
+            f"{limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. Remove the "
+            "frame or give its circle"
+        )
+    beyond = max(
+        circle.radius_px - circle.u_px,
+        circle.radius_px - circle.v_px,
+        circle.u_px + circle.radius_px - (width - 1),
+        circle.v_px + circle.radius_px - (height - 1),
+    )
+    if beyond > 0 or samples.visible < MIN_VISIBLE:
+        raise InputError(
+            f"{start.name}: the contact at ({circle.u_px:.0f}, "
+            f"{circle.v_px / start.change.ratio:.0f}) px with radius {circle.radius_px:.0f} px "
+            + (f"reaches {beyond:.0f} px out of the image" if beyond > 0 else "is mostly masked")
+            + f"; {samples.visible:.0%} of it and its surroundings can be seen. Remove the frame"
+        )
+    sigma = np.sqrt(np.maximum(np.diag(contact.covariance), 0.0))
+    return DetectedContact(
+        circle=ContactCircle(circle.u_px, circle.v_px / start.change.ratio, circle.radius_px),
+        radius_sigma_px=float(sigma[2]),
+        inlier_fraction=inliers,
+        edge_rms_px=drop.rms,
+        contrast_levels=start.contrast_levels,
+        center_sigma_px=float(np.sqrt((sigma[0] ** 2 + sigma[1] ** 2) / 2)),
+        explained=contact.explained,
+        visible=samples.visible,
     )
