@@ -12,8 +12,12 @@ def calibrate_commands() -> Any:
     """The sub-commands; imported here so that help is fast."""
     from tyro.extras import SubcommandApp
 
+    from taccel_lab.cli.calibrate.camera import CalibrateCamera
     from taccel_lab.cli.calibrate.color import CalibrateColor
+    from taccel_lab.cli.calibrate.markers import CalibrateMarkers
 
     app = SubcommandApp()
+    app.command(name="camera")(CalibrateCamera)
     app.command(name="color")(CalibrateColor)
+    app.command(name="markers")(CalibrateMarkers)
     return app

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration of the camera: boards, lens, pose of the gel, scale, rectification."""
+
+from calibration.camera.board import BoardView
+from calibration.camera.camera_calibration import CameraCalibration, calibrate_camera
+from calibration.camera.detect import Detections, detect_board, detect_views
+from calibration.camera.intrinsics import Intrinsics, calibrate_intrinsics
+from calibration.camera.on_gel import OnGel, fit_on_gel
+from calibration.camera.page import camera_page
+from calibration.camera.rectification import RectificationMaps, gel_maps, lens_maps
+
+__all__ = [
+    "BoardView",
+    "CameraCalibration",
+    "Detections",
+    "Intrinsics",
+    "OnGel",
+    "RectificationMaps",
+    "calibrate_camera",
+    "calibrate_intrinsics",
+    "camera_page",
+    "detect_board",
+    "detect_views",
+    "fit_on_gel",
+    "gel_maps",
+    "lens_maps",
+]

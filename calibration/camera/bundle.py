@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bundle adjustment: one lens and the pose of each board, by robust least squares.
+
+Levenberg-Marquardt on the reprojection error with Huber's weights (P. J. Huber, "Robust
+Statistics", 1981); poses are eliminated by the Schur complement, so that a step costs as much as
+the lens has parameters (B. Triggs et al., "Bundle adjustment: a modern synthesis", 1999).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calibration.camera.board import BoardView
+from calibration.camera.lens import Lens
+from taccel_lab.errors import InputError
+
+HUBER = 1.345
+"""Residual over its scale from which on it counts less: 95 % efficiency on normal noise."""
+_STEPS = 100
+_EXACT_PX = 1e-9
+"""Scale of residuals below which they are taken for exact."""
+
+
+@dataclass(frozen=True)
+class BundleFit:
+    """A fitted lens with the poses of its views."""
+
+    lens: Lens
+    parameters: np.ndarray
+    """As ``lens.parameter_names``, shape [p]."""
+    poses: np.ndarray
+    """camera_from_board as rotation vector and translation, shape [view, 6]."""
+    residuals: tuple[np.ndarray, ...]
+    """Seen minus projected [px], per view, each [n, 2]."""
+    weights: tuple[np.ndarray, ...]
+    """Huber's weights, per view, each [n]."""
+    covariance: np.ndarray
+    """Of the parameters, shape [p, p]; widened where views disagree more than their points do."""
+    converged: bool
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of all points."""
+        return rms(np.concatenate(self.residuals))
+
+    @property
+    def view_rms_px(self) -> np.ndarray:
+        """The same for each view, shape [view]."""
+        return np.array([rms(r) for r in self.residuals])
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviation of each parameter, shape [p]."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def rms(residuals: np.ndarray) -> float:
+    """Root mean square length of vectors [n, 2]."""
+    return float(np.sqrt(np.mean(np.sum(np.square(residuals), axis=-1))))
+
+
+def fit_bundle(
+    views: list[BoardView] | tuple[BoardView, ...],
+    lens: Lens,
+    start: np.ndarray,
+    poses: np.ndarray | None = None,
+) -> BundleFit:
+    """Fit a lens to views from the ``start`` parameters [p].
+
+    Raises:
+        InputError: Too few points for the unknowns.
+    """
+    unknowns = lens.parameter_count + 6 * len(views)
+    values = 2 * sum(len(view.index) for view in views)
+    if values <= unknowns or len(views) < 2:
+        raise InputError(
+            f"{len(views)} views with {values // 2} points cannot fit a {lens.name} lens; more "
+            "views of the board are needed"
+        )
+    if poses is None:
+        poses = np.stack([initial_pose(view, lens, start) for view in views])
+    state = _State(list(views), lens, np.array(start, dtype=np.float64), np.array(poses))
+    converged = state.solve()
+    return state.result(converged)
+
+
+def initial_pose(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndarray:
+    """camera_from_board of a view: the better of the two that a planar board allows, refined."""
+    rays = lens.directions(parameters, view.size_px, view.uv_px)
+    seen = np.isfinite(rays).all(axis=1) & (rays[:, 2] > 0.05)
+    board = view.board_mm()
+    if seen.sum() < 4:
+        raise InputError(f"{view.source}: fewer than 4 points lie within the lens's field")
+    plane = (rays[seen, :2] / rays[seen, 2:]).reshape(-1, 1, 2)
+    count, rotations, translations, _ = cv2.solvePnPGeneric(
+        board[seen].reshape(-1, 1, 3), plane, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+    )
+    best, cost = None, np.inf
+    for i in range(count):
+        pose = np.concatenate([np.ravel(rotations[i]), np.ravel(translations[i])])
+        if not np.isfinite(pose).all():
+            continue
+        refined = fit_pose(view, lens, parameters, pose)
+        error = rms(view.uv_px - lens.project(board, parameters, refined))
+        if error < cost:
+            best, cost = refined, error
+    if best is None:
+        raise InputError(f"{view.source}: no pose of the board explains its {len(board)} points")
+    return best
+
+
+def fit_pose(
+    view: BoardView, lens: Lens, parameters: np.ndarray, pose: np.ndarray, robust: bool = True
+) -> np.ndarray:
+    """Pose of one view with the lens held fixed, by robust least squares from ``pose`` [6]."""
+    board, damping = view.board_mm(), 1e-3
+    pose = np.array(pose, dtype=np.float64)
+    residual, _, jacobian = _residual(view, lens, parameters, pose, board)
+    for _ in range(_STEPS):
+        weights = huber_weights(residual) if robust else np.ones(len(residual))
+        scaled = jacobian * weights[:, None, None]
+        normal = np.einsum("nki,nkj->ij", scaled, jacobian)
+        gradient = np.einsum("nki,nk->i", scaled, residual)
+        step = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), gradient, rcond=None)[0]
+        trial, _, trial_jacobian = _residual(view, lens, parameters, pose + step, board)
+        if np.isfinite(trial).all() and _cost(trial, weights) <= _cost(residual, weights):
+            pose, residual, jacobian = pose + step, trial, trial_jacobian
+            damping = max(damping * 0.2, 1e-12)
+            if np.linalg.norm(step) < 1e-12 * (1 + np.linalg.norm(pose)):
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e8:
+                break
+    return pose
+
+
+def huber_weights(residual: np.ndarray, scale: float | None = None) -> np.ndarray:
+    """Weight of each vector [n, 2] by its length: 1 up to ``HUBER`` scales, falling off beyond."""
+    length = np.linalg.norm(residual, axis=1)
+    if scale is None:
+        # A normal 2-vector's length has the median 1.1774 sigma.
+        scale = float(np.median(length)) / 1.1774
+    limit = HUBER * 1.5 * max(scale, _EXACT_PX)
+    return np.where(length <= limit, 1.0, limit / np.maximum(length, 1e-300))
+
+
+def _cost(residual: np.ndarray, weights: np.ndarray) -> float:
+    return float(np.sum(weights * np.sum(residual**2, axis=1)))
+
+
+def _residual(view, lens, parameters, pose, board):
+    uv, by_lens, by_pose = lens.project_with_jacobian(board, parameters, pose)
+    return view.uv_px - uv, by_lens, by_pose
+
+
+class _State:
+    """The unknowns of one fit, and the normal equations about them."""
+
+    def __init__(self, views: list[BoardView], lens: Lens, parameters, poses) -> None:
+        self.views, self.lens = views, lens
+        self.boards = [view.board_mm() for view in views]
+        self.parameters, self.poses = parameters, poses
+        self.limits = _plausible(views[0].size_px)
+
+    def evaluate(self, parameters: np.ndarray, poses: np.ndarray) -> list:
+        return [
+            _residual(view, self.lens, parameters, pose, board)
+            for view, board, pose in zip(self.views, self.boards, poses, strict=True)
+        ]
+
+    def weights(self, terms: list) -> list[np.ndarray]:
+        lengths = np.concatenate([np.linalg.norm(r, axis=1) for r, _, _ in terms])
+        scale = float(np.median(lengths)) / 1.1774
+        return [huber_weights(r, scale) for r, _, _ in terms]
+
+    def solve(self) -> bool:
+        terms = self.evaluate(self.parameters, self.poses)
+        damping = 1e-3
+        for _ in range(_STEPS):
+            weights = self.weights(terms)
+            before = sum(_cost(r, w) for (r, _, _), w in zip(terms, weights, strict=True))
+            step, moves = self._step(terms, weights, damping)
+            parameters, poses = self.parameters + step, self.poses + moves
+            ok = bool(np.isfinite(parameters).all()) and self.limits(parameters)
+            after = np.inf
+            if ok:
+                trial = self.evaluate(parameters, poses)
+                after = sum(_cost(r, w) for (r, _, _), w in zip(trial, weights, strict=True))
+            if np.isfinite(after) and after <= before:
+                self.parameters, self.poses, terms = parameters, poses, trial
+                damping = max(damping * 0.2, 1e-14)
+                scaled = np.abs(step) / (1e-3 + np.abs(parameters))
+                if scaled.max() < 1e-11 or before - after <= 1e-13 * before:
+                    return True
+            else:
+                damping *= 10.0
+                if damping > 1e10:
+                    return True
+        return False
+
+    def _normal(self, terms: list, weights: list[np.ndarray], damping: float):
+        """Reduced normal matrix and right side, and what gives the poses back."""
+        count = self.lens.parameter_count
+        total, right = np.zeros((count, count)), np.zeros(count)
+        parts, scores = [], []
+        for (residual, by_lens, by_pose), weight in zip(terms, weights, strict=True):
+            a = (by_lens * weight[:, None, None]).reshape(-1, count)
+            b = (by_pose * weight[:, None, None]).reshape(-1, 6)
+            flat_lens, flat_pose = by_lens.reshape(-1, count), by_pose.reshape(-1, 6)
+            flat = residual.ravel()
+            u, w, v = a.T @ flat_lens, a.T @ flat_pose, b.T @ flat_pose
+            v = v + damping * np.diag(np.diag(v))
+            lens_side, pose_side = a.T @ flat, b.T @ flat
+            inverse = np.linalg.pinv(v)
+            scores.append(lens_side - w @ inverse @ pose_side)
+            total += u - w @ inverse @ w.T
+            right += scores[-1]
+            total[np.diag_indices(count)] += damping * np.diag(u)
+            parts.append((inverse, w, pose_side))
+        return total, right, parts, scores
+
+    def _step(self, terms, weights, damping: float) -> tuple[np.ndarray, np.ndarray]:
+        total, right, parts, _ = self._normal(terms, weights, damping)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
+        step = (
+            scale * np.linalg.lstsq(total * np.outer(scale, scale), right * scale, rcond=1e-15)[0]
+        )
+        moves = np.stack([inverse @ (side - w.T @ step) for inverse, w, side in parts])
+        return step, moves
+
+    def result(self, converged: bool) -> BundleFit:
+        terms = self.evaluate(self.parameters, self.poses)
+        weights = self.weights(terms)
+        total, _, _, scores = self._normal(terms, weights, 0.0)
+        freedom = sum(r.size for r, _, _ in terms) - total.shape[0] - 6 * len(terms)
+        spread = sum(_cost(r, w) for (r, _, _), w in zip(terms, weights, strict=True)) / freedom
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
+        inverse = np.linalg.pinv(total * np.outer(scale, scale), rcond=1e-14) * np.outer(
+            scale, scale
+        )
+        covariance = spread * inverse
+        # Errors of one view go together (a bent board, a common blur): the sandwich estimate by
+        # view, where it is wider, sets the standard deviations.
+        views = len(scores)
+        meat = sum(np.outer(s, s) for s in scores) * views / max(views - 1, 1)
+        clustered = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0))
+        plain = np.sqrt(np.diag(covariance))
+        wider = np.maximum(clustered / np.maximum(plain, 1e-300), 1.0)
+        return BundleFit(
+            self.lens,
+            self.parameters,
+            self.poses,
+            tuple(r for r, _, _ in terms),
+            tuple(weights),
+            covariance * np.outer(wider, wider),
+            converged,
+        )
+
+
+def _plausible(size_px: tuple[int, int]):
+    """Guards the search: focal lengths of 0.05 to 50 image widths, a middle near the image."""
+    longest = max(size_px)
+
+    def check(parameters: np.ndarray) -> bool:
+        fx, fy, cx, cy = parameters[:4]
+        focal = 0.05 * longest < fx < 50 * longest and 0.05 * longest < fy < 50 * longest
+        return bool(focal and -longest < cx < 2 * longest and -longest < cy < 2 * longest)
+
+    return check

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Chessboards: inner corners to a few hundredths of a pixel, whole boards and parts of them.
+
+Whole boards are found by OpenCV's sector-based detector (A. Duda and U. Frese, "Accurate detection
+and localization of checkerboard corners for calibration", BMVC 2018). Where corners are hidden or
+blurred, saddle points of the brightness are indexed as a lattice instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from scipy.spatial import KDTree
+
+from calibration.camera.board import BoardView, unmirrored, upright
+from calibration.camera.lattice import index_lattice
+from taccel_lab.errors import InputError
+
+MIN_SHARE = 0.5
+"""Least share of the corners that a partly hidden board must show."""
+MIN_POINTS = 12
+_SMALL_PX = 500
+"""Images narrower than this are doubled when the board is not found at once."""
+
+
+def detect_chessboard(
+    image: np.ndarray, columns: int, rows: int, *, name: str = "image"
+) -> BoardView:
+    """Find a chessboard of ``columns`` x ``rows`` inner corners.
+
+    Args:
+        image: RGB levels, uint8, shape [height_px, width_px, 3].
+
+    Raises:
+        InputError: Too few corners, saying how many were found; or fewer than 3 on a side.
+    """
+    if min(columns, rows) < 3:
+        raise InputError(
+            f"{name}: a chessboard needs at least 3 x 3 inner corners, {columns} x {rows} given"
+        )
+    grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    uv = _whole_board(grey, columns, rows)
+    index = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    if uv is None:
+        index, uv = _part_of_board(grey, columns, rows, name)
+    index = upright(unmirrored(index, uv), uv, columns == rows)
+    size = (image.shape[1], image.shape[0])
+    view = BoardView(name, name, size, index, uv, columns * rows)
+    return replace(view, first_square_dark=_first_square_dark(grey, view, columns, rows))
+
+
+def _whole_board(grey: np.ndarray, columns: int, rows: int) -> np.ndarray | None:
+    """All corners in the detector's order, shape [columns * rows, 2], or None."""
+    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    even = cv2.createCLAHE(clipLimit=3.0, tileGridSize=(8, 8)).apply(grey)
+    pictures = [(grey, 1), (even, 1)]
+    if grey.shape[1] < _SMALL_PX:
+        doubled = cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+        pictures.append((doubled, 2))
+    for picture, scale in pictures:
+        found, corners = cv2.findChessboardCornersSB(picture, (columns, rows), flags=flags)
+        if found and corners is not None and len(corners) == columns * rows:
+            return (corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5
+    return None
+
+
+def _part_of_board(
+    grey: np.ndarray, columns: int, rows: int, name: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Indices [n, 2] and corners [n, 2] of the part of the board that can be seen."""
+    expected = columns * rows
+    least = max(MIN_POINTS, int(np.ceil(MIN_SHARE * expected)))
+    best, strangers = None, 0
+    for sigma in (1.0, 1.5, 2.5, 4.0):
+        uv = saddle_points(grey, sigma, 3 * expected)
+        lattice = index_lattice(uv, columns, rows)
+        if lattice is not None and (best is None or len(lattice.points) > len(best[0])):
+            best, strangers = (lattice.index, uv[lattice.points]), lattice.strangers
+    count = 0 if best is None else len(best[0])
+    if best is not None and strangers > 2:
+        raise InputError(
+            f"{name}: the corners go on beyond {columns} x {rows}: {count + strangers} lie on one "
+            f"lattice, {expected} are allowed; check columns and rows (inner corners are counted)"
+        )
+    if best is None or count < least:
+        raise InputError(
+            f"{name}: found {count} of {expected} inner corners of the {columns} x {rows} "
+            f"chessboard, at least {least} are needed; check columns and rows (inner corners, not "
+            "squares), focus, glare, and that the board is in view"
+        )
+    return best
+
+
+def saddle_points(grey: np.ndarray, sigma_px: float, most: int) -> np.ndarray:
+    """Strongest saddle points of the brightness, refined, shape [n, 2].
+
+    Where two dark squares meet, the Hessian's determinant is most negative.
+    """
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), sigma_px)
+    xx = cv2.Sobel(smooth, cv2.CV_32F, 2, 0, ksize=3)
+    yy = cv2.Sobel(smooth, cv2.CV_32F, 0, 2, ksize=3)
+    xy = cv2.Sobel(smooth, cv2.CV_32F, 1, 1, ksize=3) / 2.0
+    strength = np.asarray(xy * xy - xx * yy / 4.0, dtype=np.float32)
+    width = 2 * max(1, round(2 * sigma_px)) + 1
+    peak = strength >= cv2.dilate(strength, np.ones((width, width), np.uint8))
+    peak &= strength > 0.02 * float(strength.max(initial=0.0))
+    edge = width
+    peak[:edge], peak[-edge:], peak[:, :edge], peak[:, -edge:] = False, False, False, False
+    v, u = np.nonzero(peak)
+    order = np.argsort(-strength[v, u])[:most]
+    if len(order) == 0:
+        return np.zeros((0, 2))
+    corners = np.column_stack([u, v])[order].astype(np.float32).reshape(-1, 1, 2)
+    half = max(2, round(2.5 * sigma_px))
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
+    refined = cv2.cornerSubPix(grey, corners, (half, half), (-1, -1), criteria).reshape(-1, 2)
+    moved = np.linalg.norm(refined - corners.reshape(-1, 2), axis=1) < half
+    refined = refined[moved].astype(np.float64)
+    # The refinement may draw two peaks to one corner.
+    pairs = KDTree(refined).query_pairs(1.0) if len(refined) else set()
+    doubled = {max(pair) for pair in pairs}
+    return refined[[i for i in range(len(refined)) if i not in doubled]]
+
+
+def _first_square_dark(grey: np.ndarray, view: BoardView, columns: int, rows: int) -> bool | None:
+    """Colour of the square between corners (0, 0) and (1, 1), where it tells a mirrored board.
+
+    It does on boards whose numbers of squares are both even and differ: a half turn keeps the
+    colours, a mirror swaps them. Other boards look the same mirrored and turned.
+    """
+    if columns % 2 == 0 or rows % 2 == 0 or columns == rows or len(view.index) != view.expected:
+        return None
+    dark, light = [], []
+    at = {tuple(key): uv for key, uv in zip(view.index.tolist(), view.uv_px, strict=True)}
+    for (i, j), uv in at.items():
+        if (i + 1, j + 1) in at:
+            u, v = np.rint((uv + at[i + 1, j + 1]) / 2).astype(int)
+            (dark if (i + j) % 2 == 0 else light).append(float(grey[v, u]))
+    # The board's first square lies before corner (0, 0) and has the colour of the one behind it.
+    return bool(np.mean(dark) < np.mean(light))

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Detection of any board that a capture folder may hold, view by view."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.camera.board import BoardView
+from calibration.camera.charuco import detect_charuco
+from calibration.camera.chessboard import detect_chessboard
+from calibration.camera.dots import detect_dots
+from calibration.camera.pins import detect_pins
+from calibration.capture.folder import BoardCaptures
+from calibration.capture.schema import BoardEntry
+from taccel_lab.errors import InputError
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Views in which the board was found, and why it was not in the others."""
+
+    views: tuple[BoardView, ...]
+    refused: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def detect_board(
+    image: np.ndarray, entry: BoardEntry, *, reference: np.ndarray | None = None, name: str
+) -> BoardView:
+    """Find the board of a manifest's entry in one RGB image; InputError says what is amiss."""
+    if entry.kind == "chessboard":
+        view = detect_chessboard(image, entry.columns, entry.rows, name=name)
+    elif entry.kind == "charuco":
+        if entry.marker_mm is None or entry.pitch_mm is None:
+            raise InputError(
+                f"{name}: a charuco board needs pitch_mm (size of a square) and marker_mm (size "
+                "of a marker), also where no scale is wanted: their ratio says where corners lie"
+            )
+        view = detect_charuco(
+            image,
+            entry.columns,
+            entry.rows,
+            marker_share=entry.marker_mm / entry.pitch_mm,
+            dictionary=entry.dictionary,
+            name=name,
+        )
+    elif entry.kind == "dots":
+        view = detect_dots(image, entry.columns, entry.rows, reference=reference, name=name)
+    else:
+        view = detect_pins(image, entry.columns, entry.rows, reference=reference, name=name)
+    return replace(view, pitch_mm=entry.pitch_mm)
+
+
+def detect_views(
+    boards: Sequence[BoardCaptures],
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Detections:
+    """Detect every view of some boards.
+
+    Views in which the board is not found, or is mirrored, are refused with the reason. Raises
+    InputError when none is left.
+    """
+    views: list[BoardView] = []
+    refused: list[str] = []
+    total = sum(len(board.frames) for board in boards)
+    for board in boards:
+        reference = None
+        if board.reference is not None and (board.entry.on_gel or board.entry.kind == "pins"):
+            reference = board.reference.image()
+        for frame in board.frames:
+            try:
+                view = detect_board(
+                    frame.image(), board.entry, reference=reference, name=frame.source
+                )
+                views.append(
+                    replace(view, name=frame.name, source=frame.source, sha256=frame.sha256)
+                )
+            except InputError as error:
+                refused.append(str(error))
+            if progress is not None:
+                progress(len(views) + len(refused), total)
+    views, mirrored, warnings = _without_mirrored(views)
+    refused += mirrored
+    if total and not views:
+        shown = "\n".join(refused[:5])
+        more = f"\n... and {len(refused) - 5} more" if len(refused) > 5 else ""
+        raise InputError(f"no board was found in any of {total} images:\n{shown}{more}")
+    _check_one_size(views)
+    return Detections(tuple(views), tuple(refused), tuple(warnings))
+
+
+def _without_mirrored(views: list[BoardView]) -> tuple[list[BoardView], list[str], list[str]]:
+    """Refuse views whose chessboard is mirrored against most of the others."""
+    told = [view for view in views if view.first_square_dark is not None]
+    dark = [view for view in told if view.first_square_dark]
+    if len(dark) == len(told):
+        return views, [], []
+    if not dark:
+        return views, [], [
+            "the chessboard begins with a light square in every view: it was printed so, or all "
+            "images are mirrored; compare one with the board"
+        ]  # fmt: skip
+    usual = len(dark) * 2 >= len(told)
+    odd = [view for view in told if view.first_square_dark != usual]
+    reasons = [
+        f"{view.source}: the board is mirrored against {len(told) - len(odd)} other views of it"
+        for view in odd
+    ]
+    names = {id(view) for view in odd}
+    return [view for view in views if id(view) not in names], reasons, []
+
+
+def _check_one_size(views: Sequence[BoardView]) -> None:
+    sizes = Counter(view.size_px for view in views)
+    if len(sizes) > 1:
+        (usual, _), *others = sizes.most_common()
+        odd = next(view for view in views if view.size_px == others[0][0])
+        raise InputError(
+            f"{odd.source} is {odd.size_px[0]}x{odd.size_px[1]} px, other views of boards are "
+            f"{usual[0]}x{usual[1]} px; all have to be of one size and one sensor"
+        )

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gel frame on a fitted plane, and the scale of the image: mm/px along x and y apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.camera.board import BoardView
+from calibration.camera.gel_plane import CROSS, PlaneFit, plane_rotation
+from calibration.result import Estimate
+
+_STEP = 1e-6
+"""Relative step of the derivatives by parameters."""
+_LOCAL_PITCHES = 1.0
+"""Width of the neighbourhood whose residuals correct the scale at its middle."""
+_LOCAL_POINTS = 4.0
+"""Least weight of the points in it."""
+_EXACT_PX = 1e-6
+
+
+@dataclass(frozen=True)
+class GelFrame:
+    """Where the gel frame lies on the plane, and the scale of the image there."""
+
+    origin_mm: np.ndarray
+    """The gel frame's origin in the first board's coordinates, shape [2]."""
+    angle_rad: float
+    """Turn of the gel's x axis against the board's."""
+    mm_per_px_x: Estimate
+    mm_per_px_y: Estimate
+    correlation: float
+    shear: float
+    """How far the image's axes are from a right angle [rad]."""
+
+    def board_from_gel(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Board coordinates of gel points, [n, 2] -> [n, 2]."""
+        return np.asarray(xy_mm) @ plane_rotation(self.angle_rad).T + self.origin_mm
+
+
+def gel_frame(
+    fit: PlaneFit,
+    views: Sequence[BoardView],
+    center_px: tuple[float, float],
+    *,
+    half_mm: float,
+    near: Sequence[PlaneFit] = (),
+) -> GelFrame:
+    """Gel frame with its origin at a pixel: x to the right of the image, y down.
+
+    Args:
+        half_mm: The scale is the mean over this distance to both sides of the origin; a pitch of
+            the board. In a distorted image, the scale changes over it.
+        near: Other fits that explain the points as well; how their scales differ is added to the
+            standard deviations.
+    """
+    center = np.array(center_px, dtype=np.float64)
+    middle = fit.locate(center)
+    local, local_variance = local_stretch(fit, views, middle, _LOCAL_PITCHES * half_mm)
+    origin, angle, scale, shear = _scale_at(fit, center, fit.theta, half_mm, local)
+    by_theta = np.zeros((2, len(fit.theta)))
+    sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    for k in range(len(fit.theta)):
+        # A step of the parameter's own uncertainty differentiates over the range that matters.
+        step = max(0.1 * sigma[k], _STEP * max(abs(fit.theta[k]), 1e-3))
+        theta = np.array(fit.theta)
+        theta[k] += step
+        up = _scale_at(fit, center, theta, half_mm, local)[2]
+        theta[k] -= 2 * step
+        by_theta[:, k] = (up - _scale_at(fit, center, theta, half_mm, local)[2]) / (2 * step)
+    covariance = by_theta @ fit.covariance @ by_theta.T
+    turn = plane_rotation(angle)
+    spline = _spline_variance(fit, origin, half_mm)
+    extra = np.diag(turn.T @ (local_variance + np.diag(spline)) @ turn)
+    covariance += np.diag(extra * scale**4)
+    others = np.array([
+        _scale_at(other, center, other.theta, half_mm, local_stretch(
+            other, views, other.locate(center), _LOCAL_PITCHES * half_mm)[0])[2]
+        for other in near
+    ])  # fmt: skip
+    if len(others) > 1:
+        off = others - scale
+        covariance = covariance + off.T @ off / len(others)
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    product = float(deviation[0] * deviation[1])
+    return GelFrame(
+        origin,
+        angle,
+        Estimate(float(scale[0]), float(deviation[0]), "mm/px"),
+        Estimate(float(scale[1]), float(deviation[1]), "mm/px"),
+        float(np.clip(covariance[0, 1] / product, -1, 1)) if product > 0 else 0.0,
+        shear,
+    )
+
+
+def _scale_at(
+    fit: PlaneFit, center: np.ndarray, theta: np.ndarray, half_mm: float, local: np.ndarray
+) -> tuple[np.ndarray, float, np.ndarray, float]:
+    """Origin [2], angle, mm/px [2] and shear for given parameters.
+
+    The rotation is the one that makes the derivative of the image by gel coordinates symmetric
+    (polar decomposition): no turn is left between the axes of gel and image.
+    """
+    origin = fit.locate(center, theta)
+    u, s, vt = np.linalg.svd(fit.jacobian(origin, theta, half_mm) + local)
+    stretch = u @ np.diag(s) @ u.T
+    turn = (u @ vt).T
+    angle = float(np.arctan2(turn[1, 0], turn[0, 0]))
+    return origin, angle, 1.0 / np.diag(stretch), float(2 * stretch[0, 1] / np.trace(stretch))
+
+
+def local_stretch(
+    fit: PlaneFit, views: Sequence[BoardView], at_mm: np.ndarray, width_mm: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the points near a place say of the local scale that the model does not.
+
+    An affine function is fitted to the residuals with Gaussian weights; each element of its slope
+    is drawn to zero as far as noise explains it (empirical Bayes: ``1 - sigma^2 / slope^2``).
+
+    Returns:
+        Correction of the Jacobian [px/mm], shape [2, 2], and its variance by x and y, a diagonal
+        [2, 2].
+    """
+    nothing = np.zeros((2, 2)), np.zeros((2, 2))
+    points = fit.plane_points(views) - at_mm
+    residuals = np.concatenate(fit.residuals)
+    weights = np.exp(-0.5 * np.sum(points**2, axis=1) / width_mm**2)
+    if weights.sum() < _LOCAL_POINTS or np.abs(residuals).max() < _EXACT_PX:
+        return nothing
+    design = np.column_stack([np.ones(len(points)), points])
+    normal = np.linalg.inv(design.T @ (design * weights[:, None]))
+    slope = (normal @ (design.T @ (residuals * weights[:, None])))[1:].T
+    left = residuals - design @ (normal @ (design.T @ (residuals * weights[:, None])))
+    noise = np.sum(weights[:, None] * left**2, axis=0) / (weights.sum() * (1 - 3 / len(weights)))
+    gain = normal @ (design * weights[:, None]).T
+    variance = noise[:, None] * np.sum(gain[1:] ** 2, axis=1)[None, :]
+    share = np.maximum(0.0, 1.0 - variance / np.maximum(slope**2, 1e-300))
+    spread = share * variance + (1 - share) * np.minimum(slope**2, variance) * share
+    return share * slope, np.diag(np.diag(spread))
+
+
+def _spline_variance(fit: PlaneFit, origin: np.ndarray, half_mm: float) -> np.ndarray:
+    """Variance of px/mm along x and y by what the correction makes of noise, shape [2]."""
+    if fit.correction is None:
+        return np.zeros(2)
+    weights = fit.correction.weights(origin + half_mm * CROSS)
+    along = np.stack([weights[0] - weights[1], weights[2] - weights[3]]) / (2 * half_mm)
+    noise = fit.correction.heldout_px**2 / 2
+    return noise * np.sum(along**2, axis=1)
+
+
+def scale_range(fit: PlaneFit, views: Sequence[BoardView], half_mm: float) -> tuple[float, float]:
+    """Least and largest local scale under the board, relative to the one at its middle."""
+    board = fit.plane_points(views)
+    local = np.array([_mean_scale(fit, xy, half_mm) for xy in board])
+    at_middle = _mean_scale(fit, board.mean(axis=0), half_mm)
+    return float(local.min() / at_middle), float(local.max() / at_middle)
+
+
+def _mean_scale(fit: PlaneFit, xy_mm: np.ndarray, half_mm: float) -> float:
+    return float(1 / np.sqrt(abs(np.linalg.det(fit.jacobian(xy_mm, half_mm=half_mm)))))

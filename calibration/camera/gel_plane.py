@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the gel's face appears in the image, fitted to a board that lies on it.
+
+The model is chosen like the lens: each is fitted to four fifths of the points, and the simplest
+whose error on the rest is within one standard error of the best is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from calibration.camera.board import BoardView
+from calibration.camera.bundle import HUBER, rms
+from calibration.camera.correction import Correction, fit_correction
+from calibration.camera.plane_models import PlaneModel
+from taccel_lab.errors import InputError
+
+FOLDS = 5
+_EXACT_PX = 1e-7
+CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+"""Steps to the right, left, down and up."""
+
+
+@dataclass(frozen=True)
+class PlaneFit:
+    """A model of the plane, fitted; board coordinates are those of the first view."""
+
+    model: PlaneModel
+    theta: np.ndarray
+    covariance: np.ndarray
+    motions: np.ndarray
+    """Angle [rad] and shift [mm] of each view's board on the plane, shape [view, 3]."""
+    residuals: tuple[np.ndarray, ...]
+    """Seen minus fitted [px] of each view, [n, 2]."""
+    heldout_px: float = np.nan
+    point_mse: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """Held-out square error of each point without the correction, shape [all points]."""
+    correction: Correction | None = None
+    """What the model leaves and is smooth; added to what it says."""
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of the points."""
+        return rms(np.concatenate(self.residuals))
+
+    def project(self, xy_mm: np.ndarray, theta: np.ndarray | None = None) -> np.ndarray:
+        """Pixels of points in the first board's coordinates, [n, 2] -> [n, 2]."""
+        xy = np.asarray(xy_mm, dtype=np.float64)
+        uv = self.model.project(self.theta if theta is None else theta, xy)
+        return uv if self.correction is None else uv + self.correction(xy)
+
+    def plane_points(self, views: Sequence[BoardView]) -> np.ndarray:
+        """Points of all views on the plane [mm], shape [all points, 2]."""
+        return np.concatenate([
+            moved(view.board_mm()[:, :2], motion)
+            for view, motion in zip(views, self.motions, strict=True)
+        ])  # fmt: skip
+
+    def locate(self, uv_px: np.ndarray, theta: np.ndarray | None = None) -> np.ndarray:
+        """Point of the plane [2] that is seen at a pixel [2], by Newton's method.
+
+        Raises:
+            InputError: The model does not reach that pixel.
+        """
+        xy = np.zeros(2)
+        for _ in range(60):
+            off = np.asarray(uv_px) - self.project(xy[None], theta)[0]
+            step = np.linalg.solve(self.jacobian(xy, theta), off)
+            xy = xy + step
+            if np.linalg.norm(step) < 1e-12 * (1 + np.linalg.norm(xy)):
+                return xy
+        if np.linalg.norm(off) > 1e-6:
+            raise InputError(f"the fitted plane is not seen at pixel {tuple(uv_px)}")
+        return xy
+
+    def jacobian(
+        self, xy_mm: np.ndarray, theta: np.ndarray | None = None, half_mm: float = 1e-4
+    ) -> np.ndarray:
+        """Change of the pixel along x and y [px/mm], over ``half_mm`` to both sides, [2, 2]."""
+        uv = self.project(np.asarray(xy_mm) + half_mm * CROSS, theta)
+        return np.column_stack([uv[0] - uv[1], uv[2] - uv[3]]) / (2 * half_mm)
+
+
+def fit_planes(views: Sequence[BoardView], models: Sequence[PlaneModel]) -> list[PlaneFit]:
+    """Fit every model and cross-validate it; models that the points cannot determine are left out.
+
+    Raises:
+        InputError: No model could be fitted.
+    """
+    fits = []
+    points = sum(len(view.index) for view in views)
+    for model in models:
+        if 2 * points < model.count + 3 * (len(views) - 1) + 8:
+            continue
+        fit = _fit(views, model, [np.ones(len(view.index), dtype=bool) for view in views])
+        fits.append(_with_heldout(views, fit))
+    if not fits:
+        raise InputError(f"{points} points of the board are too few to fit the plane of the gel")
+    return fits
+
+
+def choose_plane(fits: Sequence[PlaneFit]) -> tuple[PlaneFit, list[PlaneFit]]:
+    """The simplest fit within one standard error of the best, and all that are within it."""
+    errors = [fit.point_mse for fit in fits]
+    best = errors[int(np.argmin([e.mean() for e in errors]))]
+    near = []
+    for fit, error in zip(fits, errors, strict=True):
+        difference = error - best
+        margin = max(float(difference.std(ddof=1) / np.sqrt(len(difference))), _EXACT_PX**2)
+        if difference.mean() <= margin:
+            near.append(fit)
+    return near[0], near
+
+
+def correct_plane(fit: PlaneFit, views: Sequence[BoardView], unit_mm: float) -> PlaneFit:
+    """The fit with a spline over what it leaves, where that predicts left-out points better."""
+    points = fit.plane_points(views)
+    correction = fit_correction(points, np.concatenate(fit.residuals), unit_mm)
+    if correction is None:
+        return fit
+    left = []
+    for view, motion, residual in zip(views, fit.motions, fit.residuals, strict=True):
+        left.append(residual - correction(moved(view.board_mm()[:, :2], motion)))
+    return replace(
+        fit, correction=correction, residuals=tuple(left), heldout_px=correction.heldout_px
+    )
+
+
+def moved(xy_mm: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Points [n, 2] of a board on the plane, by its angle [rad] and shift [mm]."""
+    return xy_mm @ plane_rotation(float(motion[0])).T + motion[1:]
+
+
+def plane_rotation(angle_rad: float) -> np.ndarray:
+    """Rotation in the plane, shape [2, 2]."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def _fit(views: Sequence[BoardView], model: PlaneModel, used: list[np.ndarray]) -> PlaneFit:
+    """Robust least squares of one model on some points of each view."""
+    boards = [view.board_mm()[:, :2] for view in views]
+    theta = model.start(boards[0][used[0]], views[0].uv_px[used[0]])
+    start = np.concatenate([theta, _first_motions(views, boards)[1:].ravel()])
+
+    def residuals(x: np.ndarray) -> list[np.ndarray]:
+        motions = np.vstack([np.zeros(3), x[model.count :].reshape(-1, 3)])
+        return [
+            view.uv_px - model.project(x[: model.count], moved(board, motion))
+            for view, board, motion in zip(views, boards, motions, strict=True)
+        ]
+
+    def flat(x: np.ndarray, scale: float) -> np.ndarray:
+        seen = [r[mask].ravel() for r, mask in zip(residuals(x), used, strict=True)]
+        # The prior counts in standard deviations, points in pixels of standard deviation `scale`.
+        values = np.concatenate([*seen, scale * model.prior(x[: model.count])])
+        return np.nan_to_num(values, nan=1e6)
+
+    x, scale = start, 1.0
+    for _ in range(4):
+        fitted = least_squares(
+            flat,
+            x,
+            args=(scale,),
+            loss="huber",
+            f_scale=HUBER * 1.5 * max(scale, _EXACT_PX),
+            x_scale="jac",
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+            max_nfev=200,
+        )
+        x = fitted.x
+        lengths = np.concatenate(
+            [np.linalg.norm(r[m], axis=1) for r, m in zip(residuals(x), used, strict=True)]
+        )
+        new = max(float(np.median(lengths)) / 1.1774, _EXACT_PX)
+        if abs(new - scale) < 1e-3 * scale:
+            break
+        scale = new
+    freedom = max(2 * len(lengths) - len(x), 1)
+    weights = np.minimum(1.0, HUBER * 1.5 * scale / np.maximum(lengths, 1e-300))
+    variance = float(np.sum(weights * lengths**2)) / freedom
+    columns = np.linalg.norm(fitted.jac, axis=0)
+    columns = np.where(columns > 0, columns, 1.0)
+    scaled = fitted.jac / columns
+    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14) / np.outer(columns, columns)
+    count = model.count
+    return PlaneFit(
+        model,
+        x[:count],
+        variance * covariance[:count, :count],
+        np.vstack([np.zeros(3), x[count:].reshape(-1, 3)]),
+        tuple(residuals(x)),
+    )
+
+
+def _first_motions(views: Sequence[BoardView], boards: list[np.ndarray]) -> np.ndarray:
+    """Angle and shift of each board against the first, from similarity fits to the image."""
+    pixels = [_similarity(board, view.uv_px) for view, board in zip(views, boards, strict=True)]
+    (a0, t0), motions = pixels[0], []
+    for a, t in pixels:
+        relative = a / a0
+        shift = (t - t0) / a0
+        motions.append([np.angle(relative), shift.real, shift.imag])
+    return np.array(motions)
+
+
+def _similarity(xy: np.ndarray, uv: np.ndarray) -> tuple[complex, complex]:
+    """uv = a xy + t in complex numbers."""
+    z, w = xy[:, 0] + 1j * xy[:, 1], uv[:, 0] + 1j * uv[:, 1]
+    solution, *_ = np.linalg.lstsq(np.column_stack([z, np.ones(len(z))]), w, rcond=None)
+    return complex(solution[0]), complex(solution[1])
+
+
+def _with_heldout(views: Sequence[BoardView], fit: PlaneFit) -> PlaneFit:
+    """Cross-validate over the points: (column + 2 row) modulo 5 names the fold."""
+    folds = [(view.index[:, 0] + 2 * view.index[:, 1]) % FOLDS for view in views]
+    squares = [np.zeros(len(view.index)) for view in views]
+    for k in range(FOLDS):
+        held = _fit(views, fit.model, [fold != k for fold in folds])
+        for square, residual, fold in zip(squares, held.residuals, folds, strict=True):
+            square[fold == k] = np.sum(residual[fold == k] ** 2, axis=1)
+    every = np.concatenate(squares)
+    return replace(fit, heldout_px=float(np.sqrt(every.mean())), point_mse=every)

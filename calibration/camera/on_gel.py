@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scale, rectification and pose of the camera from views of a board that lies on the gel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calibration.camera.board import BoardView
+from calibration.camera.gel_frame import GelFrame, gel_frame, scale_range
+from calibration.camera.gel_plane import (
+    PlaneFit,
+    choose_plane,
+    correct_plane,
+    fit_planes,
+    plane_rotation,
+)
+from calibration.camera.intrinsics import Intrinsics
+from calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
+from calibration.result import Remark, Severity
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.optics.refraction import FlatMedia
+
+MIN_POINTS = 8
+DISTORTED = 0.02
+"""Change of scale under the board from which on the image counts as distorted."""
+MAX_SHEAR = 0.01
+LARGE_ERROR_PITCHES = 0.05
+_POSE_WORSE = 1.5
+"""A pose whose held-out error is this many times a free map's does not explain the board."""
+
+
+@dataclass(frozen=True)
+class PoseInGel:
+    """Where the camera is in the gel frame."""
+
+    fit: PlaneFit
+    position_mm: tuple[float, float, float]
+    position_sigma_mm: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+    """gel_from_camera, quaternion x, y, z, w."""
+    tilt_deg: float
+    """Angle between the optical axis and the gel's normal."""
+    refracted: bool
+
+
+@dataclass(frozen=True)
+class OnGel:
+    """What boards on the gel tell."""
+
+    fit: PlaneFit
+    """The map from the gel to the image that is used."""
+    frame: GelFrame
+    grid: PixelGrid
+    """Of the rectified image; where it is as large as the raw one, it holds for that too as far as
+    it is not distorted."""
+    center_px: tuple[float, float]
+    """Raw pixel of the gel frame's origin."""
+    views: tuple[BoardView, ...]
+    fits: tuple[PlaneFit, ...]
+    """All models compared."""
+    pose: PoseInGel | None
+    pose_in_air: PoseInGel | None
+    """Without refraction, where the pose is with it."""
+    scale_range: tuple[float, float]
+    """Least and largest scale under the board, relative to its middle."""
+    remarks: tuple[Remark, ...]
+
+    def pixel_from_gel(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Raw pixels of gel points [mm], [n, 2] -> [n, 2]."""
+        return self.fit.project(self.frame.board_from_gel(xy_mm))
+
+    @property
+    def points_in_gel_mm(self) -> np.ndarray:
+        """The board's points in the gel frame, all views, shape [n, 2]."""
+        board = self.fit.plane_points(self.views) - self.frame.origin_mm
+        return board @ plane_rotation(self.frame.angle_rad)
+
+
+def fit_on_gel(
+    views: Sequence[BoardView],
+    *,
+    center_px: tuple[float, float] | None = None,
+    tactile_px: tuple[int, int] | None = None,
+    intrinsics: Intrinsics | None = None,
+    media: FlatMedia | None = None,
+) -> OnGel:
+    """Fit the gel's face to boards that lie on it.
+
+    Args:
+        views: With known pitch; several are boards laid down at different places.
+        center_px: Pixel of the gel frame's origin; the image's middle when None.
+        tactile_px: Width and height of the rectified image, about that pixel, where it is cut out
+            of the camera's own; None: as large as that.
+        intrinsics: The camera's lens, of images of the same size; gives its pose too.
+        media: What lies before the contact face z = 0, for the pose.
+
+    Raises:
+        InputError: No pitch, too few points, or intrinsics of other images.
+    """
+    for view in views:
+        if view.pitch_mm is None:
+            raise InputError(
+                f"{view.source}: a board on the gel gives the scale only with pitch_mm, the "
+                "distance of its points; state it in the manifest"
+            )
+        if len(view.index) < MIN_POINTS:
+            raise InputError(
+                f"{view.source}: {len(view.index)} points of the board are too few for a scale; "
+                f"at least {MIN_POINTS}"
+            )
+    # The board with the most points comes first: the others are placed against it.
+    views = sorted(views, key=lambda view: -len(view.index))
+    size, pitch = views[0].size_px, float(views[0].pitch_mm or 1.0)
+    unit = pitch * float(max(np.ptp(views[0].index, axis=0)))
+    if intrinsics is not None and intrinsics.size_px != size:
+        raise InputError(
+            f"the board on the gel was seen in images of {size[0]}x{size[1]} px, the views for "
+            f"the lens are {intrinsics.size_px[0]}x{intrinsics.size_px[1]} px; use one size"
+        )
+    center = center_px or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    models: list[PlaneModel] = [
+        BentHomography(size, unit, radial, free)
+        for radial, free in ((0, False), (1, False), (2, False), (2, True))
+    ]
+    poses: list[PlaneModel] = []
+    if intrinsics is not None:
+        lens = intrinsics.chosen.fit
+        for layers in (None, media) if media is not None else (None,):
+            poses.append(CameraPose(lens.lens, lens.parameters, lens.covariance, size, layers))
+    fits = fit_planes(views, [*poses[::-1], *models])
+    chosen, near = choose_plane(fits)
+    chosen = correct_plane(chosen, views, pitch)
+    frame = gel_frame(chosen, views, center, half_mm=pitch, near=[chosen, *near[1:]])
+    scale = frame.mm_per_px_x.value, frame.mm_per_px_y.value
+    if tactile_px is None:
+        grid = PixelGrid(*size, *scale, float(center[0]), float(center[1]))
+    else:
+        grid = PixelGrid(*tactile_px, *scale)
+    by_model = {fit.model.name: fit for fit in fits}
+    found = [
+        _pose(by_model[model.name], views, center, pitch, model)
+        for model in poses
+        if isinstance(model, CameraPose) and model.name in by_model
+    ]
+    spread = scale_range(chosen, views, pitch)
+    remarks = _remarks(chosen, fits, frame, spread, pitch, views, center)
+    return OnGel(
+        chosen,
+        frame,
+        grid,
+        (float(center[0]), float(center[1])),
+        tuple(views),
+        tuple(fits),
+        found[-1] if found else None,
+        found[0] if len(found) > 1 else None,
+        spread,
+        tuple(remarks),
+    )
+
+
+def _pose(
+    fit: PlaneFit,
+    views: Sequence[BoardView],
+    center: tuple[float, float],
+    pitch: float,
+    model: CameraPose,
+) -> PoseInGel:
+    """Camera in the gel frame that this fit itself gives."""
+    frame = gel_frame(fit, views, center, half_mm=pitch)
+
+    def position(theta: np.ndarray) -> np.ndarray:
+        rotation = cv2.Rodrigues(theta[:3])[0]
+        in_board = -rotation.T @ theta[3:6] - [*frame.origin_mm, 0.0]
+        flat = plane_rotation(frame.angle_rad).T @ in_board[:2]
+        return np.array([*flat, in_board[2]])
+
+    by_theta = np.zeros((3, 6))
+    for k in range(6):
+        theta = np.array(fit.theta)
+        step = 1e-6 * max(abs(theta[k]), 1.0)
+        theta[k] += step
+        by_theta[:, k] = (position(theta) - position(fit.theta)) / step
+    sigma = np.sqrt(np.diag(by_theta @ fit.covariance[:6, :6] @ by_theta.T))
+    camera_from_board = Rotation.from_rotvec(fit.theta[:3])
+    board_from_gel = Rotation.from_rotvec([0.0, 0.0, frame.angle_rad])
+    gel_from_camera = (camera_from_board * board_from_gel).inv()
+    axis = gel_from_camera.apply([0.0, 0.0, 1.0])
+    x, y, z, w = (float(v) for v in gel_from_camera.as_quat())
+    px, py, pz = (float(v) for v in position(fit.theta))
+    sx, sy, sz = (float(v) for v in sigma)
+    return PoseInGel(
+        fit,
+        (px, py, pz),
+        (sx, sy, sz),
+        (x, y, z, w),
+        float(np.degrees(np.arccos(np.clip(axis[2], -1, 1)))),
+        model.media is not None,
+    )
+
+
+def _remarks(
+    chosen: PlaneFit,
+    fits: Sequence[PlaneFit],
+    frame: GelFrame,
+    spread: tuple[float, float],
+    pitch: float,
+    views: Sequence[BoardView],
+    center: tuple[float, float],
+) -> list[Remark]:
+    remarks = []
+    size = views[0].size_px
+    if spread[1] - spread[0] > DISTORTED:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "distorted",
+                f"the scale runs from {spread[0]:.2f} to {spread[1]:.2f} of its value at the "
+                "board's middle: mm/px hold about the middle of the raw image, and everywhere "
+                "only in images that are rectified (--maps)",
+            )
+        )
+    if abs(frame.shear) > MAX_SHEAR:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "shear",
+                f"the image's axes are {np.degrees(frame.shear):.2f} degrees off a right angle; "
+                "the camera looks at the gel askew, rectify the images (--maps)",
+            )
+        )
+    pixel_pitch = pitch / frame.mm_per_px_x.value
+    if chosen.heldout_px > LARGE_ERROR_PITCHES * pixel_pitch:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "large_error",
+                f"points of the board that were left out are {chosen.heldout_px:.2f} px off, "
+                f"{chosen.heldout_px / pixel_pitch:.1%} of its pitch; the board is bent, or its "
+                "dots are blurred",
+            )
+        )
+    found, expected = len(views[0].index), views[0].expected
+    if found < 0.8 * expected:
+        remarks.append(
+            Remark(
+                Severity.INFO,
+                "missing_points",
+                f"{found} of {expected} points of the board were found",
+            )
+        )
+    points = np.concatenate([view.uv_px for view in views])
+    if not (points.min(axis=0) <= center).all() or not (points.max(axis=0) >= center).all():
+        remarks.append(
+            Remark(
+                Severity.ERROR,
+                "off_center",
+                f"the gel frame's origin at pixel ({center[0]:.0f}, {center[1]:.0f}) is not under "
+                f"the board, so that the scale there is extrapolated; lay the board over the "
+                f"middle of the image of {size[0]}x{size[1]} px",
+            )
+        )
+    poses = [fit for fit in fits if isinstance(fit.model, CameraPose)]
+    free = min((f.heldout_px for f in fits if not isinstance(f.model, CameraPose)), default=np.inf)
+    if poses and min(fit.heldout_px for fit in poses) > _POSE_WORSE * free:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "pose_disagrees",
+                f"the calibrated lens explains the board on the gel to "
+                f"{min(fit.heldout_px for fit in poses):.2f} px, a free map to {free:.2f} px: "
+                "what lies before the gel bends the light otherwise, or focus or crop changed "
+                "between the views. The scale is that of the free map",
+            )
+        )
+    return remarks

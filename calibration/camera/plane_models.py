@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Models of how the plane of the gel's face appears in the image, each a function of parameters.
+
+Without a calibrated lens, the plane is a homography bent by radial distortion: enough for scale and
+rectification, since the focal length cannot be told from a plane that never tilts. With a lens, it
+is the pose of the camera, in air or through the flat media in front of the gel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from calibration.camera.lens import Lens
+from taccel_lab.errors import InputError
+from taccel_lab.optics.refraction import FlatMedia
+
+
+class PlaneModel(Protocol):
+    """A map from the plane [mm] to the image [px] with ``count`` parameters."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def count(self) -> int: ...
+
+    def start(self, xy_mm: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
+        """Parameters near the solution, from matched points [n, 2]."""
+        ...
+
+    def project(self, theta: np.ndarray, xy_mm: np.ndarray) -> np.ndarray:
+        """Pixels of points on the plane, [n, 2] -> [n, 2]."""
+        ...
+
+    def prior(self, theta: np.ndarray) -> np.ndarray:
+        """What is known of the parameters already, as standardised residuals [m]."""
+        ...
+
+
+@dataclass(frozen=True)
+class BentHomography:
+    """Homography, then ``p' = c + (p - c)(1 + k1 r^2 + k2 r^4 + ..)`` about the image's middle.
+
+    Image coordinates are counted from the middle in half diagonals, so that k is the displacement
+    of a corner as a share of its distance.
+    """
+
+    size_px: tuple[int, int]
+    unit_mm: float
+    """Length that the plane's coordinates are divided by, for conditioning."""
+    radial: int = 0
+    """Terms of the distortion."""
+    free_center: bool = False
+    """The middle of the distortion is fitted too."""
+
+    @property
+    def name(self) -> str:
+        if not self.radial:
+            return "homography"
+        return f"homography + {self.radial} radial" + (" about a free middle" * self.free_center)
+
+    @property
+    def count(self) -> int:
+        return 8 + self.radial + 2 * self.free_center
+
+    @property
+    def _middle_px(self) -> np.ndarray:
+        return (np.array(self.size_px, dtype=np.float64) - 1) / 2
+
+    @property
+    def _half_diagonal_px(self) -> float:
+        return float(np.hypot(*self.size_px)) / 2
+
+    def start(self, xy_mm: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
+        image = (uv_px - self._middle_px) / self._half_diagonal_px
+        matrix, _ = cv2.findHomography(xy_mm / self.unit_mm, image, cv2.LMEDS)
+        if matrix is None:
+            raise InputError("the board's points lie on a line; they do not give a homography")
+        theta = np.zeros(self.count)
+        theta[:8] = (np.asarray(matrix) / matrix[2, 2]).ravel()[:8]
+        return theta
+
+    def project(self, theta: np.ndarray, xy_mm: np.ndarray) -> np.ndarray:
+        matrix = np.append(theta[:8], 1.0).reshape(3, 3)
+        plane = np.column_stack([np.asarray(xy_mm) / self.unit_mm, np.ones(len(xy_mm))])
+        image = plane @ matrix.T
+        image = image[:, :2] / image[:, 2:]
+        if self.radial:
+            middle = theta[-2:] if self.free_center else np.zeros(2)
+            away = image - middle
+            r2 = np.sum(away**2, axis=1)
+            factor = np.ones(len(image))
+            for k in range(self.radial):
+                factor += theta[8 + k] * r2 ** (k + 1)
+            image = middle + away * factor[:, None]
+        return image * self._half_diagonal_px + self._middle_px
+
+    def prior(self, theta: np.ndarray) -> np.ndarray:
+        # Keeps a free middle inside the image where nothing else does: it is at the middle to
+        # within a quarter of the half diagonal.
+        return theta[-2:] / 0.25 if self.free_center else np.zeros(0)
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Pose of a camera whose lens is known to within a covariance, in air or through media.
+
+    Parameters: rotation vector and translation of camera_from_plane, then the lens's own, which
+    the board may correct as far as their covariance allows.
+    """
+
+    lens: Lens
+    parameters: np.ndarray
+    covariance: np.ndarray
+    size_px: tuple[int, int]
+    media: FlatMedia | None = None
+    """Flat media in front of the plane z = 0; None: nothing bends the sight lines."""
+
+    @property
+    def name(self) -> str:
+        return "camera pose" if self.media is None else "camera pose with refraction"
+
+    @property
+    def count(self) -> int:
+        return 6 + self.lens.parameter_count
+
+    def start(self, xy_mm: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
+        rays = self.lens.directions(self.parameters, self.size_px, uv_px)
+        seen = np.isfinite(rays).all(axis=1) & (rays[:, 2] > 0.05)
+        if seen.sum() < 4:
+            raise InputError("fewer than 4 points of the board lie within the lens's field")
+        plane = (rays[seen, :2] / rays[seen, 2:]).reshape(-1, 1, 2)
+        points = np.column_stack([xy_mm[seen], np.zeros(seen.sum())]).reshape(-1, 1, 3)
+        count, rotations, translations, _ = cv2.solvePnPGeneric(
+            points, plane, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+        )
+        poses = [
+            np.concatenate([np.ravel(rotations[i]), np.ravel(translations[i]), self.parameters])
+            for i in range(count)
+        ]
+        costs = [
+            np.nansum(np.abs(self._project_in_air(pose, xy_mm[seen]) - uv_px[seen]))
+            for pose in poses
+        ]
+        return poses[int(np.argmin(costs))]
+
+    def project(self, theta: np.ndarray, xy_mm: np.ndarray) -> np.ndarray:
+        if self.media is None:
+            return self._project_in_air(theta, xy_mm)
+        rotation = cv2.Rodrigues(theta[:3])[0]
+        position = -rotation.T @ theta[3:6]
+        # Looking out of the camera, the plane is at z = 0 and the media lie before it.
+        beyond = [i for i, z in enumerate(self.media.planes_mm) if z > position[2]]
+        media = FlatMedia(
+            tuple(self.media.planes_mm[i] for i in beyond),
+            self.media.indices[len(self.media.planes_mm) - len(beyond) :],
+        )
+        points = np.column_stack([xy_mm, np.zeros(len(xy_mm))])
+        sight = media.sight(position, points)
+        return self.lens.project(sight @ rotation.T, theta[6:], np.zeros(6))
+
+    def _project_in_air(self, theta: np.ndarray, xy_mm: np.ndarray) -> np.ndarray:
+        points = np.column_stack([xy_mm, np.zeros(len(xy_mm))])
+        return self.lens.project(points, theta[6:], theta[:6])
+
+    def prior(self, theta: np.ndarray) -> np.ndarray:
+        off = theta[6:] - self.parameters
+        floor = 1e-8 * np.maximum(np.abs(self.parameters), 1e-3)
+        sigma = np.maximum(np.sqrt(np.diag(self.covariance)), floor)
+        correlation = self.covariance / np.outer(sigma, sigma)
+        correlation[np.diag_indices(len(sigma))] = 1.0
+        values, vectors = np.linalg.eigh(correlation)
+        return (vectors.T @ (off / sigma)) / np.sqrt(np.maximum(values, 1e-8))
