@@ -59,7 +59,7 @@ class DepthResponseBlock(Block):
 class PerturbationBlock(Block):
     """How far captures of this sensor spread, for domain randomisation; standard deviations.
 
-    A perturbed image is ``gain * image + offset + gradient + noise``; see
+    A perturbed image is ``pivot + gain * (image - pivot) + offset + gradient + noise``; see
     ``taccel_lab.signals.perturbation``.
     """
 
@@ -67,8 +67,11 @@ class PerturbationBlock(Block):
 
     gain_rgb: Triple = (0.0, 0.0, 0.0)
     """Of the per-frame gain of each channel."""
+    pivot_rgb: tuple[Level, Level, Level] = (0.0, 0.0, 0.0)
+    """Level of each channel that its gain leaves as it is, usually the mean of the background:
+    about it gain and offset vary independently [levels]; not a spread."""
     offset_rgb: Triple = (0.0, 0.0, 0.0)
-    """Of the per-frame offset of each channel [levels]."""
+    """Of the per-frame offset of each channel, at the pivot [levels]."""
     gradient_rgb: Triple = (0.0, 0.0, 0.0)
     """Of a linear gradient of the light over half the image [levels]."""
     noise_levels: float = Field(default=0.0, ge=0, le=255)

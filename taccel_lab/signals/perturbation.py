@@ -30,7 +30,9 @@ class Perturbation:
     """One draw for each of ``env_count`` environments."""
 
     gain: np.ndarray
-    """Factor of each channel, shape [env_count, 3]."""
+    """Factor of each channel about its pivot, shape [env_count, 3]."""
+    pivot: np.ndarray
+    """Level of each channel that the gain leaves as it is [levels], shape [3]."""
     offset: np.ndarray
     """Added to each channel [levels], shape [env_count, 3]."""
     gradient: np.ndarray
@@ -73,7 +75,7 @@ class Perturbation:
         return np.maximum(nominal + self.friction_shift, 0.0)
 
     def apply(self, images: Any, rng: np.random.Generator | None = None) -> Any:
-        """Images of the drawn sensors: ``gain * image + offset + gradient + noise``.
+        """Images of the drawn sensors, as ``PerturbationBlock`` says.
 
         Args:
             images: RGB levels 0..255, float, shape [env_count, height_px, width_px, 3]; a numpy
@@ -91,7 +93,9 @@ class Perturbation:
         height, width = shape[1:3]
         u = np.linspace(-1, 1, width)[None, None, :, None]
         v = np.linspace(-1, 1, height)[None, :, None, None]
-        gain, offset = (self._like(a[:, None, None, :], images) for a in (self.gain, self.offset))
+        # gain * image + the rest, so that a nominal draw changes nothing, to the last bit.
+        shift = self.offset + (1 - self.gain) * self.pivot
+        gain, offset = (self._like(a[:, None, None, :], images) for a in (self.gain, shift))
         across, down = (self._like(self.gradient[:, k][:, None, None, :], images) for k in (0, 1))
         changed = images * gain + offset
         changed = changed + across * self._like(u, images) + down * self._like(v, images)
@@ -144,6 +148,7 @@ def draw_perturbation(
 
     return Perturbation(
         gain=np.maximum(1 + normal(block.gain_rgb, 3), MIN_FACTOR),
+        pivot=np.array(block.pivot_rgb, dtype=np.float64),
         offset=normal(block.offset_rgb, 3),
         gradient=normal(block.gradient_rgb, 2, 3),
         noise_levels=strength * block.noise_levels,

@@ -15,6 +15,7 @@ from taccel_lab.signals.perturbation import draw_perturbation
 PROVENANCE = Provenance(kind="assumed", method="made up for a test", source="none")
 BLOCK = PerturbationBlock(
     gain_rgb=(0.05, 0.1, 0.02),
+    pivot_rgb=(120.0, 100.0, 80.0),
     offset_rgb=(2.0, 1.0, 3.0),
     gradient_rgb=(4.0, 2.0, 1.0),
     noise_levels=1.5,
@@ -52,7 +53,9 @@ def test_an_image_changes_as_the_draw_says() -> None:
     draw = draw_perturbation(BLOCK, 2, np.random.default_rng(0))
     images = np.full((2, 5, 9, 3), 100.0)
     changed = draw.apply(images)
-    assert changed[:, 2, 4] == pytest.approx(100 * draw.gain + draw.offset)
+    assert changed[:, 2, 4] == pytest.approx(
+        BLOCK.pivot_rgb + (100 - np.array(BLOCK.pivot_rgb)) * draw.gain + draw.offset
+    )
     assert changed[:, 2, 8] - changed[:, 2, 4] == pytest.approx(draw.gradient[:, 0])
     assert changed[:, 4, 4] - changed[:, 2, 4] == pytest.approx(draw.gradient[:, 1])
 

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab calibrate spread``: how far days and units differ, for domain randomisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from calibration.background.drift import Drift
+    from calibration.capture import CaptureFolder
+    from calibration.report import Page
+    from calibration.spread import SpreadCalibration
+
+
+@dataclass(frozen=True)
+class CalibrateSpread:
+    """Measure how much captures drift and units differ, for domain randomisation.
+
+    The light of every frame (gain, offset, gradient) is fitted against the background; with
+    --units the images at rest, scales and materials of other units of this design are compared
+    too. The block ``perturbation`` holds the standard deviations; draw sensors from it with
+    taccel_lab.signals.perturbation.draw_perturbation.
+    """
+
+    captures: Positional[Path]
+    """Capture folder with captures.toml: its untouched images, else its presses."""
+    out: Path
+    """Profile folder to write."""
+    base: Path | None = None
+    """Profile to extend; the catalogue's design of the sensor when left out."""
+    units: tuple[Path, ...] = ()
+    """Profiles of other units of the same design; the base counts as one when it is given."""
+    report: Path | None = None
+    """Folder for the report; <out>_report when left out."""
+    json: bool = False
+    """Print the figures as JSON."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from calibration.capture import load_capture_folder
+        from calibration.spread import calibrate_spread, spread_of_units
+        from taccel_lab.cli.calibrate.base import (
+            base_profile,
+            report_folder,
+            require_outputs,
+            write_results,
+        )
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.profile import load_profile
+
+        console = Console(stderr=True)
+        report = report_folder(self.out, self.report)
+        require_outputs(self.out, report)
+        folder = load_capture_folder(self.captures)
+        base = base_profile(self.base, folder.sensor)
+        units = None
+        if self.units:
+            others = [load_profile(path) for path in self.units]
+            units = spread_of_units([base, *others] if self.base is not None else others)
+        background = folder.require_background()
+        with console.status("fitting the light of each frame"):
+            drifts, inputs = frame_drifts(folder)
+        result = calibrate_spread(
+            drifts,
+            units,
+            background.image(),
+            inputs={"background": background.sha256, **inputs},
+            source=folder.provenance.get("source", folder.source),
+        )
+        page = spread_page(result, folder.sensor)
+        write_results(result, page, base, self.out, report, console)
+        if self.json:
+            print_json({"profile": str(self.out), "spread": result.figures()})
+
+
+def frame_drifts(folder: CaptureFolder) -> tuple[list[Drift], dict[str, str]]:
+    """Light of the untouched frames, or of the presses where there are fewer than two."""
+    from calibration.background.drift import fit_robust_drift
+
+    background = folder.require_background().image()
+    frames = folder.untouched if len(folder.untouched) > 1 else folder.presses
+    drifts = [fit_robust_drift(frame.image(), background, folder.mask) for frame in frames]
+    return drifts, {frame.name: frame.sha256 for frame in frames}
+
+
+def spread_page(result: SpreadCalibration, sensor: str) -> Page:
+    """The spread as a page: table of standard deviations, frames over time."""
+    from calibration.report import Page, Picture, Table
+    from calibration.spread.figures import draw_lights
+
+    rows = []
+    for name, value in result.values().items():
+        cells = value if isinstance(value, tuple) else (value, None, None)
+        rows.append((name, *cells))
+    pictures = []
+    if result.lights:
+        pictures.append(
+            Picture(
+                "lights",
+                lambda: draw_lights(result.lights, result.pivot),
+                "Light of each frame (or unit) against the mean image, by channel.",
+            )
+        )
+    return Page(
+        title=f"Spread of captures: {sensor}",
+        summary=f"{len(result.frame_drifts)} frames of this unit, "
+        f"{0 if result.units is None else result.units.unit_count} units compared.",
+        remarks=result.remarks,
+        tables=[Table("Standard deviations", ("quantity", "red or value", "green", "blue"), rows)],
+        pictures=pictures,
+        figures=result.figures(),
+    )

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A known spread is recovered from images drawn from it, and only measured values count."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration.background.drift import fit_robust_drift
+from calibration.spread import calibrate_spread, spread_of_units
+from calibration.synthetic import add_noise, quantise
+from taccel_lab.errors import InputError
+from taccel_lab.profile import (
+    BackgroundBlock,
+    PerturbationBlock,
+    Provenance,
+    SensorProfile,
+)
+from taccel_lab.signals.perturbation import draw_perturbation
+from tests.calibration.synthetic import GRID, flat_background, tiny_profile
+
+ASSUMED = Provenance(kind="assumed", method="made up for a test", source="none")
+MEASURED = Provenance(kind="measured", method="made up for a test", source="none")
+TRUTH = PerturbationBlock(
+    gain_rgb=(0.10, 0.05, 0.15),
+    pivot_rgb=(110.0, 115.0, 112.5),
+    offset_rgb=(4.0, 2.0, 6.0),
+    gradient_rgb=(3.0, 2.0, 4.0),
+    noise_levels=0.0,
+    provenance=ASSUMED,
+)
+
+
+def textured_background() -> np.ndarray:
+    """Enough contrast to tell gain from offset."""
+    rng = np.random.default_rng(9)
+    pattern = rng.normal(0, 12, (GRID.height_px // 4, GRID.width_px // 4, 1))
+    return flat_background() + np.kron(pattern, np.ones((4, 4, 1)))
+
+
+def drawn_frames(count: int, noise: float, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    draw = draw_perturbation(TRUTH, count, rng)
+    frames = draw.apply(np.repeat(textured_background()[None], count, axis=0))
+    return quantise(add_noise(frames, noise, rng))
+
+
+def test_the_spread_of_many_frames_is_recovered() -> None:
+    count = 200
+    background = textured_background()
+    drifts = [fit_robust_drift(frame, background) for frame in drawn_frames(count, 1.0)]
+    found = calibrate_spread(
+        drifts, None, background, inputs={"a": "0" * 64}, source="test"
+    ).values()
+    # A standard deviation from 200 samples is uncertain by 5 %: 3 of these.
+    for name in ("gain_rgb", "offset_rgb", "gradient_rgb"):
+        assert found[name] == pytest.approx(getattr(TRUTH, name), rel=0.15), name
+    assert found["pivot_rgb"] == pytest.approx(background.mean(axis=(0, 1)))
+    assert found["noise_levels"] == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_block_draws_images_like_the_measured_ones() -> None:
+    background = textured_background()
+    frames = drawn_frames(100, 0.5)
+    drifts = [fit_robust_drift(frame, background) for frame in frames]
+    result = calibrate_spread(drifts, None, background, inputs={"a": "0" * 64}, source="test")
+    block = result.apply_to(tiny_profile(GRID)).perturbation
+    assert block is not None and block.provenance.verdict == "good"
+    draw = draw_perturbation(block, 400, np.random.default_rng(1))
+    again = draw.apply(np.repeat(background[None], 400, axis=0))
+    # The spread of a pixel between frames is what randomisation is about.
+    first, second = frames.astype(float).std(axis=0), again.std(axis=0)
+    assert second.mean() == pytest.approx(first.mean(), rel=0.1)
+
+
+def unit(brightness: float, young_pa: float, provenance: Provenance) -> SensorProfile:
+    profile = tiny_profile(GRID)
+    image = np.clip(textured_background() * brightness, 0, 255).astype(np.float32)
+    return profile.with_block(BackgroundBlock(provenance=MEASURED), image).with_block(
+        profile.material.replace(young_modulus_pa=young_pa, provenance=provenance)
+    )
+
+
+def test_units_are_compared_by_what_was_measured() -> None:
+    units = spread_of_units(
+        [unit(b, e, MEASURED) for b, e in ((0.9, 1.4e5), (1.0, 1.5e5), (1.1, 1.6e5))]
+    )
+    assert units.young_modulus_relative == pytest.approx(0.1 / 1.5)
+    assert units.mm_per_px_relative is None  # the cameras were assumed
+    gains = np.array([light.gain for light in units.lights])
+    assert gains == pytest.approx(np.array([0.9, 1.0, 1.1])[:, None].repeat(3, 1), abs=0.01)
+    result = calibrate_spread([], units, textured_background(), inputs={"a": "0" * 64}, source="t")
+    assert result.values()["gain_rgb"] == pytest.approx((0.1, 0.1, 0.1), abs=0.005)
+    assert [r.code for r in result.remarks] == ["few_units"]
+    assumed = spread_of_units([unit(1.0, e, ASSUMED) for e in (1e5, 2e5)])
+    assert assumed.young_modulus_relative is None
+
+
+def test_too_little_is_refused() -> None:
+    with pytest.raises(InputError, match="at least 2 profiles"):
+        spread_of_units([tiny_profile(GRID)])
+    with pytest.raises(InputError, match="at least 2 frames or 2 profiles"):
+        calibrate_spread([], None, textured_background(), inputs={}, source="t")
+    other = tiny_profile(GRID)
+    other = other.with_block(other.sensor.replace(family="digit"))
+    with pytest.raises(InputError, match="different families"):
+        spread_of_units([tiny_profile(GRID), other])
