@@ -116,8 +116,8 @@ def _configuration(profile: SensorProfile, mm_per_px: float) -> dict[str, Any]:
         "sensor_cfg": {
             "tactile_array_size": [rows, columns],
             "tactile_margin": _MARGIN_M,
-            "normal_contact_stiffness": material.young_modulus_pa * column,
-            "tangential_stiffness": shear * column,
+            "normal_contact_stiffness": float(material.young_modulus_pa * column),
+            "tangential_stiffness": float(shear * column),
             "friction_coefficient": material.friction_coefficient,
         },
         "camera_cfg": None

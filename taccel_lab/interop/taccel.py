@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 
 PEER = "Taccel-Simulator/Taccel, commit 52bf1f5"
 RAY_START_M = 0.01
-PIN = "pad_tets"
-"""Stem of the mesh's files, which the list names."""
+RESOLUTION = "profile"
+"""Taccel's key of a mesh; ``pad_maxv=<key>`` is the name that it looks for by itself."""
+STEM = f"pad_maxv={RESOLUTION}"
 
 
 def export_taccel(profile: SensorProfile, folder: Path) -> ExportRecord:
@@ -41,23 +42,23 @@ def export_taccel(profile: SensorProfile, folder: Path) -> ExportRecord:
     origin_m = np.append(m_from_mm(image_center_mm(profile)), 0.0)
     mesh = profile.mesh
     grid = tet_grid(turn(TACCEL_FROM_GEL, mesh.nodes_m - origin_m), mesh.tets)
-    grid.save(str(meshes / f"{PIN}.vtk"))
+    grid.save(str(meshes / f"{STEM}.vtk"))
     points, faces = gel_surface(mesh)
     write_stl(meshes / "pad.stl", turn(TACCEL_FROM_GEL, points - origin_m), faces)
 
     metadata = masks(profile, grid)
-    with (meshes / f"{PIN}.pkl").open("wb") as file:
+    with (meshes / f"{STEM}.pkl").open("wb") as file:
         pickle.dump(metadata, file, protocol=4)
-    np.savez_compressed(meshes / f"{PIN}.npz", **metadata)  # type: ignore[arg-type]
+    np.savez_compressed(meshes / f"{STEM}.npz", **metadata)  # type: ignore[arg-type]
     entry: dict[str, object] = {
         "link_name": "sensor",
         "sensor_name": profile.sensor.name,
         "mesh_path": "meshes/pad.stl",
-        "reso": PIN,
+        "reso": RESOLUTION,
         "pos": [0.0, 0.0, 0.0],
         "rot": [0.0, 0.0, 0.0],
-        "mesh_vtk_file": f"meshes/{PIN}.vtk",
-        "mesh_metadata_file": f"meshes/{PIN}.pkl",
+        "mesh_vtk_file": f"meshes/{STEM}.vtk",
+        "mesh_metadata_file": f"meshes/{STEM}.pkl",
     }
     if profile.housing is not None:
         points, faces = housing_box(profile.housing)
@@ -84,6 +85,7 @@ def export_taccel(profile: SensorProfile, folder: Path) -> ExportRecord:
             "mirror image of what the sensor's camera sees: flip its rows (image[::-1]) to compare",
             "its renderer takes square images: cam_h = cam_w is the longer side of the profile's, "
             "whose image is the middle of it",
+            "link_name, pos and rot place the pad on a link of your robot: change them there",
             "set the fields of vbts_config.json on each VBTSConfig after loading; Taccel reads "
             "none of them from the list",
             "coat_mask_surf and marker_vert_idx_surf count the points of VTK's extract_surface",

@@ -134,6 +134,9 @@ def merged_lights(lights: list[Light]) -> tuple[list[Light], float]:
         groups[first] += groups.pop(second)
     merged, moved = [], 0.0
     for group in groups:
+        if len(group) == 1:
+            merged += group
+            continue
         center = _center(group)
         moved = max(moved, *(float(np.linalg.norm(light.position_mm - center)) for light in group))
         red, green, blue = np.sum([light.rgb for light in group], axis=0)

@@ -75,6 +75,7 @@ COMMANDS = (
     "design",
     "press",
     "calibrate color",
+    "export",
     "profile show",
     "profile validate",
     "sensors list",

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The colour table: bins as Taxim computes them, files, distillation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taccel_lab.errors import InputError
+from taccel_lab.interop.taxim_distil import distil_table
+from taccel_lab.interop.taxim_table import TaximTable, bin_indices, bin_steps, pixel_terms
+from taccel_lab.profile import SensorProfile
+from tests.interop.presses import our_image, press_over_rest, psnr
+
+SLOPE = st.floats(-5, 5)
+
+
+@given(SLOPE, SLOPE, st.integers(2, 200))
+def test_bins_are_those_of_taxim(dh_dx: float, dh_dy: float, bins: int) -> None:
+    normal = np.array([-dh_dx, -dh_dy, 1.0])
+    # taxim_torch.py: gradients of the height into the gel, rows first.
+    dz_drow, dz_dcolumn = -dh_dy, -dh_dx
+    magnitude = np.arctan(np.hypot(dz_drow, dz_dcolumn))
+    direction = np.arctan2(dz_drow, dz_dcolumn) if magnitude else 0.0
+    tilt, angle = bin_indices(normal, bins)
+    step_tilt, step_angle = bin_steps(bins)
+    # Within rounding of a bin's edge.
+    assert abs((tilt + 0.5) * step_tilt - magnitude) <= 0.5 * step_tilt * (1 + 1e-9)
+    assert abs((angle + 0.5) * step_angle - np.pi - direction) <= 0.5 * step_angle * (1 + 1e-9)
+
+
+def test_gradient_bins_lie_half_a_turn_away() -> None:
+    normals = np.array([[0.3, 0.1, 0.9], [-0.2, 0.4, 0.8]])
+    turned = normals * [-1, -1, 1]
+    for one, other in zip(
+        bin_indices(normals, 120, "gradient"), bin_indices(turned, 120), strict=True
+    ):
+        assert (one == other).all()
+
+
+def test_a_table_round_trips_through_both_channel_orders() -> None:
+    rng = np.random.default_rng(0)
+    table = TaximTable(5, rng.normal(size=(3, 5, 5, 6)))
+    assert np.array_equal(table.arrays("bgr")["grad_r"], table.grad_rgb[2])
+    assert np.array_equal(table.arrays("rgb")["grad_r"], table.grad_rgb[0])
+    for order in ("rgb", "bgr"):
+        again = TaximTable.from_arrays(table.arrays(order), order)
+        assert again.bins == 5 and np.array_equal(again.grad_rgb, table.grad_rgb)
+
+
+def test_change_is_the_polynomial_of_the_bin() -> None:
+    grad = np.zeros((3, 4, 4, 6))
+    normal = np.array([0.5, 0.0, 0.8])
+    tilt, angle = bin_indices(normal, 4)
+    grad[1, tilt, angle] = [1, 2, 3, 4, 5, 6]
+    change = TaximTable(4, grad).change(np.broadcast_to(normal, (3, 5, 3)))
+    u, v = 4, 2
+    assert change[v, u].tolist() == [0, 16 + 2 * 4 + 3 * 8 + 16 + 10 + 6, 0]
+    assert pixel_terms(u, v).tolist() == [16, 4, 8, 4, 2, 1]
+
+
+def test_damaged_tables_are_refused() -> None:
+    with pytest.raises(InputError, match="shape"):
+        TaximTable(4, np.zeros((3, 4, 5, 6)))
+    with pytest.raises(InputError, match="NaN"):
+        TaximTable(2, np.full((3, 2, 2, 6), np.nan))
+    with pytest.raises(InputError, match="grad_b"):
+        TaximTable.from_arrays({"grad_r": np.zeros(1), "grad_g": np.zeros(1)}, "rgb")
+
+
+def test_a_distilled_table_shows_what_the_model_shows(mini: SensorProfile) -> None:
+    made = distil_table(mini, 125)
+    press = press_over_rest(mini)
+    assert mini.background_rgb is not None
+    shown = mini.background_rgb + made.table.change(press.normals)
+    truth = our_image(mini, press)
+    assert psnr(shown, truth) > 48
+    # The error that it states is that of presses that it was not made from.
+    assert made.errors["table_rms_levels"] < 0.08 * made.errors["model_rms_levels"]
+    off = np.sqrt(((shown - truth) ** 2).mean())
+    assert off < made.errors["table_rms_levels"] * 1.5
+    assert not made.table.grad_rgb[:, 0].any()

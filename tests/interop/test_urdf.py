@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The URDF in a parser of others: links, frames, meshes, inertias."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import pyvista
+
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.interop.export import export_profile
+from taccel_lab.interop.frames import LINK_FROM_GEL
+from taccel_lab.interop.urdf import HOUSING_DENSITY, housing_mass, tet_mass
+from taccel_lab.profile import HousingBlock, Provenance, SensorProfile
+
+
+@pytest.fixture(scope="module")
+def folder(mini: SensorProfile, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("urdf") / "out"
+    export_profile(mini, "urdf", out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def robot(folder: Path) -> Any:
+    yourdfpy = pytest.importorskip("yourdfpy")
+    robot = yourdfpy.URDF.load(str(folder / "sensor.urdf"), load_collision_meshes=True)
+    assert robot.validate()
+    return robot
+
+
+def test_frames(robot: Any, mini: SensorProfile) -> None:
+    assert robot.base_link == "sensor_link"
+    in_gel = np.array([3e-3, -2e-3, -1e-3, 1.0])
+    # Right in the image is -y of the link, down is -z, out of the gel is x.
+    in_link = robot.get_transform("gel_frame", "sensor_link") @ in_gel
+    np.testing.assert_allclose(in_link[:3], [-1e-3, -3e-3, 2e-3], atol=1e-9)
+    camera = robot.get_transform("camera_optical_frame", "gel_frame")
+    # The optical axes are those of the gel frame, 24 mm behind it.
+    np.testing.assert_allclose(camera[:3, :3], np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(camera[:3, 3], [0, 0, -0.024], atol=1e-9)
+    np.testing.assert_allclose(robot.get_transform("gel", "sensor_link"), np.eye(4), atol=1e-12)
+
+
+def test_meshes_lie_in_the_link(folder: Path, mini: SensorProfile) -> None:
+    gel = pyvista.read(folder / "meshes" / "gel.stl")
+    assert isinstance(gel, pyvista.PolyData) and gel.is_manifold
+    # x: thickness, y: 25.25 mm, z: 20.75 mm.
+    low, high = np.reshape(gel.bounds, (3, 2)).T
+    np.testing.assert_allclose(low, [-4e-3, -12.625e-3, -10.375e-3], atol=1e-6)
+    np.testing.assert_allclose(high, [0, 12.625e-3, 10.375e-3], atol=1e-6)
+    assert gel.volume == pytest.approx(mini.mesh.volumes_m3().sum(), rel=1e-5)
+    box = pyvista.read(folder / "meshes" / "housing.stl")
+    assert isinstance(box, pyvista.PolyData) and box.is_manifold
+    low, high = np.reshape(box.bounds, (3, 2)).T
+    # Gel x 0.25 is link y -0.25, gel y -0.5 is link z 0.5.
+    np.testing.assert_allclose(low * 1e3, [-28.25, -16.25, -13.5], atol=1e-4)
+    np.testing.assert_allclose(high * 1e3, [-4.25, 15.75, 14.5], atol=1e-4)
+    assert box.volume == pytest.approx(32e-3 * 28e-3 * 24e-3, rel=1e-5)
+    for mesh in (gel, box):
+        normals = mesh.compute_normals(consistent_normals=False, auto_orient_normals=False)
+        outward = np.einsum(
+            "fk,fk->f", normals.cell_data["Normals"], mesh.cell_centers().points - mesh.center
+        )
+        assert outward.mean() > 0
+
+
+def test_every_file_and_link_is_there(folder: Path) -> None:
+    root = ElementTree.parse(folder / "sensor.urdf").getroot()
+    links = {link.get("name") for link in root.findall("link")}
+    assert links == {"sensor_link", "gel", "gel_frame", "camera_optical_frame"}
+    for joint in root.findall("joint"):
+        assert joint.get("type") == "fixed"
+        for end in ("parent", "child"):
+            element = joint.find(end)
+            assert element is not None and element.get("link") in links
+    for mesh in root.iter("mesh"):
+        assert (folder / str(mesh.get("filename"))).is_file()
+
+
+def test_inertias_are_physical(robot: Any, mini: SensorProfile) -> None:
+    volume = mini.mesh.volumes_m3().sum()
+    bodies = {link.name: link.inertial for link in robot.robot.links if link.inertial}
+    assert set(bodies) == {"sensor_link", "gel"}
+    assert bodies["gel"].mass == pytest.approx(1000 * volume)
+    for body in bodies.values():
+        a, b, c = np.linalg.eigvalsh(body.inertia)
+        assert a > 0 and a + b > c
+
+
+def test_mass_of_a_block_is_that_of_a_box() -> None:
+    size = np.array([0.03, 0.02, 0.01])
+    body = tet_mass(block_mesh((4, 3, 2), (0.03, 0.02, 0.01)), 800.0)
+    mass = 800 * size.prod()
+    assert body.mass == pytest.approx(mass)
+    np.testing.assert_allclose(body.center, [0, 0, -0.005], atol=1e-12)
+    x2, y2, z2 = size**2
+    wanted = np.diag([y2 + z2, x2 + z2, x2 + y2]) * mass / 12
+    np.testing.assert_allclose(body.inertia, wanted, atol=1e-12 * mass)
+
+
+def test_mass_of_a_housing_is_that_of_its_walls() -> None:
+    housing = HousingBlock(
+        size_mm=(30.0, 20.0, 25.0), wall_mm=1.0, corner_radius_mm=0.0, front_z_mm=-4.0,
+        provenance=Provenance(kind="assumed", method="made up", source="none"),
+    )  # fmt: skip
+    body = housing_mass(housing)
+    volume = 30 * 20 * 25 - 28 * 18 * 24
+    assert body.mass == pytest.approx(volume * 1e-9 * HOUSING_DENSITY)
+    # The open front moves the centre to the back.
+    assert body.center[2] < -(4e-3 + 12.5e-3)
+    assert np.linalg.det(LINK_FROM_GEL) == pytest.approx(1.0)
