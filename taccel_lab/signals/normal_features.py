@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the inverse model sees of each pixel: how its colour changed, at several scales.
+
+One pixel's colour change does not tell the normal well: noise and lens blur hide it, and two
+normals may give one colour. So each pixel brings the change averaged over Gaussian windows, and
+how that average varies across the wider of them. The features scale with the picture: a zoomed
+picture has the same features at scales zoomed as much, and the same normals. Training on several
+zooms therefore shows balls of other sizes than the one that was pressed, and keeps a model from
+learning that single ball's curvature by heart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+LEVELS_PER_UNIT = 32.0
+"""Levels of 255 that make one unit of a feature."""
+MIN_COVER = 1e-3
+"""Share of a window that has to be unmasked for its average to count."""
+
+
+def feature_names(
+    scales_px: Sequence[float], slope_scales_px: Sequence[float], background: bool
+) -> tuple[str, ...]:
+    """Names of the features in order."""
+    names = [f"change_{c}_{s:g}px" for s in scales_px for c in "rgb"]
+    names += [f"d{axis}_{c}_{s:g}px" for s in slope_scales_px for axis in "uv" for c in "rgb"]
+    if background:
+        names += [f"background_{c}" for c in "rgb"]
+    return (*names, "u", "v")
+
+
+def color_change(
+    image: np.ndarray, background: np.ndarray, mask: np.ndarray | None = None
+) -> np.ndarray:
+    """Image minus background [levels], float32, 0 where ``mask`` is false, shape [h, w, 3]."""
+    change = np.asarray(image, dtype=np.float32) - np.asarray(background, dtype=np.float32)
+    if mask is not None:
+        change[~mask] = 0.0
+    return change
+
+
+def local_features(
+    change: np.ndarray,
+    scales_px: Sequence[float],
+    slope_scales_px: Sequence[float],
+    *,
+    mask: np.ndarray | None = None,
+    background: np.ndarray | None = None,
+    place: np.ndarray,
+    zoom: float = 1.0,
+) -> np.ndarray:
+    """Features of every pixel of a picture or of a part of it, float32, shape [h, w, feature].
+
+    Args:
+        change: Colour change [levels], 0 in masked pixels, shape [h, w, 3].
+        scales_px: Standard deviations of the windows [px]; 0 is the pixel itself.
+        slope_scales_px: Windows across which the change's variation is taken [px].
+        mask: Pixels that count, bool, shape [h, w]; all when None.
+        background: Untouched picture [levels], shape [h, w, 3]; a feature when it is given.
+        place: Normalised (u, v) of each pixel, shape [h, w, 2].
+        zoom: Factor on all scales: the features of the picture shrunk by it.
+    """
+    cover: dict[float, np.ndarray] = {}
+    windows: dict[float, np.ndarray] = {}
+    for scale in {*scales_px, *slope_scales_px}:
+        windows[scale] = _average(change, scale * zoom, mask, cover)
+    parts = [windows[scale] for scale in scales_px]
+    for scale in slope_scales_px:
+        # Per standard deviation of the window, so that it does not depend on the zoom.
+        parts += [_derivative(windows[scale], axis) * (scale * zoom) for axis in (1, 0)]
+    if background is not None:
+        widest = max([*scales_px, *slope_scales_px])
+        parts.append(_average(np.asarray(background, dtype=np.float32), widest, mask, {}))
+    stacked = np.concatenate(parts, axis=-1) / LEVELS_PER_UNIT
+    return np.concatenate([stacked, place], axis=-1, dtype=np.float32)
+
+
+def pixel_place(width_px: int, height_px: int) -> np.ndarray:
+    """Normalised (u, v) of every pixel, -1 to 1 over the image, float32, shape [h, w, 2]."""
+    u = np.linspace(-1, 1, width_px, dtype=np.float32)
+    v = np.linspace(-1, 1, height_px, dtype=np.float32)
+    return np.stack(np.meshgrid(u, v), axis=-1)
+
+
+def _average(
+    values: np.ndarray, sigma_px: float, mask: np.ndarray | None, cover: dict[float, np.ndarray]
+) -> np.ndarray:
+    """Gaussian average over the unmasked pixels; 0 where a window holds next to none."""
+    if sigma_px <= 0:
+        return values if mask is None else np.where(mask[..., None], values, np.float32(0))
+    if mask is None or mask.all():
+        return _blur(values, sigma_px)
+    weight = mask.astype(np.float32)
+    if sigma_px not in cover:
+        cover[sigma_px] = _blur(weight, sigma_px)
+    share = cover[sigma_px][..., None]
+    total = _blur(values * weight[..., None], sigma_px)
+    return np.where(share > MIN_COVER, total / np.maximum(share, MIN_COVER), np.float32(0))
+
+
+def _blur(values: np.ndarray, sigma_px: float) -> np.ndarray:
+    import cv2
+
+    size = 2 * math.ceil(3 * sigma_px) + 1
+    blurred: Any = cv2.GaussianBlur(values, (size, size), sigma_px)
+    return blurred
+
+
+def _derivative(values: np.ndarray, axis: int) -> np.ndarray:
+    """Central difference along an axis, one-sided at the border [levels/px]."""
+    return np.gradient(values, axis=axis).astype(np.float32)

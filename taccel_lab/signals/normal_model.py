@@ -1,0 +1,409 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Surface normals from a tactile image: a small ensemble of networks, with its own uncertainty.
+
+A network maps the features of a pixel (``normal_features``) to a tilt: the rotation, as a vector of
+two angles, that takes the resting normal of that pixel to the present one. What the network gives
+for no change of colour at the same pixel is subtracted, so that the background itself reads as the
+resting surface, exactly, on curved gels too. Colour and position as inputs are those of
+GelSight's calibration by balls (Yuan, Dong and Adelson, Sensors 17(12), 2017) and of gs_sdk's
+network; the windows, the ensemble and the uncertainty are additions.
+
+A third output is the logarithm of the angle by which the tilt is expected to be wrong; it is joined
+with the disagreement of the ensemble's members.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.signals.normal_features import (
+    color_change,
+    feature_names,
+    local_features,
+    pixel_place,
+)
+
+if TYPE_CHECKING:
+    import torch
+
+    from taccel_lab.profile import SensorProfile
+
+OUTPUTS = 3
+"""Two tilts [rad] and the logarithm of the expected angle of error [rad]."""
+MAX_TILT_RAD = math.radians(85.0)
+MIN_ERROR_RAD = math.radians(0.02)
+RAYLEIGH_MEAN = math.sqrt(math.pi / 2)
+"""Mean length of a vector of two independent normal deviates of unit standard deviation."""
+CHUNK_PIXELS = 32_768
+
+
+@dataclass(frozen=True)
+class NormalModelConfig:
+    """Everything besides the weights that is needed to rebuild a ``NormalModel``."""
+
+    width_px: int
+    height_px: int
+    scales_px: tuple[float, ...] = (1.0, 3.0, 8.0)
+    """Standard deviations of the windows over which the colour change is averaged [px]."""
+    slope_scales_px: tuple[float, ...] = (3.0, 8.0)
+    """Windows of which the variation across the image is a feature as well [px]."""
+    background: bool = False
+    """Whether the colour of the untouched pixel is a feature."""
+    light_drift: bool = False
+    """Whether images are to be brought to the background's light before they are read."""
+    members: int = 4
+    """Networks in the ensemble."""
+    hidden: tuple[int, ...] = (32, 32, 32)
+    """Widths of the hidden layers."""
+    input_mean: tuple[float, ...] = ()
+    """Subtracted from each feature; zeros when empty."""
+    input_scale: tuple[float, ...] = ()
+    """Divides each feature after that; ones when empty."""
+    error_factor: float = 1.0
+    """Factor on the expected error, found on presses that the member did not see."""
+
+    def __post_init__(self) -> None:
+        if self.width_px < 2 or self.height_px < 2:
+            raise InputError(
+                f"normal model image size is {self.width_px}x{self.height_px} px; at least 2x2 px"
+            )
+        if self.members < 1 or any(width < 1 for width in self.hidden):
+            raise InputError(
+                f"normal model needs members and hidden layers of at least 1, got {self.members} "
+                f"and {list(self.hidden)}"
+            )
+        scales = (*self.scales_px, *self.slope_scales_px)
+        if not self.scales_px or not all(0 <= s <= 1e3 for s in scales):
+            raise InputError(
+                f"normal model scales {list(scales)} px must lie in 0..1000, some given"
+            )
+        if any(s == 0 for s in self.slope_scales_px):
+            raise InputError("normal model slope_scales_px must be above 0 px")
+        for name, default in (("input_mean", 0.0), ("input_scale", 1.0)):
+            values = getattr(self, name) or (default,) * self.input_count
+            if len(values) != self.input_count or not np.isfinite(values).all():
+                raise InputError(
+                    f"normal model {name} needs {self.input_count} finite numbers, one per "
+                    f"feature, got {list(values)}"
+                )
+            object.__setattr__(self, name, tuple(values))
+        if min(self.input_scale) <= 0 or not 0 < self.error_factor < 1e3:
+            raise InputError("normal model input_scale and error_factor must be positive")
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """Names of the network inputs in order."""
+        return feature_names(self.scales_px, self.slope_scales_px, self.background)
+
+    @property
+    def input_count(self) -> int:
+        return len(self.features)
+
+    def layer_sizes(self) -> list[tuple[int, int]]:
+        """(outputs, inputs) of each layer of one member."""
+        widths = [self.input_count, *self.hidden, OUTPUTS]
+        return [(widths[i + 1], widths[i]) for i in range(len(widths) - 1)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Flat dict of numbers and lists, as a profile's ``architecture`` stores it."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> NormalModelConfig:
+        """Inverse of ``to_dict``; unknown and missing keys raise InputError."""
+        fields = cls.__dataclass_fields__
+        unknown, missing = set(values) - set(fields), set(fields) - set(values)
+        if unknown or missing:
+            raise InputError(
+                f"normal model settings: unknown {sorted(unknown)}, missing {sorted(missing)}; "
+                f"exactly {', '.join(fields)} are allowed"
+            )
+        try:
+            return cls(
+                width_px=int(values["width_px"]),
+                height_px=int(values["height_px"]),
+                scales_px=tuple(float(s) for s in values["scales_px"]),
+                slope_scales_px=tuple(float(s) for s in values["slope_scales_px"]),
+                background=bool(values["background"]),
+                light_drift=bool(values["light_drift"]),
+                members=int(values["members"]),
+                hidden=tuple(int(width) for width in values["hidden"]),
+                input_mean=tuple(float(mean) for mean in values["input_mean"]),
+                input_scale=tuple(float(scale) for scale in values["input_scale"]),
+                error_factor=float(values["error_factor"]),
+            )
+        except InputError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"normal model settings hold a value of a wrong type: {error}"
+            ) from None
+
+    def image_features(
+        self,
+        change: np.ndarray,
+        background: np.ndarray,
+        *,
+        mask: np.ndarray | None = None,
+        zoom: float = 1.0,
+        window: tuple[slice, slice] = (slice(None), slice(None)),
+    ) -> np.ndarray:
+        """Raw features of every pixel in ``window``, float32, shape [h, w, feature].
+
+        ``change`` and ``background`` [levels] and ``mask`` are of the whole image.
+        """
+        return local_features(
+            change[window],
+            self.scales_px,
+            self.slope_scales_px,
+            mask=None if mask is None else mask[window],
+            background=background[window] if self.background else None,
+            place=pixel_place(self.width_px, self.height_px)[window],
+            zoom=zoom,
+        )
+
+    def normalise(self, features: np.ndarray) -> np.ndarray:
+        """Network inputs of raw features, float32, same shape."""
+        mean, scale = (np.array(x, dtype=np.float32) for x in (self.input_mean, self.input_scale))
+        return (features - mean) / scale
+
+    def at_rest(self, features: np.ndarray) -> np.ndarray:
+        """The raw features of the same pixels without any change of colour, same shape."""
+        still = features.copy()
+        count = 3 * len(self.scales_px) + 6 * len(self.slope_scales_px)
+        still[..., :count] = 0.0
+        return still
+
+
+@dataclass(frozen=True)
+class NormalMap:
+    """What the inverse model reads from one image."""
+
+    normals: np.ndarray
+    """Outward unit normals, gel frame, shape [height_px, width_px, 3]."""
+    tilt_rad: np.ndarray
+    """Rotation of each normal from rest, components along x and y, shape [h, w, 2]."""
+    sigma_deg: np.ndarray
+    """Standard deviation of each component of the tilt [degrees], shape [h, w]. The angle between
+    the given and the true normal is expected to be 1.25 times this."""
+
+    def slopes(self) -> np.ndarray:
+        """dh/dx and dh/dy of the surface, shape [height_px, width_px, 2]."""
+        upright = np.maximum(self.normals[..., 2:], math.cos(MAX_TILT_RAD))
+        return -self.normals[..., :2] / upright
+
+
+class NormalModel:
+    """Normals of tactile images.
+
+    ``weights`` holds float32 arrays ``layer<i>.weight`` [members, outputs, inputs] and
+    ``layer<i>.bias`` [members, outputs].
+    """
+
+    def __init__(self, config: NormalModelConfig, weights: Mapping[str, np.ndarray]) -> None:
+        self.config = config
+        self.weights = {
+            name: np.array(value, dtype=np.float32, order="C") for name, value in weights.items()
+        }
+        expected = expected_shapes(config)
+        found = {name: value.shape for name, value in self.weights.items()}
+        if found != expected:
+            raise InputError(f"normal model weights have shapes {found}, expected {expected}")
+        if not all(np.isfinite(value).all() for value in self.weights.values()):
+            raise InputError("normal model weights hold NaN or infinite values")
+
+    @classmethod
+    def from_profile(cls, profile: SensorProfile) -> NormalModel:
+        """The model in a profile's ``normals`` block; InputError when it has none."""
+        if profile.normals is None or profile.normal_weights is None:
+            raise InputError(
+                f"the profile of {profile.sensor.name} has no normals block; fit one with "
+                "taccel-lab calibrate normals"
+            )
+        return cls(
+            NormalModelConfig.from_dict(profile.normals.architecture), profile.normal_weights
+        )
+
+    @cached_property
+    def _layers(self) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        return layer_tensors(self.config, self.weights)
+
+    def predict(
+        self,
+        image: np.ndarray,
+        background: np.ndarray,
+        *,
+        mask: np.ndarray | None = None,
+        rest_normals: np.ndarray | None = None,
+    ) -> NormalMap:
+        """Normals of a whole image.
+
+        Args:
+            image: RGB levels, shape [height_px, width_px, 3].
+            background: The untouched sensor under the same light, same shape.
+            mask: Pixels that count, bool, shape [height_px, width_px]. Masked pixels read as rest,
+                whatever they hold.
+            rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; a flat face
+                when None.
+        """
+        shape = (self.config.height_px, self.config.width_px)
+        for name, found in (("image", image.shape), ("background", background.shape)):
+            if found != (*shape, 3):
+                raise InputError(f"{name} has shape {found}, the normal model needs {(*shape, 3)}")
+        change = color_change(image, background, mask)
+        features = self.config.image_features(change, background, mask=mask)
+        features = features.reshape(-1, self.config.input_count)
+        still = None if self.config.background else self._tilts_at_rest
+        tilt, error = self.predict_pixels(features, still)
+        tilt, error = tilt.reshape(*shape, 2), error.reshape(shape)
+        if mask is not None:
+            tilt[~mask] = 0.0
+        normals = relative_normals(tilt)
+        if rest_normals is not None:
+            normals = rotate_from_z(normals, rest_normals)
+        return NormalMap(normals, tilt, np.degrees(error) / RAYLEIGH_MEAN)
+
+    @cached_property
+    def _tilts_at_rest(self) -> torch.Tensor:
+        """What each member gives for every pixel of an unchanged image, [member, pixel, 2]."""
+        import torch
+
+        empty = np.zeros((self.config.height_px, self.config.width_px, 3), dtype=np.float32)
+        features = self.config.image_features(empty, empty).reshape(-1, self.config.input_count)
+        with torch.inference_mode():
+            parts = [
+                network(self._layers, self._inputs(features[start : start + CHUNK_PIXELS]))[..., :2]
+                for start in range(0, len(features), CHUNK_PIXELS)
+            ]
+            return torch.cat(parts, dim=1)
+
+    def _inputs(self, raw: np.ndarray) -> torch.Tensor:
+        import torch
+
+        return torch.from_numpy(self.config.normalise(raw)).expand(self.config.members, -1, -1)
+
+    def predict_pixels(
+        self, features: np.ndarray, tilts_at_rest: torch.Tensor | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of raw features [n, feature].
+
+        ``tilts_at_rest`` [member, n, 2] saves the work of finding them again.
+        """
+        import torch
+
+        tilt = np.empty((len(features), 2))
+        error = np.empty(len(features))
+        with torch.inference_mode():
+            for start in range(0, len(features), CHUNK_PIXELS):
+                part = slice(start, start + CHUNK_PIXELS)
+                raw = features[part]
+                outputs = network(self._layers, self._inputs(raw))
+                if tilts_at_rest is None:
+                    still = network(self._layers, self._inputs(self.config.at_rest(raw)))[..., :2]
+                else:
+                    still = tilts_at_rest[:, part]
+                tilts, errors = outputs[..., :2] - still, expected_error(outputs)
+                mean = tilts.mean(dim=0)
+                spread2 = (tilts - mean).square().sum(dim=-1).mean(dim=0)
+                own = self.config.error_factor * errors.mean(dim=0)
+                tilt[part] = mean.numpy()
+                error[part] = (own.square() + spread2).sqrt().numpy()
+        return tilt, error
+
+
+def expected_shapes(config: NormalModelConfig) -> dict[str, tuple[int, ...]]:
+    """Shape of each weight array by name, in the order of the layers."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    for i, (outputs, inputs) in enumerate(config.layer_sizes()):
+        shapes[f"layer{i}.weight"] = (config.members, outputs, inputs)
+        shapes[f"layer{i}.bias"] = (config.members, outputs)
+    return shapes
+
+
+def layer_tensors(
+    config: NormalModelConfig, weights: Mapping[str, np.ndarray]
+) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """(weight, bias) of each layer as torch tensors, members first."""
+    import torch
+
+    return [
+        (torch.from_numpy(weights[f"layer{i}.weight"]), torch.from_numpy(weights[f"layer{i}.bias"]))
+        for i in range(len(config.layer_sizes()))
+    ]
+
+
+def network(
+    layers: Sequence[tuple[torch.Tensor, torch.Tensor]], inputs: torch.Tensor
+) -> torch.Tensor:
+    """Raw outputs [member, n, 3] of network inputs [member, n, feature]; differentiable."""
+    import torch
+
+    values = inputs
+    for i, (weight, bias) in enumerate(layers):
+        if i:
+            values = torch.nn.functional.silu(values)
+        values = torch.baddbmm(bias[:, None, :], values, weight.transpose(1, 2))
+    return values
+
+
+def expected_error(outputs: torch.Tensor) -> torch.Tensor:
+    """Expected angle of error [rad] [member, n] of raw outputs [member, n, 3]."""
+    return outputs[..., 2].clamp(-12.0, 2.0).exp() + MIN_ERROR_RAD
+
+
+def tilt_and_error(
+    layers: Sequence[tuple[torch.Tensor, torch.Tensor]],
+    inputs: torch.Tensor,
+    still: torch.Tensor,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Tilt [rad] [member, n, 2] and expected error [rad] [member, n] of network inputs.
+
+    ``inputs`` and ``still`` (the same pixels without change) have shape [member, n, feature];
+    differentiable.
+    """
+    import torch
+
+    both = network(layers, torch.cat([inputs, still], dim=1))
+    count = inputs.shape[1]
+    return both[:, :count, :2] - both[:, count:, :2], expected_error(both[:, :count])
+
+
+def relative_normals(tilt_rad: np.ndarray) -> np.ndarray:
+    """Unit normals whose rotation from +z is ``tilt_rad`` [rad], shape [..., 2] to [..., 3].
+
+    The normal leans towards the tilt's direction; angles are cut at 85 degrees.
+    """
+    angle = np.linalg.norm(tilt_rad, axis=-1, keepdims=True)
+    cut = np.minimum(angle, MAX_TILT_RAD)
+    # sin(a) / a without dividing by a zero angle.
+    lean = np.sinc(cut / np.pi) * np.divide(
+        cut, angle, out=np.ones_like(angle), where=angle > MAX_TILT_RAD
+    )
+    return np.concatenate([tilt_rad * lean, np.cos(cut)], axis=-1)
+
+
+def rotate_from_z(vectors: np.ndarray, rest_normals: np.ndarray) -> np.ndarray:
+    """Vectors given relative to the resting normal, in the gel frame, shape [..., 3].
+
+    The frame of a pixel is turned by the smallest rotation that takes +z to its resting normal.
+    """
+    x, y, z = (rest_normals[..., i] for i in range(3))
+    a, b, c = (vectors[..., i] for i in range(3))
+    # R = I + [k]x + [k]x^2 / (1 + z) with k = ez x n = (-y, x, 0).
+    across = (x * a + y * b) / (1.0 + z)
+    return np.stack(
+        [a - x * across + x * c, b - y * across + y * c, c * z - x * a - y * b], axis=-1
+    )
+
+
+def rotate_to_z(vectors: np.ndarray, rest_normals: np.ndarray) -> np.ndarray:
+    """Inverse of ``rotate_from_z``."""
+    mirrored = rest_normals * np.array([-1.0, -1.0, 1.0])
+    return rotate_from_z(vectors, mirrored)

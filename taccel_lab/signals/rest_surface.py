@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The undeformed contact face on a pixel grid, from the mesh of a profile, without a simulation.
+
+The contact face's nodes are interpolated by Clough and Tocher's scheme (continuous slopes; Alfeld,
+Comput. Aided Geom. Design 1, 1984, as in scipy). A flat face gives zero exactly. Pixels beside the
+pad take the height and slope of the nearest pixel over it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.signals.normals import normals_from_slopes
+
+CONTACT_REGION = 1
+FLAT_MM = 1e-6
+"""A face whose heights differ by less is flat."""
+
+
+@dataclass(frozen=True)
+class RestSurface:
+    """Undeformed contact face, gel frame."""
+
+    height_m: np.ndarray
+    """z [m], shape [height_px, width_px]."""
+    normals: np.ndarray
+    """Outward unit normals, shape [height_px, width_px, 3]."""
+    covered: np.ndarray
+    """Pixels that lie over the pad, bool, shape [height_px, width_px]."""
+
+    @property
+    def is_flat(self) -> bool:
+        return bool((self.normals[..., 2] == 1.0).all())
+
+
+def flat_rest(grid: PixelGrid) -> RestSurface:
+    """A flat face at z = 0 under every pixel."""
+    shape = (grid.height_px, grid.width_px)
+    normals = np.zeros((*shape, 3))
+    normals[..., 2] = 1.0
+    return RestSurface(np.zeros(shape), normals, np.ones(shape, dtype=bool))
+
+
+def rest_surface(mesh: TetMesh, grid: PixelGrid) -> RestSurface:
+    """The contact face of ``mesh`` [m] under the pixels of ``grid``.
+
+    Raises InputError when the mesh has no contact face, or none under the image.
+    """
+    faces = mesh.faces[mesh.face_regions == CONTACT_REGION]
+    if len(faces) == 0:
+        raise InputError("the profile's mesh has no contact face (face region 1)")
+    nodes = mesh.nodes_m[np.unique(faces)] * 1e3
+    u, v = np.meshgrid(grid.x_mm(), grid.y_mm())
+    if np.ptp(nodes[:, 2]) < FLAT_MM:
+        return flat_rest(grid)
+
+    from scipy.interpolate import CloughTocher2DInterpolator
+    from scipy.ndimage import distance_transform_edt
+
+    interpolate = CloughTocher2DInterpolator(nodes[:, :2], nodes[:, 2])
+    step = 0.5 * min(grid.mm_per_px_x, grid.mm_per_px_y)
+    height = interpolate(u, v)
+    slope = np.stack(
+        [
+            (interpolate(u + step, v) - interpolate(u - step, v)) / (2 * step),
+            (interpolate(u, v + step) - interpolate(u, v - step)) / (2 * step),
+        ],
+        axis=-1,
+    )
+    covered = np.isfinite(height) & np.isfinite(slope).all(axis=-1)
+    if not covered.any():
+        raise InputError("no pixel of the image lies over the profile's contact face")
+    if not covered.all():
+        nearest: Any = distance_transform_edt(~covered, return_distances=False, return_indices=True)
+        height, slope = height[tuple(nearest)], slope[tuple(nearest)]
+    return RestSurface(height * 1e-3, normals_from_slopes(slope), covered)
