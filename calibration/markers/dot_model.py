@@ -2,9 +2,10 @@
 """The picture of one dot: a soft-edged ellipse in a plane of light, and its derivatives.
 
 ``level = (b0 + bu u + bv v) (1 + contrast Phi((1 - q) r / w))`` with ``q = |S d|``: the plane is
-the light, which paint takes a share of; ``d`` is the way from the centre, ``S`` symmetric and ``1 / S`` the ellipse's semi-axes, ``r = det(S)^(-1/2)`` its
-mean radius, ``w`` the blur of its edge (camera, and the pixel's own width) and ``Phi`` the normal
-distribution: the edge of a half plane seen through a Gaussian blur.
+the light, of which paint takes a share; ``d`` is the way from the centre, ``S`` is symmetric, its
+inverse holds the ellipse's semi-axes, ``r = det(S)^(-1/2)`` is its mean radius, ``w`` the blur of
+its edge (camera, and the pixel's own width) and ``Phi`` the normal distribution: the edge of a half
+plane seen through a Gaussian blur.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from calibration.markers.brightness import grey_levels
 from calibration.markers.detection import detect_dots, dots_from_fit, start_parameters
 from calibration.markers.dot_fit import fit_dots
 from calibration.markers.dots import DotFlag, Dots
-from calibration.markers.lattice import Lattice, lattice_index
+from calibration.markers.lattice import Lattice, lattice_index, renumbered
 from calibration.markers.layout import LayoutFit, fit_layout
 from calibration.markers.scale_space import DotScale, scale_candidates
 from taccel_lab.errors import InputError
@@ -96,24 +96,16 @@ def _numbered(dots: Dots, lattice: Lattice) -> MarkerPicture:
 def _without_stray_lines(lattice: Lattice, odd: np.ndarray) -> Lattice:
     """Less outermost rows and columns that hold nothing but a few odd blobs: dirt where the next
     line of dots would be."""
-    row, column = lattice.row.copy(), lattice.column.copy()
-    for line, across in ((row, lattice.columns), (column, lattice.rows)):
-        while (line >= 0).any():
-            ends = (line[line >= 0].min(), line.max())
-            stray = [
-                e for e in ends if odd[line == e].all() and (line == e).sum() < _STRAY * across
-            ]
-            if not stray or len(np.unique(line[line >= 0])) <= 2:
+    keep = lattice.numbered.copy()
+    for line, across in ((lattice.row, lattice.columns), (lattice.column, lattice.rows)):
+        while len(np.unique(line[keep])) > 2:
+            ends = (line[keep].min(), line[keep].max())
+            members = [keep & (line == end) for end in ends]
+            stray = [m for m in members if odd[m].all() and m.sum() < _STRAY * across]
+            if not stray:
                 break
-            gone = np.isin(line, stray)
-            row[gone] = column[gone] = -1
-    numbered = row >= 0
-    for line in (row, column):
-        line[numbered] -= line[numbered].min()
-    # A lattice whose first row went has its odd and even rows swapped.
-    swapped = (lattice.row[numbered] - row[numbered]) % 2 == 1
-    stagger = -lattice.stagger if swapped.any() else lattice.stagger
-    return replace(lattice, row=row, column=column, stagger=stagger)
+            keep &= ~np.any(stray, axis=0)
+    return renumbered(lattice, keep)[0]
 
 
 def _completed(image: np.ndarray, picture: MarkerPicture) -> MarkerPicture:
@@ -196,6 +188,6 @@ def _why_not(dots: Dots | None) -> str:
     return (
         f"the {dots.count} blobs of radius {np.median(dots.radius_px):.1f} px that stand out most "
         f"(contrast {100 * contrast:.0f} %) form no lattice and are not far stronger than the "
-        "rest; a sensor without markers has no markers block, and one with markers needs a sharp picture "
-        "at rest"
+        "rest; a sensor without markers has no markers block, and one with markers needs a sharp "
+        "picture at rest"
     )

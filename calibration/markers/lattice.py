@@ -9,7 +9,7 @@ gaps and stray points find no place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -66,6 +66,29 @@ class Lattice:
     def steps(self) -> np.ndarray:
         """Columns and rows as numbers, with the shift of odd rows, float, shape [point, 2]."""
         return lattice_steps(self.row, self.column, self.stagger)
+
+
+def renumbered(lattice: Lattice, keep: np.ndarray) -> tuple[Lattice, tuple[int, int]]:
+    """The lattice of some of its points, counted from their own outermost row and column.
+
+    Args:
+        lattice: Numbered points.
+        keep: Which points stay numbered, bool, shape [point].
+
+    Returns:
+        The lattice, and which row and column of the old one are its first.
+    """
+    stays = lattice.numbered & keep
+    row, column = np.where(stays, lattice.row, -1), np.where(stays, lattice.column, -1)
+    if not stays.any():
+        return replace(lattice, row=row, column=column), (0, 0)
+    first = int(row[stays].min()), int(column[stays].min())
+    row[stays] -= first[0]
+    column[stays] -= first[1]
+    # Odd and even rows swap when an odd number of rows went: what started further right now
+    # starts further left.
+    stagger = -lattice.stagger if first[0] % 2 else lattice.stagger
+    return replace(lattice, row=row, column=column, stagger=stagger), first
 
 
 def lattice_index(points: np.ndarray) -> Lattice:

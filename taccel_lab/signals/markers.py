@@ -53,6 +53,23 @@ class MarkerLayout:
         Raises:
             InputError: Wrong shape, or a marker beside the contact face.
         """
+        layout, on_face = cls.where_on(mesh, xy_mm)
+        if not on_face.all():
+            index = int(np.argmin(on_face))
+            raise InputError(
+                f"marker {index} at {xy_mm[index]} mm lies beside the gel's contact face"
+            )
+        return layout
+
+    @classmethod
+    def where_on(
+        cls, mesh: TetMesh | QuadraticMesh, xy_mm: np.ndarray
+    ) -> tuple[MarkerLayout, np.ndarray]:
+        """Place the markers that lie on the undeformed contact face.
+
+        Returns:
+            Layout of those markers, and which they are, bool, shape [marker].
+        """
         points = np.asarray(xy_mm, dtype=np.float64) * 1e-3
         if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
             raise InputError(f"xy_mm must be finite, shape [marker, 2], got {points.shape}")
@@ -63,7 +80,7 @@ class MarkerLayout:
         up = area > 0
         faces, a, ab, ac, area = faces[up], a[up], ab[up], ac[up], area[up]
         z = corners[up, :, 2]
-        chosen = np.empty(len(points), dtype=np.int64)
+        chosen = np.full(len(points), -1)
         weights = np.empty((len(points), 3))
         for index, point in enumerate(points):
             ap = point - a[:, :2]
@@ -72,14 +89,13 @@ class MarkerLayout:
             bary = np.stack([1.0 - second - third, second, third], axis=1)
             inside = np.flatnonzero(bary.min(axis=1) >= _INSIDE)
             if len(inside) == 0:
-                raise InputError(
-                    f"marker {index} at {xy_mm[index]} mm lies beside the gel's contact face"
-                )
+                continue
             # The camera looks through the gel and meets the lowest layer first.
             height = (bary[inside] * z[inside]).sum(axis=1)
             chosen[index] = inside[np.argmin(height)]
             weights[index] = bary[chosen[index]]
-        return cls(nodes=faces[chosen].astype(np.int32), weights=weights)
+        on_face = chosen >= 0
+        return cls(faces[chosen[on_face]].astype(np.int32), weights[on_face]), on_face
 
 
 @wp.func

@@ -15,11 +15,13 @@ def calibrate_commands() -> Any:
     from taccel_lab.cli.calibrate.camera import CalibrateCamera
     from taccel_lab.cli.calibrate.color import CalibrateColor
     from taccel_lab.cli.calibrate.markers import CalibrateMarkers
+    from taccel_lab.cli.calibrate.material import CalibrateMaterial
     from taccel_lab.cli.calibrate.spread import CalibrateSpread
 
     app = SubcommandApp()
     app.command(name="camera")(CalibrateCamera)
     app.command(name="color")(CalibrateColor)
     app.command(name="markers")(CalibrateMarkers)
+    app.command(name="material")(CalibrateMaterial)
     app.command(name="spread")(CalibrateSpread)
     return app

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Captures of a gel with dots in, the profile's ``markers`` block and the dots' tracks out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from calibration.capture import CaptureFolder
+from calibration.capture.folder import Frame, Video
+from calibration.markers.choose_view import choose_view
+from calibration.markers.dots import Dots
+from calibration.markers.finding import MarkerPicture, find_markers
+from calibration.markers.gel_view import GelView, pixel_jacobian
+from calibration.markers.lattice import renumbered
+from calibration.markers.layout import LayoutFit, fit_layout
+from calibration.markers.remarks import layout_remarks, track_remarks
+from calibration.markers.result import MarkerCalibration, TrackedVideo
+from calibration.markers.track_figures import track_figures
+from calibration.markers.tracking import track_markers
+from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
+
+
+def calibrate_markers(
+    folder: CaptureFolder,
+    profile: SensorProfile,
+    *,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> MarkerCalibration:
+    """Find the dots at rest, fit their layout on the gel, and follow them through the videos.
+
+    Args:
+        folder: Captures; the picture at rest is the markers' own, or else the background.
+        profile: Profile of the sensor, for what pixels look at.
+        progress: Called with a video's name, frames done and frames in all.
+
+    Raises:
+        InputError: No picture, no dots, dots in no lattice, or frames of another size.
+    """
+    markers = folder.markers
+    rest = markers.rest if markers is not None else folder.require_background()
+    image = rest.image()
+    try:
+        picture = find_markers(image)
+    except InputError as error:
+        raise InputError(f"{rest.source}: {error}") from None
+    if picture.layout_px is None:
+        raise InputError(
+            f"{rest.source}: the {picture.dots.count} dots form no lattice; a markers block "
+            "describes square, rectangular or hexagonal grids"
+        )
+    height, width = image.shape[:2]
+    chosen = choose_view(folder, profile, picture.layout_px, (width, height))
+    layout_mm = layout_on_gel(picture, chosen.view)
+    radius_mm, radius_sigma = _radius_mm(picture.dots, chosen.view)
+    videos = tuple(
+        _follow(video, picture, progress) for video in (() if markers is None else markers.videos)
+    )
+    remarks = (
+        *layout_remarks(picture, layout_mm),
+        *chosen.remarks,
+        *(remark for video in videos for remark in track_remarks(video.figures)),
+    )
+    return MarkerCalibration(
+        source=rest.source,
+        image=image,
+        picture=picture,
+        layout_mm=layout_mm,
+        radius_mm=min(radius_mm, 0.5 * min(layout_mm.pitch)),
+        radius_sigma_mm=radius_sigma,
+        view=chosen.view,
+        videos=videos,
+        remarks=remarks,
+        inputs=_inputs(folder, rest, videos),
+    )
+
+
+def layout_on_gel(picture: MarkerPicture, view: GelView) -> LayoutFit:
+    """The grid in gel millimetres: the dots through the view, fitted again.
+
+    Raises:
+        InputError: Too few of the dots lie where the view sees the gel.
+    """
+    dots, lattice = picture.dots, picture.lattice
+    points = view.gel_from_pixel(dots.uv_px)
+    on_gel = np.isfinite(points).all(axis=1)
+    jacobian = pixel_jacobian(view, dots.uv_px)
+    on_gel &= np.isfinite(jacobian).all(axis=(1, 2))
+    covariance = np.einsum("nij,njk,nlk->nil", jacobian, dots.covariance_px2, jacobian)
+    if picture.layout_px is None:
+        raise InputError("dots in no lattice have no layout")
+    missing = np.zeros((lattice.rows, lattice.columns), dtype=bool)
+    for row, column in picture.layout_px.missing:
+        missing[row, column] = True
+    lattice, (first_row, first_column) = renumbered(lattice, on_gel)
+    missing = missing[first_row:, first_column:][: lattice.rows, : lattice.columns]
+    safe = np.where(on_gel[:, None], points, 0.0)
+    covariance = np.where(on_gel[:, None, None], covariance, np.eye(2))
+    return fit_layout(safe, lattice, covariance=covariance, in_view=missing)
+
+
+def _radius_mm(dots: Dots, view: GelView) -> tuple[float, float]:
+    """Median radius of whole dots on the gel, and its standard deviation [mm]."""
+    whole = dots.whole if dots.whole.sum() >= 3 else np.ones(dots.count, dtype=bool)
+    jacobian = pixel_jacobian(view, dots.uv_px[whole])
+    scale = np.sqrt(np.abs(np.linalg.det(jacobian)))
+    radius = dots.radius_px[whole] * scale
+    radius = radius[np.isfinite(radius)]
+    if len(radius) == 0:
+        raise InputError("no whole dot lies where the camera sees the gel")
+    spread = float(np.median(np.abs(radius - np.median(radius)))) / 0.6745
+    return float(np.median(radius)), 1.2533 * spread / np.sqrt(len(radius))
+
+
+def _follow(
+    video: Video, picture: MarkerPicture, progress: Callable[[str, int, int], None] | None
+) -> TrackedVideo:
+    name = video_name(video)
+
+    def step(done: int) -> None:
+        if progress is not None:
+            progress(name, done, video.frame_count)
+
+    try:
+        tracks = track_markers(video.frames(), picture, progress=step)
+    except InputError as error:
+        raise InputError(f"{video.source}: {error}") from None
+    return TrackedVideo(name, video, tracks, track_figures(name, tracks))
+
+
+def video_name(video: Video) -> str:
+    """A short name: the file, or the folder and first frame."""
+    parts = video.source.replace("\\", "/").split("/")
+    return parts[-1] if video.entry.file is not None else "/".join(parts[-2:])
+
+
+def _inputs(folder: CaptureFolder, rest: Frame, videos: tuple[TrackedVideo, ...]) -> dict[str, str]:
+    inputs = {rest.source.replace("\\", "/").split("/")[-1]: rest.sha256}
+    for video in videos:
+        inputs[video.name] = video.video.sha256
+    if "manifest_sha256" in folder.provenance:
+        inputs["captures.toml"] = folder.provenance["manifest_sha256"]
+    return inputs

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which scale the markers' millimetres rest on: the best known, and whether others agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.capture import CaptureFolder
+from calibration.markers.gel_view import (
+    GelView,
+    GridView,
+    camera_view,
+    grid_view,
+    pixel_jacobian,
+)
+from calibration.markers.layout import PITCH_X, PITCH_Y, LayoutFit
+from calibration.result import Remark, Severity
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import SensorProfile
+
+_MEASURED = ("calibrated", "measured")
+_AGREE = 0.02
+"""Scales that differ by less than this part agree."""
+
+
+@dataclass(frozen=True)
+class ChosenView:
+    """A view and what has to be said about it."""
+
+    view: GelView
+    remarks: tuple[Remark, ...]
+
+
+def choose_view(
+    folder: CaptureFolder, profile: SensorProfile, layout: LayoutFit, size_px: tuple[int, int]
+) -> ChosenView:
+    """The view for the markers' captures.
+
+    In this order: a calibrated camera of the profile, a calibrated or measured scale of the
+    profile, the scale that the manifest states, the pitch that it states, what the profile assumes.
+
+    Raises:
+        InputError: None of them fits pictures of that size.
+    """
+    stated = _stated(folder, layout, size_px)
+    chosen: GelView | None = None
+    if profile.optics is not None and profile.optics.provenance.kind in _MEASURED:
+        chosen = camera_view(profile, size_px)
+    elif profile.camera.provenance.kind in _MEASURED:
+        chosen = grid_view(profile, size_px)
+    elif stated:
+        chosen = stated[0]
+    if chosen is not None:
+        return ChosenView(chosen, _disagreements(chosen, stated, size_px))
+    assumed = grid_view(profile, size_px)
+    remark = Remark(
+        Severity.WARNING,
+        "scale_assumed",
+        f"millimetres rest on {assumed.description}, which nobody measured on this unit; state "
+        "mm_per_px_x and mm_per_px_y or the dots' pitch_x_mm in captures.toml, or give a profile "
+        "with a calibrated scale as --base",
+    )
+    return ChosenView(assumed, (remark,))
+
+
+def _stated(folder: CaptureFolder, layout: LayoutFit, size_px: tuple[int, int]) -> list[GridView]:
+    """Views from the manifest: its scale, then its pitch."""
+    views = []
+    if folder.mm_per_px is not None:
+        grid = PixelGrid(*size_px, *folder.mm_per_px)
+        views.append(GridView(grid, "the scale stated in the manifest"))
+    markers = folder.markers
+    if markers is not None and (markers.pitch_x_mm or markers.pitch_y_mm):
+        pitch_x_px, pitch_y_px = layout.pitch
+        x, y = markers.pitch_x_mm, markers.pitch_y_mm
+        per_x = x / pitch_x_px if x else (y or 0.0) / pitch_y_px
+        per_y = y / pitch_y_px if y else per_x
+        quarter = abs(layout.rotation_deg) > 20.0
+        if quarter and x and y:
+            raise InputError(
+                f"the dots' rows lie {layout.rotation_deg:.0f} degrees off the image's: pitches "
+                "along x and y then give no scale; state mm_per_px_x and mm_per_px_y"
+            )
+        sigma = max(layout.sigma(PITCH_X) / pitch_x_px, layout.sigma(PITCH_Y) / pitch_y_px)
+        grid = PixelGrid(*size_px, per_x, per_y)
+        views.append(GridView(grid, "the pitch of the dots stated in the manifest", sigma))
+    return views
+
+
+def _disagreements(
+    chosen: GelView, stated: list[GridView], size_px: tuple[int, int]
+) -> tuple[Remark, ...]:
+    """A warning for every stated scale that differs from the chosen one."""
+    middle = np.array([(size_px[0] - 1) / 2, (size_px[1] - 1) / 2])
+    ours = np.abs(np.diag(pixel_jacobian(chosen, middle)))
+    remarks = []
+    for other in stated:
+        theirs = np.array([other.grid.mm_per_px_x, other.grid.mm_per_px_y])
+        off = theirs / ours - 1.0
+        allowed = max(_AGREE, 2.0 * float(np.hypot(chosen.scale_sigma, other.scale_sigma)))
+        if other is not chosen and np.abs(off).max() > allowed:
+            remarks.append(
+                Remark(
+                    Severity.WARNING,
+                    "scale_disagrees",
+                    f"{other.description} gives {theirs[0]:.4f} x {theirs[1]:.4f} mm/px, "
+                    f"{chosen.description} {ours[0]:.4f} x {ours[1]:.4f}: {100 * off[0]:+.1f} and "
+                    f"{100 * off[1]:+.1f} %; the latter was used",
+                )
+            )
+    return tuple(remarks)

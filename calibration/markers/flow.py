@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motion of the markers on the gel in millimetres, for comparison with a simulated gel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.markers.gel_view import GelView, pixel_jacobian
+from calibration.markers.tracks import MarkerTracks
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import QuadraticMesh, TetMesh
+from taccel_lab.signals.markers import MarkerLayout
+
+
+@dataclass(frozen=True)
+class MarkerFlow:
+    """Where markers are at rest on the gel, and how far they have moved in each frame."""
+
+    points_mm: np.ndarray
+    """Gel xy at rest [mm], shape [marker, 2]; NaN for a marker that is not seen on the gel. Markers
+    are those of the tracks, in their order."""
+    displacement_mm: np.ndarray
+    """Motion from rest along gel x and y [mm], shape [frame, marker, 2]; where not seen it is what
+    the neighbours say."""
+    seen: np.ndarray
+    """Bool, shape [frame, marker]."""
+    sigma_mm: np.ndarray
+    """Standard deviation of the displacement along x and y [mm], shape [frame, marker, 2]."""
+    time_s: np.ndarray | None = None
+    """Time of each frame [s], shape [frame], where the frame rate is known."""
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.displacement_mm)
+
+    @property
+    def marker_count(self) -> int:
+        return len(self.points_mm)
+
+    def select(self, markers: np.ndarray) -> MarkerFlow:
+        """The flow of some of the markers."""
+        return MarkerFlow(
+            self.points_mm[markers],
+            self.displacement_mm[:, markers],
+            self.seen[:, markers],
+            self.sigma_mm[:, markers],
+            self.time_s,
+        )
+
+    def attach(self, mesh: TetMesh | QuadraticMesh) -> tuple[MarkerLayout, MarkerFlow]:
+        """Markers as barycentric points of the gel's contact face, and the flow of those that lie
+        on it.
+
+        Raises:
+            InputError: No marker lies on the face.
+        """
+        known = np.flatnonzero(np.isfinite(self.points_mm).all(axis=1))
+        layout, on_face = MarkerLayout.where_on(mesh, self.points_mm[known])
+        if not on_face.any():
+            raise InputError(
+                f"none of the {self.marker_count} markers lies on the gel's contact face: scale or "
+                "origin of the picture do not belong to this gel"
+            )
+        return layout, self.select(known[on_face])
+
+    def mean_motion(self, frame: int) -> tuple[np.ndarray, float]:
+        """Rigid part of a frame's flow in the gel's plane.
+
+        Returns:
+            Translation of the markers' middle [mm], shape [2], and rotation about it [rad], from x
+            towards y, of the seen markers (least squares).
+        """
+        seen = self.seen[frame]
+        if seen.sum() < 2:
+            raise InputError(f"frame {frame} shows {int(seen.sum())} markers; at least 2")
+        rest, moved = self.points_mm[seen], self.displacement_mm[frame, seen]
+        a, b = rest - rest.mean(axis=0), rest + moved
+        shift = moved.mean(axis=0)
+        b = b - b.mean(axis=0)
+        turn = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+        return shift, float(turn)
+
+
+def marker_flow_mm(tracks: MarkerTracks, view: GelView, *, fps: float | None = None) -> MarkerFlow:
+    """Displacements of tracked markers on the gel.
+
+    Args:
+        tracks: Markers in pixels.
+        view: What pixels look at.
+        fps: Frames a second, where known.
+
+    Raises:
+        InputError: No marker at rest is seen on the gel.
+    """
+    rest_mm = view.gel_from_pixel(tracks.rest_px)
+    known = np.isfinite(rest_mm).all(axis=1)
+    if not known.any():
+        raise InputError("no marker at rest lies where the camera sees the gel")
+    moved_mm = view.gel_from_pixel(tracks.uv_px) - rest_mm
+    jacobian = pixel_jacobian(view, tracks.rest_px)
+    variance = tracks.sigma_px**2 + tracks.rest_sigma_px**2
+    sigma = np.sqrt(np.einsum("mij,fmj->fmi", jacobian**2, variance))
+    on_gel = np.isfinite(moved_mm).all(axis=2)
+    return MarkerFlow(
+        points_mm=rest_mm,
+        displacement_mm=np.where(on_gel[..., None], moved_mm, 0.0),
+        seen=tracks.seen & on_gel,
+        sigma_mm=np.where(on_gel[..., None], sigma, np.inf),
+        time_s=None if fps is None else np.arange(tracks.frame_count) / fps,
+    )

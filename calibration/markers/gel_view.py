@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From pixels to places on the gel: through the pixel grid, or through the calibrated camera.
+
+A dot lies on the contact face, so that its pixel's sight line, bent by window and gel, is followed
+to the height that the face has at rest. A dent moves dots away from the camera; the parallax of
+that is not corrected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.optics.camera_model import CameraModel, resized
+from taccel_lab.optics.media import glued_back_mm, media_between
+from taccel_lab.optics.refraction import Media
+from taccel_lab.profile import SensorProfile
+
+_FLAT_MM = 0.01
+_STEPS = 40
+_EXACT_MM = 1e-7
+_HALF_PX = 0.25
+
+
+class GelView(Protocol):
+    """Where on the gel a pixel looks."""
+
+    @property
+    def description(self) -> str:
+        """What the view rests on, for provenance."""
+        ...
+
+    @property
+    def scale_sigma(self) -> float:
+        """Relative standard deviation of its scale; 0 when unknown."""
+        ...
+
+    def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
+        """Gel xy [mm] of pixels (u, v), [.., 2] -> [.., 2]; NaN where the gel is not seen."""
+        ...
+
+
+@dataclass(frozen=True)
+class GridView:
+    """One scale along x and one along y."""
+
+    grid: PixelGrid
+    description: str
+    scale_sigma: float = 0.0
+
+    def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
+        """See ``GelView``."""
+        return self.grid.gel_from_pixel(uv_px)
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """A physical camera, the media in front of it and the height of the face that it looks at."""
+
+    model: CameraModel
+    media: Media
+    height_mm: Callable[[np.ndarray], np.ndarray]
+    """z of the contact face at rest over gel xy, [n, 2] -> [n]; NaN beside it."""
+    description: str
+    scale_sigma: float = 0.0
+
+    def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
+        """See ``GelView``."""
+        uv = np.asarray(uv_px, dtype=np.float64)
+        origin, directions = self.model.rays(uv.reshape(-1, 2))
+        entry, inside, _ = self.media.trace(origin, directions)
+        slope = inside[:, :2] / np.where(inside[:, 2] > 0, inside[:, 2], np.nan)[:, None]
+        z = np.zeros(len(slope))
+        xy = np.full((len(slope), 2), np.nan)
+        # The face is flat or gently domed: its height where the last guess met it is soon exact.
+        for _ in range(_STEPS):
+            new = entry[:, :2] + slope * (z - entry[:, 2])[:, None]
+            moved = np.nanmax(np.abs(new - xy), initial=0.0) if np.isfinite(xy).any() else np.inf
+            xy = new
+            if moved < _EXACT_MM:
+                break
+            z = self.height_mm(xy)
+        return xy.reshape(uv.shape)
+
+
+def pixel_jacobian(view: GelView, uv_px: np.ndarray) -> np.ndarray:
+    """Change of gel xy with the pixel [mm/px], [.., 2] -> [.., 2, 2] (last axis: along u, v)."""
+    uv = np.asarray(uv_px, dtype=np.float64)
+    steps = []
+    for axis in (0, 1):
+        offset = np.zeros(2)
+        offset[axis] = _HALF_PX
+        ahead, behind = view.gel_from_pixel(uv + offset), view.gel_from_pixel(uv - offset)
+        steps.append((ahead - behind) / (2 * _HALF_PX))
+    return np.stack(steps, axis=-1)
+
+
+def camera_view(profile: SensorProfile, size_px: tuple[int, int]) -> CameraView:
+    """View through the camera of a profile, for pictures of ``size_px`` (width, height).
+
+    Raises:
+        InputError: The profile has no optics, or its picture has another shape.
+    """
+    design, optics = profile.optical_design(), profile.optics
+    if design is None or optics is None:
+        raise InputError("the profile has no camera to look through (blocks optics, lights, "
+                         "coating)")  # fmt: skip
+    camera = design.camera
+    if abs(camera.width_px * size_px[1] - camera.height_px * size_px[0]) > max(size_px):
+        raise InputError(
+            f"the camera's picture is {camera.width_px}x{camera.height_px} px, that of the markers "
+            f"{size_px[0]}x{size_px[1]}: another shape"
+        )
+    if (camera.width_px, camera.height_px) != size_px:
+        camera = resized(camera, *size_px)
+    back = glued_back_mm(profile.mesh)
+    return CameraView(
+        CameraModel(camera),
+        media_between(design, back),
+        contact_height(profile),
+        f"the {optics.provenance.kind} camera of the profile, with refraction",
+        _relative_sigma(optics.provenance.spread, ("fx_px", "fy_px"), (camera.fx_px,)),
+    )
+
+
+def grid_view(profile: SensorProfile, size_px: tuple[int, int]) -> GridView:
+    """View by the pixel grid of a profile, for pictures of ``size_px``; as ``camera_view``."""
+    block = profile.camera
+    if abs(block.width_px * size_px[1] - block.height_px * size_px[0]) > max(size_px):
+        raise InputError(
+            f"the profile's picture is {block.width_px}x{block.height_px} px, that of the markers "
+            f"{size_px[0]}x{size_px[1]}: another shape"
+        )
+    sx, sy = block.width_px / size_px[0], block.height_px / size_px[1]
+    grid = PixelGrid(
+        *size_px,
+        block.mm_per_px_x * sx,
+        block.mm_per_px_y * sy,
+        (block.center_u_px + 0.5) / sx - 0.5,
+        (block.center_v_px + 0.5) / sy - 0.5,
+    )
+    sigma = _relative_sigma(
+        block.provenance.spread, ("mm_per_px_x", "mm_per_px_y"), (block.mm_per_px_x,)
+    )
+    return GridView(grid, f"the {block.provenance.kind} scale of the profile", sigma)
+
+
+def contact_height(profile: SensorProfile) -> Callable[[np.ndarray], np.ndarray]:
+    """z of the profile's contact face over gel xy [mm], [n, 2] -> [n]."""
+    mesh = profile.mesh
+    points = mesh.nodes_m[mesh.region_nodes(Region.CONTACT)] * 1e3
+    inner = np.abs(points[:, :2]).max(axis=0) * 0.6
+    middle = points[(np.abs(points[:, :2]) <= inner).all(axis=1)]
+    if len(middle) and np.ptp(middle[:, 2]) < _FLAT_MM:
+        level = float(np.median(middle[:, 2]))
+        return lambda xy: np.full(len(xy), level)
+    return LinearNDInterpolator(points[:, :2], points[:, 2])
+
+
+def _relative_sigma(
+    spread: dict[str, float], names: tuple[str, ...], values: tuple[float, ...]
+) -> float:
+    found = [spread[name] for name in names if name in spread]
+    return max(found) / values[0] if found else 0.0

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a video says of the tracking itself: jitter at rest, return after release, losses."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from calibration.markers.neighbourhood import Neighbourhood
+from calibration.markers.tracks import MarkerTracks, Status
+
+_QUIET_PX = 0.05
+"""Median distance from the first frame below which the gel is at rest in any case."""
+_QUIET_NOISE = 4.0
+"""And in units of that between the first frames, where noise makes dots scatter more."""
+_QUIET_FRAMES = 5
+_MOVED_PX = 1.0
+_BACK = 0.25
+"""A gel has been released when its median distance falls below this share of what it was."""
+
+
+@dataclass(frozen=True)
+class TrackFigures:
+    """Figures of one video."""
+
+    name: str
+    frames: int
+    markers: int
+    quiet_frames: int
+    """Frames at the start during which the gel rests."""
+    jitter_px: float | None
+    """Standard deviation of a marker's place over these frames along one axis, median of all
+    markers and both axes; None without at least 5 such frames."""
+    jitter_p90_px: float | None
+    largest_px: float
+    """Largest distance from rest of any seen marker."""
+    largest_median_px: float
+    """Largest median distance over the frames."""
+    largest_step_px: float
+    """Largest way of a marker between two frames."""
+    step_in_pitches: float
+    """The same over the pitch; near 0.5 a dot cannot be told from its neighbour."""
+    seen_share: float
+    """Share of all markers and frames that is seen."""
+    lost_share: float
+    return_frame: int | None
+    """Frame after a motion in which the gel is nearest to rest; None when it never comes back."""
+    return_median_px: float | None
+    """Median distance from rest in that frame."""
+    return_largest_px: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def track_figures(name: str, tracks: MarkerTracks) -> TrackFigures:
+    """Figures of one video's tracks."""
+    distance = tracks.distance_px()
+    median = np.array([_median(row) for row in distance])
+    quiet = _quiet_frames(tracks)
+    spread = marker_jitter_px(tracks, quiet)
+    step = np.where(
+        tracks.seen[1:] & tracks.seen[:-1],
+        np.linalg.norm(np.diff(tracks.uv_px, axis=0), axis=2),
+        0.0,
+    )
+    largest_step = float(step.max(initial=0.0))
+    back = _return_frame(median)
+    return TrackFigures(
+        name=name,
+        frames=tracks.frame_count,
+        markers=tracks.marker_count,
+        quiet_frames=quiet,
+        jitter_px=None if spread is None else float(np.median(spread)),
+        jitter_p90_px=None if spread is None else float(np.percentile(spread, 90)),
+        largest_px=float(np.nanmax(distance)) if tracks.seen.any() else 0.0,
+        largest_median_px=float(np.nanmax(median)) if np.isfinite(median).any() else 0.0,
+        largest_step_px=largest_step,
+        step_in_pitches=largest_step / Neighbourhood.of(tracks.rest_px).pitch_px,
+        seen_share=float(tracks.seen.mean()),
+        lost_share=float((tracks.status == Status.LOST).mean()),
+        return_frame=back,
+        return_median_px=None if back is None else float(median[back]),
+        return_largest_px=None if back is None else float(np.nanmax(distance[back])),
+    )
+
+
+def marker_jitter_px(tracks: MarkerTracks, quiet_frames: int) -> np.ndarray | None:
+    """Standard deviation of each always-seen marker's u and v over the first frames, flat."""
+    if quiet_frames < _QUIET_FRAMES:
+        return None
+    steady = tracks.seen[:quiet_frames].all(axis=0)
+    if not steady.any():
+        return None
+    return tracks.uv_px[:quiet_frames, steady].std(axis=0, ddof=1).ravel()
+
+
+def _quiet_frames(tracks: MarkerTracks) -> int:
+    offset = np.linalg.norm(tracks.uv_px - tracks.uv_px[0], axis=2)
+    offset = np.where(tracks.seen & tracks.seen[0], offset, np.nan)
+    median = np.array([_median(row) for row in offset])
+    noise = float(np.nanmedian(median[1:_QUIET_FRAMES])) if len(median) > _QUIET_FRAMES else 0.0
+    moving = np.flatnonzero(~(median < max(_QUIET_PX, _QUIET_NOISE * np.nan_to_num(noise))))
+    return int(moving[0]) if len(moving) else tracks.frame_count
+
+
+def _return_frame(median: np.ndarray) -> int | None:
+    """Frame nearest to rest among those after a motion of four times the distance."""
+    known = np.nan_to_num(median, nan=0.0)
+    before = np.maximum.accumulate(np.concatenate([[0.0], known[:-1]]))
+    back = (before > _MOVED_PX) & (median < _BACK * before)
+    if not back.any():
+        return None
+    return int(np.argmin(np.where(back, median, np.inf)))
+
+
+def _median(row: np.ndarray) -> float:
+    return float(np.nanmedian(row)) if np.isfinite(row).any() else float("nan")

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracks as files: JSON, NumPy's npz, or one CSV row a marker and frame."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.markers.flow import MarkerFlow
+from calibration.markers.tracks import MarkerTracks, Status
+from taccel_lab.errors import InputError
+from taccel_lab.output import atomic_file, write_json
+
+SUFFIXES = (".json", ".npz", ".csv")
+
+
+def require_track_file(path: Path) -> None:
+    """Refuse a file of an unknown kind before any long work."""
+    if path.suffix not in SUFFIXES:
+        raise InputError(f"{path}: tracks are written as {', '.join(SUFFIXES)}")
+
+
+def write_tracks(
+    path: Path, tracks: Mapping[str, MarkerTracks], flows: Mapping[str, MarkerFlow]
+) -> None:
+    """Write the tracks of all videos, by name, with their flow in millimetres; the suffix says how.
+
+    Raises:
+        InputError: Another suffix than .json, .npz and .csv.
+    """
+    require_track_file(path)
+    if path.suffix == ".json":
+        write_json(path, {"videos": [_as_dict(n, t, flows[n]) for n, t in tracks.items()]})
+    elif path.suffix == ".npz":
+        arrays = {}
+        for number, (name, track) in enumerate(tracks.items()):
+            prefix = f"video{number}_"
+            arrays[prefix + "name"] = np.array(name)
+            for key, value in _arrays(track, flows[name]).items():
+                arrays[prefix + key] = value
+        with atomic_file(path) as staging, staging.open("wb") as stream:
+            np.savez_compressed(stream, **arrays)
+    else:
+        with (
+            atomic_file(path) as staging,
+            staging.open("w", encoding="utf-8", newline="") as stream,
+        ):
+            writer = csv.writer(stream)
+            writer.writerow(
+                "video frame marker row column status u_px v_px sigma_u_px sigma_v_px x_mm y_mm "
+                "dx_mm dy_mm".split()
+            )
+            for name, track in tracks.items():
+                writer.writerows(_rows(name, track, flows[name]))
+
+
+def _arrays(track: MarkerTracks, flow: MarkerFlow) -> dict[str, np.ndarray]:
+    arrays = {
+        "row": track.row,
+        "column": track.column,
+        "rest_px": track.rest_px,
+        "uv_px": track.uv_px,
+        "sigma_px": track.sigma_px,
+        "status": track.status,
+        "points_mm": flow.points_mm,
+        "displacement_mm": flow.displacement_mm,
+        "displacement_sigma_mm": flow.sigma_mm,
+        "displacement_seen": flow.seen,
+    }
+    if flow.time_s is not None:
+        arrays["time_s"] = flow.time_s
+    return arrays
+
+
+def _as_dict(name: str, track: MarkerTracks, flow: MarkerFlow) -> dict[str, Any]:
+    found: dict[str, Any] = {"name": name, "status_names": [s.name.lower() for s in Status]}
+    for key, value in _arrays(track, flow).items():
+        if value.dtype.kind == "f":
+            value = np.where(np.isfinite(value), value.round(5).astype(object), None)
+        found[key] = value.tolist()
+    return found
+
+
+def _rows(name: str, track: MarkerTracks, flow: MarkerFlow) -> list[list[Any]]:
+    rows = []
+    for frame in range(track.frame_count):
+        for marker in range(track.marker_count):
+            on_gel = np.isfinite(flow.points_mm[marker]).all()
+            mm = np.concatenate([flow.points_mm[marker], flow.displacement_mm[frame, marker]])
+            rows.append(
+                [
+                    name,
+                    frame,
+                    marker,
+                    track.row[marker],
+                    track.column[marker],
+                    Status(track.status[frame, marker]).name.lower(),
+                    *track.uv_px[frame, marker].round(4),
+                    *track.sigma_px[frame, marker].round(4),
+                    *(mm.round(5) if on_gel else [""] * 4),
+                ]
+            )
+    return rows

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Follow the dots of a resting gel through the frames of a motion.
+
+Frame by frame: dots are detected at the size that they have at rest, matched to the markers
+(``association``), and markers without a dot are looked for once more where their neighbours say
+that they are. A marker that stays unseen goes along with its neighbours and is found again when it
+reappears there, so that it keeps its identity through occlusion and through motions of more than
+the pitch, as long as neighbours move alike from frame to frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.markers import dot_model as model
+from calibration.markers.association import associate
+from calibration.markers.brightness import grey_levels
+from calibration.markers.detection import detect_dots, dots_from_fit
+from calibration.markers.dot_fit import fit_dots
+from calibration.markers.dots import DotFlag, Dots
+from calibration.markers.finding import MarkerPicture
+from calibration.markers.neighbourhood import Neighbourhood
+from calibration.markers.tracks import MarkerTracks, Status
+from taccel_lab.errors import InputError
+
+MIN_MARKERS = 4
+LOST_AFTER = 12
+"""Frames unseen after which a marker is lost rather than predicted."""
+_MEMORY = 0.7
+"""Share of the last motion between two frames that is expected to go on."""
+_WEAKER = 0.6
+"""Dots in contact may have this share of the contrast that separates dots at rest."""
+_AGAIN = 0.3
+"""A dot that is looked for again lies within so many pitches of its expected place."""
+
+
+def track_markers(
+    frames: Iterable[np.ndarray],
+    rest: MarkerPicture,
+    *,
+    progress: Callable[[int], None] | None = None,
+) -> MarkerTracks:
+    """Follow the dots of ``rest`` through ``frames``.
+
+    Args:
+        frames: RGB or grey images in order, of the size of the picture at rest; the first has to
+            be near rest (within half a pitch, or moved as a whole smoothly).
+        rest: Dots at rest.
+        progress: Called with the number of frames done.
+
+    Raises:
+        InputError: Fewer than 4 dots at rest, no frame, or frames of another size.
+    """
+    dots = rest.dots
+    if dots.count < MIN_MARKERS:
+        raise InputError(f"tracking needs at least {MIN_MARKERS} dots at rest, got {dots.count}")
+    order = _reading_order(rest)
+    dots = dots.select(order)
+    tracker = _Tracker(dots)
+    places, sigmas, statuses = [], [], []
+    for number, frame in enumerate(frames):
+        height, width = np.shape(frame)[:2]
+        if (width, height) != dots.size_px:
+            raise InputError(
+                f"frame {number} is {width}x{height} px, the picture at rest "
+                f"{dots.size_px[0]}x{dots.size_px[1]} px"
+            )
+        tracker.advance(frame)
+        places.append(tracker.uv.copy())
+        sigmas.append(tracker.sigma.copy())
+        statuses.append(tracker.status.copy())
+        if progress is not None:
+            progress(number + 1)
+    if not places:
+        raise InputError("the video holds no frame")
+    return MarkerTracks(
+        uv_px=np.array(places),
+        sigma_px=np.array(sigmas),
+        status=np.array(statuses),
+        rest_px=dots.uv_px,
+        rest_sigma_px=dots.sigma_px,
+        row=rest.lattice.row[order],
+        column=rest.lattice.column[order],
+        size_px=dots.size_px,
+    )
+
+
+def _reading_order(rest: MarkerPicture) -> np.ndarray:
+    """Row by row, then those without a number from top to bottom."""
+    row, column, uv = rest.lattice.row, rest.lattice.column, rest.dots.uv_px
+    return np.lexsort((np.where(row >= 0, column, uv[:, 1]), row, row < 0))
+
+
+class _Tracker:
+    """State of all markers in the present frame."""
+
+    def __init__(self, dots: Dots) -> None:
+        self.dots = dots
+        self.around = Neighbourhood.of(dots.uv_px)
+        self.scale = replace(dots.scale, threshold=_WEAKER * dots.scale.threshold)
+        self.uv = dots.uv_px.copy()
+        self.sigma = dots.sigma_px.copy()
+        self.status = np.full(dots.count, Status.SEEN, dtype=np.uint8)
+        self.motion = np.zeros_like(self.uv)
+        self.unseen = np.zeros(dots.count, dtype=int)
+        self.shape = dots.parameters.copy()
+
+    def advance(self, frame: np.ndarray) -> None:
+        """Match and place all markers in the next frame."""
+        found = detect_dots(frame, self.scale)
+        before = self.uv
+        expected = before + _MEMORY * self.motion
+        odd = found.flagged(DotFlag.ODD)
+        chosen = associate(expected, before, found.uv_px, odd, self.around)
+        seen = chosen >= 0
+        place = np.where(seen[:, None], found.uv_px[chosen], np.nan)
+        sigma = np.where(seen[:, None], found.sigma_px[chosen], np.nan)
+        self.shape[seen] = found.parameters[chosen[seen]]
+        guess, scatter = self._say(place, seen, expected)
+        self._look_again(frame, guess, place, sigma, seen)
+        if (~seen).any():
+            guess, scatter = self._say(place, seen, expected)
+            place[~seen] = guess[~seen]
+            sigma[~seen] = np.maximum(scatter[~seen], 0.05)[:, None]
+        self.unseen = np.where(seen, 0, self.unseen + 1)
+        self._set_status(place, seen)
+        self.motion = place - before
+        self.uv, self.sigma = place, sigma
+
+    def _say(
+        self, place: np.ndarray, seen: np.ndarray, expected: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Where the neighbours' displacements from rest put each marker."""
+        rest = self.around.rest_px
+        moved = np.where(seen[:, None], place - rest, 0.0)
+        said, scatter, _ = self.around.extrapolate(moved, seen)
+        known = np.isfinite(said).all(axis=1)
+        return np.where(known[:, None], rest + said, expected), scatter
+
+    def _look_again(
+        self,
+        frame: np.ndarray,
+        guess: np.ndarray,
+        place: np.ndarray,
+        sigma: np.ndarray,
+        seen: np.ndarray,
+    ) -> None:
+        """Fit a dot where an unseen marker should be; changes place, sigma and seen."""
+        width, height = self.dots.size_px
+        inside = ((guess > 0) & (guess < (width - 1, height - 1))).all(axis=1)
+        wanted = np.flatnonzero(~seen & inside)
+        if len(wanted) == 0:
+            return
+        start = self.shape[wanted].copy()
+        start[:, :2] = guess[wanted]
+        fit = fit_dots(grey_levels(frame), start, others=place[seen])
+        again = dots_from_fit(fit, self.scale, self.dots.size_px)
+        usual = self.dots.contrast[wanted]
+        good = fit.converged & (fit.seen > 0.4) & np.isfinite(fit.covariance).all(axis=(1, 2))
+        good &= again.contrast / usual > 0.35
+        way = np.hypot(*(again.uv_px - guess[wanted]).T)
+        good &= way < _AGAIN * self.around.pitch_px
+        grown = np.log(again.radius_px / model.mean_radius(start))
+        good &= np.abs(grown) < np.log(1.5)
+        if seen.any():
+            gap = np.hypot(*(again.uv_px[:, None] - place[seen][None]).transpose(2, 0, 1))
+            good &= gap.min(axis=1) > again.radius_px
+        place[wanted[good]] = again.uv_px[good]
+        sigma[wanted[good]] = again.sigma_px[good]
+        seen[wanted[good]] = True
+
+    def _set_status(self, place: np.ndarray, seen: np.ndarray) -> None:
+        width, height = self.dots.size_px
+        slack = float(np.median(self.dots.radius_px))
+        outside = ((place < -slack) | (place > (width - 1 + slack, height - 1 + slack))).any(axis=1)
+        lost = ~seen & (outside | (self.unseen > LOST_AFTER))
+        self.status = np.where(
+            seen, Status.SEEN, np.where(lost, Status.LOST, Status.PREDICTED)
+        ).astype(np.uint8)
