@@ -54,6 +54,8 @@ class Press:
     """Travel past first touch, where a stage measured it [mm]."""
     force_n: float | None = None
     """Normal force, where a cell measured it [N]."""
+    checked: bool = False
+    """A person has corrected the circle (``contacts.toml``): it wins over any detection."""
 
     def image(self) -> np.ndarray:
         """The image, RGB uint8, shape [height_px, width_px, 3]."""

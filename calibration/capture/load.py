@@ -18,6 +18,7 @@ from calibration.capture.records import load_record
 from calibration.capture.schema import MANIFEST_NAME, CaptureManifest
 from calibration.capture.taxim_pack import load_taxim_folder
 from calibration.capture.video import load_markers
+from calibration.capture.overrides import CONTACTS_NAME, override_presses
 from taccel_lab.errors import InputError
 
 MIN_SIZE_PX = 32
@@ -113,6 +114,10 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
             )
         )
     provenance = {"manifest_sha256": file_sha256(manifest_path)}
+    contacts = folder / CONTACTS_NAME
+    if contacts.is_file():
+        presses = list(override_presses(presses, contacts))
+        provenance["contacts_sha256"] = file_sha256(contacts)
     if manifest.source is not None:
         provenance["source"] = manifest.source
     if manifest.license is not None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from calibration.capture.folder import ForceRecord
 from calibration.capture.images import file_sha256
+from calibration.capture.record_checks import check_record
 from calibration.capture.schema import RecordEntry
 from taccel_lab.errors import InputError
 
@@ -35,6 +36,7 @@ def load_record(folder: Path, entry: RecordEntry) -> ForceRecord:
             f"record of kind {entry.kind} has {', '.join(COLUMNS[entry.kind])} (found "
             f"{', '.join(columns)})"
         )
+    check_record(str(path), entry, columns)
     return ForceRecord(entry, str(path), file_sha256(path), columns)
 
 

@@ -12,8 +12,10 @@ def capture_commands() -> Any:
     """The sub-commands; imported here so that help is fast."""
     from tyro.extras import SubcommandApp
 
+    from taccel_lab.cli.capture.check import CaptureCheckCommand
     from taccel_lab.cli.capture.import_ import CaptureImport
 
     app = SubcommandApp()
+    app.command(name="check")(CaptureCheckCommand)
     app.command(name="import")(CaptureImport)
     return app

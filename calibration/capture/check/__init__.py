@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of captures before anything is fitted to them."""
+
+from calibration.capture.check.content import BlockStatus, Readiness
+from calibration.capture.check.findings import Finding
+from calibration.capture.check.page import check_page
+from calibration.capture.check.run import CaptureCheck, check_captures
+
+__all__ = [
+    "BlockStatus",
+    "CaptureCheck",
+    "Finding",
+    "Readiness",
+    "check_captures",
+    "check_page",
+]

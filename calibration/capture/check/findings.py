@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a check says: findings, worst first, and what each block of a profile still needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calibration.result import Remark, Severity
+
+COMMANDS = ("camera", "scale", "background", "color", "normals", "depth", "markers", "material")
+"""Blocks that captures calibrate, by the name of their command."""
+_ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.INFO: 2}
+MAX_NAMES = 6
+
+
+@dataclass(frozen=True)
+class Finding(Remark):
+    """One thing that is wrong, weak or worth knowing about captures."""
+
+    frames: tuple[str, ...] = ()
+    """Names of the images it is about; empty: all, or none in particular."""
+    blocks: tuple[str, ...] = ()
+    """Commands that it stops (error) or harms (warning)."""
+
+    def to_dict(self) -> dict[str, object]:
+        return {
+            "severity": str(self.severity),
+            "code": self.code,
+            "message": self.message,
+            "frames": list(self.frames),
+            "blocks": list(self.blocks),
+        }
+
+
+def worst_first(findings: Sequence[Finding]) -> list[Finding]:
+    """Errors, warnings, information; within each the ones about most images first."""
+    return sorted(findings, key=lambda f: (_ORDER[f.severity], -len(f.frames)))
+
+
+def name_some(names: Sequence[str]) -> str:
+    """A few names and how many more there are."""
+    shown = ", ".join(names[:MAX_NAMES])
+    return shown + (f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else "")
+
+
+def error(code: str, message: str, *blocks: str, frames: Sequence[str] = ()) -> Finding:
+    return Finding(Severity.ERROR, code, message, tuple(frames), blocks)
+
+
+def warning(code: str, message: str, *blocks: str, frames: Sequence[str] = ()) -> Finding:
+    return Finding(Severity.WARNING, code, message, tuple(frames), blocks)
+
+
+def info(code: str, message: str, *blocks: str, frames: Sequence[str] = ()) -> Finding:
+    return Finding(Severity.INFO, code, message, tuple(frames), blocks)

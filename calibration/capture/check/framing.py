@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether images show the same gel through the same optics: misfit, channel order, crop.
+
+All comparisons are of small images, after an affine fit of each channel that takes out exposure and
+white balance, and by medians, which a contact on a part of the gel does not move.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+THUMB_PX = 160
+"""Longer side of the small images."""
+MIN_CROP, CROP_STEP = 0.5, 0.01
+ORDERS: tuple[tuple[int, int, int], ...] = tuple(itertools.permutations(range(3)))  # type: ignore[assignment]
+
+
+def thumb(image: np.ndarray, longer_px: int = THUMB_PX) -> np.ndarray:
+    """The image made small by area averaging, float32, shape [h, w, 3]."""
+    scale = min(1.0, longer_px / max(image.shape[:2]))
+    size = (max(8, round(image.shape[1] * scale)), max(8, round(image.shape[0] * scale)))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+def median_thumb(thumbs: Sequence[np.ndarray]) -> np.ndarray:
+    """Median of small images of one size, each freed of its own colour shift."""
+    stack = np.stack(thumbs)
+    level = np.median(stack, axis=(1, 2), keepdims=True)
+    return np.median(stack - level, axis=0) + np.median(level, axis=0)[0]
+
+
+def level_fit(image: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and offset [levels] of each channel that bring ``reference`` nearest to ``image``.
+
+    Least squares, repeated without the third of the pixels that fit worst, so that a contact has no
+    say. Shapes [h, w, 3]; returns two of [3].
+    """
+    channels = reference.shape[-1]
+    gains, offsets = np.ones(channels), np.zeros(channels)
+    for c in range(channels):
+        x = reference[..., c].ravel().astype(np.float64)
+        y = image[..., c].ravel().astype(np.float64)
+        keep = np.ones(len(x), dtype=bool)
+        for _ in range(3):
+            spread = x[keep] - x[keep].mean()
+            energy = float(spread @ spread)
+            # A channel without any picture in it tells no gain.
+            if energy > keep.sum():
+                gains[c] = np.clip(float(spread @ y[keep]) / energy, 0.3, 3.0)
+            offsets[c] = np.median(y[keep] - gains[c] * x[keep])
+            residual = np.abs(y - gains[c] * x - offsets[c])
+            keep = residual <= np.quantile(residual, 0.67)
+    return gains, offsets
+
+
+def fit_levels(image: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """``reference`` in the light of ``image``, float32."""
+    gains, offsets = level_fit(image, reference)
+    return (gains * reference + offsets).astype(np.float32)
+
+
+def misfit_levels(image: np.ndarray, reference: np.ndarray) -> float:
+    """Median distance of the colours after the fit [levels]: 1 to 3 for the same gel."""
+    return float(np.median(np.linalg.norm(image - fit_levels(image, reference), axis=-1)))
+
+
+def best_channel_order(
+    image: np.ndarray, reference: np.ndarray
+) -> tuple[tuple[int, int, int], float, float]:
+    """Order of the channels of ``image`` that is nearest to ``reference``, by raw levels.
+
+    Returns the order, its distance and that of the order as it is: medians over the pixels
+    [levels], after a common shift of brightness.
+    """
+    distances = {}
+    for order in ORDERS:
+        change = image[..., list(order)] - reference
+        change = change - np.median(change)
+        distances[order] = float(np.median(np.linalg.norm(change, axis=-1)))
+    best = min(distances, key=lambda order: distances[order])
+    return best, distances[best], distances[0, 1, 2]
+
+
+@dataclass(frozen=True)
+class Crop:
+    """Part of an image that another image shows, as fractions of its width and height."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+    misfit_levels: float
+
+    def in_pixels(self, width_px: int, height_px: int) -> tuple[int, int, int, int]:
+        """Left, top, width and height [px]."""
+        return (
+            round(self.left * width_px),
+            round(self.top * height_px),
+            round(self.width * width_px),
+            round(self.height * height_px),
+        )
+
+
+def find_crop(part: np.ndarray, whole: np.ndarray) -> Crop:
+    """Where ``whole`` shows what ``part`` shows, of any size from a half to all of it.
+
+    Both are small RGB images [h, w, 3] of one size. The place is found by normalised correlation at
+    each size, the size by the misfit of the colours there; then again in finer steps.
+    """
+    coarse = np.arange(1.0 - CROP_STEP, MIN_CROP - 1e-9, -CROP_STEP)
+    start = Crop(0.0, 0.0, 1.0, 1.0, misfit_levels(part, whole))
+    shrunk = thumb(part, THUMB_PX), thumb(whole, THUMB_PX)
+    best = _best_of_sizes(*shrunk, coarse, start)
+    if best is start or part.shape == shrunk[0].shape:
+        return best
+    width = best.width
+    fine = np.arange(width - CROP_STEP, width + CROP_STEP, CROP_STEP / 4)
+    return _best_of_sizes(part, whole, fine[fine < 1], start)
+
+
+def _best_of_sizes(part: np.ndarray, whole: np.ndarray, shares: np.ndarray, start: Crop) -> Crop:
+    height, width = whole.shape[:2]
+    smooth = cv2.GaussianBlur(whole, (0, 0), 1.0)
+    best = start
+    for share in shares:
+        size = (max(8, round(width * share)), max(8, round(height * share)))
+        template = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+        # Each channel without its mean: the lights of the two need not be alike.
+        score = cv2.matchTemplate(smooth, template, cv2.TM_CCOEFF_NORMED)
+        _, _, _, (u, v) = cv2.minMaxLoc(score)
+        found = whole[v : v + size[1], u : u + size[0]]
+        misfit = misfit_levels(template, found)
+        if misfit < best.misfit_levels:
+            best = Crop(u / width, v / height, size[0] / width, size[1] / height, misfit)
+    return best

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``contacts.toml``: contact circles that a person has corrected, and presses to leave out.
+
+``taccel-lab capture review`` writes one with the circles it found, as comments. Whoever disagrees
+takes the ``#`` away and edits, and puts the file into the capture folder: every command that reads
+the folder then takes it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.errors import InputError
+
+CONTACTS_NAME = "contacts.toml"
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+HEADER = """\
+# Contact circles of {source}
+# Lines that begin with # have no effect. To correct a circle, take the # away and edit it; to leave
+# a press out, write skip = true in its table. Then put this file into the capture folder.
+"""
+
+
+class ContactOverride(BaseModel):
+    """What a person says about one press: its circle, or that it is left out."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    press: str = Field(min_length=1)
+    """Name of the press."""
+    u_px: Finite | None = None
+    v_px: Finite | None = None
+    radius_px: Finite | None = Field(default=None, gt=0)
+    skip: bool = False
+    """Leave the press out of every calibration."""
+
+    @model_validator(mode="after")
+    def _check_whole(self) -> ContactOverride:
+        given = [value is not None for value in (self.u_px, self.v_px, self.radius_px)]
+        if any(given) and not all(given):
+            raise ValueError("u_px, v_px and radius_px go together; one is missing")
+        return self
+
+    def circle(self) -> ContactCircle | None:
+        """The circle, or None when the found one stays."""
+        if self.u_px is None or self.v_px is None or self.radius_px is None:
+            return None
+        return ContactCircle(self.u_px, self.v_px, self.radius_px)
+
+
+class _OverrideFile(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    contact: list[ContactOverride] = Field(default_factory=list)
+
+
+def read_overrides(path: Path | str) -> dict[str, ContactOverride]:
+    """Overrides by the name of the press; InputError names the file and what is wrong."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path} does not exist; taccel-lab capture review writes one")
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is not valid TOML: {error}") from error
+    try:
+        entries = _OverrideFile.model_validate(data).contact
+    except ValidationError as error:
+        lines = [
+            f"{'.'.join(str(part) for part in fault['loc']) or 'file'}: {fault['msg']}"
+            for fault in error.errors()
+        ]
+        raise InputError(f"{path}: {'; '.join(lines)}") from error
+    names = [entry.press for entry in entries]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(f"{path}: {', '.join(twice)} appears twice")
+    return {entry.press: entry for entry in entries}
+
+
+def override_presses(presses: Sequence[Press], path: Path) -> tuple[Press, ...]:
+    """The presses with the circles of ``path``, less those that it leaves out."""
+    overrides = read_overrides(path)
+    unknown = sorted(set(overrides) - {press.name for press in presses})
+    if unknown:
+        raise InputError(
+            f"{path} names {', '.join(unknown)}, which is no press of the captures (there are "
+            f"{', '.join(press.name for press in presses[:6])}{' ...' if len(presses) > 6 else ''})"
+        )
+    kept = []
+    for press in presses:
+        override = overrides.get(press.name)
+        if override is None:
+            kept.append(press)
+        elif not override.skip:
+            circle = override.circle()
+            checked = dataclasses.replace(press, circle=circle, checked=True)
+            kept.append(press if circle is None else checked)
+    if presses and not kept:
+        raise InputError(f"{path} leaves out every press; at least one has to stay")
+    return tuple(kept)
+
+
+def with_overrides(captures: CaptureSet, path: Path | str) -> CaptureSet:
+    """``captures`` as the file ``path`` corrects them, the file's hash in the provenance."""
+    path = Path(path)
+    presses = override_presses(captures.presses, path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    provenance = {**captures.provenance, "contacts_sha256": digest}
+    return dataclasses.replace(captures, presses=presses, provenance=provenance)
+
+
+def override_text(source: str, entries: Sequence[tuple[str, ContactCircle | None, str]]) -> str:
+    """Contents of a ``contacts.toml``: (press, circle found, note); no circle leaves it out."""
+    import tomli_w
+
+    blocks = [HEADER.format(source=source)]
+    for name, circle, note in entries:
+        quoted = tomli_w.dumps({"press": name}).strip()
+        lines = [f"# {line}" for line in note.splitlines() if line]
+        if circle is None:
+            lines += ["[[contact]]", quoted, "skip = true"]
+        else:
+            lines += [
+                "# [[contact]]",
+                f"# {quoted}",
+                f"# u_px = {circle.u_px:.2f}",
+                f"# v_px = {circle.v_px:.2f}",
+                f"# radius_px = {circle.radius_px:.2f}",
+            ]
+        blocks.append("\n".join(lines) + "\n")
+    return "\n".join(blocks)

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of force records that look like numbers: wrong units, wrong signs, wrong order.
+
+Units are judged by what they would mean: Hertz' formula ``E* = 3 F / (4 sqrt(R) d^1.5)`` (K. L.
+Johnson, Contact Mechanics, 1985, eq. 4.23) turns a force and a depth into a modulus, and silicone
+gels lie between 1 kPa and a few MPa. A thin layer on a hard window looks up to ten times as stiff.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.capture.schema import RecordEntry
+from taccel_lab.errors import InputError
+
+SOFTEST_MPA, STIFFEST_MPA = 2e-4, 10.0
+"""Apparent moduli of gels on a window: from the softest silicone to 1 MPa ten times stiffened."""
+LIKELY_MPA = (0.005, 3.0)
+FORCE_UNITS = {"mN": 1e-3, "grams": 9.80665e-3, "kg": 9.80665, "ounces": 0.278}
+"""Newtons of a unit that a cell may have been read in."""
+MAX_DEPTH_MM = 20.0
+MIN_DEPTH_MM = 0.02
+MAX_FRICTION = 6.0
+FORCE_TOLERANCE = 0.05
+"""Drop of a force, relative to the largest, that noise explains where no sigma is stated."""
+UNKNOWN_TOOL_MM = (0.5, 20.0)
+"""Radii that a tool of unstated size may have."""
+
+
+@dataclass(frozen=True)
+class _Record:
+    path: str
+    entry: RecordEntry
+    columns: dict[str, np.ndarray]
+
+    def sigma(self, force: np.ndarray) -> float:
+        if self.entry.force_sigma_n is not None:
+            return self.entry.force_sigma_n
+        if "sigma_n" in self.columns:
+            return float(self.columns["sigma_n"].max())
+        return FORCE_TOLERANCE / 3 * float(np.abs(force).max())
+
+
+def check_record(path: str, entry: RecordEntry, columns: dict[str, np.ndarray]) -> None:
+    """Refuse a record whose units, signs or order cannot be meant.
+
+    Raises:
+        InputError: Names the file, the row where there is one, what was found and what is allowed.
+    """
+    record = _Record(path, entry, columns)
+    if "sigma_n" in columns and (columns["sigma_n"] <= 0).any():
+        raise InputError(f"{path}: sigma_n has to be positive everywhere")
+    normal = next((columns[k] for k in ("force_n", "normal_n") if k in columns), None)
+    if normal is not None:
+        _check_sign(record, normal)
+    depth = columns.get("depth_mm")
+    if depth is not None:
+        _check_depth(record, depth)
+    if entry.kind == "relaxation":
+        _check_order(record, "time_s", strictly=True)
+    if entry.kind == "indentation" and depth is not None and normal is not None:
+        _check_order(record, "depth_mm", strictly=False)
+        _check_rising(record, normal)
+    if depth is not None and normal is not None:
+        _check_force_unit(record, depth, normal)
+    if entry.kind in ("slide", "shear"):
+        _check_friction(record, columns["normal_n"], columns["tangential_n"])
+
+
+def _check_sign(record: _Record, force: np.ndarray) -> None:
+    limit = -3 * record.sigma(force)
+    below = np.flatnonzero(force < limit)
+    if len(below) == 0:
+        return
+    name = "force_n" if "force_n" in record.columns else "normal_n"
+    if len(below) > len(force) / 2 or abs(force.min()) > force.max():
+        raise InputError(
+            f"{record.path}: {name} is negative (down to {force.min():g} N); a force into the gel "
+            "is positive, so the sign of the column is reversed"
+        )
+    raise InputError(
+        f"{record.path}: row {below[0] + 1} has {name} = {force[below[0]]:g} N; a force into the "
+        "gel is positive, and this is more than noise. Remove the offset or the row"
+    )
+
+
+def _check_depth(record: _Record, depth: np.ndarray) -> None:
+    largest = float(np.abs(depth).max())
+    if depth.min() < -0.05 * largest:
+        row = int(np.argmin(depth))
+        raise InputError(
+            f"{record.path}: row {row + 1} has depth_mm = {depth[row]:g}; travel past first touch "
+            "is positive into the gel. Reverse the column's sign, or cut the approach off"
+        )
+    if largest > MAX_DEPTH_MM:
+        hint = " (micrometres?)" if largest < MAX_DEPTH_MM * 1e3 else ""
+        raise InputError(
+            f"{record.path}: depth_mm reaches {largest:g}; at most {MAX_DEPTH_MM:g} mm{hint}"
+        )
+    if largest < MIN_DEPTH_MM:
+        raise InputError(
+            f"{record.path}: depth_mm reaches only {largest:g}; at least {MIN_DEPTH_MM:g} mm. "
+            "Depths in metres have to be multiplied by 1000"
+        )
+
+
+def _check_order(record: _Record, name: str, *, strictly: bool) -> None:
+    steps = np.diff(record.columns[name])
+    wrong = np.flatnonzero(steps <= 0 if strictly else steps < 0)
+    if len(wrong):
+        row = int(wrong[0])
+        values = record.columns[name]
+        raise InputError(
+            f"{record.path}: {name} falls from {values[row]:g} to {values[row + 1]:g} in row "
+            f"{row + 2}; a record of kind {record.entry.kind} "
+            + (
+                "runs forward in time"
+                if strictly
+                else "holds one loading in order: cut the unloading off, or sort the points"
+            )
+        )
+
+
+def _check_rising(record: _Record, force: np.ndarray) -> None:
+    tolerance = max(3 * record.sigma(force), 1e-9)
+    highest = np.maximum.accumulate(force)
+    wrong = np.flatnonzero(force < highest - tolerance)
+    if len(wrong):
+        row = int(wrong[0])
+        raise InputError(
+            f"{record.path}: force_n falls to {force[row]:g} N in row {row + 1} after "
+            f"{highest[row]:g} N at a smaller depth; the force of a loading rises. The gel has "
+            "slipped or torn, or the rows are of different presses"
+        )
+
+
+def apparent_modulus_mpa(depth_mm: np.ndarray, force_n: np.ndarray, radius_mm: float) -> float:
+    """Hertz' reduced modulus of the deeper half of a record, its median [MPa = N/mm2]."""
+    deep = (depth_mm > 0.5 * depth_mm.max()) & (force_n > 0)
+    if not deep.any():
+        return float("nan")
+    return float(np.median(0.75 * force_n[deep] / (np.sqrt(radius_mm) * depth_mm[deep] ** 1.5)))
+
+
+def _check_force_unit(record: _Record, depth: np.ndarray, force: np.ndarray) -> None:
+    tool = record.entry.tool
+    radii = (tool.radius_mm,) * 2 if tool.radius_mm is not None else UNKNOWN_TOOL_MM
+    if tool.kind == "flat":
+        return  # A plate's force depends on the pad's size, which is not known here.
+    lowest, highest = (apparent_modulus_mpa(depth, force, radius) for radius in reversed(radii))
+    if not np.isfinite(lowest):
+        raise InputError(f"{record.path}: no force is positive; newtons into the gel are needed")
+    if lowest > STIFFEST_MPA:
+        fitting = [
+            unit
+            for unit, newtons in FORCE_UNITS.items()
+            if newtons < 1 and LIKELY_MPA[0] <= lowest * newtons <= LIKELY_MPA[1]
+        ]
+        guess = f"; read as {' or '.join(fitting)} it would be a gel" if fitting else ""
+        raise InputError(
+            f"{record.path}: a force of {force.max():g} N at {depth.max():g} mm makes the gel "
+            f"{lowest:.3g} MPa stiff, gels on a window look at most {STIFFEST_MPA:g} MPa{guess}. "
+            "force_n is in newtons, depth_mm in millimetres"
+        )
+    if highest < SOFTEST_MPA:
+        raise InputError(
+            f"{record.path}: a force of {force.max():g} N at {depth.max():g} mm makes the gel "
+            f"{highest * 1e3:.2g} kPa stiff, at least {SOFTEST_MPA * 1e3:g} kPa; force_n is in "
+            "newtons (kN or kgf?), depth_mm in millimetres"
+        )
+
+
+def _check_friction(record: _Record, normal: np.ndarray, tangential: np.ndarray) -> None:
+    pressed = normal > 0.2 * normal.max()
+    if normal.max() <= 0 or not pressed.any():
+        raise InputError(f"{record.path}: normal_n is never positive; newtons into the gel")
+    ratio = float(np.abs(tangential[pressed] / normal[pressed]).max())
+    if ratio > MAX_FRICTION:
+        raise InputError(
+            f"{record.path}: tangential_n is up to {ratio:.3g} times normal_n; gels reach "
+            f"{MAX_FRICTION:g}. The columns have different units, or are swapped"
+        )
