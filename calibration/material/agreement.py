@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether records agree with one another and with the law, and what they say together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from calibration.capture import CaptureFolder
+from calibration.capture.schema import ToolEntry
+from calibration.material.flow import FlowFit
+from calibration.material.indentation import IndentationFit, fit_indentation
+from calibration.material.leaning import leaning
+from calibration.material.response import force_table
+from calibration.material.setup import Effort, Gel
+from calibration.material.sliding import SlideFit, combine
+from calibration.material.tangential import TangentialFit
+from calibration.result import NORMAL_95, Estimate, Remark, Severity
+
+MISFIT = 0.05
+"""Root mean square residual, as a part of the force, that calls for a remark."""
+BAD_MISFIT = 0.15
+DISAGREEMENT = 0.1
+"""Difference of the moduli of two records that is spoken of when it also exceeds their errors."""
+UNSURE = 0.25
+"""Relative half width of an interval that calls for a remark."""
+LEANING_ERROR = 0.02
+"""Relative error of the correction of a ball's leaning: steady state and mesh."""
+
+
+def residual_remarks(fit: IndentationFit) -> list[Remark]:
+    """Remarks on the fit's residuals, noise, touch points and interval."""
+    remarks = []
+    for i, item in enumerate(fit.points):
+        deep = item.force_n >= 0.1 * item.force_n.max()
+        residual = fit.relative_residuals(i)[deep]
+        rms = float(np.sqrt(np.mean(residual**2)))
+        if rms > MISFIT:
+            remarks.append(
+                Remark(
+                    Severity.ERROR if rms > BAD_MISFIT else Severity.WARNING,
+                    "law_misfit",
+                    f"{item.name}: the simulated curve misses the forces by {rms:.1%} (root mean "
+                    "square, where they exceed a tenth of the largest); check the tool's radius, "
+                    "the gel's thickness and where the depth is counted from",
+                )
+            )
+        touch = fit.touch_mm(i) if f"touch_{i}" in fit.solution.names else 0.0
+        if abs(touch) > 0.1 and abs(touch) > 3 * fit.solution.sigma_of(f"touch_{i}"):
+            remarks.append(
+                Remark(
+                    Severity.WARNING,
+                    "touch_shift",
+                    f"{item.name}: first touch lies {touch:+.2f} mm from where the record counts "
+                    "its depth; the fit allows for it, but look at how touch was detected",
+                )
+            )
+    if fit.solution.misfit and fit.solution.chi2_per_dof is not None:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "noise_understated",
+                f"residuals are {math.sqrt(fit.solution.chi2_per_dof):.1f} times the stated noise "
+                "of the forces; intervals are widened to match",
+            )
+        )
+    if fit.noise == "assumed":
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "noise_assumed",
+                "too few points to see their noise; 5 % of the force is assumed. Record more "
+                "depths, or state force_sigma_n",
+            )
+        )
+    low, high = fit.young_interval_pa
+    half = 0.5 * (high - low) / fit.young_modulus_pa
+    if half > UNSURE:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "young_unsure",
+                f"Young's modulus is only known to {half:.0%}; record more depths, and deeper ones",
+            )
+        )
+    return remarks
+
+
+def records_disagree(fit: IndentationFit) -> list[Remark]:
+    """Whether single records give unlike moduli: a wrong radius, unit or touch point in one."""
+    if len(fit.points) < 2:
+        return []
+    alone = [
+        fit_indentation(
+            [item], [table], start_pa=fit.young_modulus_pa, poisson_ratio=fit.poisson_ratio,
+            mooney_ratio=fit.mooney_ratio, free_nu=False, profiled=(),
+        )
+        for item, table in zip(fit.points, fit.tables, strict=True)
+    ]  # fmt: skip
+    value = np.array([item.solution.value("ln_e") for item in alone])
+    sigma = np.array([item.relative_sigma for item in alone])
+    middle = float(np.median(value))
+    remarks = []
+    for item, one, own in zip(fit.points, value, sigma, strict=True):
+        others = float(np.min(sigma))
+        if abs(one - middle) > max(math.log1p(DISAGREEMENT), 3 * math.hypot(own, others)):
+            remarks.append(
+                Remark(
+                    Severity.WARNING,
+                    "records_disagree",
+                    f"{item.name} alone gives {math.exp(one):.4g} Pa, the records together "
+                    f"{fit.young_modulus_pa:.4g} Pa; check the radius of {item.tool.description}, "
+                    "its units and its touch point",
+                )
+            )
+    return remarks
+
+
+def press_friction_remark(
+    gel: Gel,
+    fit: IndentationFit,
+    friction: float,
+    effort: Effort,
+    progress: Callable[[int, int], None] | None,
+) -> list[Remark]:
+    """What the modulus were if the tool rubbed on the gel as the profile's friction says."""
+    item = fit.points[int(np.argmax([p.deepest_mm for p in fit.points]))]
+    if friction <= 0 or item.tool.kind == "flat":
+        return []
+    depths = (float(item.depth_mm.min()), item.deepest_mm)
+    moduli = []
+    for mu in (0.0, min(friction, 0.8)):
+        table = force_table(
+            gel, item.tool, depths, fixed_nu=fit.poisson_ratio, fixed_ratio=fit.mooney_ratio,
+            friction=mu, effort=effort, checked=False, progress=progress,
+        )  # fmt: skip
+        found = fit_indentation(
+            [item], [table], start_pa=fit.young_modulus_pa, poisson_ratio=fit.poisson_ratio,
+            mooney_ratio=fit.mooney_ratio, free_nu=False, profiled=(),
+        )  # fmt: skip
+        moduli.append(found.young_modulus_pa)
+    change = moduli[1] / moduli[0] - 1
+    return [
+        Remark(
+            Severity.INFO,
+            "press_friction",
+            f"presses are simulated without friction; with a coefficient of {min(friction, 0.8):g} "
+            f"Young's modulus would be {change:+.1%} (press_friction chooses)",
+        )
+    ]
+
+
+def friction_of(
+    gel: Gel,
+    folder: CaptureFolder,
+    slides: Sequence[SlideFit],
+    tangential: Sequence[TangentialFit],
+    flows: Sequence[FlowFit],
+    young: Estimate | None,
+    poisson_ratio: float,
+    mooney_ratio: float,
+    effort: Effort,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Estimate | None, list[Remark]]:
+    """One coefficient from slides, shear, twist and marker flow; None where none tells it."""
+    found: list[tuple[str, float, float]] = []
+    remarks: list[Remark] = []
+    slid = [fit for fit in slides if fit.slid]
+    if slid:
+        ratio, said = combine(slid)
+        remarks += said
+        entry = next(r.entry.tool for r in folder.records if r.source == slid[0].source)
+        mean, sigma, said = _of_slide(
+            gel, folder, entry, slid, ratio, young, poisson_ratio, mooney_ratio, effort, progress
+        )
+        remarks += said
+        found.append(("slides", mean, sigma))
+    for fit in tangential:
+        if fit.told:
+            found.append((fit.name, fit.friction, fit.friction * fit.relative_sigma))
+    for fit in flows:
+        if fit.friction_told:
+            sigma = fit.solution.sigma_of("ln_mu") * fit.friction
+            found.append((fit.name, fit.friction, max(sigma, 0.02 * fit.friction)))
+    if not found:
+        return None, remarks
+    value = np.array([item[1] for item in found])
+    sigma = np.array([max(item[2], 1e-6) for item in found])
+    weight = sigma**-2
+    mean = float(weight @ value / weight.sum())
+    error = float(weight.sum() ** -0.5)
+    if len(found) > 1:
+        scatter = float(weight @ (value - mean) ** 2 / (len(found) - 1))
+        error *= math.sqrt(max(scatter, 1.0))
+        if scatter > 6 and np.ptp(value) > 0.15 * mean:
+            each = ", ".join(f"{name} {v:.3g}" for name, v, _ in found)
+            remarks.append(
+                Remark(
+                    Severity.WARNING,
+                    "friction_disagrees",
+                    f"records disagree on friction ({each}); speed, load or a coating that wears "
+                    "may differ. Their weighted mean is used, its error widened",
+                )
+            )
+    half = NORMAL_95 * error
+    return Estimate(mean, error, "", (max(mean - half, 0.0), mean + half)), remarks
+
+
+def _of_slide(
+    gel: Gel,
+    folder: CaptureFolder,
+    entry: ToolEntry,
+    slides: Sequence[SlideFit],
+    ratio: Estimate,
+    young: Estimate | None,
+    poisson_ratio: float,
+    mooney_ratio: float,
+    effort: Effort,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[float, float, list[Remark]]:
+    """Coefficient and error of slides, freed of the ball's leaning on the gel."""
+    if entry.kind != "sphere":
+        return ratio.value, ratio.sigma, []
+    if entry.radius_mm is None and folder.ball_radius_mm is None:
+        note = "the radius of the sliding ball is not stated"
+    else:
+        tool = gel.tool(entry, folder.ball_radius_mm)
+        load = float(np.mean([np.mean(fit.normal_range_n) for fit in slides]))
+        modulus = young.value if young is not None else gel.material.young_modulus_pa
+        lean = leaning(
+            gel, tool, load, ratio.value, modulus, poisson_ratio, mooney_ratio, effort=effort,
+            progress=progress,
+        )  # fmt: skip
+        if lean is not None:
+            mu = lean.friction(ratio.value)
+            sigma = math.hypot(ratio.sigma * mu / ratio.value, LEANING_ERROR * mu)
+            return (
+                mu,
+                sigma,
+                [
+                    Remark(
+                        Severity.INFO,
+                        "ball_leans",
+                        f"tangential over normal force is {ratio.value:.3g} while the ball slides; "
+                        f"simulated at {lean.depth_mm:.2g} mm depth, a coefficient of {mu:.3g} "
+                        "makes it, since the ball leans on the gel before it",
+                    )
+                ],
+            )
+        note = "slides with so much friction do not converge"
+    return (
+        ratio.value,
+        math.hypot(ratio.sigma, 0.08 * ratio.value),
+        [
+            Remark(
+                Severity.WARNING,
+                "leaning_unknown",
+                f"{note}, so what the ball leans on the gel is not taken off; friction may be up "
+                "to 15 % lower than the ratio of the forces. A flat punch does not lean",
+            )
+        ],
+    )

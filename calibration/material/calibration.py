@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a material calibration found, as numbers and as the material block of a profile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from calibration.material.flow import FlowFit
+from calibration.material.indentation import IndentationFit
+from calibration.material.relaxation import DampingFit
+from calibration.material.sliding import SlideFit
+from calibration.material.tangential import TangentialFit
+from calibration.result import Estimate, Remark, judge
+from taccel_lab.errors import InputError
+from taccel_lab.profile import Provenance, SensorProfile
+
+Fit = SlideFit | TangentialFit | DampingFit
+
+
+@dataclass(frozen=True)
+class MaterialCalibration:
+    """Parameters that the captures tell; the others stay as they were."""
+
+    source: str
+    license: str
+    model: str
+    young_modulus_pa: Estimate | None
+    poisson_ratio: Estimate | None
+    mooney_ratio: Estimate | None
+    friction: Estimate | None
+    damping_time_s: Estimate | None
+    used_poisson_ratio: float
+    """The fitted ratio, or the one that was held."""
+    used_mooney_ratio: float
+    press_friction: float
+    """Coefficient in the simulated presses."""
+    indentation: IndentationFit | None
+    profiled: IndentationFit | None
+    """The fit in which every parameter of the law was free, for its profiles."""
+    slides: tuple[SlideFit, ...]
+    tangential: tuple[TangentialFit, ...]
+    flows: tuple[FlowFit, ...]
+    damping: tuple[DampingFit, ...]
+    correlation: dict[str, float]
+    inputs: dict[str, str]
+    remarks: tuple[Remark, ...]
+    seconds: float
+    """Of the fit, without presses that were simulated before."""
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """What was told, by the name of the block's field."""
+        named = {
+            "young_modulus_pa": self.young_modulus_pa,
+            "poisson_ratio": self.poisson_ratio,
+            "mooney_ratio": self.mooney_ratio,
+            "friction_coefficient": self.friction,
+            "damping_time_s": self.damping_time_s,
+        }
+        return {name: value for name, value in named.items() if value is not None}
+
+    def residuals(self) -> dict[str, float]:
+        """What the fits left over, as parts of the forces."""
+        found: dict[str, float] = {}
+        fit = self.indentation
+        if fit is not None:
+            each = [fit.relative_residuals(i) for i in range(len(fit.points))]
+            deep = [
+                r[item.force_n >= 0.1 * item.force_n.max()]
+                for r, item in zip(each, fit.points, strict=True)
+            ]
+            found["indentation_worst_relative"] = max(float(abs(r).max()) for r in deep)
+            found["indentation_rms_relative"] = max(float((r**2).mean() ** 0.5) for r in deep)
+        if self.slides:
+            slid = [item.relative_residual for item in self.slides if item.slid]
+            if slid:
+                found["slide_rms_relative"] = max(slid)
+        if self.tangential:
+            found["tangential_rms_relative"] = max(i.relative_residual for i in self.tangential)
+        if self.flows:
+            found["flow_rms_mm"] = max(item.rms_mm for item in self.flows)
+        if self.damping:
+            found["relaxation_rms_relative"] = max(i.relative_residual for i in self.damping)
+        return found
+
+    def valid_region(self) -> dict[str, tuple[float, float]]:
+        """Depths, forces and speeds of the captures."""
+        region: dict[str, tuple[float, float]] = {}
+        fit = self.indentation
+        if fit is not None:
+            depths = [item.depth_mm for item in fit.points]
+            forces = [item.force_n for item in fit.points]
+            region["depth_mm"] = (min(d.min() for d in depths), max(d.max() for d in depths))
+            region["force_n"] = (min(f.min() for f in forces), max(f.max() for f in forces))
+        if self.slides:
+            loads = [item.normal_range_n for item in self.slides]
+            region["slide_normal_n"] = (min(a for a, _ in loads), max(b for _, b in loads))
+        for item in self.tangential:
+            region[f"{item.motion}_depth_mm"] = (item.depth_mm, item.depth_mm)
+        for item in self.flows:
+            region["flow_depth_mm"] = (item.depth_mm, item.depth_mm)
+        if self.damping:
+            region["rate_mm_s"] = (0.0, max(item.max_rate_mm_s for item in self.damping))
+        return {name: (float(a), float(b)) for name, (a, b) in region.items()}
+
+    def mooney_rivlin_pa(self) -> dict[str, float]:
+        """c10, c01 and the bulk modulus of small strains [Pa]; c01 is 0 of other laws."""
+        if self.young_modulus_pa is None:
+            return {}
+        e, nu = self.young_modulus_pa.value, self.used_poisson_ratio
+        shear = e / (2 * (1 + nu))
+        return {
+            "c10_pa": 0.5 * shear * (1 - self.used_mooney_ratio),
+            "c01_pa": 0.5 * shear * self.used_mooney_ratio,
+            "bulk_modulus_pa": e / (3 * (1 - 2 * nu)),
+        }
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured, ready for JSON."""
+        figures: dict[str, Any] = {
+            "model": self.model,
+            "verdict": judge(self.remarks),
+            "estimates": {
+                name: {
+                    "value": item.value,
+                    "sigma": item.sigma,
+                    "interval95": item.interval95,
+                }
+                for name, item in self.estimates.items()
+            },
+            "held": self.held(),
+            "press_friction": self.press_friction,
+            "constants": self.mooney_rivlin_pa(),
+            "correlation": self.correlation,
+            "residuals": self.residuals(),
+            "valid_region": self.valid_region(),
+            "inputs": self.inputs,
+            "seconds": self.seconds,
+        }
+        fit = self.indentation
+        if fit is not None:
+            figures["indentation"] = [
+                {
+                    "name": item.name,
+                    "tool": item.tool.description,
+                    "depth_mm": item.depth_mm,
+                    "force_n": item.force_n,
+                    "fitted_n": fit.predicted_n(i, item.depth_mm),
+                    "relative_residual": fit.relative_residuals(i),
+                    "touch_mm": fit.touch_mm(i),
+                }
+                for i, item in enumerate(fit.points)
+            ]
+            figures["noise"] = {
+                "kind": fit.noise,
+                "scale": fit.solution.noise,
+                "chi2_per_dof": fit.solution.chi2_per_dof,
+                "model_relative": fit.model_error,
+            }
+            figures["simulated"] = {
+                "presses": sum(table.press_count for table in fit.tables),
+                "seconds": sum(table.seconds for table in fit.tables),
+                "interpolation_relative": max(t.error.interpolation for t in fit.tables),
+            }
+        if self.profiled is not None:
+            figures["profiles"] = {
+                name: {
+                    "values": profile.values,
+                    "excess": profile.excess,
+                    "threshold": profile.threshold,
+                    "interval": profile.interval,
+                    "open": [profile.open_low, profile.open_high],
+                }
+                for name, profile in self.profiled.solution.profiles.items()
+            }
+        figures["slides"] = [
+            {
+                "name": item.name,
+                "friction": item.friction.value,
+                "sigma": item.friction.sigma,
+                "slid": item.slid,
+                "static_friction": item.static_friction,
+                "offset_n": item.offset_n,
+            }
+            for item in self.slides
+        ]
+        figures["tangential"] = [
+            {
+                "name": item.name,
+                "motion": item.motion,
+                "friction": item.friction,
+                "interval95": item.friction_interval,
+                "told": item.told,
+                "relative_residual": item.relative_residual,
+            }
+            for item in self.tangential
+        ]
+        figures["flows"] = [item.figures() for item in self.flows]
+        figures["damping"] = [
+            {
+                "name": item.name,
+                "damping_time_s": item.damping_time_s.value if item.damping_time_s else None,
+                "relaxation": vars(item.relaxation) if item.relaxation else None,
+                "young_modulus_pa": item.young_modulus_pa,
+            }
+            for item in self.damping
+        ]
+        return figures
+
+    def held(self) -> dict[str, float]:
+        """Parameters of the law that were not fitted, with the values they were held at."""
+        held = {}
+        if self.poisson_ratio is None:
+            held["poisson_ratio"] = self.used_poisson_ratio
+        if self.model == "mooney_rivlin" and self.mooney_ratio is None:
+            held["mooney_ratio"] = self.used_mooney_ratio
+        return held
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with the told parameters; layers keep their stiffness beside the gel's."""
+        if not self.estimates:
+            raise InputError("the captures tell no parameter of the material; nothing to write")
+        old = profile.material
+        values = {name: item.value for name, item in self.estimates.items()}
+        changes: dict[str, Any] = {"model": self.model, **values}
+        changes.update(self.held())
+        if self.model != "mooney_rivlin":
+            changes["mooney_ratio"] = 0.0
+        scale = values.get("young_modulus_pa", old.young_modulus_pa) / old.young_modulus_pa
+        changes["layers"] = tuple(
+            layer.replace(young_modulus_pa=layer.young_modulus_pa * scale) for layer in old.layers
+        )
+        told = ", ".join(self.estimates)
+        held = ", ".join(f"{name} = {value:g}" for name, value in self.held().items())
+        provenance = Provenance(
+            kind="calibrated",
+            method=f"maximum likelihood around simulated presses: {told}"
+            + (f"; held: {held}" if held else "")
+            + "; density, and whatever is not named here, as before",
+            source=self.source + (f" ({self.license})" if self.license else ""),
+            inputs=self.inputs,
+            residuals=self.residuals(),
+            spread={name: item.sigma for name, item in self.estimates.items()},
+            interval={name: item.interval95 for name, item in self.estimates.items()},
+            correlation=self.correlation,
+            valid_region=self.valid_region(),
+            verdict=judge(self.remarks).value,
+            remarks=tuple(remark.message for remark in self.remarks),
+        )
+        return profile.with_block(old.replace(**changes, provenance=provenance))

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Young's modulus, Poisson's ratio and the Mooney ratio from force-depth points.
+
+Each press has a touch point of its own, a nuisance parameter: force sensors and eyes find first
+touch to a few hundredths of a millimetre, which at shallow depth is several per cent of the force.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.material.likelihood import Group, Likelihood, Parameter, Solution
+from calibration.material.points import IndentationPoints
+from calibration.material.response import NU_RANGE, ForceTable
+from calibration.result import NORMAL_95
+
+TOUCH_SIGMA_MM = 0.02
+"""How well first touch is known where a record has few points [mm]."""
+LOOSE_TOUCH_SIGMA_MM = 0.2
+"""The same of a record that tells it by itself."""
+TELLING_POINTS = 6
+"""Points at different depths from which a record tells its touch point."""
+TOUCH_LIMIT_MM = 0.5
+SMALL_FORCE = 0.05
+"""Noise that grows with the force does not fall below this part of the largest one."""
+UNTOLD_NOISE = 0.05
+"""Relative noise that is assumed where there are too few points to estimate it."""
+MIN_FOR_NOISE = 8
+"""Points from which the kind of noise (constant or proportional) is chosen by likelihood."""
+
+
+@dataclass(frozen=True)
+class IndentationFit:
+    """What force-depth points say about the gel."""
+
+    solution: Solution
+    """Parameters ``ln_e``, ``nu`` and ``mooney_ratio`` where free, ``touch_<i>``."""
+    poisson_ratio: float
+    mooney_ratio: float
+    points: tuple[IndentationPoints, ...]
+    tables: tuple[ForceTable, ...]
+    noise: str
+    """``given``, ``constant``, ``proportional`` or ``assumed``."""
+    model_error: float
+    """Relative error of Young's modulus from mesh and tables, one standard deviation."""
+
+    @property
+    def young_modulus_pa(self) -> float:
+        return math.exp(self.solution.value("ln_e"))
+
+    @property
+    def relative_sigma(self) -> float:
+        """Standard deviation of Young's modulus as a part of it: noise and model."""
+        return math.hypot(self.solution.sigma_of("ln_e"), self.model_error)
+
+    @property
+    def young_interval_pa(self) -> tuple[float, float]:
+        """95 % interval [Pa]: the profile's, widened by the error of the tables."""
+        value = self.solution.value("ln_e")
+        profile = self.solution.profiles.get("ln_e")
+        half = NORMAL_95 * self.solution.sigma_of("ln_e")
+        low, high = (value - half, value + half) if profile is None else profile.interval
+        model = NORMAL_95 * self.model_error
+        return (
+            math.exp(value - math.hypot(value - low, model)),
+            math.exp(value + math.hypot(high - value, model)),
+        )
+
+    def touch_mm(self, index: int) -> float:
+        """How much later the tool touched than the record says [mm]."""
+        return self.solution.value(f"touch_{index}")
+
+    def predicted_n(self, index: int, depth_mm: np.ndarray) -> np.ndarray:
+        """Forces of the fit [N] at recorded depths of one press."""
+        return self.tables[index].force_n(
+            np.asarray(depth_mm) - self.touch_mm(index),
+            self.young_modulus_pa,
+            self.poisson_ratio,
+            self.mooney_ratio,
+        )
+
+    def relative_residuals(self, index: int) -> np.ndarray:
+        """Fit over measurement minus 1, shape [point]."""
+        item = self.points[index]
+        return self.predicted_n(index, item.depth_mm) / item.force_n - 1
+
+
+def fit_indentation(
+    points: Sequence[IndentationPoints],
+    tables: Sequence[ForceTable],
+    *,
+    start_pa: float,
+    poisson_ratio: float,
+    mooney_ratio: float = 0.0,
+    free_nu: bool = True,
+    free_ratio: bool = False,
+    touch_sigma_mm: float | None = None,
+    profiled: Sequence[str] | None = None,
+) -> IndentationFit:
+    """Fit the law's parameters to the points of one or more presses.
+
+    Args:
+        points: Presses; forces in N, depths in mm.
+        tables: Simulated forces of each press.
+        start_pa: Young's modulus to begin with [Pa].
+        poisson_ratio: Fixed, or to begin with.
+        mooney_ratio: The same of c01 / (c10 + c01).
+        free_nu: Whether Poisson's ratio is fitted.
+        free_ratio: Whether the Mooney ratio is.
+        touch_sigma_mm: How well first touch is known; by the number of points when None.
+        profiled: Parameters whose profile is wanted; all of the law when None.
+    """
+    touch = [_touch_sigma(item, touch_sigma_mm) for item in points]
+    parameters = [Parameter("ln_e", math.log(start_pa), math.log(1e3), math.log(1e9), 0.1)]
+    if free_nu:
+        start = min(max(poisson_ratio, NU_RANGE[0] + 0.01), NU_RANGE[1] - 0.003)
+        parameters.append(Parameter("nu", start, *NU_RANGE, 0.02))
+    if free_ratio:
+        start = min(max(mooney_ratio, 0.05), 0.95)
+        parameters.append(Parameter("mooney_ratio", start, 0.0, 1.0, 0.2))
+    law = [p.name for p in parameters]
+    for i, sigma in enumerate(touch):
+        if sigma > 0:
+            parameters.append(
+                Parameter(
+                    f"touch_{i}", 0.0, -TOUCH_LIMIT_MM, TOUCH_LIMIT_MM, min(sigma, 0.02), sigma
+                )
+            )
+    names = [p.name for p in parameters]
+    model = _Model(points, tables, names, poisson_ratio, mooney_ratio)
+    count = sum(len(item.depth_mm) for item in points)
+    kinds = _noise_kinds(points, count - len(law))
+    largest = max(float(np.abs(item.force_n).max()) for item in points)
+    best: tuple[str, Likelihood] | None = None
+    lowest = math.inf
+    for kind in kinds:
+        weights = [_weights(item, kind, largest) for item in points]
+        known = kind in ("given", "assumed")
+        likelihood = Likelihood(
+            parameters,
+            [Group(len(item.depth_mm), known) for item in points]
+            if known
+            else [Group(count, False)],
+            lambda theta, weights=weights: model.residuals(theta, weights),
+        )
+        # Weights are part of the likelihood where the noise grows with the force.
+        penalty = 0.0
+        if len(kinds) > 1:
+            logs = float(np.log(np.concatenate(weights)).sum())
+            penalty = 2 * likelihood.dof / count * logs
+        q = likelihood.solve(profiled=())
+        value = likelihood.cost(q.values)[0] + penalty
+        if best is None or value < lowest:
+            best, lowest = (kind, likelihood), value
+    assert best is not None
+    solution = best[1].solve(law if profiled is None else profiled)
+    nu = solution.value("nu") if free_nu else poisson_ratio
+    ratio = solution.value("mooney_ratio") if free_ratio else mooney_ratio
+    return IndentationFit(
+        solution,
+        nu,
+        ratio,
+        tuple(points),
+        tuple(tables),
+        best[0],
+        max(table.error.scale for table in tables),
+    )
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Residuals of all presses and their derivatives."""
+
+    points: Sequence[IndentationPoints]
+    tables: Sequence[ForceTable]
+    names: Sequence[str]
+    poisson_ratio: float
+    mooney_ratio: float
+
+    def residuals(
+        self, theta: np.ndarray, weights: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        at = dict(zip(self.names, theta, strict=True))
+        place = {name: i for i, name in enumerate(self.names)}
+        e = math.exp(at["ln_e"])
+        nu = at.get("nu", self.poisson_ratio)
+        ratio = at.get("mooney_ratio", self.mooney_ratio)
+        residuals, rows = [], []
+        for i, (item, table, weight) in enumerate(
+            zip(self.points, self.tables, weights, strict=True)
+        ):
+            depth = item.depth_mm - at.get(f"touch_{i}", 0.0)
+            inside = depth > 0
+            model = np.zeros(len(depth))
+            slopes = np.zeros((len(depth), len(self.names)))
+            if inside.any():
+                log, by_depth, by_nu, by_ratio = table.log_force(depth[inside], nu, ratio)
+                model[inside] = force = e * np.exp(log)
+                slopes[inside, place["ln_e"]] = force
+                if "nu" in place:
+                    slopes[inside, place["nu"]] = force * by_nu
+                if "mooney_ratio" in place:
+                    slopes[inside, place["mooney_ratio"]] = force * by_ratio
+                if f"touch_{i}" in place:
+                    slopes[inside, place[f"touch_{i}"]] = -force * by_depth
+            residuals.append((model - item.force_n) / weight)
+            rows.append(slopes / weight[:, None])
+        return np.concatenate(residuals), np.concatenate(rows)
+
+
+def _touch_sigma(item: IndentationPoints, given_mm: float | None) -> float:
+    if given_mm is not None:
+        return given_mm
+    told = len(np.unique(item.depth_mm)) >= TELLING_POINTS
+    return LOOSE_TOUCH_SIGMA_MM if told else TOUCH_SIGMA_MM
+
+
+def _noise_kinds(points: Sequence[IndentationPoints], dof: int) -> list[str]:
+    if all(item.sigma_n is not None for item in points):
+        return ["given"]
+    if dof < 1:
+        return ["assumed"]
+    if sum(len(item.depth_mm) for item in points) >= MIN_FOR_NOISE:
+        return ["constant", "proportional"]
+    return ["proportional"]
+
+
+def _weights(item: IndentationPoints, kind: str, largest_n: float) -> np.ndarray:
+    """Standard deviations up to a common factor."""
+    force = np.abs(item.force_n)
+    if kind == "given":
+        assert item.sigma_n is not None
+        return item.sigma_n
+    if kind == "constant":
+        return np.full(len(force), largest_n)
+    part = np.maximum(force, SMALL_FORCE * force.max())
+    return UNTOLD_NOISE * part if kind == "assumed" else part

@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Maximum likelihood with NLopt, profile likelihood of each parameter, and what data cannot tell.
+
+Residuals come in groups whose noise is known (residuals in standard deviations) or not (residuals
+in any common unit; their scale is estimated). With Q = sum of squares of known groups + sum over
+unknown ones of dof ln(sum of squares) + squares of the priors, the 95 % interval of a parameter is
+where the least Q of all others lies below its minimum plus 3.84 or, where noise was estimated,
+dof ln(1 + t^2/dof): the exact t interval of a linear model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, cast
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2, t
+
+from taccel_lab.errors import InputError
+
+TINY = 1e-12
+"""Floor of a mean square: noise below a millionth of the residuals' unit is none, as of perfect
+data. Simulated forces are not more exact."""
+MISFIT_PROBABILITY = 1e-3
+"""A worse chi-square of known noise than this means that the model or the noise is wrong."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown."""
+
+    name: str
+    start: float
+    low: float
+    high: float
+    step: float
+    """About how far it is uncertain, to scale the search."""
+    prior_sigma: float | None = None
+    """Standard deviation of a normal prior about ``start``."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Residuals that share a noise."""
+
+    count: int
+    known: bool
+    """Whether residuals are in standard deviations."""
+
+
+Residuals = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Residuals at parameters, shape [point], and their derivatives, shape [point, parameter]."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Least Q above its minimum over the values of one parameter."""
+
+    values: np.ndarray
+    excess: np.ndarray
+    threshold: float
+    interval: tuple[float, float]
+    open_low: bool
+    """Whether the interval ends at the parameter's bound, not where the data end it."""
+    open_high: bool
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Estimates with covariance and profiles."""
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    sigma: np.ndarray
+    correlation: np.ndarray
+    noise: tuple[float, ...]
+    """Estimated standard deviation of each group, in units of its residuals."""
+    chi2_per_dof: float | None
+    """Of the groups whose noise is known."""
+    misfit: bool
+    """Whether known noise was scaled up to the residuals."""
+    dof: int
+    profiles: dict[str, Profile] = field(default_factory=dict)
+    evaluations: int = 0
+
+    def value(self, name: str) -> float:
+        return float(self.values[self.names.index(name)])
+
+    def sigma_of(self, name: str) -> float:
+        return float(self.sigma[self.names.index(name)])
+
+
+def require_nlopt() -> Any:
+    """The module nlopt; InputError says how to get it."""
+    try:
+        import nlopt
+    except ImportError as error:
+        raise InputError(
+            "fits of material need NLopt, which is not installed: pip install 'nlopt>=2.9', or "
+            "taccel-lab with its extra 'optimize'"
+        ) from error
+    return nlopt
+
+
+def root_between(
+    function: Callable[[float], float], one: float, other: float, tolerance: float = 1e-12
+) -> float:
+    """Where a function changes its sign between two places (Brent's method)."""
+    low, high = sorted((one, other))
+    return cast(float, brentq(function, low, high, xtol=tolerance))
+
+
+class Likelihood:
+    """Q of a model, its minimum, and profiles of it."""
+
+    def __init__(
+        self, parameters: Sequence[Parameter], groups: Sequence[Group], residuals: Residuals
+    ) -> None:
+        self.parameters = tuple(parameters)
+        self.groups = tuple(groups)
+        self.residuals = residuals
+        self.evaluations = 0
+        self.nlopt = require_nlopt()
+        self.free = sum(p.prior_sigma is None for p in self.parameters)
+        total = sum(group.count for group in self.groups)
+        self.dof = max(total - self.free, 1)
+        self._share = self.dof / max(total, 1)
+        self._scale = np.array([p.step for p in self.parameters])
+        self._low = np.array([p.low for p in self.parameters])
+        self._high = np.array([p.high for p in self.parameters])
+        ends = np.cumsum([0] + [group.count for group in self.groups])
+        self._parts = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    @property
+    def threshold(self) -> float:
+        """Q above its minimum at the ends of a 95 % interval."""
+        unknown = sum(group.count for group in self.groups if not group.known)
+        if not unknown:
+            return float(chi2.ppf(0.95, 1))
+        dof = max(unknown * self._share, 1.0)
+        return dof * math.log1p(float(t.ppf(0.975, dof)) ** 2 / dof)
+
+    def cost(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        """Q and its gradient."""
+        self.evaluations += 1
+        r, jacobian = self.residuals(theta)
+        total, gradient = 0.0, np.zeros(len(theta))
+        for group, part in zip(self.groups, self._parts, strict=True):
+            squares = float(r[part] @ r[part])
+            slope = 2 * jacobian[part].T @ r[part]
+            if group.known:
+                total += squares
+                gradient += slope
+            else:
+                dof = max(group.count * self._share, 1.0)
+                floor = squares + TINY * group.count
+                total += dof * math.log(floor)
+                gradient += dof * slope / floor
+        for i, p in enumerate(self.parameters):
+            if p.prior_sigma is not None:
+                z = (theta[i] - p.start) / p.prior_sigma
+                total += z * z
+                gradient[i] += 2 * z / p.prior_sigma
+        return total, gradient
+
+    def minimise(
+        self, start: np.ndarray, held: dict[int, float] | None = None
+    ) -> tuple[np.ndarray, float]:
+        """Least Q from ``start``, some parameters held; NLopt's SLSQP within the bounds."""
+        nlopt = self.nlopt
+        held = held or {}
+        theta = np.clip(np.array(start, dtype=float), self._low, self._high)
+        for i, value in held.items():
+            theta[i] = value
+        moving = [i for i in range(len(theta)) if i not in held]
+        best = [self.cost(theta)[0], theta.copy()]
+        if not moving:
+            return best[1], best[0]
+        scale = self._scale[moving]
+
+        def objective(x: np.ndarray, gradient: np.ndarray) -> float:
+            theta[moving] = x * scale
+            value, slope = self.cost(theta)
+            if gradient.size:
+                gradient[:] = slope[moving] * scale
+            if value < best[0]:
+                best[:] = [value, theta.copy()]
+            return value
+
+        x = np.clip(theta[moving], self._low[moving], self._high[moving]) / scale
+        for method in (nlopt.LD_SLSQP, nlopt.LN_SBPLX):
+            optimizer = nlopt.opt(method, len(moving))
+            optimizer.set_lower_bounds(self._low[moving] / scale)
+            optimizer.set_upper_bounds(self._high[moving] / scale)
+            optimizer.set_min_objective(objective)
+            optimizer.set_xtol_rel(1e-9)
+            optimizer.set_ftol_abs(1e-9)
+            optimizer.set_maxeval(300)
+            try:
+                optimizer.optimize(x)
+                break
+            except nlopt.RoundoffLimited:
+                # Rounding ends the search: the best point so far is the answer.
+                break
+            except nlopt.runtime_error:
+                # SLSQP found no way down (Q of nearly perfect data is a deep, narrow well): the
+                # simplex method goes on from the best point, without slopes.
+                x = best[1][moving] / scale
+        return best[1], best[0]
+
+    def solve(self, profiled: Sequence[str] | None = None) -> Solution:
+        """Minimum, covariance and profiles (of all parameters when ``profiled`` is None)."""
+        theta, least = self._search()
+        likelihood, misfit = self, False
+        known = sum(group.count for group in self.groups if group.known)
+        per_dof = None
+        if known:
+            r = self.residuals(theta)[0]
+            parts = zip(self.groups, self._parts, strict=True)
+            squares = sum(float(r[part] @ r[part]) for group, part in parts if group.known)
+            dof = max(known * self._share, 1.0)
+            per_dof = squares / dof
+            if known > self.free and chi2.sf(squares, dof) < MISFIT_PROBABILITY:
+                groups = [Group(group.count, False) for group in self.groups]
+                likelihood, misfit = Likelihood(self.parameters, groups, self.residuals), True
+                theta, least = likelihood._search(theta)
+        profiles = {}
+        names = tuple(p.name for p in self.parameters)
+        for name in names if profiled is None else profiled:
+            profiles[name], theta, least = likelihood._profile(names.index(name), theta, least)
+        sigma, correlation, noise = likelihood._covariance(theta)
+        return Solution(
+            names,
+            theta,
+            sigma,
+            correlation,
+            noise,
+            per_dof,
+            misfit,
+            likelihood.dof,
+            profiles,
+            self.evaluations + (likelihood.evaluations if likelihood is not self else 0),
+        )
+
+    def _search(self, start: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+        """The least of searches from the start and from beside it: Q may have several valleys."""
+        first = np.array([p.start for p in self.parameters]) if start is None else start
+        found = [self.minimise(first)]
+        for sign in (-1.0, 1.0):
+            found.append(self.minimise(found[0][0] + sign * self._scale))
+        theta, _ = min(found, key=lambda item: item[1])
+        return self.minimise(theta)
+
+    def _covariance(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[float, ...]]:
+        r, jacobian = self.residuals(theta)
+        information = np.zeros((len(theta), len(theta)))
+        noise = []
+        for group, part in zip(self.groups, self._parts, strict=True):
+            scale = 1.0
+            if not group.known:
+                squares = float(r[part] @ r[part]) + TINY * group.count
+                scale = math.sqrt(squares / max(group.count * self._share, 1.0))
+            noise.append(scale)
+            information += jacobian[part].T @ jacobian[part] / scale**2
+        for i, p in enumerate(self.parameters):
+            if p.prior_sigma is not None:
+                information[i, i] += p.prior_sigma**-2
+        covariance = np.linalg.pinv(information, hermitian=True)
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0))
+        scale = np.where(sigma > 0, sigma, 1.0)
+        correlation = np.clip(covariance / np.outer(scale, scale), -1, 1)
+        return sigma, correlation, tuple(noise)
+
+    def _profile(
+        self, index: int, theta: np.ndarray, least: float
+    ) -> tuple[Profile, np.ndarray, float]:
+        """Profile of one parameter; also the minimum, which a profile may improve on."""
+        for _ in range(3):
+            profile, best, lowest = self._profile_about(index, theta, least)
+            if lowest >= least - 1e-4:
+                break
+            theta, least = self.minimise(best)
+        return profile, theta, least
+
+    def _profile_about(
+        self, index: int, theta: np.ndarray, least: float
+    ) -> tuple[Profile, np.ndarray, float]:
+        """Profile about a minimum, and the lowest point that was met on it."""
+        threshold, p = self.threshold, self.parameters[index]
+        middle = float(theta[index])
+        trace = {middle: least}
+        near, best, lowest = theta, theta, least
+
+        def excess(value: float) -> float:
+            nonlocal near, best, lowest
+            near, q = self.minimise(near, {index: value})
+            trace[value] = q
+            if q < lowest:
+                best, lowest = near, q
+            return q - least - threshold
+
+        ends, opened = [], []
+        reach = p.high - p.low
+        sigma = float(self._covariance(theta)[0][index])
+        first = min(max(1.96 * sigma, 1e-9 * reach), 0.25 * reach)
+        for sign, bound in ((-1.0, p.low), (1.0, p.high)):
+            near, inner, outer, width = theta, middle, middle, first
+            while excess(outer) <= 0 and outer != bound:
+                inner = outer
+                outer = float(np.clip(middle + sign * width, p.low, p.high))
+                width *= 1.7
+            opened.append(trace[outer] - least <= threshold)
+            if opened[-1] or inner == outer:
+                ends.append(outer)
+            else:
+                tolerance = 1e-3 * abs(outer - inner) + 1e-15
+                ends.append(root_between(excess, inner, outer, tolerance))
+        values = np.array(sorted(trace))
+        heights = np.array([trace[v] for v in values])
+        profile = Profile(
+            values, np.maximum(heights - least, 0.0), threshold, (ends[0], ends[1]), *opened
+        )
+        return profile, best, lowest

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of a material calibration."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calibration.material.calibration import MaterialCalibration
+from calibration.material.flow import FlowFit
+from calibration.material.indentation import IndentationFit
+from calibration.material.relaxation import DampingFit
+from calibration.material.sliding import SlideFit
+from calibration.material.tangential import TangentialFit
+from taccel_lab.report.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    LIGHT,
+    ORANGE,
+    PURPLE,
+    in_report_style,
+    new_figure,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
+_AXES = {
+    "ln_e": "Young's modulus [kPa]",
+    "nu": "Poisson's ratio",
+    "mooney_ratio": "Mooney ratio c01 / (c10 + c01)",
+    "ln_mu": "coefficient of friction",
+}
+
+
+@in_report_style
+def draw_indentation(fit: IndentationFit) -> Figure:
+    """Force over depth with the fit and its 95 % band, and residuals in per cent."""
+    figure, (left, right) = new_figure(9.5, 3.9, 1, 2, width_ratios=[1.25, 1])
+    low, high = (end / fit.young_modulus_pa for end in fit.young_interval_pa)
+    for i, item in enumerate(fit.points):
+        colour = _COLOURS[i % len(_COLOURS)]
+        depth = np.linspace(1e-3, 1.03 * item.deepest_mm, 120)
+        force = fit.predicted_n(i, depth)
+        left.fill_between(depth, low * force, high * force, color=colour, alpha=0.18, lw=0)
+        left.plot(depth, force, color=colour, label=f"fit, {item.tool.description}")
+        left.errorbar(
+            item.depth_mm, item.force_n, None if item.sigma_n is None else 2 * item.sigma_n,
+            fmt="o", ms=4, color=colour, mfc="white", lw=1, label=item.name,
+        )  # fmt: skip
+        kept = item.force_n > 0
+        right.plot(
+            item.depth_mm[kept], 100 * fit.relative_residuals(i)[kept], "o", ms=4, color=colour
+        )
+    left.set(xlabel="depth past recorded touch [mm]", ylabel="normal force [N]")
+    left.set_xlim(left=0)
+    left.set_ylim(bottom=0)
+    left.legend(fontsize=8)
+    left.set_title("Force and fit; the band is 95 % of Young's modulus")
+    right.axhline(0, color=GREY, lw=0.8)
+    for level in (-3, 3):
+        right.axhline(level, color=LIGHT, lw=0.8, ls="--")
+    right.set(xlabel="depth past recorded touch [mm]", ylabel="fit over measurement − 1 [%]")
+    deep = np.concatenate(
+        [
+            100 * fit.relative_residuals(i)[p.force_n >= 0.1 * p.force_n.max()]
+            for i, p in enumerate(fit.points)
+        ]
+    )
+    limit = max(4.0, 1.25 * float(np.abs(deep).max()))
+    right.set_ylim(-limit, limit)
+    right.set_xlim(left=0)
+    right.set_title("Residuals (dashed: 3 %)")
+    return figure
+
+
+@in_report_style
+def draw_profiles(result: MaterialCalibration) -> Figure:
+    """Profile likelihood of each parameter of the law, of friction where it was simulated."""
+    found = []
+    if result.profiled is not None:
+        found += [(name, p, "") for name, p in result.profiled.solution.profiles.items()]
+    for item in (*result.tangential, *result.flows):
+        found += [(n, p, f" ({item.name})") for n, p in item.solution.profiles.items()]
+    columns = min(len(found), 3)
+    rows = math.ceil(len(found) / columns)
+    figure, axes = new_figure(3.3 * columns + 0.4, 3.1 * rows, rows, columns, squeeze=False)
+    for axis, (name, profile, where) in zip(axes.flat, found, strict=False):
+        values = profile.values
+        ends = np.array(profile.interval)
+        if name == "ln_e":
+            values, ends = np.exp(values) / 1e3, np.exp(ends) / 1e3
+        elif name == "ln_mu":
+            values, ends = np.exp(values), np.exp(ends)
+        axis.axvspan(*ends, color=BLUE, alpha=0.12, lw=0)
+        axis.plot(values, profile.excess, "o-", ms=3, color=BLUE)
+        axis.axhline(profile.threshold, color=ORANGE, lw=1, ls="--")
+        axis.set_ylim(0, 2.5 * profile.threshold)
+        margin = 0.35 * (ends[1] - ends[0]) or 0.05 * abs(ends[0])
+        axis.set_xlim(ends[0] - margin, ends[1] + margin)
+        axis.set_xlabel(_AXES[name] + where, fontsize=9)
+        note = "not told by the data" if profile.open_low and profile.open_high else ""
+        if profile.open_low != profile.open_high:
+            note = "told from one side only"
+        if note:
+            axis.set_title(note, color=ORANGE, fontsize=9)
+    for axis in axes.flat[len(found) :]:
+        axis.set_visible(False)
+    for row in axes:
+        row[0].set_ylabel("−2 ln L above its least")
+    return figure
+
+
+@in_report_style
+def draw_slide(fit: SlideFit) -> Figure:
+    """Tangential over normal force along each stroke, and the fit where the tool slides."""
+    figure, axis = new_figure(7.5, 3.4)
+    for i, stroke in enumerate(fit.strokes):
+        colour = _COLOURS[i % len(_COLOURS)]
+        way = "forth" if stroke.direction > 0 else "back"
+        axis.plot(
+            stroke.travel_mm, stroke.tangential_n / stroke.normal_n, ".", ms=3, color=colour,
+            label=f"stroke {i + 1}, {way}",
+        )  # fmt: skip
+        if stroke.slides.any():
+            line = (fit.predicted_n(stroke) / stroke.normal_n)[stroke.slides]
+            axis.plot(stroke.travel_mm[stroke.slides], line, color=INK, lw=1.4)
+            axis.axvline(stroke.break_mm, color=colour, lw=0.8, ls=":")
+    axis.axhline(0, color=LIGHT, lw=0.8)
+    axis.set(
+        xlabel="travel from the start of the stroke [mm]", ylabel="tangential over normal force"
+    )
+    axis.set_title(f"{fit.name}: {fit.friction.value:.3g} while sliding (black); dotted: break")
+    axis.legend(fontsize=8, ncols=2)
+    return figure
+
+
+@in_report_style
+def draw_tangential(fit: TangentialFit) -> Figure:
+    """Measured and simulated resistance to shear or twist."""
+    figure, axis = new_figure(6.5, 3.4)
+    unit, force = ("mm", "tangential force [N]") if fit.motion == "shear" else (
+        "deg", "torque [N mm]",
+    )  # fmt: skip
+    axis.plot(fit.motions, fit.tangential, "o", ms=4, mfc="white", color=BLUE, label="measured")
+    axis.plot(
+        fit.motions, fit.fitted, color=ORANGE, label=f"simulated, friction {fit.friction:.3g}"
+    )
+    axis.set(xlabel=f"{'shift' if fit.motion == 'shear' else 'angle'} [{unit}]", ylabel=force)
+    axis.set_title(f"{fit.name}, held at {fit.depth_mm:.3g} mm")
+    axis.legend(fontsize=8)
+    return figure
+
+
+@in_report_style
+def draw_flow(fit: FlowFit) -> Figure:
+    """Motion of the markers in the last frame fitted, measured and simulated."""
+    figure, axis = new_figure(6.0, 5.0)
+    x, y = fit.points_mm.T
+    for field, colour, label in (
+        (fit.measured_mm[-1], BLUE, "measured"),
+        (fit.fitted_mm[-1], ORANGE, "simulated"),
+    ):
+        axis.quiver(
+            x, y, field[:, 0], field[:, 1], color=colour, angles="xy", scale_units="xy",
+            scale=0.5, width=0.004, label=f"{label} (twice its length)",
+        )  # fmt: skip
+    axis.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    axis.invert_yaxis()
+    axis.margins(0.12)
+    axis.set_title(f"{fit.name}, frame {fit.frames[-1]}: friction {fit.friction:.3g}")
+    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
+    return figure
+
+
+@in_report_style
+def draw_damping(fit: DampingFit) -> Figure:
+    """Force and depth over time, with the fit."""
+    figure, (upper, lower) = new_figure(7.0, 4.4, 2, 1, sharex=True, height_ratios=[2, 1])
+    upper.plot(fit.time_s, fit.force_n, ".", ms=3, color=BLUE, label="measured")
+    upper.plot(fit.time_s, fit.fitted_n, color=ORANGE, label="elastic and viscous fit")
+    upper.set_ylabel("force [N]")
+    upper.legend(fontsize=8)
+    upper.set_title(fit.name)
+    lower.plot(fit.time_s, fit.depth_mm, color=GREY)
+    lower.set(xlabel="time [s]", ylabel="depth [mm]")
+    return figure

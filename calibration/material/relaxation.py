@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The damping time of the gel from forces over time, and relaxation that the solver cannot show.
+
+The solver damps like Kelvin and Voigt: viscous stress is ``damping_time_s`` times the rate of the
+elastic one, so a press at a rate v needs F = E (f(d) + tau f'(d) v), with f of the tables, and the
+extra force is gone at once when the tool stops. A gel whose force keeps falling while the tool
+holds still relaxes (Maxwell, Zener); that no damping time reproduces, and it is reported with its
+amplitude and time instead.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import savgol_filter
+from scipy.stats import f as f_distribution
+from scipy.stats import t as student
+
+from calibration.capture import ForceRecord
+from calibration.material.points import record_sigma
+from calibration.material.response import ForceTable
+from calibration.material.setup import Tool
+from calibration.result import Estimate, Remark, Severity
+from taccel_lab.errors import InputError
+
+MIN_ROWS = 12
+HOLD_RATE = 0.03
+"""The tool holds still below this part of its greatest speed."""
+MIN_HOLD_ROWS = 8
+VISIBLE = 0.02
+"""Relaxation of a smaller part of the force is not spoken of."""
+WINDOW = 7
+"""Rows of the smoothing of depth from which the speed is taken (quadratic)."""
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """A fall of the force at held depth, F = F_end + (F_0 - F_end) exp(-t / T)."""
+
+    part: float
+    """(F_0 - F_end) / F_0."""
+    time_s: float
+
+
+@dataclass(frozen=True)
+class DampingFit:
+    """What a relaxation record says."""
+
+    name: str
+    source: str
+    sha256: str
+    tool: Tool
+    damping_time_s: Estimate | None
+    """None where the record cannot tell it, or where Kelvin and Voigt's solid cannot do it."""
+    relaxation: Relaxation | None
+    young_modulus_pa: float
+    """Of the elastic part [Pa]: of the force that is left when the tool holds still."""
+    time_s: np.ndarray
+    depth_mm: np.ndarray
+    force_n: np.ndarray
+    fitted_n: np.ndarray
+    relative_residual: float
+    max_rate_mm_s: float
+    remarks: tuple[Remark, ...]
+
+
+def check_relaxation(record: ForceRecord) -> None:
+    """Refuse a record that is too short, or whose time does not rise."""
+    time = record.columns["time_s"]
+    if len(time) < MIN_ROWS:
+        raise InputError(f"{record.source}: {len(time)} rows; at least {MIN_ROWS} over time")
+    if (np.diff(time) <= 0).any():
+        row = int(np.argmax(np.diff(time) <= 0)) + 2
+        raise InputError(f"{record.source}: time_s does not rise at row {row}; rows are in order")
+    if np.ptp(record.columns["depth_mm"]) <= 0 or record.columns["depth_mm"].max() <= 0:
+        raise InputError(
+            f"{record.source}: depth_mm never rises above first touch, so nothing is pressed"
+        )
+
+
+def fit_damping(
+    record: ForceRecord, tool: Tool, table: ForceTable, poisson_ratio: float, mooney_ratio: float
+) -> DampingFit:
+    """Damping time and relaxation of a record, columns time_s, depth_mm and force_n."""
+    check_relaxation(record)
+    time, depth, force = (record.columns[key] for key in ("time_s", "depth_mm", "force_n"))
+    name = record.source.replace("\\", "/").rsplit("/", 1)[-1]
+    rate = _rate(time, depth)
+    fastest = float(np.abs(rate).max())
+    elastic, slope = np.zeros(len(depth)), np.zeros(len(depth))
+    inside = depth > 0
+    log, by_depth, _, _ = table.log_force(depth[inside], poisson_ratio, mooney_ratio)
+    elastic[inside] = np.exp(log)
+    slope[inside] = elastic[inside] * by_depth
+    hold = _longest_hold(rate, fastest, depth)
+    relaxation = None
+    if hold is not None:
+        relaxation = _relaxation(time[hold], force[hold])
+    columns = np.stack([elastic, slope * rate], axis=1)
+    use = inside.copy()
+    if hold is not None and relaxation is not None:
+        # The elastic part is what is left in the end.
+        use[hold[: 2 * len(hold) // 3]] = False
+    sigma = record_sigma(record, len(time))
+    weight = np.ones(len(time)) if sigma is None else 1 / sigma
+    fit, covariance = _regression(columns[use] * weight[use, None], force[use] * weight[use])
+    modulus, viscous = float(fit[0]), float(fit[1])
+    if modulus <= 0:
+        raise InputError(
+            f"{record.source}: the force does not grow with depth (modulus {modulus:.3g} Pa)"
+        )
+    tau = viscous / modulus
+    # Error of a ratio, to first order.
+    gradient = np.array([-tau, 1.0]) / modulus
+    error = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
+    half = error * float(student.ppf(0.975, max(use.sum() - 2, 1)))
+    remarks: list[Remark] = []
+    estimate: Estimate | None = Estimate(
+        max(tau, 0.0), error, "s", (max(tau - half, 0.0), max(tau + half, 0.0))
+    )
+    if relaxation is not None:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "relaxes",
+                f"{name}: at held depth the force falls by {relaxation.part:.1%} within about "
+                f"{relaxation.time_s:.3g} s; the solver's damping (Kelvin-Voigt) cannot relax, so "
+                f"no damping time is set. {modulus:.4g} Pa is the modulus of the force that is "
+                "left; a press that is faster than the relaxation is stiffer",
+            )
+        )
+        estimate = None
+    elif tau - half <= 0:
+        remarks.append(
+            Remark(
+                Severity.INFO,
+                "damping_untold",
+                f"{name}: the force does not depend on the speed (up to {fastest:.3g} mm/s) by "
+                f"more than its noise; the damping time is below {max(tau + half, 0):.2g} s",
+            )
+        )
+        estimate = None
+    fitted = columns @ fit
+    level = float(np.abs(force[use]).mean())
+    return DampingFit(
+        name, record.source, record.sha256, tool, estimate, relaxation, modulus, time, depth,
+        force, fitted, float(np.sqrt(np.mean((fitted[use] - force[use]) ** 2))) / level, fastest,
+        tuple(remarks),
+    )  # fmt: skip
+
+
+def _rate(time: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Speed of the tool [mm/s]; smoothed over a few rows where the rows are even in time."""
+    steps = np.diff(time)
+    if len(time) > 2 * WINDOW and steps.max() < 1.05 * steps.min():
+        return np.asarray(savgol_filter(depth, WINDOW, 2, deriv=1, delta=float(steps.mean())))
+    return np.gradient(depth, time)
+
+
+def _longest_hold(rate: np.ndarray, fastest: float, depth: np.ndarray) -> np.ndarray | None:
+    """Rows of the longest time at rest in the gel."""
+    still = (np.abs(rate) < HOLD_RATE * fastest) & (depth > 0.5 * depth.max())
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+    if not len(edges):
+        return None
+    runs = edges.reshape(-1, 2)
+    a, b = runs[int(np.argmax(runs[:, 1] - runs[:, 0]))]
+    return np.arange(a, b) if b - a >= MIN_HOLD_ROWS else None
+
+
+def _relaxation(time: np.ndarray, force: np.ndarray) -> Relaxation | None:
+    """The exponential fall of a force, where there is one beyond its noise."""
+    t = time - time[0]
+    span = float(t[-1])
+
+    def model(x: np.ndarray) -> np.ndarray:
+        return x[0] + x[1] * np.exp(-t / math.exp(x[2]))
+
+    start = np.array([force[-1], force[0] - force[-1], math.log(span / 4)])
+    bounds = ([-np.inf, -np.inf, math.log(span / 200)], [np.inf, np.inf, math.log(10 * span)])
+    fit = least_squares(lambda x: model(x) - force, start, bounds=bounds)
+    flat = float(np.sum((force - force.mean()) ** 2))
+    left = float(np.sum((model(fit.x) - force) ** 2))
+    dof = len(force) - 3
+    if left > 0 and f_distribution.sf((flat - left) / 2 / (left / dof), 2, dof) > 1e-3:
+        return None
+    begin = float(model(fit.x)[0])
+    # A hold shorter than the relaxation does not show its end: what it lost so far counts.
+    lost = begin - float(model(fit.x)[-1])
+    if begin <= 0 or lost / begin < VISIBLE:
+        return None
+    return Relaxation(lost / begin, math.exp(float(fit.x[2])))
+
+
+def _regression(columns: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least squares and covariance, with residuals of neighbours correlated as they are found."""
+    fit = np.linalg.lstsq(columns, target, rcond=None)[0]
+    residual = target - columns @ fit
+    dof = max(len(target) - columns.shape[1], 1)
+    variance = float(residual @ residual) / dof
+    r = 0.0
+    if residual.std() > 0:
+        r = float(np.clip(np.corrcoef(residual[:-1], residual[1:])[0, 1], 0.0, 0.95))
+    covariance = variance * np.linalg.pinv(columns.T @ columns) * (1 + r) / (1 - r)
+    return fit, covariance

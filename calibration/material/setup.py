@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is pressed where, and how finely it is simulated: the gel of a profile, a tool, a mesh.
+
+Simulated forces scale exactly with all moduli together (also the contact stiffness follows them),
+so every press here is that of a gel of 1 MPa, and Young's modulus never needs a simulation. The
+layers over a gel keep their ratio to it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calibration.capture.schema import ToolEntry
+from calibration.material.bonded_layer import ToolKind
+from sensors.press_mesh import PressMeshOptions, press_mesh
+from sensors.registry import sensor_family
+from taccel_lab.envs import Indenter, PressEnv, parse_indenter, profile_material
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+from taccel_lab.profile import MaterialBlock, SensorProfile
+from taccel_lab.scene import Element
+from taccel_lab.solvers import SolverConfig
+
+UNIT_MODULUS_PA = 1e6
+DHAT_M = 2e-6
+"""Gap at which contact begins. Forces start that much before first touch: with the solver's default
+of 20 um a press of 0.5 mm is 6 % too stiff."""
+FRICTION_CONFIG = SolverConfig(
+    dhat_m=5e-6, friction_eps_m=5e-6, max_substep_halvings=3, max_friction_lags=60
+)
+"""Presses with friction: a step that does not converge soon will not, see ``tangential``."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How finely presses are simulated."""
+
+    name: str
+    elements_per_radius: float
+    core: int
+    rings: int
+    layers: int
+
+    def options(self) -> PressMeshOptions:
+        return PressMeshOptions(
+            elements_per_radius=self.elements_per_radius,
+            core=self.core,
+            rings=self.rings,
+            layers=self.layers,
+        )
+
+
+DRAFT = Effort("draft", 2.0, 4, 3, 2)
+"""1,365 nodes of a GelSight Mini: about 0.15 s a step on one core."""
+QUICK = Effort("quick", 3.0, 4, 5, 2)
+"""2,005 nodes, 0.2 s."""
+STANDARD = Effort("standard", 4.0, 6, 6, 3)
+"""5,215 nodes, 0.6 s."""
+FINE = Effort("fine", 6.0, 8, 9, 4)
+"""12,969 nodes, 2.5 s: what the tables' error is measured against."""
+REFEREE = {DRAFT.name: QUICK, QUICK.name: STANDARD, STANDARD.name: FINE, FINE.name: FINE}
+"""The finer mesh that tells a mesh's error."""
+EFFORTS = {effort.name: effort for effort in (DRAFT, QUICK, STANDARD, FINE)}
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A rigid tool and where it comes down."""
+
+    kind: ToolKind
+    radius_mm: float
+    """Of the ball or the punch; of the disc of the gel's area for a plate [mm]."""
+    at_mm: tuple[float, float]
+    description: str
+    """As ``parse_indenter`` reads it."""
+
+    def indenter(self) -> Indenter:
+        return parse_indenter(self.description)
+
+    def contact_radius_mm(self, depth_mm: float) -> float:
+        """About how wide the contact is at a depth, to grade the mesh [mm]."""
+        if self.kind == "sphere":
+            return min(0.8 * math.sqrt(self.radius_mm * depth_mm), self.radius_mm)
+        return self.radius_mm
+
+
+@dataclass(frozen=True)
+class Gel:
+    """The gel of a profile: its pad by family and parameters, and its material but for scale."""
+
+    family: str
+    parameters: dict[str, Any]
+    material: MaterialBlock
+    thickness_mm: float
+
+    @classmethod
+    def of_profile(cls, profile: SensorProfile, model: str | None = None) -> Gel:
+        """The gel of ``profile``, with another law where one is asked for."""
+        material = profile.material
+        if model is not None and model != material.model:
+            try:
+                material = material.replace(model=model, mooney_ratio=0.0)
+            except InputError as error:
+                raise InputError(f"the law {model!r} is not known: {error}") from error
+        return cls(
+            profile.sensor.family,
+            dict(profile.sensor.parameters),
+            material,
+            profile.gel.thickness_mm,
+        )
+
+    def unit_material(self, poisson_ratio: float, mooney_ratio: float) -> MaterialBlock:
+        """The material at 1 MPa, its layers in proportion, without damping."""
+        scale = UNIT_MODULUS_PA / self.material.young_modulus_pa
+        layers = tuple(
+            layer.replace(young_modulus_pa=layer.young_modulus_pa * scale)
+            for layer in self.material.layers
+        )
+        return self.material.replace(
+            young_modulus_pa=UNIT_MODULUS_PA,
+            poisson_ratio=poisson_ratio,
+            mooney_ratio=mooney_ratio,
+            damping_time_s=0.0,
+            layers=layers,
+        )
+
+    def recipe(self) -> dict[str, Any]:
+        """Everything about the gel that forces of 1 MPa depend on, for a cache key."""
+        unit = self.unit_material(self.material.poisson_ratio, self.material.mooney_ratio)
+        return {
+            "family": self.family,
+            "parameters": self.parameters,
+            "model": unit.model,
+            "layers": [layer.model_dump() for layer in unit.layers],
+        }
+
+    def tool(self, entry: ToolEntry, default_radius_mm: float | None = None) -> Tool:
+        """The tool of a record, checked against the pad."""
+        x, y = entry.center_mm
+        family = sensor_family(self.family)
+        low, high = family.pad(family.parameters(self.parameters)).bounds_mm()[:, :2]
+        if not (low[0] <= x <= high[0] and low[1] <= y <= high[1]):
+            raise InputError(
+                f"the tool comes down at ({x:g}, {y:g}) mm, beside the pad: x must lie in "
+                f"[{low[0]:g}, {high[0]:g}] mm and y in [{low[1]:g}, {high[1]:g}] mm"
+            )
+        if entry.kind == "flat":
+            size = high - low
+            radius = math.sqrt(float(size[0] * size[1]) / math.pi)
+            width, depth = size + 2 * np.abs([x, y]) + 4.0
+            return Tool("flat", radius, (x, y), f"box:{width:.6g}x{depth:.6g}")
+        radius_mm = entry.radius_mm or (default_radius_mm if entry.kind == "sphere" else None)
+        if radius_mm is None:
+            raise InputError(
+                f"the radius of the {entry.kind} is missing; give tool = {{ kind = "
+                f'"{entry.kind}", radius_mm = ... }} with the record'
+            )
+        if radius_mm > 100:
+            raise InputError(
+                f"the radius of the {entry.kind} is {radius_mm:g} mm; at most 100 mm can be "
+                'simulated, use kind = "flat" for a plate'
+            )
+        return Tool(entry.kind, radius_mm, (x, y), f"{entry.kind}:{radius_mm:.9g}")
+
+    def mesh(self, tool: Tool, deepest_mm: float, effort: Effort) -> TetMesh:
+        """The pad, graded around the contact of the deepest press."""
+        radius = tool.contact_radius_mm(deepest_mm)
+        if tool.kind == "flat":
+            radius *= 0.45  # the whole pad is loaded: an even mesh
+        return press_mesh(self.family, self.parameters, tool.at_mm, radius, effort.options())
+
+    def environment(
+        self,
+        tool: Tool,
+        mesh: TetMesh,
+        poisson_ratio: float,
+        mooney_ratio: float = 0.0,
+        friction: float = 0.0,
+    ) -> PressEnv:
+        """One press of a gel of 1 MPa, of ten-node tets: linear ones lock near nu = 0.5."""
+        return PressEnv(
+            mesh,
+            profile_material(self.unit_material(poisson_ratio, mooney_ratio), mesh),
+            tool.indenter(),
+            np.array([tool.at_mm]),
+            friction_coefficient=friction,
+            element=Element.QUADRATIC,
+            config=FRICTION_CONFIG if friction else SolverConfig(dhat_m=DHAT_M),
+        )

@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The coefficient of friction from records of a tool that slides over the gel.
+
+Every stroke in one direction first sticks (the tangential force climbs with the travel) and then
+slides; the break is found by fitting a climb and a plateau. The coefficient is the slope of the
+tangential over the normal force while it slides, by a regression that outliers do not bend, with
+an offset of the tangential force where strokes in both directions or a varying load tell it apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from calibration.capture import ForceRecord
+from calibration.result import Estimate, Remark, Severity
+from taccel_lab.errors import InputError
+
+MIN_STROKE = 8
+"""Rows that a stroke needs."""
+SLIDE_AFTER = 1.25
+"""Sliding counts from this many break lengths on: the break is round, not sharp."""
+STILL_CLIMBING = 0.1
+"""A stroke whose tangential force still grows by this part over the slide has not slid fully."""
+LOAD_RANGE = 0.2
+"""Spread of the normal force, as a part of it, from which it tells slope and offset apart."""
+DROP_SIGMAS = 6.0
+DROP_PART = 0.03
+"""A fall from one row to the next by this many sigmas and this part of the force is a slip."""
+MAX_FRICTION = 5.0
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """Travel in one direction."""
+
+    direction: int
+    """1 along +shift, -1 against."""
+    travel_mm: np.ndarray
+    """From the start of the stroke, rising, shape [row]."""
+    normal_n: np.ndarray
+    tangential_n: np.ndarray
+    break_mm: float
+    """Travel at which the tool begins to slide."""
+    climbing: bool
+    """Whether the tangential force never settles."""
+
+    @property
+    def slides(self) -> np.ndarray:
+        """Rows in which the tool slides, bool."""
+        if self.climbing:
+            return np.zeros(len(self.travel_mm), dtype=bool)
+        return self.travel_mm >= SLIDE_AFTER * self.break_mm
+
+
+@dataclass(frozen=True)
+class SlideFit:
+    """Friction of one record."""
+
+    name: str
+    source: str
+    sha256: str
+    friction: Estimate
+    """Mean coefficient while sliding; of a record that never slides the least that it can be."""
+    offset_n: float
+    """Tangential force at no load."""
+    offset_told: bool
+    static_friction: float | None
+    """Mean coefficient just before slips, where the tool sticks and slips."""
+    slip_mm: float | None
+    """Mean travel from slip to slip."""
+    slid: bool
+    normal_range_n: tuple[float, float]
+    strokes: tuple[Stroke, ...]
+    relative_residual: float
+    """Root mean square of tangential force less fit while sliding, as a part of the force."""
+    remarks: tuple[Remark, ...]
+    sign: int = 1
+    """1: positive tangential force along the motion; -1: against it."""
+
+    def predicted_n(self, stroke: Stroke) -> np.ndarray:
+        """Tangential force of the fit in the rows of a stroke [N], in the record's signs."""
+        sign = stroke.direction * self.sign
+        return sign * self.friction.value * stroke.normal_n + self.offset_n
+
+
+def fit_slide(record: ForceRecord) -> SlideFit:
+    """Friction of a slide record, columns shift_mm, normal_n and tangential_n.
+
+    Raises:
+        InputError: No motion, no load, loads of both signs, or too few rows.
+    """
+    shift, normal, tangential = (
+        record.columns[key] for key in ("shift_mm", "normal_n", "tangential_n")
+    )
+    name = record.source.replace("\\", "/").rsplit("/", 1)[-1]
+    _check(record.source, shift, normal)
+    strokes = _strokes(shift, normal, tangential)
+    if not strokes:
+        raise InputError(
+            f"{record.source}: no stroke of at least {MIN_STROKE} rows in one direction; shift_mm "
+            f"spans {np.ptp(shift):g} mm in {len(shift)} rows"
+        )
+    sliding = [stroke for stroke in strokes if stroke.slides.sum() >= MIN_STROKE // 2]
+    load = (float(normal.min()), float(normal.max()))
+    if not sliding:
+        return _never_slid(record, name, strokes, load)
+    return _slid(record, name, strokes, sliding, load)
+
+
+def combine(fits: Sequence[SlideFit]) -> tuple[Estimate, list[Remark]]:
+    """One coefficient of several records, weighted; their spread counts as error.
+
+    Random effects: the variance between records is what their scatter shows beyond their own
+    errors (DerSimonian and Laird 1986).
+    """
+    slid = [fit for fit in fits if fit.slid]
+    value = np.array([fit.friction.value for fit in slid])
+    sigma = np.array([max(fit.friction.sigma, 1e-9) for fit in slid])
+    if len(slid) == 1:
+        return slid[0].friction, []
+    weight = sigma**-2
+    mean = float((weight * value).sum() / weight.sum())
+    excess = float((weight * (value - mean) ** 2).sum()) - (len(slid) - 1)
+    spread = max(0.0, excess / (weight.sum() - (weight**2).sum() / weight.sum()))
+    weight = 1 / (sigma**2 + spread)
+    mean = float((weight * value).sum() / weight.sum())
+    error = float(weight.sum() ** -0.5)
+    half = error * float(student.ppf(0.975, len(slid) - 1)) if spread > 0 else 1.96 * error
+    remarks = []
+    load = np.array([np.mean(fit.normal_range_n) for fit in slid])
+    if len(slid) >= 3 and np.ptp(load) > LOAD_RANGE * load.mean():
+        power = float(np.polyfit(np.log(load), np.log(value), 1)[0])
+        if abs(power) > 0.1:
+            remarks.append(
+                Remark(
+                    Severity.WARNING,
+                    "friction_by_load",
+                    f"friction goes with the load to the power {power:.2f} between {load.min():.3g}"
+                    f" and {load.max():.3g} N; Coulomb's law has one coefficient, here the mean",
+                )
+            )
+    return Estimate(mean, error, "", (max(mean - half, 0.0), mean + half)), remarks
+
+
+def _check(source: str, shift: np.ndarray, normal: np.ndarray) -> None:
+    if np.ptp(shift) <= 0:
+        raise InputError(f"{source}: shift_mm does not change; the tool has to move sideways")
+    low, high = float(normal.min()), float(normal.max())
+    if np.median(normal) < 0:
+        raise InputError(
+            f"{source}: normal_n is negative (median {np.median(normal):.3g} N); it is positive "
+            "when the tool presses into the gel: turn the sign"
+        )
+    if low <= 0.02 * high:
+        raise InputError(
+            f"{source}: normal_n falls to {low:.3g} N (at most {high:.3g} N); the tool has to stay "
+            "in contact: cut the rows in which it is lifted"
+        )
+
+
+def _strokes(shift: np.ndarray, normal: np.ndarray, tangential: np.ndarray) -> list[Stroke]:
+    """Runs in one direction; rests and turns of less than a fiftieth of the way are bridged."""
+    slack = 0.02 * float(np.ptp(shift))
+    turns, direction, extreme = [0], 0, 0
+    for i in range(1, len(shift)):
+        step = shift[i] - shift[extreme]
+        if direction == 0 and abs(step) > slack:
+            direction = 1 if step > 0 else -1
+            extreme = i
+        elif direction * step > 0:
+            extreme = i
+        elif direction and -direction * step > slack:
+            turns.append(extreme)
+            direction, extreme = -direction, i
+    turns.append(len(shift) - 1)
+    strokes = []
+    for a, b in pairwise(turns):
+        way = float(shift[b] - shift[a])
+        if b - a + 1 < MIN_STROKE or way == 0:
+            continue
+        rows = slice(a, b + 1)
+        sign = 1 if way > 0 else -1
+        travel = np.maximum.accumulate(sign * (shift[rows] - shift[a]))
+        ratio = tangential[rows] / normal[rows]
+        length, climbing = _break(travel, ratio)
+        strokes.append(Stroke(sign, travel, normal[rows], tangential[rows], length, climbing))
+    return strokes
+
+
+def _break(travel: np.ndarray, ratio: np.ndarray) -> tuple[float, bool]:
+    """Travel at which a climb becomes a plateau, and whether there is no plateau."""
+    end = float(travel[-1])
+    best, found = math.inf, 0.0
+    for length in np.linspace(0.0, 1.0, 41) * end:
+        climb = np.minimum(travel, length) if length > 0 else np.zeros_like(travel)
+        columns = np.stack([np.ones_like(travel), climb], axis=1)[:, : 2 if length > 0 else 1]
+        weight = np.ones(len(travel))
+        for _ in range(4):  # least absolute deviations by reweighting
+            fit = np.linalg.lstsq(columns * weight[:, None], ratio * weight, rcond=None)[0]
+            deviation = np.abs(ratio - columns @ fit)
+            weight = np.sqrt(1 / np.maximum(deviation, 1e-4 * np.ptp(ratio) + 1e-12))
+        if deviation.sum() < (1 - 1e-3) * best:
+            best, found = float(deviation.sum()), float(length)
+    if found > 0.8 * end:
+        return found, True
+    after = travel >= min(SLIDE_AFTER * found, end)
+    if after.sum() < MIN_STROKE // 2:
+        return found, True
+    trend = np.polyfit(travel[after], ratio[after], 1)
+    growth = trend[0] * np.ptp(travel[after])
+    level = float(np.median(ratio[after]))
+    noise = float(np.std(ratio[after] - np.polyval(trend, travel[after])))
+    sure = abs(growth) > 4 * noise / math.sqrt(after.sum()) * math.sqrt(12)
+    return found, bool(sure and growth * np.sign(level) > STILL_CLIMBING * abs(level))
+
+
+def _never_slid(
+    record: ForceRecord, name: str, strokes: Sequence[Stroke], load: tuple[float, float]
+) -> SlideFit:
+    least = max(
+        float(np.percentile(np.abs(stroke.tangential_n / stroke.normal_n), 95))
+        for stroke in strokes
+    )
+    remark = Remark(
+        Severity.WARNING,
+        "never_slid",
+        f"{name}: the tangential force grows to the end of the stroke, the tool does not slide "
+        f"freely; friction is at least {least:.3g}. Move the tool farther sideways",
+    )
+    return SlideFit(
+        name, record.source, record.sha256, Estimate(least, math.inf), 0.0, False, None, None,
+        False, load, tuple(strokes), math.nan, (remark,),
+    )  # fmt: skip
+
+
+def _slid(
+    record: ForceRecord,
+    name: str,
+    strokes: Sequence[Stroke],
+    sliding: Sequence[Stroke],
+    load: tuple[float, float],
+) -> SlideFit:
+    direction = np.concatenate([np.full(s.slides.sum(), s.direction) for s in sliding])
+    normal = np.concatenate([s.normal_n[s.slides] for s in sliding])
+    tangential = np.concatenate([s.tangential_n[s.slides] for s in sliding])
+    both = len(set(direction.tolist())) == 2
+    told = both or np.ptp(normal) > LOAD_RANGE * normal.mean()
+    columns = (direction * normal)[:, None]
+    if told:
+        columns = np.column_stack([columns, np.ones(len(normal))])
+    slope, offset, sigma, residual = _robust(columns, tangential)
+    remarks: list[Remark] = []
+    sign = 1 if slope >= 0 else -1
+    value = abs(slope)
+    if value > MAX_FRICTION:
+        raise InputError(
+            f"{record.source}: tangential over normal force is {value:.3g} while the tool slides; "
+            f"at most {MAX_FRICTION:g} is a coefficient of friction. Are both forces in newtons, "
+            "and not swapped?"
+        )
+    if value < 0.01:
+        raise InputError(
+            f"{record.source}: tangential over normal force is only {value:.2g} while the tool "
+            "slides; no gel is that slippery. Are both forces in newtons, and not swapped?"
+        )
+    if not told:
+        remarks.append(
+            Remark(
+                Severity.INFO,
+                "offset_untold",
+                f"{name}: one direction and a steady load do not tell an offset of the tangential "
+                f"force from friction; 1 % of the load ({0.01 * normal.mean():.2g} N) of offset "
+                "would change the coefficient by 0.01. Slide back as well",
+            )
+        )
+    static, slip = _slips(sliding, sign, offset)
+    if static is not None:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "stick_slip",
+                f"{name}: the tool sticks and slips every {slip:.2g} mm; friction reaches "
+                f"{static:.3g} before a slip and is {value:.3g} on average. The solver has one "
+                "coefficient: slide more slowly or more stiffly to separate them",
+            )
+        )
+    partly = [s for s in strokes if s.climbing]
+    if partly:
+        remarks.append(
+            Remark(
+                Severity.INFO,
+                "partly_slid",
+                f"{name}: {len(partly)} of {len(strokes)} strokes never slide and are left out",
+            )
+        )
+    dof = max(len(tangential) - columns.shape[1], 1)
+    half = sigma * float(student.ppf(0.975, dof))
+    level = float(np.abs(tangential - offset).mean())
+    return SlideFit(
+        name,
+        record.source,
+        record.sha256,
+        Estimate(value, sigma, "", (max(value - half, 0.0), value + half)),
+        offset,
+        bool(told),
+        static,
+        slip,
+        True,
+        load,
+        tuple(strokes),
+        float(np.sqrt(np.mean(residual**2))) / level,
+        tuple(remarks),
+        sign,
+    )
+
+
+def _robust(columns: np.ndarray, target: np.ndarray) -> tuple[float, float, float, np.ndarray]:
+    """Slope, offset, standard deviation of the slope, and residuals; Huber-like, M-estimate.
+
+    Residuals in time order are not independent: the variance grows by (1 + r) / (1 - r) for a
+    correlation r of neighbours (Bartlett 1935).
+    """
+    start = np.linalg.lstsq(columns, target, rcond=None)[0]
+    spread = 1.4826 * float(np.median(np.abs(target - columns @ start)))
+    scale = max(spread, 1e-9 * float(np.abs(target).max()))
+    fit = least_squares(lambda x: columns @ x - target, start, loss="soft_l1", f_scale=scale)
+    residual = target - columns @ fit.x
+    # Sandwich variance of an M-estimate (Huber 1981): A^-1 B A^-1.
+    bent = 1 + (residual / scale) ** 2
+    influence = residual / np.sqrt(bent)
+    count, unknowns = columns.shape
+    outer = np.linalg.inv(columns.T @ (columns * bent[:, None] ** -1.5))
+    inner = columns.T @ (columns * influence[:, None] ** 2) * count / max(count - unknowns, 1)
+    squared = outer @ inner @ outer
+    r = 0.0
+    if len(residual) > 10 and residual.std() > 0:
+        r = float(np.clip(np.corrcoef(residual[:-1], residual[1:])[0, 1], 0.0, 0.98))
+    sigma = math.sqrt(max(squared[0, 0], 0.0) * (1 + r) / (1 - r))
+    offset = float(fit.x[1]) if len(fit.x) > 1 else 0.0
+    return float(fit.x[0]), offset, sigma, residual
+
+
+def _slips(
+    sliding: Sequence[Stroke], sign: int, offset_n: float
+) -> tuple[float | None, float | None]:
+    """Coefficient before slips and travel between them; None where the tool slides evenly."""
+    before, apart = [], []
+    for stroke in sliding:
+        keep = stroke.slides
+        ratio = stroke.direction * sign * (stroke.tangential_n[keep] - offset_n)
+        ratio = ratio / stroke.normal_n[keep]
+        steps = np.diff(ratio)
+        if len(steps) < MIN_STROKE:
+            continue
+        spread = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+        limit = max(DROP_SIGMAS * spread, DROP_PART * float(np.median(ratio)))
+        falls = np.flatnonzero(steps < -limit)
+        if len(falls) < 3:
+            continue
+        before += [float(ratio[i]) for i in falls]
+        apart += np.diff(stroke.travel_mm[keep][falls]).tolist()
+    if not before:
+        return None, None
+    return float(np.mean(before)), float(np.mean(apart))

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Friction from shear and twist at held depth: the stick before the slip, by simulation.
+
+Forces scale with Young's modulus; a record that states the normal force tells it as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.capture import ForceRecord
+from calibration.material.indentation import TOUCH_SIGMA_MM
+from calibration.material.likelihood import Group, Likelihood, Parameter, Solution
+from calibration.material.points import record_sigma
+from calibration.material.setup import QUICK, Effort, Gel, Tool
+from calibration.material.tangential_table import Motion, TangentialTable, tangential_table
+from calibration.result import NORMAL_95, Remark, Severity
+from taccel_lab.errors import InputError
+
+FLAT = 0.3
+"""A curve whose last slope is below this part of its first one has slipped: friction is near."""
+STEADY_DEPTH = 0.1
+"""A held depth may vary by this part of itself."""
+
+
+@dataclass(frozen=True)
+class TangentialFit:
+    """Friction of one shear or twist record."""
+
+    name: str
+    source: str
+    sha256: str
+    tool: Tool
+    motion: Motion
+    depth_mm: float
+    solution: Solution
+    """Parameters ``ln_mu``, ``ln_e`` and ``start`` (motion at which the tool begins to move)."""
+    table: TangentialTable
+    motions: np.ndarray
+    """Shift [mm] or angle [deg] of the rows fitted."""
+    tangential: np.ndarray
+    """Measured tangential force [N], or torque [N mm], positive along the motion."""
+    normal_n: np.ndarray | None
+    fitted: np.ndarray
+    relative_residual: float
+    remarks: tuple[Remark, ...]
+
+    @property
+    def friction(self) -> float:
+        return math.exp(self.solution.value("ln_mu"))
+
+    @property
+    def friction_interval(self) -> tuple[float, float]:
+        """95 % interval: the profile's, widened by the error of the table."""
+        value = self.solution.value("ln_mu")
+        low, high = self.solution.profiles["ln_mu"].interval
+        model = NORMAL_95 * self.table.error
+        return (
+            math.exp(value - math.hypot(value - low, model)),
+            math.exp(value + math.hypot(high - value, model)),
+        )
+
+    @property
+    def relative_sigma(self) -> float:
+        """Standard deviation of the coefficient as a part of it, tables included."""
+        return math.hypot(self.solution.sigma_of("ln_mu"), self.table.error)
+
+    @property
+    def told(self) -> bool:
+        """Whether the record ends the coefficient's interval on both sides."""
+        profile = self.solution.profiles["ln_mu"]
+        return not (profile.open_low or profile.open_high)
+
+
+def fit_tangential(
+    record: ForceRecord,
+    gel: Gel,
+    tool: Tool,
+    *,
+    poisson_ratio: float,
+    mooney_ratio: float = 0.0,
+    young_pa: tuple[float, float] | None = None,
+    effort: Effort = QUICK,
+    progress: Callable[[int, int], None] | None = None,
+) -> TangentialFit:
+    """Fit the coefficient of friction to a shear or twist record.
+
+    Args:
+        record: Columns depth_mm, shift_mm, normal_n, tangential_n; or depth_mm, angle_deg,
+            torque_nmm.
+        gel: The pad and the law.
+        tool: A ball or punch.
+        poisson_ratio: Of the gel; the ratio of tangential to normal force hardly depends on it.
+        mooney_ratio: Of the gel.
+        young_pa: Young's modulus [Pa] and its relative standard deviation from elsewhere; a
+            twist record without it tells nothing.
+        effort: Mesh of the presses.
+        progress: Told how many presses are done, and of how many.
+
+    Raises:
+        InputError: A depth that is not held, no motion, or a twist record without a modulus.
+    """
+    motion, moved, tangential, normal, depth, rows = _loading_rows(record)
+    name = record.source.replace("\\", "/").rsplit("/", 1)[-1]
+    lever = 1.0 if motion == "shear" else 2 / 3 * tool.contact_radius_mm(depth)
+    if normal is None:
+        if young_pa is None:
+            raise InputError(
+                f"{record.source}: a twist record has no normal force, so it needs Young's modulus "
+                "from an indentation record"
+            )
+        least = 0.3
+    else:
+        ratio = np.abs(tangential) / np.maximum(normal, 1e-12)
+        least = float(np.clip(np.percentile(ratio, 98) / lever, 0.05, 1.8))
+    slipped = _has_slipped(moved, tangential)
+
+    def simulate(mu: float) -> TangentialTable:
+        return tangential_table(
+            gel, tool, motion, round(depth, 2), mu, float(moved.max()), poisson_ratio,
+            mooney_ratio, slipped=slipped, effort=effort, progress=progress,
+        )  # fmt: skip
+
+    table = simulate(least)
+    if normal is None:
+        assert young_pa is not None
+        start_n = young_pa[0] * table.forces(np.zeros(1), math.sqrt(np.prod(table.mu_range)))[1][0]
+        least = float(np.clip(np.abs(tangential).max() / start_n / lever, 0.05, 1.8))
+        table = simulate(least)
+    # Rows past what was simulated belong to sliding, and have a record of their own.
+    near = moved <= table.scaled[-1] * table.mu_range[0] * 1.15
+    if near.sum() < 5:
+        raise InputError(
+            f"{record.source}: {int(near.sum())} rows lie within the first "
+            f"{table.scaled[-1] * table.mu_range[0]:.3g} of the motion, before the tool slides as "
+            "a whole; at least 5 are needed there"
+        )
+    moved, tangential, rows = moved[near], tangential[near], rows[near]
+    normal = None if normal is None else normal[near]
+    first_n = table.forces(np.zeros(1), least)[1][0]
+    start_e = young_pa[0] if young_pa else float(np.median(normal) / first_n)  # type: ignore[arg-type]
+    prior = math.hypot(young_pa[1], 0.01) if young_pa else None
+    low, high = table.mu_range
+    parameters = [
+        Parameter("ln_mu", math.log(least), math.log(low), math.log(high), 0.1),
+        Parameter("ln_e", math.log(start_e), math.log(1e3), math.log(1e9), 0.05, prior),
+    ]
+    unit = 1.0 if motion == "shear" else math.degrees(1 / tool.contact_radius_mm(depth))
+    step = TOUCH_SIGMA_MM * unit
+    parameters.append(Parameter("start", 0.0, -5 * step, 5 * step, step, step))
+    sigma = record_sigma(record, len(record.columns["depth_mm"]))
+    known = sigma is not None and motion == "shear"
+    scale_t = sigma[rows] if known else np.full(len(moved), np.abs(tangential).max())  # type: ignore[index]
+    scale_n = None
+    if normal is not None:
+        scale_n = sigma[rows] if known else np.full(len(moved), normal.max())  # type: ignore[index]
+
+    def values(theta: np.ndarray) -> np.ndarray:
+        mu, e = math.exp(theta[0]), math.exp(theta[1])
+        along, pressed = table.forces(np.maximum(moved - theta[2], 0.0), mu)
+        parts = [(e * along - tangential) / scale_t]
+        if normal is not None and scale_n is not None:
+            parts.append((e * pressed - normal) / scale_n)
+        return np.concatenate(parts)
+
+    def residuals(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        steps = np.array([1e-5, 1e-5, 1e-5 * max(step, 1e-3)])
+        columns = [
+            (values(theta + d) - values(theta - d)) / (2 * h)
+            for d, h in zip(np.diag(steps), steps, strict=True)
+        ]
+        return values(theta), np.stack(columns, axis=1)
+
+    groups = [Group(len(moved), known)] * (1 if normal is None else 2)
+    solution = Likelihood(parameters, groups, residuals).solve(["ln_mu"])
+    along = table.forces(
+        np.maximum(moved - solution.value("start"), 0.0), math.exp(solution.value("ln_mu"))
+    )[0]
+    fitted = math.exp(solution.value("ln_e")) * along
+    residual = float(np.sqrt(np.mean((fitted - tangential) ** 2)) / np.abs(tangential).max())
+    remarks = []
+    profile = solution.profiles["ln_mu"]
+    if profile.open_low or profile.open_high:
+        least = math.exp(profile.interval[0])
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "friction_untold",
+                f"{name}: the contact hardly slips, so friction is only known to be at least "
+                f"{least:.3g}; move the tool farther, or record a slide",
+            )
+        )
+    if residual > 0.1:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "tangential_misfit",
+                f"{name}: the simulated {motion} misses the record by {residual:.0%} of its "
+                "largest force; check the depth, the tool and its place",
+            )
+        )
+    return TangentialFit(
+        name, record.source, record.sha256, tool, motion, depth, solution, table, moved,
+        tangential, normal, fitted, residual, tuple(remarks),
+    )  # fmt: skip
+
+
+def _loading_rows(
+    record: ForceRecord,
+) -> tuple[Motion, np.ndarray, np.ndarray, np.ndarray | None, float, np.ndarray]:
+    """Motion from its start to its first turning point, forces along it, depth, row numbers."""
+    motion: Motion = "shear" if record.entry.kind == "shear" else "twist"
+    depth = record.columns["depth_mm"]
+    moved = record.columns["shift_mm" if motion == "shear" else "angle_deg"]
+    tangential = record.columns["tangential_n" if motion == "shear" else "torque_nmm"]
+    reach = float(np.ptp(moved))
+    if reach <= 0:
+        raise InputError(f"{record.source}: the tool does not move sideways or turn")
+    relative = moved - moved[0]
+    far = int(np.argmax(np.abs(relative)))
+    slack = 0.05 * reach
+    sign = 1 if relative[far] > 0 else -1
+    ahead = sign * relative
+    # The first turning point: the largest advance before the way back exceeds the slack.
+    highest = np.maximum.accumulate(ahead)
+    back = np.flatnonzero(highest - ahead > slack)
+    end = int(np.argmax(ahead[: back[0]])) if len(back) else len(ahead) - 1
+    rows = np.flatnonzero((np.arange(len(ahead)) <= end) & (ahead >= 0))
+    if len(rows) < 5:
+        raise InputError(
+            f"{record.source}: only {len(rows)} rows before the motion turns back; at least 5"
+        )
+    held = float(np.median(depth[rows]))
+    if held <= 0 or np.ptp(np.percentile(depth[rows], [5, 95])) > STEADY_DEPTH * held:
+        raise InputError(
+            f"{record.source}: a {motion} record needs one held depth above 0 mm; depth_mm goes "
+            f"from {depth[rows].min():g} to {depth[rows].max():g} mm"
+        )
+    along = tangential[rows] - tangential[rows[0]]
+    along = along if along[-1] >= 0 else -along
+    normal = record.columns["normal_n"][rows] if motion == "shear" else None
+    if normal is not None and (normal <= 0).any():
+        raise InputError(f"{record.source}: normal_n must be positive while the tool presses")
+    return motion, ahead[rows], along, normal, held, rows
+
+
+def _has_slipped(moved: np.ndarray, tangential: np.ndarray) -> bool:
+    """Whether the force has all but stopped growing at the end of the motion."""
+    span = float(moved.max())
+    early, late = moved <= 0.25 * span, moved >= 0.8 * span
+    if early.sum() < 2 or late.sum() < 3:
+        return False
+    first, last = (np.polyfit(moved[part], tangential[part], 1)[0] for part in (early, late))
+    return bool(last < FLAT * first)
