@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.profile import SensorProfile
+from taccel_lab.profile import OpticsBlock, SensorProfile
 from taccel_lab.profile.units import m_from_mm
 
 
@@ -52,14 +52,9 @@ def effective_camera(profile: SensorProfile) -> EffectiveCamera | None:
     """The camera of the profile's optics block; None without one."""
     if profile.optics is None:
         return None
-    camera, grid = profile.optics.camera(), profile.grid()
-    # The tactile image may be another size than that the intrinsics belong to.
-    fx = camera.fx_px * grid.width_px / camera.width_px
-    fy = camera.fy_px * grid.height_px / camera.height_px
-    # One distance cannot give both scales when they differ: the mean one, with angles of view that
-    # show the right extents from there.
-    distance_mm = float(np.sqrt(fx * grid.mm_per_px_x * fy * grid.mm_per_px_y))
-    rotation = camera.gel_from_camera()
+    grid = profile.grid()
+    distance_mm = apparent_distance_mm(profile.optics, profile)
+    rotation = profile.optics.camera().gel_from_camera()
     axis = rotation[:, 2]
     center = np.append(image_center_mm(profile), 0.0)
     return EffectiveCamera(
@@ -70,3 +65,23 @@ def effective_camera(profile: SensorProfile) -> EffectiveCamera | None:
         fx_px=distance_mm / grid.mm_per_px_x,
         fy_px=distance_mm / grid.mm_per_px_y,
     )
+
+
+def apparent_distance_mm(optics: OpticsBlock, profile: SensorProfile) -> float:
+    """From the centre of projection to the gel along the optical axis, as it seems from the lens.
+
+    Focal length times mm/px, of the mean of both axes. The intrinsics may be of another image than
+    the tactile one, which was then cut out of it or made smaller; which of the two is told by what
+    paraxial refraction leaves of the true distance.
+    """
+    grid = profile.grid()
+    scale = np.array([grid.mm_per_px_x, grid.mm_per_px_y])
+    focal = np.array([optics.fx_px, optics.fy_px])
+    smaller = np.array([grid.width_px / optics.width_px, grid.height_px / optics.height_px])
+    cut, resized = (float(np.sqrt(np.prod(pixels * scale))) for pixels in (focal, focal * smaller))
+    axis_z = abs(optics.camera().gel_from_camera()[2, 2])
+    lifted = profile.gel.thickness_mm * (1 - 1 / optics.gel_refractive_index)
+    if profile.window is not None:
+        lifted += profile.window.thickness_mm * (1 - 1 / profile.window.refractive_index)
+    expected = (-optics.position_mm[2] - lifted) / max(axis_z, 1e-3)
+    return min(cut, resized, key=lambda distance: abs(distance - expected))

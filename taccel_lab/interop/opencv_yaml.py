@@ -11,10 +11,25 @@ from pathlib import Path
 
 import numpy as np
 
+from taccel_lab.interop.effective_camera import apparent_distance_mm
 from taccel_lab.interop.record import ExportRecord, required
-from taccel_lab.profile import SensorProfile
+from taccel_lab.profile import OpticsBlock, SensorProfile
 
 PEER = "OpenCV 4 and 5, cv2.FileStorage"
+
+
+def rectified_matrix(optics: OpticsBlock, profile: SensorProfile) -> np.ndarray:
+    """Camera matrix of a view along the gel's normal that shows the profile's pixel grid."""
+    grid = profile.grid()
+    x, y, _ = optics.position_mm
+    depth_mm = apparent_distance_mm(optics, profile) * optics.camera().gel_from_camera()[2, 2]
+    return np.array(
+        [
+            [depth_mm / grid.mm_per_px_x, 0.0, grid.center_u_px + x / grid.mm_per_px_x],
+            [0.0, depth_mm / grid.mm_per_px_y, grid.center_v_px + y / grid.mm_per_px_y],
+            [0.0, 0.0, 1.0],
+        ]
+    )
 
 
 def export_opencv(profile: SensorProfile, folder: Path) -> ExportRecord:
@@ -38,6 +53,7 @@ def export_opencv(profile: SensorProfile, folder: Path) -> ExportRecord:
             [0.0, 0.0, 1.0],
         ]
     )
+    rectified = rectified_matrix(block, profile)
     storage = cv2.FileStorage(str(folder / "camera.yaml"), cv2.FILE_STORAGE_WRITE)
     try:
         storage.write("sensor", profile.sensor.name)
@@ -57,19 +73,25 @@ def export_opencv(profile: SensorProfile, folder: Path) -> ExportRecord:
         storage.write("tactile_width", grid.width_px)
         storage.write("tactile_height", grid.height_px)
         storage.write("pixel_from_gel", pixel_from_gel)
+        storage.write("rectification_R", camera.gel_from_camera())
+        storage.write("rectification_P", rectified)
         storage.write("mm_per_px", np.array([[grid.mm_per_px_x, grid.mm_per_px_y]]))
     finally:
         storage.release()
     record = ExportRecord(
         carries={
             "optics": "intrinsics, distortion, pose, crop of the camera's own pictures",
-            "camera": "the affine map from gel xy [mm] to pixels of the tactile image",
+            "camera": "the affine map from gel xy [mm] to pixels of the tactile image; matrices "
+            "that rectify to it",
         },
         notes=[
             "R and t: x_camera = R x_gel + t [mm]; the gel frame has x right, y down in the image "
             "and z out of the gel",
             "pixel centres are whole numbers; the intrinsics are in pixels of image_width x "
             "image_height",
+            "rectification_R and rectification_P, with tactile_width and tactile_height, make the "
+            "maps of cv2.initUndistortRectifyMap (or cv2.fisheye's): to a view straight onto the "
+            "gel in which pixel_from_gel holds everywhere, refraction to first order",
             "project points with refraction in mind: gel and window lie between lens and gel face; "
             "pixel_from_gel has it measured in",
             "fisheye: pass the four coefficients to cv2.fisheye"

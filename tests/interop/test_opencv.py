@@ -62,3 +62,49 @@ def test_the_map_from_gel_to_pixels(digit: SensorProfile, tmp_path: Path) -> Non
     np.testing.assert_allclose(uv[:, :2], digit.grid().pixel_from_gel(POINTS_MM[:, :2]))
     assert (found["raw_width"], found["raw_height"]) == (480, 640)
     assert found["sensor"] == "digit"
+
+
+@pytest.mark.parametrize("model", ["pinhole", "fisheye"])
+@pytest.mark.parametrize("size", [(240, 320), (200, 260)])
+def test_rectified_pixels_are_those_of_the_grid(
+    model: str, size: tuple[int, int], digit: SensorProfile, tmp_path: Path
+) -> None:
+    """Without refraction exactly: a lens in air, tilted, whose image is larger than the grid's."""
+    assert digit.optics is not None
+    rotation = Rotation.from_rotvec([0.05, -0.03, 0.1])
+    values: dict[str, object] = {
+        "rotation": tuple(rotation.as_quat().tolist()),
+        "gel_refractive_index": 1.0,
+        "distortion": (-0.05, 0.01, 0.002, -0.001),
+        "model": model,
+    }
+    camera = digit.camera.replace(width_px=size[0], height_px=size[1], center_u_px=90.0)
+    profile = digit.without("window").with_block(camera)
+    # The distance at which the focal length gives the grid's scale along the optical axis.
+    focal = digit.optics.fx_px
+    z_mm = focal * camera.mm_per_px_x * rotation.as_matrix()[2, 2]
+    profile = profile.with_block(digit.optics.replace(position_mm=(0.4, 0.7, -z_mm), **values))
+    export_profile(profile, "opencv", tmp_path / "out")
+    found = read(tmp_path / "out" / "camera.yaml")
+    make = (
+        cv2.fisheye.initUndistortRectifyMap if model == "fisheye" else cv2.initUndistortRectifyMap
+    )
+    maps = make(
+        *(
+            np.asarray(found[key])
+            for key in (
+                "camera_matrix",
+                "distortion_coefficients",
+                "rectification_R",
+                "rectification_P",
+            )
+        ),
+        size,
+        cv2.CV_32FC1,
+    )
+    assert profile.optics is not None
+    uv = np.array([[20, 30], [150, 200], [100, 60]])
+    gel = np.concatenate([profile.grid().gel_from_pixel(uv), np.zeros((3, 1))], axis=1)
+    wanted = CameraModel(profile.optics.camera()).project(gel)
+    source = np.stack([part[uv[:, 1], uv[:, 0]] for part in maps], axis=-1)
+    np.testing.assert_allclose(source, wanted, atol=1e-3)

@@ -162,3 +162,14 @@ def test_without_markers_the_arrays_are_empty(digit: SensorProfile, tmp_path: Pa
     assert pad.metadata["marker_vert_idx"].shape == (0, 3)
     assert pad.config["with_marker"] is False
     assert "taccel-lab calibrate markers" in document["left_out"]["markers"]
+
+
+def test_turned_markers_with_gaps(mini: SensorProfile, tmp_path: Path) -> None:
+    assert mini.markers is not None
+    markers = mini.markers.replace(rotation_deg=8.0, missing=((0, 0), (3, 4)))
+    export_profile(mini.with_block(markers), "taccel", tmp_path / "out")
+    pad = Pad(tmp_path / "out" / "tac_fabr.json")
+    assert pad.metadata["marker_vert_idx"].shape == (61, 3)
+    found = pad.markers(np.asarray(pad.grid.points)) * 1e3 @ TACCEL_FROM_GEL
+    middle = mini.grid().gel_from_pixel(np.array([159.5, 119.5]))
+    np.testing.assert_allclose(found[:, :2] + middle, markers.grid().points_mm(), atol=1e-9)
