@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.geometry import Region
+from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.interop.effective_camera import effective_camera, image_center_mm
 from taccel_lab.interop.frames import LINK_FROM_GEL, euler_xyz, turn
 from taccel_lab.interop.mesh_files import gel_surface, write_stl
@@ -24,6 +24,8 @@ from taccel_lab.profile.units import deg_from_rad, m_from_mm
 PEER = "tacto 0.0.3"
 MOST_LIGHTS = 8
 """OpenGL's limit, which TACTO keeps for each camera."""
+UPRIGHT = 0.1
+"""Cosine to z below which a face counts as a wall."""
 LEAST_NODES = 20
 """With fewer in the image, the whole contact face is fitted."""
 FLAT_M = 2e-5
@@ -156,7 +158,7 @@ def _center(group: list[Light]) -> np.ndarray:
 def _gel(profile: SensorProfile) -> tuple[dict[str, object], dict[str, float]]:
     """The table ``gel``, and how far TACTO's surface is from the mesh."""
     mesh = profile.mesh
-    nodes = mesh.nodes_m[mesh.region_nodes(Region.CONTACT)]
+    nodes = mesh.nodes_m[_upper_nodes(mesh)]
     low, high = nodes[:, :2].min(axis=0), nodes[:, :2].max(axis=0)
     width, height = high - low
     center = np.append((low + high) / 2, nodes[:, 2].max())
@@ -187,6 +189,14 @@ def _gel(profile: SensorProfile) -> tuple[dict[str, object], dict[str, float]]:
     }
 
 
+def _upper_nodes(mesh: TetMesh) -> np.ndarray:
+    """Nodes of the contact face where the camera sees it, without walls that stand upright."""
+    faces = mesh.region_faces(Region.CONTACT)
+    a, b, c = (mesh.nodes_m[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    return np.unique(faces[normals[:, 2] > UPRIGHT * np.linalg.norm(normals, axis=1)])
+
+
 def sphere_sag(across_m: np.ndarray, radius: float, width: float, height: float) -> np.ndarray:
     """TACTO's sag as a share of ``curvatureMax``, which the corners of its rectangle reach."""
 
@@ -205,9 +215,12 @@ def _best_sphere(across: np.ndarray, sag: np.ndarray, corner: float) -> tuple[fl
         depth = float(shape @ sag / (shape @ shape))
         return depth, float(((depth * shape - sag) ** 2).sum())
 
+    # A hemisphere ends before the rectangle's corners do: the radius may be below theirs.
+    grid = np.linspace(np.log(0.4 * corner), np.log(1e3 * corner), 80)
+    best = int(np.argmin([depth_of(radius)[1] for radius in grid]))
     found = minimize_scalar(
         lambda log_radius: depth_of(log_radius)[1] * 1e12,
-        bounds=(np.log(0.8 * corner), np.log(1e3 * corner)),
+        bounds=(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]),
         method="bounded",
     )
     return float(np.exp(found.x)), depth_of(float(found.x))[0]

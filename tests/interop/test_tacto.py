@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
+from sensors.profile import catalogue_profile
 from taccel_lab.geometry import Region
 from taccel_lab.interop.export import export_profile
 from taccel_lab.interop.frames import LINK_FROM_GEL
@@ -113,6 +114,13 @@ def test_the_curved_gel_is_near_the_mesh(
     # says by how much.
     assert off_mm == pytest.approx(stated["gel_surface_max_mm"], abs=0.02)
     assert off_mm < most_mm
+
+
+def test_a_dome_is_a_piece_of_a_sphere(tmp_path: Path) -> None:
+    document = export_profile(catalogue_profile("rtac"), "tacto", tmp_path / "out")
+    gel = yaml.safe_load((tmp_path / "out" / "config.yml").read_text())["sensor"]["gel"]
+    assert gel["R"] == pytest.approx(0.015, rel=1e-3)
+    assert document["approximations"]["gel_surface_max_mm"] < 0.01
 
 
 LIGHT = st.builds(
