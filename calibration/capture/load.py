@@ -14,11 +14,11 @@ from pydantic import ValidationError
 from calibration.capture.captures import CaptureSet, ContactCircle, Press
 from calibration.capture.folder import BoardCaptures, CaptureFolder, EdgeCapture, Frame
 from calibration.capture.images import decode, file_sha256, read_image
+from calibration.capture.overrides import CONTACTS_NAME, override_presses
 from calibration.capture.records import load_record
 from calibration.capture.schema import MANIFEST_NAME, CaptureManifest
 from calibration.capture.taxim_pack import load_taxim_folder
 from calibration.capture.video import load_markers
-from calibration.capture.overrides import CONTACTS_NAME, override_presses
 from taccel_lab.errors import InputError
 
 MIN_SIZE_PX = 32

@@ -63,8 +63,10 @@ def agreement(
 def compare_with_labels(captures: CaptureSet, detected: Sequence[Any]) -> LabelAgreement | None:
     """How far the detected circles lie from the given ones; None when none are given.
 
-    ``detected`` holds a ``DetectedContact`` a press.
+    ``detected`` holds a ``DetectedContact`` a press. Circles that a person has corrected are not
+    counted: nothing was detected there.
     """
     return agreement(
-        [press.circle for press in captures.presses], [contact.circle for contact in detected]
+        [None if press.checked else press.circle for press in captures.presses],
+        [contact.circle for contact in detected],
     )

@@ -47,7 +47,10 @@ MIN_VISIBLE = 0.55
 """Share of the rings around a contact that has to lie in the image and outside the mask."""
 SAMPLING_BLUR_SHARE = 0.04
 """Guess of the blur of gel and lens together, in ball radii, besides our own smoothing."""
-ROUNDS = 2
+ROUNDS = (6, 9)
+"""Rounds of the fit on the first samples, and on those around the circles that it found."""
+USUAL_RATIO = 0.7
+"""Contact radius over ball radius that is assumed when nobody says what the ball is."""
 
 Progress = Callable[[int, int], None]
 """Called with (presses done, presses in all)."""
@@ -116,16 +119,26 @@ def detect_contact(
     of the image.
     """
     start = _start(color_change(image, background, grid, mask), background, name)
-    ball_px = None if ball_radius_mm is None else ball_radius_mm / grid.mm_per_px_x
-    contacts, _ = _refine([start], ball_px)
+    if ball_radius_mm is None:
+        ball_px = start.circle.radius_px / USUAL_RATIO
+    else:
+        ball_px = ball_radius_mm / grid.mm_per_px_x
+    contacts, _ = _refine([start], [ball_px])
     return _accept(start, contacts[0], grid)
 
 
 def find_contacts(captures: CaptureSet, progress: Progress | None = None) -> FoundContacts:
-    """Contact of every press, or the reason why it has none; the presses are fitted together."""
+    """Contact of every press, or the reason why it has none; the presses are fitted together.
+
+    A circle that a person has corrected (``contacts.toml``) is taken as it is.
+    """
     starts: dict[int, _Start] = {}
     refusals: dict[int, Refusal] = {}
+    found: list[DetectedContact | None] = [None] * len(captures.presses)
     for i, press in enumerate(captures.presses):
+        if press.checked and press.circle is not None:
+            found[i] = DetectedContact(press.circle, 0.0, 1.0, 0.0, 0.0)
+            continue
         try:
             change = color_change(press.image(), captures.background, captures.grid, captures.mask)
             starts[i] = _start(change, captures.background, press.source)
@@ -133,10 +146,10 @@ def find_contacts(captures: CaptureSet, progress: Progress | None = None) -> Fou
             refusals[i] = Refusal(press.name, str(error))
         if progress is not None:
             progress(i + 1, len(captures.presses))
-    found: list[DetectedContact | None] = [None] * len(captures.presses)
     if not starts:
         return FoundContacts(found, refusals, None)
-    ball_px = captures.ball_radius_mm / captures.grid.mm_per_px_x
+    balls = [captures.presses[i].radius_mm or captures.ball_radius_mm for i in starts]
+    ball_px = [radius_mm / captures.grid.mm_per_px_x for radius_mm in balls]
     contacts, fit = _refine(list(starts.values()), ball_px)
     for (i, start), contact in zip(starts.items(), contacts, strict=True):
         try:
@@ -201,11 +214,11 @@ def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
 
 
 def _refine(
-    starts: Sequence[_Start], ball_px: float | None
+    starts: Sequence[_Start], ball_px: Sequence[float]
 ) -> tuple[list[tuple[FittedContact, PolarSamples]], PhotometricFit]:
     circles = [start.circle for start in starts]
     fit, samples = None, []
-    for _ in range(ROUNDS):
+    for rounds in ROUNDS:
         samples = [
             sample_rings(start.change.change, circle, start.change.mask)
             for start, circle in zip(starts, circles, strict=True)
@@ -213,9 +226,10 @@ def _refine(
         for start, sample in zip(starts, samples, strict=True):
             if sample.visible < 0.2:
                 raise InputError(f"{start.name}: no contact found inside the image; remove it")
-        widest = ball_px or max(circle.radius_px for circle in circles) / 0.7
-        blur = float(np.hypot(starts[0].change.smoothing_px, SAMPLING_BLUR_SHARE * widest))
-        fit = fit_contacts(samples, circles, ball_px, blur_px=blur)
+        blur = float(
+            np.hypot(starts[0].change.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px))
+        )
+        fit = fit_contacts(samples, circles, ball_px, blur_px=blur, iterations=rounds)
         circles = [contact.circle for contact in fit.contacts]
     assert fit is not None
     return list(zip(fit.contacts, samples, strict=True)), fit

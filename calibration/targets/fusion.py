@@ -47,13 +47,17 @@ def choose_circles(
 ) -> list[ContactCircle]:
     """Contact circle of every press: given, detected, or fused from both.
 
-    A press without a given circle takes the detected one.
+    A press without a given circle takes the detected one; a circle that a person has corrected
+    (``contacts.toml``) is taken as it is.
     """
     circles = [contact.circle for contact in detected]
+    for i, press in enumerate(captures.presses):
+        if press.checked and press.circle is not None:
+            circles[i] = press.circle
     if which == "detected":
         return circles
-    labelled = [i for i, press in enumerate(captures.presses) if press.circle is not None]
-    given = [press.circle for press in captures.presses if press.circle is not None]
+    labelled = [i for i, press in enumerate(captures.presses) if press.circle and not press.checked]
+    given = [press.circle for press in captures.presses if press.circle and not press.checked]
     if which == "fused":
         given = fuse_circles(given, [circles[i] for i in labelled])
     for i, circle in zip(labelled, given, strict=True):

@@ -36,7 +36,7 @@ HUBER = 1.5
 RIDGE = 1e-6
 MAX_STEP = 0.08
 """Largest change of centre and radius in one round, in contact radii."""
-CONVERGED_PX = 0.01
+CONVERGED_PX = 0.02
 PRIOR_SAMPLES = 30.0
 """Independent samples that a press counts as against the priors."""
 
@@ -85,6 +85,7 @@ class _State:
     """Everything that is fitted of one press."""
 
     samples: PolarSamples
+    ball_px: float
     shape: np.ndarray
     """u, v, radius [px], shape [3]."""
     offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -124,20 +125,17 @@ class PhotometricFit:
 def fit_contacts(
     samples: Sequence[PolarSamples],
     circles: Sequence[ContactCircle],
-    ball_px: float | None,
+    ball_px: Sequence[float],
     *,
     blur_px: float,
     terms: MapTerms | None = None,
     iterations: int = ITERATIONS,
 ) -> PhotometricFit:
-    """Refine the circles of presses of one ball.
+    """Refine the circles of presses of one sensor.
 
-    ``samples`` are colour changes around the starting ``circles``; ``ball_px`` is the ball's
-    radius in pixels; without it the deepest press is taken to reach 0.7 of it. ``blur_px`` is the
-    guess of the picture's blur.
+    ``samples`` are colour changes around the starting ``circles``; ``ball_px`` is the radius of
+    each press's ball in pixels. ``blur_px`` is the guess of the picture's blur.
     """
-    if ball_px is None:
-        ball_px = max(circle.radius_px for circle in circles) / 0.7
     fit = _JointFit(samples, circles, ball_px, blur_px, terms or MapTerms.for_presses(len(samples)))
     done = 0
     for done in range(1, iterations + 1):
@@ -151,20 +149,20 @@ class _JointFit:
         self,
         samples: Sequence[PolarSamples],
         circles: Sequence[ContactCircle],
-        ball_px: float,
+        ball_px: Sequence[float],
         blur_px: float,
         terms: MapTerms,
     ) -> None:
-        self.ball_px = ball_px
         self.blur_px = self.blur_guess = blur_px
         self.terms = terms
         self.presses = [
             _State(
                 sample,
-                np.array([c.u_px, c.v_px, min(c.radius_px, 0.9 * ball_px)]),
+                ball,
+                np.array([c.u_px, c.v_px, min(c.radius_px, 0.9 * ball)]),
                 robust=np.ones(len(sample.change)),
             )
-            for sample, c in zip(samples, circles, strict=True)
+            for sample, c, ball in zip(samples, circles, ball_px, strict=True)
         ]
         self.map = np.zeros((1, 3))
         self.sums = np.zeros(len(self.presses))
@@ -175,7 +173,7 @@ class _JointFit:
         s = press.samples
         du, dv = s.u_px - shape[0], s.v_px - shape[1]
         distance = np.hypot(du, dv) + 1e-9
-        law = slope_law(shape[2], self.ball_px, blur_px, 1.5 * s.reach_px)
+        law = slope_law(shape[2], press.ball_px, blur_px, 1.5 * s.reach_px)
         normal, drop = law.at(distance)
         return self.terms.values(
             normal * du / distance, normal * dv / distance, drop, s.unit_u, s.unit_v
@@ -221,7 +219,7 @@ class _JointFit:
             step[:3] = np.clip(step[:3], -limit, limit)
             press.shape = press.shape + step[:3]
             press.shape[2] = np.clip(
-                press.shape[2], 0.05 * self.ball_px, MAX_CONTACT_RATIO * self.ball_px
+                press.shape[2], 0.05 * press.ball_px, MAX_CONTACT_RATIO * press.ball_px
             )
             press.offset = press.offset + step[3:6]
             press.gain = np.clip(press.gain + np.clip(step[6:9], -0.2, 0.2), 0.3, 3.0)

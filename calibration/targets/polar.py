@@ -12,8 +12,9 @@ from calibration.capture.captures import ContactCircle
 
 RING_COUNT = 34
 RAY_COUNT = 48
-REACH_RADII = 1.6
-"""Radius of the outermost ring, in contact radii."""
+REACH_RADII = 1.4
+"""Radius of the outermost ring, in contact radii: the gel beside a ball is modelled less well than
+under it, and shadows lie there."""
 SECTORS = 12
 """Sectors over the angle, each cut into an inner and an outer part."""
 
