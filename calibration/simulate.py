@@ -68,16 +68,16 @@ def simulate_presses(
     if len(circles) != len(captures.presses):
         raise InputError(f"{len(circles)} contact circles for {len(captures.presses)} presses")
     for press, circle in zip(captures.presses, circles, strict=True):
-        check_radius(
-            circle, captures.grid, captures.ball_radius_mm, f"{captures.source}: {press.name}"
-        )
+        ball_mm = press.radius_mm or captures.ball_radius_mm
+        check_radius(circle, captures.grid, ball_mm, f"{captures.source}: {press.name}")
     _require_view_on_pad(captures, profile)
     batches = press_batches(captures, circles, profile, mesh, friction_coefficient)
     surfaces: list[PressSurface | None] = [None] * len(circles)
 
     def place(batch: PressBatch, outcome: BatchOutcome) -> None:
         found = surfaces_of(batch, outcome, captures.grid)
-        surfaces[batch.first : batch.first + len(found)] = found
+        for i, surface in zip(batch.presses, found, strict=True):
+            surfaces[i] = surface
         if progress is not None:
             progress(sum(s is not None for s in surfaces), len(surfaces))
 
@@ -116,24 +116,28 @@ def press_batches(
     mesh: PressMeshOptions | None,
     friction_coefficient: float,
 ) -> list[PressBatch]:
-    """The presses in batches of ``BATCH``, in order."""
+    """The presses in batches of ``BATCH``, each of one ball, in order."""
     grid = captures.grid
     at_mm = grid.gel_from_pixel(np.array([[c.u_px, c.v_px] for c in circles]))
     target_mm = np.array([c.radius_px for c in circles]) * grid.mm_per_px_x
+    of_ball: dict[float, list[int]] = {}
+    for i, press in enumerate(captures.presses):
+        of_ball.setdefault(press.radius_mm or captures.ball_radius_mm, []).append(i)
     return [
         PressBatch(
-            first=start,
-            at_mm=at_mm[start : start + BATCH],
-            target_mm=target_mm[start : start + BATCH],
+            presses=tuple(chosen),
+            at_mm=at_mm[chosen],
+            target_mm=target_mm[chosen],
             tolerance_mm=RADIUS_TOLERANCE_PX * grid.mm_per_px_x,
-            ball_radius_mm=captures.ball_radius_mm,
+            ball_radius_mm=ball_mm,
             family=profile.sensor.family,
             parameters=dict(profile.sensor.parameters),
             material=profile.material,
             friction=friction_coefficient,
             mesh=mesh or PressMeshOptions(),
         )
-        for start in range(0, len(circles), BATCH)
+        for ball_mm, indices in of_ball.items()
+        for chosen in (indices[k : k + BATCH] for k in range(0, len(indices), BATCH))
     ]
 
 

@@ -29,8 +29,8 @@ STEP_MM = 0.35
 class PressBatch:
     """What one process needs; plain data."""
 
-    first: int
-    """Index of the first press among the captures'."""
+    presses: tuple[int, ...]
+    """Indices of the presses among the captures'."""
     at_mm: np.ndarray
     """Gel xy of the contacts [mm], shape [press, 2]."""
     target_mm: np.ndarray

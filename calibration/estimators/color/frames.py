@@ -68,8 +68,13 @@ def draw_samples(
     rng = np.random.default_rng(options.seed)
     parts = []
     for frame in frames:
-        idx = _draw_pixels(frame, grid, mask, options, rng)
+        idx = draw_pixels(frame, grid, mask, options, rng)
         parts.append(samples_at(frame, idx, rest_image, drifts[frame.name], grid))
+    return join_samples(parts)
+
+
+def join_samples(parts: Sequence[Samples]) -> Samples:
+    """One after the other."""
     return Samples(
         *(
             np.concatenate([getattr(part, name) for part in parts])
@@ -93,13 +98,14 @@ def samples_at(
     )
 
 
-def _draw_pixels(
+def draw_pixels(
     frame: ColorFrame,
     grid: PixelGrid,
     mask: np.ndarray | None,
     options: ColorFitOptions,
     rng: np.random.Generator,
 ) -> np.ndarray:
+    """Indices of the pixels that the options ask for, counted along rows."""
     distance = frame.circle.distance_px(grid) / frame.circle.radius_px
     usable = np.ones_like(distance, dtype=bool) if mask is None else mask
     picked = []

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contact circles read again with the help of the colours of all the other presses.
+
+A circle that is clicked, or found where the colours change most, is off by a pixel or two; a colour
+model that was fitted to other presses knows what a normal looks like and places the press to a
+fraction of that. No press is placed by a fit that saw it. What the presses have in common, circles
+that are all too large, is looked for first: a few scales are tried, and the one whose left-out
+presses are predicted best is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.capture.captures import ContactCircle
+from calibration.estimators.background import Drift
+from calibration.estimators.color.fit import rest_background
+from calibration.estimators.color.frames import (
+    ColorFrame,
+    Samples,
+    draw_pixels,
+    frame_drift,
+    join_samples,
+    samples_at,
+)
+from calibration.estimators.color.options import ColorFitOptions
+from calibration.estimators.color.training import train
+from calibration.surfaces.radial import RadialSurfaces
+from calibration.surfaces.variation import MovedPress
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.color_model import ColorModel
+
+MIN_PRESSES = 8
+"""Fewer presses say too little about each other."""
+FOLDS = 2
+ROUNDS = 2
+SCALES = (0.86, 0.93, 1.0, 1.07)
+"""Factors on all radii that are tried first."""
+SURE_DEVIATIONS = 2.0
+"""A factor other than one is taken when the presses' gain is this many standard errors."""
+CENTER_SIGMA_PX = 2.0
+"""How far a given circle's centre is thought to be off."""
+RADIUS_SIGMA = 0.05
+"""How far a given radius is thought to be off, as a share of it, beside what all have in common."""
+CORRELATED_PIXELS = 25.0
+"""Neighbouring pixels err alike: as many count as one."""
+ROBUST_LEVELS = 4.0
+FIT = ColorFitOptions(
+    hidden=(48, 48), steps=400, batch_pixels=2048, disc_pixels=1500, ring_pixels=900,
+    far_pixels=200, learning_rate=8e-3,
+)  # fmt: skip
+"""The short fits that place the presses."""
+REACH = 1.8
+"""Pixels up to this many contact radii are compared."""
+MAX_PIXELS = 1500
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Circles as the colours have them."""
+
+    circles: list[ContactCircle]
+    sigma_px: np.ndarray
+    """Standard deviations of u, v and radius by the curvature of the misfit, shape [press, 3]."""
+    scale: float
+    """Factor on all radii that predicts left-out presses best."""
+    scale_losses: list[tuple[float, float]]
+    """(scale, loss of left-out presses in levels), by scale."""
+
+
+def register_presses(
+    frames: Sequence[ColorFrame],
+    background: np.ndarray,
+    grid: PixelGrid,
+    *,
+    mask: np.ndarray | None = None,
+    remove_drift: bool = False,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Registration:
+    """Place the presses; ``frames`` hold the circles to start from and surfaces simulated there."""
+    if len(frames) < MIN_PRESSES:
+        raise InputError(
+            f"{len(frames)} presses are too few to place each by the others; at least {MIN_PRESSES}"
+        )
+    options = replace(FIT, remove_drift=remove_drift, seed=seed)
+    job = _Job(frames, background, grid, mask, options)
+    total = len(SCALES) + 2 + ROUNDS
+    done = 0
+
+    def tell() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(done, total), total)
+
+    circles = [frame.circle for frame in frames]
+    scale, losses = _best_scale(job, circles, tell)
+    circles = [replace(c, radius_px=c.radius_px * scale) for c in circles]
+    start = circles
+    sigma = np.zeros((len(frames), 3))
+    for _ in range(ROUNDS):
+        fits = [job.fit_without(circles, k) for k in range(FOLDS)]
+        placed = [job.place(i, fits[i % FOLDS], circles[i], start[i]) for i in range(len(frames))]
+        circles = [circle for circle, _ in placed]
+        sigma = np.array([deviation for _, deviation in placed])
+        tell()
+    return Registration(circles, sigma, scale, losses)
+
+
+def register_others(
+    model: ColorModel,
+    rest_image: np.ndarray,
+    frames: Sequence[ColorFrame],
+    library: RadialSurfaces,
+    grid: PixelGrid,
+    drifts: Sequence[Drift],
+    *,
+    scale: float = 1.0,
+    mask: np.ndarray | None = None,
+) -> list[ContactCircle]:
+    """Place presses that a model never saw; nothing but their circles is taken from them."""
+    circles = []
+    for frame, drift in zip(frames, drifts, strict=True):
+        moved = MovedPress.of(frame.surface, frame.circle, library)
+        start = replace(frame.circle, radius_px=frame.circle.radius_px * scale)
+        circles.append(_place(model, rest_image, frame, moved, drift, grid, mask, start, start)[0])
+    return circles
+
+
+def _best_scale(
+    job: _Job, circles: Sequence[ContactCircle], tell: Callable[[], None]
+) -> tuple[float, list[tuple[float, float]]]:
+    """The factor on all radii with the least loss: a few, then two steps of a parabola."""
+    losses: dict[float, np.ndarray] = {}
+
+    def look(scale: float) -> None:
+        losses[scale] = job.left_out_losses(
+            [replace(c, radius_px=c.radius_px * scale) for c in circles]
+        )
+        tell()
+
+    for scale in SCALES:
+        look(scale)
+    for _ in range(2):
+        x = np.array(sorted(losses))
+        y = np.array([losses[scale].mean() for scale in x])
+        middle = int(np.clip(np.argmin(y), 1, len(x) - 2))
+        a, b, _ = np.polyfit(x[middle - 1 : middle + 2], y[middle - 1 : middle + 2], 2)
+        best = -b / (2 * a) if a > 0 else x[int(np.argmin(y))]
+        best = round(float(np.clip(best, x[middle - 1], x[middle + 1])), 3)
+        if best in losses:
+            tell()
+            continue
+        look(best)
+    means = {scale: float(np.mean(values)) for scale, values in losses.items()}
+    best = min(means, key=lambda scale: means[scale])
+    gain = losses[1.0] - losses[best]
+    sure = gain.mean() > SURE_DEVIATIONS * gain.std(ddof=1) / np.sqrt(len(gain))
+    return best if sure else 1.0, sorted(means.items())
+
+
+class _Job:
+    """Presses, their pixels, and the short fits."""
+
+    def __init__(
+        self,
+        frames: Sequence[ColorFrame],
+        background: np.ndarray,
+        grid: PixelGrid,
+        mask: np.ndarray | None,
+        options: ColorFitOptions,
+    ) -> None:
+        self.frames, self.grid, self.mask, self.options = list(frames), grid, mask, options
+        self.drifts = [frame_drift(frame, background, grid, mask, options) for frame in frames]
+        by_name = {f.name: drift for f, drift in zip(frames, self.drifts, strict=True)}
+        self.rest_image = rest_background(frames, background, by_name, grid, mask, options)
+        self.library = RadialSurfaces.of(
+            [frame.surface for frame in frames], [frame.circle for frame in frames], grid
+        )
+        self.moved = [MovedPress.of(f.surface, f.circle, self.library) for f in frames]
+        rng = np.random.default_rng(options.seed)
+        self.pixels = [draw_pixels(frame, grid, mask, options, rng) for frame in frames]
+
+    def samples(self, i: int, circle: ContactCircle) -> Samples:
+        """The drawn pixels of a press as if its contact were ``circle``."""
+        idx, frame = self.pixels[i], self.frames[i]
+        found = samples_at(frame, idx, self.rest_image, self.drifts[i], self.grid)
+        near = frame.circle.distance_px(self.grid).ravel()[idx] < 2.5 * frame.circle.radius_px
+        normals, sunk = self.moved[i].at(circle, idx[near])
+        found.normals[near] = normals
+        found.displacement_mm[near] = sunk
+        return found
+
+    def fit_without(self, circles: Sequence[ContactCircle], fold: int) -> ColorModel:
+        """A short fit to the presses whose index modulo the number of folds is not ``fold``."""
+        kept = [i for i in range(len(self.frames)) if i % FOLDS != fold]
+        samples = join_samples([self.samples(i, circles[i]) for i in kept])
+        return train(samples, self.grid, self.options).model
+
+    def left_out_losses(self, circles: Sequence[ContactCircle]) -> np.ndarray:
+        """Mean absolute error of each press by a fit without it [levels], shape [press]."""
+        losses = np.zeros(len(self.frames))
+        for fold in range(FOLDS):
+            model = self.fit_without(circles, fold)
+            for i in range(fold, len(self.frames), FOLDS):
+                s = self.samples(i, circles[i])
+                change = model.predict_pixels(
+                    self.pixels[i], s.normals, s.displacement_mm, s.rest_normals
+                )
+                losses[i] = np.abs(change - s.change).mean()
+        return losses
+
+    def place(
+        self, i: int, model: ColorModel, start: ContactCircle, prior: ContactCircle
+    ) -> tuple[ContactCircle, np.ndarray]:
+        return _place(
+            model, self.rest_image, self.frames[i], self.moved[i], self.drifts[i], self.grid,
+            self.mask, start, prior,
+        )  # fmt: skip
+
+
+def _place(
+    model: ColorModel,
+    rest_image: np.ndarray,
+    frame: ColorFrame,
+    moved: MovedPress,
+    drift: Drift,
+    grid: PixelGrid,
+    mask: np.ndarray | None,
+    start: ContactCircle,
+    prior: ContactCircle,
+) -> tuple[ContactCircle, np.ndarray]:
+    """The circle where the render meets the image best, by Gauss-Newton steps with a prior.
+
+    Large residuals (scratches of the ball, dust) count less, after Huber.
+    """
+    near = start.distance_px(grid) <= REACH * start.radius_px
+    if mask is not None:
+        near &= mask
+    idx = np.flatnonzero(near)
+    idx = idx[:: max(1, len(idx) // MAX_PIXELS)]
+    wanted = drift.remove(frame.image.reshape(-1, 3)[idx].astype(np.float64))
+    wanted -= rest_image.reshape(-1, 3)[idx]
+    rest = frame.surface.rest_normals.reshape(-1, 3)[idx]
+
+    def residual(p: np.ndarray) -> np.ndarray:
+        normals, sunk = moved.at(ContactCircle(*map(float, p)), idx)
+        return (model.predict_pixels(idx, normals, sunk, rest) - wanted).ravel()
+
+    middle = np.array([prior.u_px, prior.v_px, prior.radius_px])
+    deviation = np.array([CENTER_SIGMA_PX, CENTER_SIGMA_PX, RADIUS_SIGMA * prior.radius_px])
+    # Pixels beside each other err alike, and the channels of a pixel do.
+    share = 1.0 / (3 * CORRELATED_PIXELS * len(idx) / max(1, near.sum()))
+    share = min(share, 1.0 / 3)
+    p = np.array([start.u_px, start.v_px, start.radius_px])
+    normal = np.diag(1 / deviation**2)
+    for _ in range(6):
+        r = residual(p)
+        jacobian = np.stack([(residual(p + step) - r) / 0.5 for step in 0.5 * np.eye(3)], axis=-1)
+        scale = max(1.0, 1.4826 * float(np.median(np.abs(r))))
+        weight = share / scale**2 / np.maximum(1.0, np.abs(r) / max(ROBUST_LEVELS, scale))
+        normal = (jacobian * weight[:, None]).T @ jacobian + np.diag(1 / deviation**2)
+        gradient = jacobian.T @ (weight * r) + (p - middle) / deviation**2
+        step = np.clip(-np.linalg.solve(normal, gradient), -1.5, 1.5)
+        p = np.clip(p + step, middle - 3 * deviation, middle + 3 * deviation)
+        if np.abs(step).max() < 0.05:
+            break
+    return ContactCircle(*map(float, p)), np.sqrt(np.diag(np.linalg.inv(normal)))

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Taxim's colour table fitted to captures: the baseline, and what its simulator reads.
+
+Z. Si and W. Yuan, "Taxim: An Example-Based Simulation Model for GelSight Tactile Sensors", RA-L
+2022. Pixels inside the contact discs are sorted into bins of tilt and direction of their normal;
+in each bin a quadratic over the image is fitted to each colour's change by least squares. Bins
+without enough pixels take over the coefficients of the nearest bin that has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration.estimators.color import ColorFit, ColorFrame
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.interop.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms
+
+BINS = 125
+"""Bins of tilt and of direction, as in Taxim's own tables."""
+RIDGE = 1e-6
+"""Share of its trace that is added to the diagonal of a bin's normal equations: bins with fewer
+than six pixels, or pixels in a row, have no unique quadratic."""
+
+
+def fit_taxim_table(
+    frames: Sequence[ColorFrame],
+    fit: ColorFit,
+    grid: PixelGrid,
+    *,
+    mask: np.ndarray | None = None,
+    bins: int = BINS,
+) -> TaximTable:
+    """Fit the table to the contact discs of ``frames``; background and drifts are those of ``fit``.
+
+    Args:
+        frames: Presses that the table is fitted to, those of ``fit``.
+        fit: Colour fit whose background the changes count from.
+        grid: Pixel grid of the images.
+        mask: Pixels that may be used, bool, shape [height_px, width_px].
+        bins: Bins of tilt and of direction.
+
+    Raises:
+        InputError: No usable pixel lies in a contact.
+    """
+    gram = np.zeros((bins * bins, TERMS, TERMS))
+    moment = np.zeros((bins * bins, TERMS, 3))
+    # Terms over -1..1 keep the normal equations well conditioned; rescaled at the end.
+    half = np.array([(grid.width_px - 1) / 2, (grid.height_px - 1) / 2])
+    for frame in frames:
+        disc = frame.circle.distance_px(grid) <= frame.circle.radius_px
+        if mask is not None:
+            disc &= mask
+        v, u = np.nonzero(disc)
+        image = fit.drifts[frame.name].remove(frame.image[disc].astype(np.float64))
+        tilt, direction = bin_indices(frame.surface.normals[disc], bins)
+        terms = pixel_terms(u / half[0] - 1, v / half[1] - 1)
+        place = tilt * bins + direction
+        np.add.at(gram, place, terms[:, :, None] * terms[:, None, :])
+        np.add.at(moment, place, terms[:, :, None] * (image - fit.background[disc])[:, None, :])
+    count = gram[:, -1, -1]
+    filled = np.flatnonzero(count > 0)
+    if len(filled) == 0:
+        raise InputError("no usable pixel lies in a contact; the Taxim table cannot be fitted")
+    damped = gram[filled] + RIDGE * count[filled, None, None] * np.eye(TERMS)
+    solved = np.linalg.solve(damped, moment[filled])
+    coefficients = np.einsum("ij,bjc->bic", _to_pixels(half), solved)
+    nearest = _nearest_filled(count.reshape(bins, bins) > 0)
+    slot = np.full(bins * bins, -1)
+    slot[filled] = np.arange(len(filled))
+    table = coefficients[slot[nearest]].reshape(bins, bins, TERMS, 3)
+    return TaximTable(bins, np.moveaxis(table, -1, 0))
+
+
+def render_taxim_table(
+    table: TaximTable, normals: np.ndarray, background: np.ndarray
+) -> np.ndarray:
+    """Tactile image of a surface by the table: RGB levels, float32, [height_px, width_px, 3].
+
+    ``normals`` are outward unit normals in the gel frame, shape [height_px, width_px, 3].
+    """
+    return np.clip(background + table.change(normals), 0.0, 255.0).astype(np.float32)
+
+
+def _to_pixels(half: np.ndarray) -> np.ndarray:
+    """Coefficients over pixels from those over -1..1, shape [6, 6].
+
+    With x = u / a - 1 and y = v / b - 1, each term is a quadratic of u and v.
+    """
+    a, b = half
+    matrix = np.zeros((TERMS, TERMS))
+    # Columns: x^2, y^2, x y, x, y, 1; rows: u^2, v^2, u v, u, v, 1.
+    matrix[[0, 3, 5], 0] = 1 / a**2, -2 / a, 1
+    matrix[[1, 4, 5], 1] = 1 / b**2, -2 / b, 1
+    matrix[[2, 3, 4, 5], 2] = 1 / (a * b), -1 / a, -1 / b, 1
+    matrix[[3, 5], 3] = 1 / a, -1
+    matrix[[4, 5], 4] = 1 / b, -1
+    matrix[5, 5] = 1
+    return matrix
+
+
+def _nearest_filled(filled: np.ndarray) -> np.ndarray:
+    """Flat index of the nearest filled bin for every bin; directions close around."""
+    from scipy.ndimage import distance_transform_edt
+
+    bins = len(filled)
+    # Three turns beside each other, so that the ends of the directions are neighbours.
+    turned = np.concatenate([filled] * 3, axis=1)
+    tilt, direction = distance_transform_edt(~turned, return_distances=False, return_indices=True)[
+        :, :, bins : 2 * bins
+    ]
+    return (tilt * bins + direction % bins).ravel()
