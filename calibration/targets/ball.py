@@ -14,10 +14,11 @@ A single press goes the same way with a smaller map.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from calibration.background.drift import Drift
 from calibration.capture.captures import CaptureSet, ContactCircle
 from calibration.targets.change import ColorChange, color_change
 from calibration.targets.photometric import FittedContact, PhotometricFit, fit_contacts
@@ -47,7 +48,7 @@ MIN_VISIBLE = 0.55
 """Share of the rings around a contact that has to lie in the image and outside the mask."""
 SAMPLING_BLUR_SHARE = 0.04
 """Guess of the blur of gel and lens together, in ball radii, besides our own smoothing."""
-ROUNDS = (6, 9)
+ROUNDS = (8, 16)
 """Rounds of the fit on the first samples, and on those around the circles that it found."""
 USUAL_RATIO = 0.7
 """Contact radius over ball radius that is assumed when nobody says what the ball is."""
@@ -101,6 +102,14 @@ class FoundContacts:
     """By the index of the press."""
     fit: PhotometricFit | None
     """The joint fit; None when no press was usable."""
+    samples: list[PolarSamples] = field(default_factory=list)
+    """What was fitted, one entry for each press that was."""
+    ball_px: list[float] = field(default_factory=list)
+    """Radius of the ball of each of these presses [px]."""
+    drifts: dict[int, Drift] = field(default_factory=dict)
+    """Drift of each frame's light, by the index of the press."""
+    noise_levels: dict[int, float] = field(default_factory=dict)
+    """Noise of the smoothed colour change, by the index of the press [levels]."""
 
 
 def detect_contact(
@@ -156,7 +165,15 @@ def find_contacts(captures: CaptureSet, progress: Progress | None = None) -> Fou
             found[i] = _accept(start, contact, captures.grid)
         except InputError as error:
             refusals[i] = Refusal(captures.presses[i].name, str(error))
-    return FoundContacts(found, refusals, fit)
+    return FoundContacts(
+        found,
+        refusals,
+        fit,
+        samples=[samples for _, samples in contacts],
+        ball_px=ball_px,
+        drifts={i: start.change.drift for i, start in starts.items()},
+        noise_levels={i: start.change.noise_levels for i, start in starts.items()},
+    )
 
 
 def resolve_contacts(
