@@ -85,9 +85,9 @@ def layout_on_gel(picture: MarkerPicture, view: GelView) -> LayoutFit:
     """
     dots, lattice = picture.dots, picture.lattice
     points = view.gel_from_pixel(dots.uv_px)
-    on_gel = np.isfinite(points).all(axis=1)
     jacobian = pixel_jacobian(view, dots.uv_px)
-    on_gel &= np.isfinite(jacobian).all(axis=(1, 2))
+    finite = np.isfinite(points).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
+    on_gel = np.asarray(finite)
     covariance = np.einsum("nij,njk,nlk->nil", jacobian, dots.covariance_px2, jacobian)
     if picture.layout_px is None:
         raise InputError("dots in no lattice have no layout")

@@ -24,6 +24,8 @@ _WEAK = 0.3
 _FULL = 0.93
 """A dot of which less is seen is cut."""
 _NEIGHBOURS = 6
+_SAME_SIZE = 0.01
+"""Neighbouring dots are never known to be of one size better than by this part."""
 _ODD_RADIUS = 1.6
 _ODD_ROUND = 2.2
 _ODD_CONTRAST = 0.35
@@ -114,16 +116,26 @@ def _reaches_border(p: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def _refit_cut(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
-    """Fit the place of cut dots alone, with the shape of the nearest whole ones."""
+    """Fit the place of cut dots alone, with the shape of the nearest whole ones.
+
+    Where one edge alone is seen, an error of the size is an error of the place; the neighbours'
+    spread in size enters the covariance by that.
+    """
     p = fit.parameters
     whole = np.flatnonzero(~cut)
     start = p[cut].copy()
+    radii = model.mean_radius(p)
+    spread = np.empty(len(start))
     for n, dot in enumerate(start):
         gap = np.hypot(*(p[whole, :2] - dot[:2]).T)
         near = whole[np.argsort(gap)[:_NEIGHBOURS]]
         start[n, model.SHAPE] = np.median(p[near, model.SHAPE], axis=0)
         start[n, model.LOG_BLUR] = np.median(p[near, model.LOG_BLUR])
+        off = np.median(np.abs(radii[near] - np.median(radii[near]))) / 0.6745
+        spread[n] = max(off, _SAME_SIZE * np.median(radii[near]))
     again = fit_dots(grey, start, free_shape=False, others=p[~cut, :2])
+    unknown = spread * np.minimum(1.0, 2.0 * (1.0 - again.seen))
+    again.covariance[:, [0, 1], [0, 1]] += unknown[:, None] ** 2
     parts = {name: getattr(fit, name).copy() for name in DotFit.__dataclass_fields__}
     for name, values in parts.items():
         values[cut] = getattr(again, name)

@@ -175,7 +175,8 @@ def _pixels_of(
     height, width = grey.shape
     u = origin[:, 0, None].astype(int) + span
     v = origin[:, 1, None].astype(int) + span
-    inside = ((v >= 0) & (v < height))[:, :, None] & ((u >= 0) & (u < width))[:, None, :]
+    # The outermost pixels were smoothed with what lies beyond the border.
+    inside = ((v > 0) & (v < height - 1))[:, :, None] & ((u > 0) & (u < width - 1))[:, None, :]
     at_v, at_u = np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)
     levels = grey[at_v[:, :, None], at_u[:, None, :]].astype(np.float64)
     return levels.reshape(len(origin), -1), inside.reshape(len(origin), -1)

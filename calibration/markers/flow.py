@@ -102,7 +102,7 @@ def marker_flow_mm(tracks: MarkerTracks, view: GelView, *, fps: float | None = N
     jacobian = pixel_jacobian(view, tracks.rest_px)
     variance = tracks.sigma_px**2 + tracks.rest_sigma_px**2
     sigma = np.sqrt(np.einsum("mij,fmj->fmi", jacobian**2, variance))
-    on_gel = np.isfinite(moved_mm).all(axis=2)
+    on_gel = np.asarray(np.isfinite(moved_mm).all(axis=2))
     return MarkerFlow(
         points_mm=rest_mm,
         displacement_mm=np.where(on_gel[..., None], moved_mm, 0.0),

@@ -136,7 +136,7 @@ def _nothing(count: int) -> Lattice:
 def _seeds(points: np.ndarray, tree: KDTree) -> list[tuple[int, np.ndarray, np.ndarray]]:
     """Points with two pairs of opposite neighbours, the most symmetric first, and their basis."""
     found = []
-    _, near = tree.query(points, k=min(13, len(points)))
+    near = np.asarray(tree.query(points, k=min(13, len(points)))[1])
     for n in range(len(points)):
         vectors = points[near[n, 1:]] - points[n]
         basis = _basis(vectors)

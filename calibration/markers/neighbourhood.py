@@ -34,7 +34,7 @@ class Neighbourhood:
         """Neighbours among at least 3 markers."""
         rest_px = np.asarray(rest_px, dtype=np.float64)
         count = min(_NEIGHBOURS + 1, len(rest_px))
-        distance, index = KDTree(rest_px).query(rest_px, k=count)
+        distance, index = map(np.asarray, KDTree(rest_px).query(rest_px, k=count))
         pitch = float(np.median(distance[:, 1]))
         far = distance[:, 1:] / pitch
         weight = np.where(far <= _REACH, 1.0 / (0.5 + far**2), 0.0)

@@ -80,7 +80,9 @@ def _as_dict(name: str, track: MarkerTracks, flow: MarkerFlow) -> dict[str, Any]
     found: dict[str, Any] = {"name": name, "status_names": [s.name.lower() for s in Status]}
     for key, value in _arrays(track, flow).items():
         if value.dtype.kind == "f":
-            value = np.where(np.isfinite(value), value.round(5).astype(object), None)
+            rounded = value.round(5).astype(object)
+            rounded[~np.isfinite(value)] = None  # JSON has no NaN
+            value = rounded
         found[key] = value.tolist()
     return found
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.markers import dot_model as model
-from calibration.markers.association import associate
+from calibration.markers.association import associate, by_lattice, disagreement
 from calibration.markers.brightness import grey_levels
 from calibration.markers.detection import detect_dots, dots_from_fit
 from calibration.markers.dot_fit import fit_dots
@@ -33,6 +33,10 @@ _MEMORY = 0.7
 """Share of the last motion between two frames that is expected to go on."""
 _WEAKER = 0.6
 """Dots in contact may have this share of the contrast that separates dots at rest."""
+_DOUBT = 0.03
+"""Share of markers that newly disagree with their neighbours before the match is doubted."""
+_GROWN = 1.25
+"""Factor on a dot's radius between two frames that only a cover explains."""
 _AGAIN = 0.3
 """A dot that is looked for again lies within so many pitches of its expected place."""
 
@@ -59,7 +63,8 @@ def track_markers(
         raise InputError(f"tracking needs at least {MIN_MARKERS} dots at rest, got {dots.count}")
     order = _reading_order(rest)
     dots = dots.select(order)
-    tracker = _Tracker(dots)
+    row, column = rest.lattice.row[order], rest.lattice.column[order]
+    tracker = _Tracker(dots, row, column)
     places, sigmas, statuses = [], [], []
     for number, frame in enumerate(frames):
         height, width = np.shape(frame)[:2]
@@ -82,8 +87,8 @@ def track_markers(
         status=np.array(statuses),
         rest_px=dots.uv_px,
         rest_sigma_px=dots.sigma_px,
-        row=rest.lattice.row[order],
-        column=rest.lattice.column[order],
+        row=row,
+        column=column,
         size_px=dots.size_px,
     )
 
@@ -97,8 +102,9 @@ def _reading_order(rest: MarkerPicture) -> np.ndarray:
 class _Tracker:
     """State of all markers in the present frame."""
 
-    def __init__(self, dots: Dots) -> None:
+    def __init__(self, dots: Dots, row: np.ndarray, column: np.ndarray) -> None:
         self.dots = dots
+        self.row, self.column = row, column
         self.around = Neighbourhood.of(dots.uv_px)
         self.scale = replace(dots.scale, threshold=_WEAKER * dots.scale.threshold)
         self.uv = dots.uv_px.copy()
@@ -107,18 +113,19 @@ class _Tracker:
         self.motion = np.zeros_like(self.uv)
         self.unseen = np.zeros(dots.count, dtype=int)
         self.shape = dots.parameters.copy()
+        self.unmatched = 0
 
     def advance(self, frame: np.ndarray) -> None:
         """Match and place all markers in the next frame."""
         found = detect_dots(frame, self.scale)
         before = self.uv
         expected = before + _MEMORY * self.motion
-        odd = found.flagged(DotFlag.ODD)
-        chosen = associate(expected, before, found.uv_px, odd, self.around)
+        chosen = self._match(expected, found)
         seen = chosen >= 0
-        place = np.where(seen[:, None], found.uv_px[chosen], np.nan)
-        sigma = np.where(seen[:, None], found.sigma_px[chosen], np.nan)
-        self.shape[seen] = found.parameters[chosen[seen]]
+        place = np.full_like(before, np.nan)
+        sigma = np.full_like(before, np.nan)
+        place[seen], sigma[seen] = found.uv_px[chosen[seen]], found.sigma_px[chosen[seen]]
+        self._refit_hidden(frame, found, chosen, place, sigma)
         guess, scatter = self._say(place, seen, expected)
         self._look_again(frame, guess, place, sigma, seen)
         if (~seen).any():
@@ -130,14 +137,68 @@ class _Tracker:
         self.motion = place - before
         self.uv, self.sigma = place, sigma
 
+    def _match(self, expected: np.ndarray, found: Dots) -> np.ndarray:
+        """Blob of each marker: by motion, or by the frame's lattice where that agrees better."""
+        odd = found.flagged(DotFlag.ODD)
+        chosen = associate(expected, self.uv, found.uv_px, odd, self.around)
+        worse = disagreement(chosen, self.uv, found.uv_px, self.around)
+        if worse - self.unmatched < _DOUBT * self.dots.count:
+            self.unmatched = int((chosen < 0).sum())
+            return chosen
+        whole = found.uv_px[~odd]
+        places = by_lattice(expected, self.row, self.column, whole, self.around.pitch_px)
+        if places is not None:
+            known = np.asarray(np.isfinite(places).all(axis=1))
+            moved = np.where(known[:, None], places - self.uv, 0.0)
+            said, _, _ = self.around.extrapolate(moved, known)
+            guess = np.where(known[:, None], places, self.uv + said)
+            guess = np.where(np.isfinite(guess), guess, expected)
+            other = associate(guess, self.uv, found.uv_px, odd, self.around)
+            if disagreement(other, self.uv, found.uv_px, self.around) < worse:
+                chosen = other
+        self.unmatched = int((chosen < 0).sum())
+        return chosen
+
+    def _refit_hidden(
+        self,
+        frame: np.ndarray,
+        found: Dots,
+        chosen: np.ndarray,
+        place: np.ndarray,
+        sigma: np.ndarray,
+    ) -> None:
+        """Fit dots that seem to have shrunk or grown again with the size that they had: something
+        covers a part of them. Changes place and sigma."""
+        seen = np.flatnonzero(chosen >= 0)
+        new = found.parameters[chosen[seen]]
+        grown = np.log(model.mean_radius(new) / model.mean_radius(self.shape[seen]))
+        strange = (np.abs(grown) > np.log(_GROWN)) & ~found.flagged(DotFlag.CUT)[chosen[seen]]
+        self.shape[seen[~strange]] = new[~strange]
+        if not strange.any():
+            return
+        markers = seen[strange]
+        start = self.shape[markers].copy()
+        start[:, :2] = place[markers]
+        others = place[seen[~strange]]
+        fit = fit_dots(grey_levels(frame), start, free_shape=False, others=others)
+        good = fit.converged & np.isfinite(fit.covariance).all(axis=(1, 2))
+        moved = np.abs(fit.uv_px - place[markers])
+        place[markers[good]] = fit.uv_px[good]
+        spread = np.sqrt(np.einsum("nii->ni", fit.covariance[good]))
+        # What the two fits differ by is what the cover may have done to either.
+        sigma[markers[good]] = np.hypot(spread, moved[good])
+
     def _say(
         self, place: np.ndarray, seen: np.ndarray, expected: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Where the neighbours' displacements from rest put each marker."""
         rest = self.around.rest_px
         moved = np.where(seen[:, None], place - rest, 0.0)
-        said, scatter, _ = self.around.extrapolate(moved, seen)
-        known = np.isfinite(said).all(axis=1)
+        said, scatter, support = self.around.extrapolate(moved, seen)
+        known = np.asarray(np.isfinite(said).all(axis=1))
+        # The fewer neighbours are seen, the further the field has to be carried on.
+        unseen = 1.0 - support / self.around.weight.sum(axis=1)
+        scatter = scatter * (1.0 + 2.0 * unseen)
         return np.where(known[:, None], rest + said, expected), scatter
 
     def _look_again(
