@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.interop.image_files import write_rgb
 from taccel_lab.interop.press_samples import ColorSource, PressPixels
 from taccel_lab.interop.record import ExportRecord, required
 from taccel_lab.profile import SensorProfile
@@ -27,7 +28,7 @@ PEER = "gs_sdk 0.2 (joehjhuang/gs_sdk)"
 WIDTHS = (5, 32, 32, 32, 2)
 SAMPLES = 60_000
 CHECKED = 10_000
-STEPS = 3_000
+STEPS = 8_000
 BATCH = 1024
 LEARNING_RATE = 3e-3
 NOISE_LEVELS = 1.0
@@ -35,6 +36,8 @@ NOISE_LEVELS = 1.0
 levels that no camera resolves."""
 FLAT_SHARE = 0.15
 """Of the samples, untouched gel."""
+IN_CONTACT = 0.8
+"""Of the others, those from inside a contact."""
 DEFAULT_RATE_HZ = 25
 
 
@@ -42,7 +45,6 @@ def export_gs_sdk(
     profile: SensorProfile, folder: Path, *, steps: int = STEPS, samples: int = SAMPLES
 ) -> ExportRecord:
     """Write ``device.yaml``, ``nnmodel.pth`` and ``background.png``; needs color and background."""
-    import cv2
     import torch
     import yaml
 
@@ -64,8 +66,7 @@ def export_gs_sdk(
 
     state = {name: torch.from_numpy(value.copy()) for name, value in weights.items()}
     torch.save(state, folder / "nnmodel.pth")
-    levels = np.clip(np.rint(background), 0, 255).astype(np.uint8)
-    cv2.imwrite(str(folder / "background.png"), np.ascontiguousarray(levels[..., ::-1]))
+    write_rgb(folder / "background.png", background)
     raw = (0, 0) if profile.optics is None else _raw_size(profile)
     device = {
         "device_name": profile.sensor.name,
@@ -130,7 +131,7 @@ def _examples(
     count: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Features [n, 5] and angles [n, 2] of pixels of presses."""
-    drawn = source.draw(rng, count)
+    drawn = source.draw(rng, count, IN_CONTACT)
     flat = rng.uniform(size=count) < FLAT_SHARE
     drawn = PressPixels(
         drawn.pixel_idx,

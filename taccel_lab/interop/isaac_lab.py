@@ -16,6 +16,7 @@ import numpy as np
 from taccel_lab.geometry import Region
 from taccel_lab.interop.effective_camera import effective_camera
 from taccel_lab.interop.frames import LINK_FROM_GEL
+from taccel_lab.interop.image_files import eight_bit, write_rgb
 from taccel_lab.interop.record import ExportRecord, required
 from taccel_lab.interop.taxim_distil import distil_table
 from taccel_lab.output import write_json
@@ -42,11 +43,10 @@ def export_isaac_lab(profile: SensorProfile, folder: Path) -> ExportRecord:
     data.mkdir()
     np.savez(data / "polycalib.npz", **made.table.arrays("rgb"))  # type: ignore[arg-type]
     np.save(data / "real_bg.npy", np.asarray(background, dtype=np.float32))
-    picture = np.clip(np.rint(background), 0, 255).astype(np.uint8)
-    cv2.imwrite(
-        str(data / "bg.jpg"),
-        np.ascontiguousarray(picture[..., ::-1]),
-        [cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111],
+    write_rgb(
+        data / "bg.jpg",
+        background,
+        (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111),
     )
     stored = np.asarray(cv2.imread(str(data / "bg.jpg")))
     configuration = _configuration(profile, made.mm_per_px)
@@ -63,7 +63,7 @@ def export_isaac_lab(profile: SensorProfile, folder: Path) -> ExportRecord:
         approximations={
             **made.errors,
             "background_jpeg_max_levels": float(
-                np.abs(stored[..., ::-1].astype(int) - picture.astype(int)).max()
+                np.abs(stored[..., ::-1].astype(int) - eight_bit(background)).max()
             ),
             "scale_difference": abs(profile.camera.mm_per_px_x / profile.camera.mm_per_px_y - 1),
         },

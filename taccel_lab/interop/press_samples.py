@@ -23,8 +23,12 @@ from taccel_lab.signals.rest_surface import rest_surface
 BALL_RADII_MM = (1.0, 8.0)
 MAX_TILT_DEG = 60.0
 """Where the colour block does not say how steep the surfaces were that it was fitted to."""
+TILTS_DEG = (5.0, 80.0)
+"""Within which the steepest surface that is asked for lies."""
+SHALLOWEST_MM = -0.02
+"""Presses are drawn down to this at least."""
 IN_CONTACT = 0.5
-"""Share of the samples that comes from inside the contact, where most of the tilts are."""
+"""Share of the samples that comes from inside the contact, where the steep surfaces are."""
 REACH = 3.0
 """Contact radii from its middle up to which the others come, evenly over the area."""
 
@@ -58,10 +62,11 @@ class ColorSource:
         self.rest = rest_surface(profile.mesh, grid)
         region = profile.color.provenance.valid_region
         self.max_tilt_rad = rad_from_deg(
-            min(80.0, region.get("surface_tilt_deg", (0.0, MAX_TILT_DEG))[1])
+            np.clip(region.get("surface_tilt_deg", (0.0, MAX_TILT_DEG))[1], *TILTS_DEG)
         )
         """Steepest surface that is asked for."""
-        self.deepest_mm = region.get("displacement_mm", (-0.5 * profile.gel.thickness_mm, 0.0))[0]
+        deepest_mm = region.get("displacement_mm", (-0.5 * profile.gel.thickness_mm, 0.0))[0]
+        self.deepest_mm = min(deepest_mm, SHALLOWEST_MM)
         """Lowest displacement that is asked for [mm]."""
         self.thickness_mm = profile.gel.thickness_mm
 
@@ -73,13 +78,15 @@ class ColorSource:
         pressed = normals_from_slopes(slope - rest[:, :2] / rest[:, 2:])
         return self.model.predict_pixels(pixel_idx, pressed, displacement_mm, rest)
 
-    def profiles(self, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def profiles(
+        self, rng: np.random.Generator, count: int, in_contact: float = IN_CONTACT
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Tilt [rad] and displacement [mm] that occur together in ball presses, shape [count]."""
         tilts, displacements = [], []
         have = 0
         while have < count:
             tilt, displacement = _ball_samples(
-                rng, 2 * count, np.sin(self.max_tilt_rad), self.thickness_mm
+                rng, 2 * count, np.sin(self.max_tilt_rad), self.thickness_mm, in_contact
             )
             keep = displacement >= self.deepest_mm
             tilts.append(tilt[keep])
@@ -87,9 +94,11 @@ class ColorSource:
             have += int(keep.sum())
         return np.concatenate(tilts)[:count], np.concatenate(displacements)[:count]
 
-    def draw(self, rng: np.random.Generator, count: int) -> PressPixels:
+    def draw(
+        self, rng: np.random.Generator, count: int, in_contact: float = IN_CONTACT
+    ) -> PressPixels:
         """Pixels of presses anywhere on the gel, from any side."""
-        tilt, displacement = self.profiles(rng, count)
+        tilt, displacement = self.profiles(rng, count, in_contact)
         direction = rng.uniform(-np.pi, np.pi, count)
         steep = np.tan(tilt)
         return PressPixels(
@@ -109,13 +118,17 @@ class ColorSource:
 
 
 def _ball_samples(
-    rng: np.random.Generator, count: int, steepest: float, thickness_mm: float
+    rng: np.random.Generator,
+    count: int,
+    steepest: float,
+    thickness_mm: float,
+    in_contact: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Tilt [rad] and displacement [mm] at points in and around the contacts of balls."""
     smallest, largest = np.log(BALL_RADII_MM)
     ball = np.exp(rng.uniform(smallest, largest, count))
     contact = ball * rng.uniform(0.05, steepest, count)
-    inside = rng.uniform(size=count) < IN_CONTACT
+    inside = rng.uniform(size=count) < in_contact
     area = rng.uniform(size=count)
     r = contact * np.sqrt(np.where(inside, area, 1 + (REACH**2 - 1) * area))
     sine = np.clip(r / ball, 0, steepest)

@@ -15,6 +15,7 @@ import numpy as np
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.interop.effective_camera import effective_camera, image_center_mm
 from taccel_lab.interop.frames import LINK_FROM_GEL, euler_xyz, turn
+from taccel_lab.interop.image_files import write_rgb
 from taccel_lab.interop.mesh_files import gel_surface, write_stl
 from taccel_lab.interop.record import ExportRecord, required
 from taccel_lab.optics.description import Light
@@ -85,7 +86,7 @@ def export_tacto(profile: SensorProfile, folder: Path) -> ExportRecord:
     points, faces = gel_surface(profile.mesh)
     write_stl(folder / "gel.stl", turn(LINK_FROM_GEL, points), faces)
     if profile.background_rgb is not None:
-        _write_background(profile.background_rgb, folder / "background.png")
+        write_rgb(folder / "background.png", profile.background_rgb)
 
     record = ExportRecord(
         carries={
@@ -224,13 +225,6 @@ def _best_sphere(across: np.ndarray, sag: np.ndarray, corner: float) -> tuple[fl
         method="bounded",
     )
     return float(np.exp(found.x)), depth_of(float(found.x))[0]
-
-
-def _write_background(rgb: np.ndarray, path: Path) -> None:
-    import cv2
-
-    levels = np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
-    cv2.imwrite(str(path), np.ascontiguousarray(levels[..., ::-1]))
 
 
 def _list(values: np.ndarray) -> list[float]:

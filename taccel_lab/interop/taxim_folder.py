@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from taccel_lab.interop.image_files import eight_bit
 from taccel_lab.interop.record import ExportRecord, required
 from taccel_lab.interop.taxim_distil import distil_table
 from taccel_lab.output import write_json
@@ -57,7 +58,7 @@ def export_taxim(profile: SensorProfile, folder: Path) -> ExportRecord:
     np.savez(folder / "polycalib.npz", **made.table.arrays("bgr"))  # type: ignore[arg-type]
     shape = (grid.height_px, grid.width_px)
     np.save(folder / "gelmap.npy", np.full(shape, thickness_px, dtype=np.float64))
-    bgr = np.clip(np.rint(background), 0, 255).astype(np.uint8)[..., ::-1]
+    bgr = eight_bit(background)[..., ::-1]
     np.savez_compressed(folder / "dataPack.npz", f0=bgr, img_size=np.array(bgr.shape))
     _write_shadows(folder / "shadowTable.npz")
     write_json(folder / "params.json", _params(profile, made.mm_per_px))

@@ -82,3 +82,23 @@ def test_a_distilled_table_shows_what_the_model_shows(mini: SensorProfile) -> No
     off = np.sqrt(((shown - truth) ** 2).mean())
     assert off < made.errors["table_rms_levels"] * 1.5
     assert not made.table.grad_rgb[:, 0].any()
+
+
+@pytest.mark.parametrize(
+    "region",
+    [
+        {},
+        {"displacement_mm": (0.0, 0.1)},
+        {"displacement_mm": (-1.0, 0.0), "surface_tilt_deg": (0.0, 0.5)},
+    ],
+)
+def test_any_valid_region_gives_a_table(
+    region: dict[str, tuple[float, float]], mini: SensorProfile
+) -> None:
+    """Also of a colour block that was fitted to next to nothing, or says nothing."""
+    assert mini.color is not None
+    provenance = mini.color.provenance.replace(kind="assumed", valid_region=region)
+    block = mini.color.replace(provenance=provenance)
+    made = distil_table(mini.with_block(block, mini.color_weights), 20)
+    assert np.isfinite(made.table.grad_rgb).all()
+    assert 5 <= made.errors["steepest_tilt_deg"] <= 80

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images of a profile as the files that other tools read: 8 bit, RGB levels of 255."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+
+def eight_bit(rgb: np.ndarray) -> np.ndarray:
+    """Levels rounded to uint8, same shape."""
+    return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
+
+
+def write_rgb(path: Path, rgb: np.ndarray, parameters: Sequence[int] = ()) -> None:
+    """Write an RGB image [h, w, 3]; the suffix says the format, ``parameters`` are OpenCV's."""
+    import cv2
+
+    bgr = np.ascontiguousarray(eight_bit(rgb)[..., ::-1])
+    if not cv2.imwrite(str(path), bgr, list(parameters)):
+        raise OSError(f"{path} could not be written")
