@@ -110,8 +110,8 @@ def default_scales_px(frames: Sequence[InverseFrame]) -> tuple[float, float, flo
 
 
 def fold_of(index: int, members: int, frame_count: int) -> int | None:
-    """Member that leaves press ``index`` out; None where there are too few presses to leave any."""
-    return index % members if frame_count > members else None
+    """Member that leaves press ``index`` out; None with too few presses or a single member."""
+    return index % members if frame_count > members > 1 else None
 
 
 def fit_normal_model(

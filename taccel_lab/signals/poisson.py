@@ -97,7 +97,7 @@ def solve_poisson(right_side: np.ndarray, steps_m: tuple[float, float]) -> np.nd
     eigenvalues[0, 0] = 1.0
     spectrum = dctn(right_side, type=2, norm="ortho") / eigenvalues
     spectrum[0, 0] = 0.0
-    return idctn(spectrum, type=2, norm="ortho")
+    return np.asarray(idctn(spectrum, type=2, norm="ortho"))
 
 
 def _checked_weights(weights: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

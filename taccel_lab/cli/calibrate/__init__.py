@@ -16,6 +16,8 @@ def calibrate_commands() -> Any:
     from taccel_lab.cli.calibrate.color import CalibrateColor
     from taccel_lab.cli.calibrate.markers import CalibrateMarkers
     from taccel_lab.cli.calibrate.material import CalibrateMaterial
+    from taccel_lab.cli.calibrate.scale import CalibrateScale
+    from taccel_lab.cli.calibrate.normals import CalibrateNormals
     from taccel_lab.cli.calibrate.spread import CalibrateSpread
 
     app = SubcommandApp()
@@ -23,5 +25,7 @@ def calibrate_commands() -> Any:
     app.command(name="color")(CalibrateColor)
     app.command(name="markers")(CalibrateMarkers)
     app.command(name="material")(CalibrateMaterial)
+    app.command(name="normals")(CalibrateNormals)
+    app.command(name="scale")(CalibrateScale)
     app.command(name="spread")(CalibrateSpread)
     return app

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab calibrate normals``: ball presses in, a profile that reads surfaces out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from calibration.capture import CaptureSet, ContactCircle
+    from calibration.inverse.normal_calibration import NormalCalibration
+    from calibration.surfaces import PressSurface
+    from taccel_lab.profile import SensorProfile
+
+
+@dataclass(frozen=True)
+class CalibrateNormals:
+    """Fit the model from colour to surface normal to captured ball presses and write a profile.
+
+    Inside a contact the ball gives the normal of every pixel; a small ensemble of networks learns
+    it from the change of colour around the pixel, with its own uncertainty. Every fourth press is
+    held out for the figures. `taccel-lab depth` then reads height maps from images.
+    """
+
+    captures: Positional[Path]
+    """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
+    out: Path
+    """Profile folder to write."""
+    base: Path | None = None
+    """Profile to extend; the catalogue's design of the captures' sensor when left out."""
+    report: Path | None = None
+    """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
+    holdout_every: int = 4
+    """Every how-manieth press is held out for the figures; 0 holds none out."""
+    circles: Literal["fused", "labels", "detected"] = "fused"
+    """Contact circles to train with: those given, those found in the images, or the better estimate
+    from both. A press without a given circle takes the one found. The report gives figures in
+    the given circles as well."""
+    skirt: Literal["hertz", "simulated", "none"] = "hertz"
+    """Normals of the gel that sinks around a contact: a closed form, the simulation of every press
+    (minutes), or none, which leaves those pixels out of the training."""
+    drift: Literal["auto", "on", "off"] = "auto"
+    """Bring the light of each frame to the background's first; auto does it where that takes away
+    at least a quarter of the difference between untouched gel and background."""
+    steps: int = 1000
+    """Optimiser steps; each network keeps its best ones."""
+    seed: int = 0
+    """Seed of the pixel draw, the initial weights and the batches."""
+    json: bool = False
+    """Print the figures as JSON instead of a summary."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from calibration.capture import load_captures
+        from calibration.inverse.fit import InverseFitOptions
+        from calibration.inverse.normal_calibration import calibrate_normals
+        from calibration.inverse.page import normals_page
+        from calibration.inverse.samples import Scene
+        from taccel_lab.cli.calibrate.base import (
+            base_profile,
+            report_folder,
+            require_outputs,
+            write_results,
+        )
+        from taccel_lab.cli.calibrate.color import with_camera_of
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.progress import fit_progress
+        from taccel_lab.signals.rest_surface import rest_surface
+
+        console = Console(stderr=True)
+        report = report_folder(self.out, self.report)
+        require_outputs(self.out, report)
+        options = InverseFitOptions(steps=self.steps, seed=self.seed)
+        captures = load_captures(self.captures)
+        captures.split(self.holdout_every)
+        base = with_camera_of(base_profile(self.base, captures.sensor), captures)
+        rest = rest_surface(base.mesh, captures.grid)
+        circles = _contact_circles(captures, self.circles, console)
+        surfaces = self._surfaces(captures, circles, base, console)
+        with fit_progress(console, "fitting the inverse model") as progress:
+            result = calibrate_normals(
+                captures,
+                circles,
+                surfaces,
+                rest_normals=None if rest.is_flat else rest.normals,
+                holdout_every=self.holdout_every,
+                options=options,
+                drift=self.drift,
+                circle_source=self.circles,
+                progress=progress,
+            )
+        scene = Scene(
+            captures.background,
+            captures.grid,
+            captures.ball_radius_mm,
+            captures.mask,
+            None if rest.is_flat else rest.normals,
+        )
+        write_results(result, normals_page(result, scene), base, self.out, report, console)
+        if self.json:
+            print_json({"profile": str(self.out), "normals": result.figures()})
+        else:
+            _print_summary(Console(), result)
+
+    def _surfaces(
+        self,
+        captures: CaptureSet,
+        circles: list[ContactCircle],
+        base: SensorProfile,
+        console: Console,
+    ) -> list[PressSurface] | None:
+        if self.skirt == "none":
+            return None
+        if self.skirt == "simulated":
+            from calibration.simulate import simulate_presses
+            from taccel_lab.cli.progress import count_progress
+
+            with count_progress(console, "simulating the presses") as progress:
+                return simulate_presses(captures, circles, base, cache=True, progress=progress)
+        from calibration.surfaces import analytic_surface
+
+        thickness_mm = base.gel.thickness_mm
+        return [
+            analytic_surface(circle, captures.grid, captures.ball_radius_mm, decay_mm=thickness_mm)
+            for circle in circles
+        ]
+
+
+def _contact_circles(
+    captures: CaptureSet, which: Literal["fused", "labels", "detected"], console: Console
+) -> list[ContactCircle]:
+    from calibration.targets import choose_circles, resolve_contacts
+
+    given = [press.circle for press in captures.presses if press.circle is not None]
+    if which == "labels":
+        if len(given) != len(captures.presses):
+            raise InputError(
+                f"{captures.source}: {len(captures.presses) - len(given)} presses come without a "
+                "contact circle; --circles labels needs all of them, fused or detected does not"
+            )
+        return given
+    with console.status("finding the contact circles"):
+        found = resolve_contacts(captures)
+    return choose_circles(captures, found, which)
+
+
+def _print_summary(console: Console, result: NormalCalibration) -> None:
+    from calibration.inverse.score import mean_of
+
+    if not result.heldout:
+        console.print("no press was held out, so there are no figures")
+        return
+    used = mean_of([item.used for item in result.heldout])
+    given = mean_of([item.given for item in result.heldout])
+    console.print(
+        f"{len(result.heldout)} held-out presses, {len(result.train_names)} fitted in "
+        f"{result.fit.seconds:.0f} s",
+        highlight=False,
+    )
+    console.print(
+        f"  normals off by {used['mean_deg']:.2f} deg ({given['mean_deg']:.2f} in the given "
+        f"circles; a flat guess {used['flat_deg']:.1f}, colour of the pixel alone "
+        f"{result.baseline_deg or float('nan'):.2f})",
+        highlight=False,
+    )
+    console.print(
+        f"  depth off by {used['depth_mae_mm']:.3f} mm of {used['depth_mm']:.2f} mm",
+        highlight=False,
+    )
+    if result.reliability is not None:
+        console.print(
+            f"  {result.reliability.within_68:.0%} of errors within the 68 % radius, "
+            f"{result.reliability.within_95:.0%} within the 95 % radius",
+            highlight=False,
+        )
