@@ -180,7 +180,7 @@ class _Job:
             return fit_indentation(
                 points, tables, start_pa=start, poisson_ratio=self.nu if at is None else at,
                 mooney_ratio=self.ratio, free_nu=nu, free_ratio=ratio,
-                touch_sigma_mm=self.options.touch_sigma_mm,
+                touch_sigma_mm=self.options.touch_sigma_mm, drawn=at is None,
             )  # fmt: skip
 
         found = fit(free_nu, free_ratio)

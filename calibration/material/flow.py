@@ -235,7 +235,7 @@ def fit_flow(
             columns.append((values(up) - values(down)) / (up[i] - down[i]))
         return values(theta), np.stack(columns, axis=1)
 
-    solution = Likelihood(parameters, [Group(len(target), True)], residuals).solve()
+    solution = Likelihood(parameters, [Group(len(target), True)], residuals).solve(drawn=True)
     nu = solution.value("nu") if fixed_nu is None else fixed_nu
     fitted = table.displacement_mm(math.exp(solution.value("ln_mu")), nu)
     rms = float(np.sqrt(np.mean((fitted[use] - target) ** 2)))

@@ -100,6 +100,7 @@ def fit_indentation(
     free_ratio: bool = False,
     touch_sigma_mm: float | None = None,
     profiled: Sequence[str] | None = None,
+    drawn: bool = False,
 ) -> IndentationFit:
     """Fit the law's parameters to the points of one or more presses.
 
@@ -113,6 +114,7 @@ def fit_indentation(
         free_ratio: Whether the Mooney ratio is.
         touch_sigma_mm: How well first touch is known; by the number of points when None.
         profiled: Parameters whose profile is wanted; all of the law when None.
+        drawn: Whether profiles are for a figure, with more points.
     """
     touch = [_touch_sigma(item, touch_sigma_mm) for item in points]
     parameters = [Parameter("ln_e", math.log(start_pa), math.log(1e3), math.log(1e9), 0.1)]
@@ -157,7 +159,7 @@ def fit_indentation(
         if best is None or value < lowest:
             best, lowest = (kind, likelihood), value
     assert best is not None
-    solution = best[1].solve(law if profiled is None else profiled)
+    solution = best[1].solve(law if profiled is None else profiled, drawn)
     nu = solution.value("nu") if free_nu else poisson_ratio
     ratio = solution.value("mooney_ratio") if free_ratio else mooney_ratio
     return IndentationFit(

@@ -52,6 +52,9 @@ class Group:
     """Whether residuals are in standard deviations."""
 
 
+_DRAWN = 8
+"""Points on each side of a profile that is drawn."""
+
 Residuals = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Residuals at parameters, shape [point], and their derivatives, shape [point, parameter]."""
 
@@ -212,8 +215,11 @@ class Likelihood:
                 x = best[1][moving] / scale
         return best[1], best[0]
 
-    def solve(self, profiled: Sequence[str] | None = None) -> Solution:
-        """Minimum, covariance and profiles (of all parameters when ``profiled`` is None)."""
+    def solve(self, profiled: Sequence[str] | None = None, drawn: bool = False) -> Solution:
+        """Minimum, covariance and profiles (of all parameters when ``profiled`` is None).
+
+        ``drawn``: whether profiles get points between those that their ends needed.
+        """
         theta, least = self._search()
         likelihood, misfit = self, False
         known = sum(group.count for group in self.groups if group.known)
@@ -231,7 +237,8 @@ class Likelihood:
         profiles = {}
         names = tuple(p.name for p in self.parameters)
         for name in names if profiled is None else profiled:
-            profiles[name], theta, least = likelihood._profile(names.index(name), theta, least)
+            index = names.index(name)
+            profiles[name], theta, least = likelihood._profile(index, theta, least, drawn)
         sigma, correlation, noise = likelihood._covariance(theta)
         return Solution(
             names,
@@ -276,18 +283,18 @@ class Likelihood:
         return sigma, correlation, tuple(noise)
 
     def _profile(
-        self, index: int, theta: np.ndarray, least: float
+        self, index: int, theta: np.ndarray, least: float, drawn: bool
     ) -> tuple[Profile, np.ndarray, float]:
         """Profile of one parameter; also the minimum, which a profile may improve on."""
         for _ in range(3):
-            profile, best, lowest = self._profile_about(index, theta, least)
+            profile, best, lowest = self._profile_about(index, theta, least, drawn)
             if lowest >= least - 1e-4:
                 break
             theta, least = self.minimise(best)
         return profile, theta, least
 
     def _profile_about(
-        self, index: int, theta: np.ndarray, least: float
+        self, index: int, theta: np.ndarray, least: float, drawn: bool
     ) -> tuple[Profile, np.ndarray, float]:
         """Profile about a minimum, and the lowest point that was met on it."""
         threshold, p = self.threshold, self.parameters[index]
@@ -319,6 +326,12 @@ class Likelihood:
             else:
                 tolerance = 1e-3 * abs(outer - inner) + 1e-15
                 ends.append(root_between(excess, inner, outer, tolerance))
+        if drawn:
+            margin = 0.2 * (ends[1] - ends[0])
+            for end in (ends[0] - margin, ends[1] + margin):
+                near = theta
+                for value in np.linspace(middle, np.clip(end, p.low, p.high), _DRAWN)[1:]:
+                    excess(float(value))
         values = np.array(sorted(trace))
         heights = np.array([trace[v] for v in values])
         profile = Profile(

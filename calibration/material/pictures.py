@@ -83,8 +83,11 @@ def draw_indentation(fit: IndentationFit) -> Figure:
 def draw_profiles(result: MaterialCalibration) -> Figure:
     """Profile likelihood of each parameter of the law, of friction where it was simulated."""
     found = []
-    if result.profiled is not None:
+    held = None
+    if result.profiled is not None and result.indentation is not None:
         found += [(name, p, "") for name, p in result.profiled.solution.profiles.items()]
+        if result.profiled is not result.indentation:
+            held = result.indentation.solution.profiles["ln_e"]
     for item in (*result.tangential, *result.flows):
         found += [(n, p, f" ({item.name})") for n, p in item.solution.profiles.items()]
     columns = min(len(found), 3)
@@ -98,7 +101,10 @@ def draw_profiles(result: MaterialCalibration) -> Figure:
         elif name == "ln_mu":
             values, ends = np.exp(values), np.exp(ends)
         axis.axvspan(*ends, color=BLUE, alpha=0.12, lw=0)
-        axis.plot(values, profile.excess, "o-", ms=3, color=BLUE)
+        axis.plot(values, profile.excess, "o-", ms=3, color=BLUE, label="all others free")
+        if name == "ln_e" and held is not None:
+            axis.plot(np.exp(held.values) / 1e3, held.excess, "-", color=GREEN, label="untold held")
+            axis.legend(fontsize=8, loc="upper center")
         axis.axhline(profile.threshold, color=ORANGE, lw=1, ls="--")
         axis.set_ylim(0, 2.5 * profile.threshold)
         margin = 0.35 * (ends[1] - ends[0]) or 0.05 * abs(ends[0])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import spearmanr
+from scipy.stats import rankdata
 
 from calibration.capture import CaptureFolder, ForceRecord
 from calibration.capture.schema import ToolEntry
@@ -135,10 +135,12 @@ def loading_branch(depth_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]
 def hysteresis(
     down_mm: np.ndarray, down_n: np.ndarray, up_mm: np.ndarray, up_n: np.ndarray
 ) -> float:
-    """Part of the work of the way down that the way up does not give back."""
+    """Part of the work of the way down that the way up does not give back, where both were."""
     order = np.argsort(up_mm)
-    work = float(np.trapezoid(down_n, down_mm))
-    back = float(np.trapezoid(up_n[order], up_mm[order]))
+    low, high = max(down_mm.min(), up_mm.min()), min(down_mm.max(), up_mm.max())
+    depth = np.linspace(low, high, 100)
+    work = float(np.trapezoid(np.interp(depth, down_mm, down_n), depth))
+    back = float(np.trapezoid(np.interp(depth, up_mm[order], up_n[order]), depth))
     return 1 - back / work if work > 0 else 0.0
 
 
@@ -231,7 +233,8 @@ def _checked(
             "force; is depth_mm counted from first touch?"
         )
     if len(np.unique(depth[touching])) > 2:
-        correlation = float(spearmanr(depth[touching], force[touching]).statistic)
+        ranks = rankdata(depth[touching]), rankdata(force[touching])
+        correlation = float(np.corrcoef(ranks[0], ranks[1])[0, 1])
         if correlation < FALLING_CORRELATION:
             raise InputError(
                 f"{source}: the force falls with depth (rank correlation {correlation:.2f}); "

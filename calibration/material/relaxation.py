@@ -33,7 +33,7 @@ MIN_HOLD_ROWS = 8
 VISIBLE = 0.02
 """Relaxation of a smaller part of the force is not spoken of."""
 WINDOW = 7
-"""Rows of the smoothing of depth from which the speed is taken (quadratic)."""
+"""Rows of the smoothing of depth from which the speed is taken (cubic)."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def _rate(time: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Speed of the tool [mm/s]; smoothed over a few rows where the rows are even in time."""
     steps = np.diff(time)
     if len(time) > 2 * WINDOW and steps.max() < 1.05 * steps.min():
-        return np.asarray(savgol_filter(depth, WINDOW, 2, deriv=1, delta=float(steps.mean())))
+        return np.asarray(savgol_filter(depth, WINDOW, 3, deriv=1, delta=float(steps.mean())))
     return np.gradient(depth, time)
 
 

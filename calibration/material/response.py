@@ -129,13 +129,12 @@ class ForceTable:
 
 def _basis(z: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     """T_0 .. T_{count-1} at z and their derivatives."""
-    value = chebyshev.chebvander(np.array([z]), count - 1)[0]
-    slope = [0.0]
-    for k in range(1, count):
-        unit = np.zeros(k + 1)
-        unit[k] = 1.0
-        slope.append(float(chebyshev.chebval(z, chebyshev.chebder(unit))))
-    return value, np.array(slope)
+    # T_k = cos(k a) and T_k' = k sin(k a) / sin(a), by their recurrences: quicker than numpy's.
+    value, slope = [1.0, z], [0.0, 1.0]
+    for _ in range(2, count):
+        value.append(2 * z * value[-1] - value[-2])
+        slope.append(2 * value[-2] + 2 * z * slope[-1] - slope[-2])
+    return np.array(value[:count]), np.array(slope[:count])
 
 
 def force_table(
@@ -185,7 +184,7 @@ def force_table(
     for done, (nu, ratio, fineness) in enumerate(jobs):
         if progress is not None:
             progress(done, len(jobs))
-        found = _press(gel, tool, depths, float(nu), float(ratio), friction, fineness)
+        found = simulate_press(gel, tool, depths, float(nu), float(ratio), friction, fineness)
         forces.append(found["force_n"])
         seconds += float(found["seconds"])
     if progress is not None:
@@ -215,7 +214,7 @@ def force_table(
     )
 
 
-def _press(
+def simulate_press(
     gel: Gel,
     tool: Tool,
     depths_mm: np.ndarray,
@@ -273,8 +272,9 @@ def _transform(values: np.ndarray, axis: int) -> np.ndarray:
 def _depths(depth_range_mm: tuple[float, float]) -> np.ndarray:
     low, high = depth_range_mm
     deepest = _GRID ** math.ceil(math.log(high * 1.03, _GRID))
-    shallowest = _GRID ** math.floor(math.log(max(low, 1e-6), _GRID))
-    shallowest = min(max(shallowest, SHALLOWEST * deepest), 0.5 * deepest)
+    # Shallower than the record: the fit may find that the tool touched later.
+    shallowest = _GRID ** math.floor(math.log(max(0.5 * low, 1e-6), _GRID))
+    shallowest = min(max(shallowest, SHALLOWEST * deepest), 0.2 * deepest)
     return shallowest + (deepest - shallowest) * np.linspace(0, 1, DEPTHS) ** 1.4
 
 

@@ -176,7 +176,7 @@ def fit_tangential(
         return values(theta), np.stack(columns, axis=1)
 
     groups = [Group(len(moved), known)] * (1 if normal is None else 2)
-    solution = Likelihood(parameters, groups, residuals).solve(["ln_mu"])
+    solution = Likelihood(parameters, groups, residuals).solve(["ln_mu"], drawn=True)
     along = table.forces(
         np.maximum(moved - solution.value("start"), 0.0), math.exp(solution.value("ln_mu"))
     )[0]

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Round trips of E and nu: presses simulated on one mesh, fitted with tables of a coarser one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.capture.schema import ToolEntry
+from calibration.material import ForceTable, Gel, IndentationPoints, fit_indentation, force_table
+from calibration.material.response import simulate_press
+from calibration.material.setup import DRAFT, QUICK, STANDARD, Tool
+from taccel_lab.errors import InputError
+
+DEPTH = np.linspace(0.15, 1.4, 12)
+MODULUS, POISSON = 2.4e5, 0.47
+
+
+@pytest.fixture(scope="module")
+def tool(gel: Gel) -> Tool:
+    return gel.tool(ToolEntry(kind="sphere", radius_mm=7.5))
+
+
+@pytest.fixture(scope="module")
+def table(gel: Gel, tool: Tool, press_cache: Path) -> ForceTable:
+    return force_table(gel, tool, (0.15, 1.4), effort=DRAFT)
+
+
+@pytest.fixture(scope="module")
+def truth(gel: Gel, tool: Tool, press_cache: Path) -> np.ndarray:
+    """Forces of the true gel on a mesh with 3.8 times the nodes of the table's."""
+    unit = simulate_press(gel, tool, DEPTH, POISSON, 0.0, 0.0, STANDARD)["force_n"]
+    return unit * MODULUS / 1e6
+
+
+def points(
+    tool: Tool, depth: np.ndarray, force: np.ndarray, sigma: np.ndarray | None = None
+) -> IndentationPoints:
+    return IndentationPoints("press", "press.csv", "0" * 64, tool, depth, force, sigma)
+
+
+def test_tables_interpolate_and_differentiate(table: ForceTable) -> None:
+    assert table.error.interpolation < 2e-3
+    depth = np.array([0.05, 0.3, 1.0])
+    value, by_depth, by_nu, _ = table.log_force(depth, 0.47)
+    h = 1e-6
+    up, down = (table.log_force(depth + s * h, 0.47)[0] for s in (1, -1))
+    np.testing.assert_allclose((up - down) / (2 * h), by_depth, rtol=1e-5)
+    up, down = (table.log_force(depth, 0.47 + s * h)[0] for s in (1, -1))
+    np.testing.assert_allclose((up - down) / (2 * h), by_nu, rtol=1e-5)
+    assert (np.diff(value) > 0).all() and (by_nu > 0).all()
+    np.testing.assert_allclose(table.force_n(np.array([-1.0, 0.0]), 1e5, 0.47), 0.0)
+
+
+def test_forces_scale_with_the_modulus(gel: Gel, tool: Tool, table: ForceTable) -> None:
+    """What spares simulations of other moduli: it holds to the solver's tolerance."""
+    from taccel_lab.envs import PressEnv, profile_material
+    from taccel_lab.scene import Element
+    from taccel_lab.solvers import SolverConfig
+
+    mesh = gel.mesh(tool, 1.4, DRAFT)
+    forces = []
+    for modulus in (1e6, 5e4):
+        block = gel.unit_material(0.47, 0.0).replace(young_modulus_pa=modulus)
+        env = PressEnv(
+            mesh, profile_material(block, mesh), tool.indenter(), np.zeros((1, 2)),
+            element=Element.QUADRATIC, config=SolverConfig(dhat_m=2e-6),
+        )  # fmt: skip
+        env.move_to(0.8)
+        forces.append(env.press_force[0, 2] / modulus)
+    assert forces[1] == pytest.approx(forces[0], rel=2e-4)
+
+
+def test_perfect_data_come_back_exactly(tool: Tool, table: ForceTable) -> None:
+    force = table.force_n(DEPTH - 0.03, MODULUS, POISSON)
+    fit = fit_indentation([points(tool, DEPTH, force)], [table], start_pa=4e5, poisson_ratio=0.45)
+    assert fit.young_modulus_pa == pytest.approx(MODULUS, rel=1e-4)
+    assert fit.poisson_ratio == pytest.approx(POISSON, abs=1e-4)
+    assert fit.touch_mm(0) == pytest.approx(0.03, abs=1e-4)
+
+
+def test_the_modulus_of_a_finer_simulation_within_its_interval(
+    tool: Tool, table: ForceTable, truth: np.ndarray
+) -> None:
+    """100 records with 1 % noise and touch points that are off by 0.02 mm."""
+    rng = np.random.default_rng(11)
+    hits, errors = 0, []
+    for _ in range(100):
+        touch = 0.02 * rng.standard_normal()
+        force = truth * (1 + 0.01 * rng.standard_normal(len(DEPTH)))
+        fit = fit_indentation(
+            [points(tool, DEPTH + touch, force)], [table], start_pa=4e5, poisson_ratio=POISSON,
+            free_nu=False, touch_sigma_mm=0.02,
+        )  # fmt: skip
+        low, high = fit.young_interval_pa
+        hits += low <= MODULUS <= high
+        errors.append(fit.young_modulus_pa / MODULUS - 1)
+    assert hits >= 90  # a 95 % interval misses more than 10 of 100 in 1 of 100 such tests
+    assert abs(np.mean(errors)) < 0.02
+    assert np.percentile(np.abs(errors), 95) < 0.04
+
+
+def test_two_balls_tell_poisson_ratio(
+    gel: Gel, tool: Tool, table: ForceTable, truth: np.ndarray
+) -> None:
+    small = gel.tool(ToolEntry(kind="sphere", radius_mm=2.0))
+    depth = np.linspace(0.15, 0.9, 8)
+    second = force_table(gel, small, (0.15, 0.9), effort=DRAFT)
+    force = simulate_press(gel, small, depth, POISSON, 0.0, 0.0, QUICK)["force_n"] * MODULUS / 1e6
+    rng = np.random.default_rng(2)
+    hits, values = [0, 0], []
+    for _ in range(12):
+        sets = [
+            points(tool, DEPTH, truth * (1 + 0.005 * rng.standard_normal(12))),
+            points(small, depth, force * (1 + 0.005 * rng.standard_normal(8))),
+        ]
+        fit = fit_indentation(sets, [table, second], start_pa=4e5, poisson_ratio=0.45)
+        low, high = fit.solution.profiles["nu"].interval
+        hits[0] += low <= POISSON <= high
+        low, high = fit.young_interval_pa
+        hits[1] += low <= MODULUS <= high
+        values.append(fit.poisson_ratio)
+    assert np.mean(values) == pytest.approx(POISSON, abs=0.015)
+    assert min(hits) >= 9
+
+
+def test_few_points_do_not_tell_poisson_ratio(
+    tool: Tool, table: ForceTable, truth: np.ndarray
+) -> None:
+    some = points(tool, DEPTH[[3, 7, 11]], truth[[3, 7, 11]] * [1.01, 0.99, 1.005])
+    fit = fit_indentation([some], [table], start_pa=4e5, poisson_ratio=0.45)
+    profile = fit.solution.profiles["nu"]
+    assert profile.open_low and profile.open_high
+
+
+def test_stated_noise_that_is_too_small_is_noticed(
+    tool: Tool, table: ForceTable, truth: np.ndarray
+) -> None:
+    rng = np.random.default_rng(1)
+    force = truth * (1 + 0.05 * rng.standard_normal(12))
+    fit = fit_indentation(
+        [points(tool, DEPTH, force, 0.002 * truth)], [table], start_pa=4e5, poisson_ratio=POISSON,
+        free_nu=False,
+    )  # fmt: skip
+    assert fit.noise == "given" and fit.solution.misfit
+    low, high = fit.young_interval_pa
+    assert low < MODULUS < high
+
+
+def test_a_press_past_the_gel_is_refused(gel: Gel, tool: Tool) -> None:
+    with pytest.raises(InputError, match="4 mm thick"):
+        force_table(gel, tool, (0.5, 3.5), effort=DRAFT)

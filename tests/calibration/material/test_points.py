@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Force-depth points: what is kept of a record, and units and signs that no gel can have."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration.material import Gel, IndentationPoints, points_of_record, sphere_force_series_n
+from calibration.material.points import loading_branch, require_plausible
+from taccel_lab.errors import InputError
+from tests.calibration.material.records import record
+
+DEPTH = np.linspace(0.1, 1.0, 10)
+FORCE = sphere_force_series_n(DEPTH, 4.0, 4.0, 0.48, 3e5)
+
+
+def read(gel: Gel, depth: np.ndarray, force: np.ndarray) -> IndentationPoints:
+    return points_of_record(record("indentation", depth_mm=depth, force_n=force), gel, None)
+
+
+def test_the_closed_form_starts_at_the_modulus(gel: Gel) -> None:
+    modulus, remarks = require_plausible([read(gel, DEPTH, FORCE)], 4.0, 0.48)
+    assert modulus == pytest.approx(3e5, rel=1e-6)
+    assert not remarks
+
+
+@pytest.mark.parametrize(
+    ("force", "depth", "unit"),
+    [
+        (1 / 9.80665e-3, 1.0, "force in grams"),
+        (1e3, 1.0, "force in mN"),
+        (1.0, 1e-3, "depth in m "),
+        (1e-3, 1.0, "force in kN"),
+    ],
+)
+def test_a_wrong_unit_is_named(gel: Gel, force: float, depth: float, unit: str) -> None:
+    points = read(gel, DEPTH * depth, FORCE * force)
+    with pytest.raises(InputError, match=unit.strip()) as error:
+        require_plausible([points], 4.0, 0.48)
+    assert "1e+07" in str(error.value)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(2.1e4, 2.4e6), st.sampled_from([1e3, 1 / 9.80665e-3, 1e-3]))
+def test_wrong_units_never_pass_unsaid(gel: Gel, modulus: float, factor: float) -> None:
+    points = read(gel, DEPTH, FORCE * modulus / 3e5 * factor)
+    try:
+        found, remarks = require_plausible([points], 4.0, 0.48)
+    except InputError:
+        return
+    # Inside what a gel can be, but then a remark doubts it, or it is as usual as the truth.
+    assert remarks or 2e4 <= found <= 2.5e6
+
+
+def test_soft_gels_in_grams_are_doubted(gel: Gel) -> None:
+    _, remarks = require_plausible([read(gel, DEPTH, FORCE / 6 / 9.80665e-3)], 4.0, 0.48)
+    assert [remark.code for remark in remarks] == ["unusual_modulus"]
+    assert "grams" in remarks[0].message
+
+
+def test_a_press_down_and_up_keeps_the_way_down(gel: Gel) -> None:
+    depth = np.concatenate([DEPTH, DEPTH[::-1][1:]])
+    force = np.concatenate([FORCE, 0.8 * FORCE[::-1][1:]])
+    points = read(gel, depth, force)
+    np.testing.assert_array_equal(points.depth_mm, DEPTH)
+    assert [remark.code for remark in points.remarks] == ["unloading"]
+    assert "20%" in points.remarks[0].message
+
+
+def test_depths_in_any_order_are_all_kept(gel: Gel) -> None:
+    order = np.random.default_rng(0).permutation(10)
+    points = read(gel, DEPTH[order], FORCE[order])
+    assert len(points.depth_mm) == 10 and not points.remarks
+    assert loading_branch(DEPTH[order])[1] is None
+
+
+def test_a_force_that_drops_is_remarked(gel: Gel) -> None:
+    force = FORCE.copy()
+    force[7:] *= 0.6
+    assert [r.code for r in read(gel, DEPTH, force).remarks] == ["force_drops"]
+
+
+@pytest.mark.parametrize(
+    ("depth", "force", "words"),
+    [
+        (DEPTH, -FORCE, "turn the sign"),
+        (-DEPTH, FORCE, "no row lies below first touch"),
+        (DEPTH, FORCE[::-1], "falls with depth"),
+        (DEPTH, np.where(DEPTH < 0.75, 0.0, FORCE), "counted from first touch"),
+    ],
+)
+def test_wrong_signs_are_refused(gel: Gel, depth, force, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        read(gel, depth, force)
+
+
+def test_tools_are_checked(gel: Gel) -> None:
+    from calibration.capture.schema import ToolEntry
+
+    with pytest.raises(InputError, match="radius of the cylinder is missing"):
+        gel.tool(ToolEntry(kind="cylinder"))
+    with pytest.raises(InputError, match="beside the pad"):
+        gel.tool(ToolEntry(kind="sphere", radius_mm=4.0, center_mm=(30.0, 0.0)))
+    with pytest.raises(InputError, match="at most 100 mm"):
+        gel.tool(ToolEntry(kind="sphere", radius_mm=400.0))
+    assert gel.tool(ToolEntry(kind="sphere"), 3.0).radius_mm == 3.0
+    assert gel.tool(ToolEntry(kind="flat")).description.startswith("box:")
