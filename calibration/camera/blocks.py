@@ -64,7 +64,7 @@ def camera_block(result: CameraCalibration) -> CameraBlock:
                 "x_mm": (float(x_mm.min()), float(x_mm.max())),
                 "y_mm": (float(y_mm.min()), float(y_mm.max())),
             },
-            verdict=judge(on_gel.remarks),
+            verdict=judge(on_gel.remarks).value,
             remarks=tuple(remark.message for remark in on_gel.remarks),
         ),
     )
@@ -138,7 +138,7 @@ def optics_block(result: CameraCalibration, profile: SensorProfile) -> OpticsBlo
                 "u_px": (float(points[:, 0].min()), float(points[:, 0].max())),
                 "v_px": (float(points[:, 1].min()), float(points[:, 1].max())),
             },
-            verdict=judge(remarks),
+            verdict=judge(remarks).value,
             remarks=tuple(remark.message for remark in remarks),
         ),
     )

@@ -87,8 +87,8 @@ def lens_maps(intrinsics: Intrinsics) -> RectificationMaps:
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     rays = np.column_stack([(u.ravel() - cx) / fx, (v.ravel() - cy) / fy, np.ones(u.size)])
     uv = lens.project(rays, parameters, np.zeros(6))
-    inside = (uv >= -1).all(axis=1) & (uv <= (width, height)).all(axis=1)
-    uv = np.where(inside[:, None], uv, -1e4)
+    inside = np.all((uv >= -1) & (uv <= (width, height)), axis=1)
+    uv[~inside] = -1e4
     shape = (height, width)
     return RectificationMaps(
         uv[:, 0].reshape(shape).astype(np.float32),

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.capture.captures import CaptureSet, Press
-from calibration.capture.schema import BoardEntry, EdgeEntry, RecordEntry, VideoEntry
+from calibration.capture.schema import BoardEntry, EdgeEntry, LandmarkEntry, RecordEntry, VideoEntry
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -48,6 +48,14 @@ class EdgeCapture:
     """A press of a straight edge."""
 
     entry: EdgeEntry
+    frame: Frame
+
+
+@dataclass(frozen=True)
+class LandmarkCapture:
+    """An image with points of known place."""
+
+    entry: LandmarkEntry
     frame: Frame
 
 
@@ -107,6 +115,7 @@ class CaptureFolder:
     presses: tuple[Press, ...]
     boards: tuple[BoardCaptures, ...] = ()
     edges: tuple[EdgeCapture, ...] = ()
+    landmarks: tuple[LandmarkCapture, ...] = ()
     markers: MarkerCaptures | None = None
     records: tuple[ForceRecord, ...] = ()
     provenance: dict[str, str] = field(default_factory=dict)
@@ -121,6 +130,7 @@ class CaptureFolder:
             "boards": len(self.boards),
             "board_views": sum(len(board.frames) for board in self.boards),
             "edges": len(self.edges),
+            "landmarks": len(self.landmarks),
             "marker_images": int(self.markers is not None),
             "marker_videos": 0 if self.markers is None else len(self.markers.videos),
             "force_records": len(self.records),

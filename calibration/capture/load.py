@@ -12,7 +12,13 @@ import numpy as np
 from pydantic import ValidationError
 
 from calibration.capture.captures import CaptureSet, ContactCircle, Press
-from calibration.capture.folder import BoardCaptures, CaptureFolder, EdgeCapture, Frame
+from calibration.capture.folder import (
+    BoardCaptures,
+    CaptureFolder,
+    EdgeCapture,
+    Frame,
+    LandmarkCapture,
+)
 from calibration.capture.images import decode, file_sha256, read_image
 from calibration.capture.overrides import CONTACTS_NAME, override_presses
 from calibration.capture.records import load_record
@@ -146,6 +152,10 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         ),
         edges=tuple(
             EdgeCapture(entry, _frame(folder / entry.image, background)) for entry in manifest.edges
+        ),
+        landmarks=tuple(
+            LandmarkCapture(entry, _frame(folder / entry.image, background))
+            for entry in manifest.landmarks
         ),
         markers=None
         if manifest.markers is None

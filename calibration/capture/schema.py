@@ -109,6 +109,23 @@ class EdgeEntry(_Strict):
     """Where the edge is in the image, when it is known; found otherwise."""
 
 
+class LandmarkPoint(_Strict):
+    """A point of known place."""
+
+    u_px: Finite
+    v_px: Finite
+    x_mm: Finite
+    """On the gel, from any origin, along axes that run as the image's."""
+    y_mm: Finite
+
+
+class LandmarkEntry(_Strict):
+    """Points of known place in one image: corners of a pressed cuboid, a ruled pattern."""
+
+    image: str = Field(min_length=1)
+    points: list[LandmarkPoint] = Field(min_length=3)
+
+
 class VideoEntry(_Strict):
     """Frames of one motion, in order: a video file, or images."""
 
@@ -183,5 +200,6 @@ class CaptureManifest(_Strict):
     presses: list[SpherePress] = Field(default_factory=list)
     boards: list[BoardEntry] = Field(default_factory=list)
     edges: list[EdgeEntry] = Field(default_factory=list)
+    landmarks: list[LandmarkEntry] = Field(default_factory=list)
     markers: MarkersEntry | None = None
     records: list[RecordEntry] = Field(default_factory=list)

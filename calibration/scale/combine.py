@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several scales of one image: do they agree, and what do they give together?
+
+Estimates are compared by chi-square about their inverse-variance mean, and pair by pair. When they
+agree, the mean is taken; when they do not, it is given too, widened by Birge's ratio (R. T. Birge,
+Phys. Rev. 40, 1932), and a remark says which pairs contradict each other.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import chi2
+
+from calibration.result import Estimate, Remark, Severity
+from calibration.scale.estimate import ScaleEstimate
+
+DISAGREES = 0.01
+"""Probability of so large a chi-square by chance below which estimates contradict each other."""
+LIMIT_SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class CombinedAxis:
+    """Mean of the estimates of one axis."""
+
+    estimate: Estimate
+    chi_square: float
+    freedom: int
+    probability: float
+    """Of a larger chi-square by chance, if all were right."""
+    pairs: dict[str, float] = field(default_factory=dict)
+    """Difference of two methods over its standard deviation, by ``first*second``."""
+
+    @property
+    def agrees(self) -> bool:
+        return self.probability >= DISAGREES
+
+
+def combine_axis(estimates: Sequence[tuple[str, Estimate]]) -> CombinedAxis:
+    """Inverse-variance mean of named estimates, at least one."""
+    values = np.array([estimate.value for _, estimate in estimates])
+    sigmas = np.array([max(estimate.sigma, 1e-12) for _, estimate in estimates])
+    weights = 1 / sigmas**2
+    mean = float(np.sum(weights * values) / np.sum(weights))
+    sigma = float(1 / np.sqrt(np.sum(weights)))
+    square = float(np.sum(weights * (values - mean) ** 2))
+    freedom = len(values) - 1
+    probability = float(chi2.sf(square, freedom)) if freedom else 1.0
+    if freedom:
+        sigma *= max(1.0, float(np.sqrt(square / freedom)))
+    pairs = {
+        f"{a}*{b}": float((x.value - y.value) / np.hypot(max(x.sigma, 1e-12), max(y.sigma, 1e-12)))
+        for (a, x), (b, y) in itertools.combinations(estimates, 2)
+    }
+    interval = estimates[0][1].interval if len(estimates) == 1 else None
+    return CombinedAxis(
+        Estimate(mean, sigma, "mm/px", interval), square, freedom, probability, pairs
+    )
+
+
+def agreement_remarks(
+    axes: dict[str, CombinedAxis], estimates: Sequence[ScaleEstimate]
+) -> list[Remark]:
+    """What to say of scales that contradict each other, or a limit."""
+    remarks = []
+    for axis, combined in axes.items():
+        if not combined.agrees:
+            worst = sorted(combined.pairs.items(), key=lambda item: -abs(item[1]))
+            said = ", ".join(
+                f"{name.replace('*', ' against ')} {z:+.1f} sigma" for name, z in worst
+            )
+            each = ", ".join(
+                f"{estimate.method} {found}"
+                for estimate in estimates
+                if (found := estimate.along(axis)) is not None
+            )
+            remarks.append(
+                Remark(
+                    Severity.ERROR,
+                    "scale_disagrees",
+                    f"the scales along {axis} contradict each other ({said}): {each}. One of the "
+                    "stated lengths is wrong, or the images are not of one size and crop; the mean "
+                    "is given with a wider interval, do not rely on it",
+                )
+            )
+    combined = axes.get("x")
+    for estimate in estimates:
+        if estimate.upper_x is None or combined is None:
+            continue
+        low = combined.estimate.value - LIMIT_SIGMAS * combined.estimate.sigma
+        if low > estimate.upper_x:
+            remarks.append(
+                Remark(
+                    Severity.ERROR,
+                    "ball_too_small",
+                    f"contacts of the ball are larger than the ball at {combined.estimate}: at "
+                    f"most {estimate.upper_x:.5f} mm/px would fit. The ball's radius is stated too "
+                    "small (a diameter is no radius), or the scale is wrong",
+                )
+            )
+    return remarks

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scale from presses of a straight edge of known length."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from calibration.capture.folder import EdgeCapture, Frame
+from calibration.capture.schema import LineEntry
+from calibration.result import Estimate, Remark, Severity
+from calibration.scale.edge_line import EdgeLine, find_edge
+from calibration.scale.estimate import ScaleEstimate
+from taccel_lab.errors import InputError
+
+SQUARE_SIGMA = 0.03
+"""How far pixels are from square, as a share, where the edges do not tell: cameras have square
+ones, but images are resized."""
+LABEL_SIGMA_PX = 1.5
+"""How well a person marks the end of an edge."""
+_TOO_SHORT_SIGMAS = 4.0
+"""An edge that lies this much below the others touched with a part of its length only."""
+
+
+@dataclass(frozen=True)
+class MeasuredEdge:
+    """One press of an edge."""
+
+    frame: Frame
+    length_mm: float
+    line: EdgeLine
+    label_error_px: float | None = None
+    """Found minus labelled length, where there is a label."""
+
+    @property
+    def name(self) -> str:
+        return self.frame.source
+
+
+def measure_edges(
+    edges: Sequence[EdgeCapture], background: np.ndarray, mask: np.ndarray | None
+) -> tuple[list[MeasuredEdge], list[str]]:
+    """Edges found in their images, and the reasons of those that were not."""
+    found, refused = [], []
+    for edge in edges:
+        try:
+            line = find_edge(edge.frame.image(), background, mask=mask, name=edge.frame.source)
+        except InputError as error:
+            if edge.entry.line is None:
+                refused.append(str(error))
+                continue
+            line = _labelled(edge.entry.line)
+        found.append(
+            MeasuredEdge(edge.frame, edge.entry.length_mm, line, _label_error_px(edge, line))
+        )
+    return found, refused
+
+
+def _labelled(label: LineEntry) -> EdgeLine:
+    """The line that a person drew, for an edge that is not found in its image."""
+    angle = np.radians(label.angle_deg)
+    half = 0.5 * label.length_px * np.array([np.cos(angle), np.sin(angle)])
+    middle = np.array([label.u_px, label.v_px])
+    sigma = LABEL_SIGMA_PX
+    return EdgeLine(np.stack([middle - half, middle + half]), (sigma, sigma), 0.0, 0.0, 0.0)
+
+
+def _label_error_px(edge: EdgeCapture, line: EdgeLine) -> float | None:
+    """Found minus labelled length [px]; None without a label."""
+    label = edge.entry.line
+    return None if label is None or line.jump_levels == 0.0 else line.length_px - label.length_px
+
+
+def scale_from_edges(
+    measured: Sequence[MeasuredEdge], refused: Sequence[str] = ()
+) -> ScaleEstimate:
+    """Scale along x and y that gives all edges their length.
+
+    ``length^2 = (du sx)^2 + (dv sy)^2``. An edge that was pressed at an angle touches with a part
+    of its length only: those that are clearly shorter than the others are left out.
+
+    Raises:
+        InputError: No edge was found.
+    """
+    if not measured:
+        raise InputError("no pressed edge was found:\n" + "\n".join(refused[:5]))
+    used = np.ones(len(measured), dtype=bool)
+    while True:
+        scale, left = _fit(measured, used)
+        spread = 1.4826 * float(np.median(np.abs(left[used]))) + _noise(measured, scale)
+        short = used & (left > _TOO_SHORT_SIGMAS * spread)
+        if not short.any() or used.sum() <= max(3, len(measured) // 2):
+            break
+        used[int(np.argmax(np.where(used, left, -np.inf)))] = False
+    covariance = _covariance(measured, used, scale, left)
+    sigma = np.sqrt(np.diag(covariance))
+    chosen = [edge for edge, ok in zip(measured, used, strict=True) if ok]
+    remarks = _remarks(measured, used, scale)
+    return ScaleEstimate(
+        "edge",
+        Estimate(float(scale[0]), float(sigma[0]), "mm/px"),
+        Estimate(float(scale[1]), float(sigma[1]), "mm/px"),
+        inputs=_hashes(chosen),
+        evidence={
+            "correlation": float(covariance[0, 1] / (sigma[0] * sigma[1])),
+            "edges": [
+                {
+                    "name": edge.name,
+                    "length_px": edge.line.length_px,
+                    "sigma_px": edge.line.length_sigma_px,
+                    "angle_deg": edge.line.angle_deg,
+                    "length_mm": edge.length_mm,
+                    "residual_mm": float(residual),
+                    "used": bool(ok),
+                    "label_error_px": edge.label_error_px,
+                }
+                for edge, residual, ok in zip(measured, left, used, strict=True)
+            ],
+            "edge_rms_mm": float(np.sqrt(np.mean(left[used] ** 2))),
+        },
+        remarks=tuple(remarks),
+        refused=tuple(refused),
+    )
+
+
+def _hashes(edges: Sequence[MeasuredEdge]) -> dict[str, str]:
+    """SHA-256 by file name, with its folder where files in several are named alike."""
+    names = Counter(edge.frame.name for edge in edges)
+    return {
+        edge.frame.name
+        if names[edge.frame.name] == 1
+        else "/".join(Path(edge.frame.source).parts[-2:]): edge.frame.sha256
+        for edge in edges
+    }
+
+
+def _lengths_mm(measured: Sequence[MeasuredEdge], scale: np.ndarray) -> np.ndarray:
+    vectors = np.array([edge.line.vector_px for edge in measured])
+    return np.linalg.norm(vectors * scale, axis=1)
+
+
+def _noise(measured: Sequence[MeasuredEdge], scale: np.ndarray) -> float:
+    return float(np.median([edge.line.length_sigma_px for edge in measured]) * scale.mean() / 2)
+
+
+def _fit(measured: Sequence[MeasuredEdge], used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scale [2] and what each edge lacks in length [mm], shape [edge]."""
+    lengths = np.array([edge.length_mm for edge in measured])
+    sigmas = np.array([edge.line.length_sigma_px for edge in measured])
+    first = float(np.median(lengths / [edge.line.length_px for edge in measured]))
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        scale = np.exp(x)
+        short = (lengths - _lengths_mm(measured, scale)) / (sigmas * np.sqrt(scale[0] * scale[1]))
+        return np.append(short[used], (x[1] - x[0]) / SQUARE_SIGMA)
+
+    fit = least_squares(residuals, np.log([first, first]), loss="huber", f_scale=1.5)
+    scale = np.exp(fit.x)
+    return scale, lengths - _lengths_mm(measured, scale)
+
+
+def _covariance(
+    measured: Sequence[MeasuredEdge], used: np.ndarray, scale: np.ndarray, left: np.ndarray
+) -> np.ndarray:
+    """Of both scales, from the spread of the edges and what is common to all of their ends."""
+    chosen = [edge for edge, ok in zip(measured, used, strict=True) if ok]
+    vectors = np.array([edge.line.vector_px for edge in chosen])
+    lengths = _lengths_mm(chosen, scale)
+    jacobian = vectors**2 * scale / lengths[:, None]
+    stated = np.array([edge.line.length_sigma_px for edge in chosen]) * float(scale.mean())
+    excess = 1.0
+    if len(chosen) > 3:
+        excess = max(1.0, float(np.mean((left[used] / stated) ** 2) * len(chosen)
+                                / (len(chosen) - 2)))  # fmt: skip
+    square = np.array([-1.0, 1.0]) / (SQUARE_SIGMA * float(scale.mean()))
+    information = (jacobian / stated[:, None]).T @ (jacobian / stated[:, None]) / excess
+    covariance = np.linalg.inv(information + np.outer(square, square))
+    # The law by which the jump decays beyond an end is the same for all: its error does not
+    # average out.
+    shared = float(np.mean([edge.line.systematic_px / edge.line.length_px for edge in chosen]))
+    return covariance + np.outer(scale, scale) * shared**2
+
+
+def _short(source: str) -> str:
+    return "/".join(Path(source).parts[-2:])
+
+
+def _remarks(measured: Sequence[MeasuredEdge], used: np.ndarray, scale: np.ndarray) -> list[Remark]:
+    remarks = []
+    chosen = [edge for edge, ok in zip(measured, used, strict=True) if ok]
+    if len(chosen) < len(measured):
+        names = [_short(edge.name) for edge, ok in zip(measured, used, strict=True) if not ok]
+        remarks.append(
+            Remark(
+                Severity.INFO,
+                "edges_short",
+                f"{len(names)} of {len(measured)} edges touched with a part of their length only "
+                f"and were left out: {', '.join(names[:5])}",
+            )
+        )
+    if len(chosen) < 4:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "few_edges",
+                f"only {len(chosen)} presses of the edge; 8 or more, along x and along y, show how "
+                "well they agree",
+            )
+        )
+    angles = np.radians([edge.line.angle_deg for edge in chosen])
+    for axis, share in (("x", np.cos(angles) ** 2), ("y", np.sin(angles) ** 2)):
+        if share.max(initial=0.0) < 0.5:
+            other = "y" if axis == "x" else "x"
+            remarks.append(
+                Remark(
+                    Severity.WARNING,
+                    f"edges_not_along_{axis}",
+                    f"no edge lies along {axis}: the scale there is that of {other}, pixels taken "
+                    f"to be square within {SQUARE_SIGMA:.0%}. Press the edge along {axis} too",
+                )
+            )
+    return remarks

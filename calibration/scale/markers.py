@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scale from the pitch of markers whose distance on the gel is known."""
+
+from __future__ import annotations
+
+from calibration.capture.folder import MarkerCaptures
+from calibration.markers.pitch import marker_pitch_px
+from calibration.result import Estimate, Remark, Severity
+from calibration.scale.estimate import ScaleEstimate
+from taccel_lab.errors import InputError
+
+PITCH_SIGMA = 0.01
+"""How well the distance of painted or printed markers is known, as a share."""
+
+
+def scale_from_markers(markers: MarkerCaptures) -> ScaleEstimate:
+    """Scale from the markers at rest.
+
+    Raises:
+        InputError: No known pitch, or no markers on a lattice.
+    """
+    if markers.pitch_x_mm is None and markers.pitch_y_mm is None:
+        raise InputError(
+            "the markers give a scale only with their distance on the gel; give pitch_x_mm and "
+            "pitch_y_mm in [markers]"
+        )
+    along_x, along_y, sigma = marker_pitch_px(markers.rest.image())
+    found = []
+    for pitch_mm, pitch_px in ((markers.pitch_x_mm, along_x), (markers.pitch_y_mm, along_y)):
+        if pitch_mm is None:
+            found.append(None)
+            continue
+        value = pitch_mm / pitch_px
+        share = (sigma / pitch_px) ** 2 + PITCH_SIGMA**2
+        found.append(Estimate(value, value * share**0.5, "mm/px"))
+    return ScaleEstimate(
+        "markers",
+        found[0],
+        found[1],
+        inputs={markers.rest.name: markers.rest.sha256},
+        evidence={
+            "pitch_x_px": along_x,
+            "pitch_y_px": along_y,
+            "pitch_sigma_px": sigma,
+            "pitch_share_sigma": PITCH_SIGMA,
+        },
+        remarks=(
+            Remark(
+                Severity.INFO,
+                "marker_pitch",
+                f"the markers' distance on the gel is taken to be right within {PITCH_SIGMA:.0%}",
+            ),
+        ),
+    )

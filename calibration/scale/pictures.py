@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of a calibrated scale: estimates with intervals, and the edges that were found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calibration.scale.edges import MeasuredEdge
+from calibration.scale.scale_calibration import ScaleCalibration
+from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, in_report_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_MOST = 12
+
+
+@in_report_style
+def draw_estimates(result: ScaleCalibration) -> Figure:
+    """Every method's scale with its 95 % interval, and the mean."""
+    methods = result.estimates
+    figure, axes = new_figure(7.0, 1.3 + 0.55 * len(methods))
+    rows = []
+    for row, estimate in enumerate(methods):
+        rows.append(estimate.method)
+        for axis, shift, color in (("x", -0.13, BLUE), ("y", 0.13, ORANGE)):
+            found = estimate.along(axis)
+            if found is None:
+                continue
+            low, high = found.interval95
+            axes.plot([low, high], [row + shift] * 2, "-", color=color, lw=2)
+            axes.plot(found.value, row + shift, "o", color=color, ms=5)
+        if estimate.upper_x is not None and estimate.x is None:
+            axes.plot(estimate.upper_x, row, "<", color=GREEN, ms=9)
+            axes.annotate(
+                "at most", (estimate.upper_x, row), xytext=(-10, 0), textcoords="offset points",
+                ha="right", va="center", color=GREEN,
+            )  # fmt: skip
+    for axis, color in (("x", BLUE), ("y", ORANGE)):
+        if axis in result.axes:
+            found = result.axes[axis].estimate
+            axes.axvspan(*found.interval95, color=color, alpha=0.12, lw=0)
+            axes.axvline(found.value, color=color, lw=1, label=f"mean along {axis}")
+    axes.set_yticks(range(len(rows)), rows)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_xlabel("mm/px; bars and bands are 95 % intervals")
+    axes.grid(True, axis="x")
+    if result.axes:
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=2)
+    return figure
+
+
+@in_report_style
+def draw_edges(measured: list[MeasuredEdge]) -> Figure:
+    """The edges as found."""
+    shown = min(len(measured), _MOST)
+    columns = min(4, shown)
+    rows = -(-shown // columns)
+    images = [edge.frame.image() for edge in measured[:shown]]
+    height, width = images[0].shape[:2]
+    figure, axes = new_figure(
+        2.5 * columns, (2.5 * height / width + 0.3) * rows, rows, columns, squeeze=False
+    )
+    for axis in axes.ravel():
+        axis.set_axis_off()
+    for axis, edge, image in zip(axes.ravel(), measured[:shown], images, strict=False):
+        axis.imshow(image)
+        ends = edge.line.ends_px
+        axis.plot(ends[:, 0], ends[:, 1], "-", color="white", lw=0.8)
+        axis.plot(ends[:, 0], ends[:, 1], "o", mfc="none", color="white", ms=6)
+        axis.set_title(
+            f"{Path(edge.name).parent.name}/{edge.frame.name}: {edge.line.length_px:.1f} px",
+            fontsize=9,
+            color=GREY,
+        )
+    return figure
+
+
+@in_report_style
+def draw_edge_lengths(result: ScaleCalibration) -> Figure:
+    """What each edge lacks in length, by its angle."""
+    evidence = next(e.evidence for e in result.estimates if e.method == "edge")
+    figure, axes = new_figure(6.5, 3.2)
+    for edge in evidence["edges"]:
+        color = BLUE if edge["used"] else LIGHT
+        axes.errorbar(
+            edge["angle_deg"], edge["residual_mm"],
+            yerr=edge["sigma_px"] * edge["length_mm"] / edge["length_px"],
+            fmt="o", ms=4, color=color, lw=1,
+        )  # fmt: skip
+    axes.axhline(0.0, color=GREY, lw=0.8)
+    axes.set_xlim(-95, 95)
+    axes.set_xlabel("angle of the edge against the image's rows [deg]")
+    axes.set_ylabel("stated minus measured length [mm]")
+    return figure
