@@ -81,7 +81,7 @@ def _print_summary(console: Any, document: dict[str, Any], out: Path) -> None:
         for name, text in document[heading].items():
             table.add_row(heading.replace("_", " "), Text(name), Text(text))
     for name, value in document["approximations"].items():
-        table.add_row("error", Text(name), f"{value:.4g}")
+        table.add_row("figure", Text(name), f"{value:.4g}")
     console.print(table)
     for note in document["notes"]:
         console.print(f"- {note}", highlight=False, markup=False)

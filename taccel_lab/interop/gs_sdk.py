@@ -112,7 +112,8 @@ def export_gs_sdk(
         record.left_out["normals"] = (
             "its inputs are not gs_sdk's; the network was made from the colour model instead"
         )
-    record.left_out["markers"] = "gs_sdk has none; marked gels confuse its network"
+    if profile.markers is not None:
+        record.left_out["markers"] = "gs_sdk has none; marked gels confuse its network"
     return record
 
 

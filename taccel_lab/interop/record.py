@@ -34,7 +34,8 @@ class ExportRecord:
     left_out: dict[str, str] = field(default_factory=dict)
     """Block or quantity: why it is not."""
     approximations: dict[str, float] = field(default_factory=dict)
-    """Measured errors of what the format can only approximate; units in the names."""
+    """Measured errors of what the format can only approximate, and the figures to judge them by;
+    units in the names."""
     notes: list[str] = field(default_factory=list)
     """Conventions that a user of the files has to know."""
 
@@ -43,6 +44,12 @@ class ExportRecord:
         for key in keys:
             if getattr(profile, key) is None:
                 self.left_out[key] = f"the profile has no {key} block; made by {MAKERS[key]}"
+
+    def no_place_for(self, profile: SensorProfile, *keys: str) -> None:
+        """Note the blocks that the profile has and the format cannot hold."""
+        for key in keys:
+            if getattr(profile, key) is not None:
+                self.left_out[key] = "the format has no place for it"
 
 
 def required(profile: SensorProfile, key: str, wanted_for: str, value: T | None) -> T:

@@ -118,8 +118,7 @@ def export_tacto(profile: SensorProfile, folder: Path) -> ExportRecord:
         record.carries["perturbation"] = "the noise of a pixel"
     record.leave_out_missing(profile, "background", "perturbation")
     record.left_out["lights.shape"] = "size, direction and lobe of an LED have no place"
-    for key in ("material", "color", "coating", "window", "markers"):
-        record.left_out[key] = "the format has no place for it"
+    record.no_place_for(profile, "material", "color", "coating", "window", "markers")
     return record
 
 

@@ -95,8 +95,7 @@ def export_taxim(profile: SensorProfile, folder: Path) -> ExportRecord:
         "slopes are those over the rest surface, so gelmap is flat and the sag of the gel is not "
         "in it"
     )
-    for key in ("material", "optics", "lights", "markers"):
-        record.left_out[key] = "the format has no place for it"
+    record.no_place_for(profile, "material", "optics", "lights", "markers")
     return record
 
 

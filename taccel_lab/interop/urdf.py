@@ -91,8 +91,7 @@ def export_urdf(profile: SensorProfile, folder: Path) -> ExportRecord:
         record.carries["optics"] = "pose of the camera"
         record.left_out["optics.intrinsics"] = "URDF has no place for them; see the opencv export"
     record.leave_out_missing(profile, "housing", "optics")
-    for key in ("color", "markers", "lights"):
-        record.left_out[key] = "URDF has no place for it"
+    record.no_place_for(profile, "color", "markers", "lights")
     return record
 
 
