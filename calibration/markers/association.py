@@ -108,7 +108,7 @@ def by_lattice(
     if lattice.kind != "rectangular":
         return None
     numbered = np.flatnonzero(lattice.numbered)
-    distance, nearest = KDTree(expected).query(found[numbered])
+    distance, nearest = map(np.asarray, KDTree(expected).query(found[numbered]))
     votes = (distance < 0.3 * pitch_px) & (row[nearest] >= 0)
     if not votes.any():
         return None

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from calibration.markers import dot_model as model
 from calibration.markers.brightness import bright_level, grey_levels
@@ -26,6 +27,8 @@ _FULL = 0.93
 _NEIGHBOURS = 6
 _SAME_SIZE = 0.01
 """Neighbouring dots are never known to be of one size better than by this part."""
+_TOUCH = 1.1
+"""Dots nearer than this, in sums of their radii, touch."""
 _ODD_RADIUS = 1.6
 _ODD_ROUND = 2.2
 _ODD_CONTRAST = 0.35
@@ -49,8 +52,10 @@ def detect_dots(image: np.ndarray, scale: DotScale) -> Dots:
     height, width = grey.shape
     cut = fit.seen < _FULL
     cut &= _reaches_border(fit.parameters, width, height)
-    if cut.any() and (~cut).sum() >= 3:
-        fit = _refit_cut(grey, fit, cut)
+    merged = merged | _touching(fit)
+    partial = cut | merged
+    if partial.any() and (~partial).sum() >= 3:
+        fit = _refit_partial(grey, fit, partial)
     dots = dots_from_fit(fit, scale, (width, height))
     flags = np.zeros(dots.count, dtype=np.uint8)
     flags[cut] |= np.uint8(DotFlag.CUT)
@@ -85,6 +90,11 @@ def start_parameters(uv_px: np.ndarray, radius_px: float | np.ndarray) -> np.nda
     return start
 
 
+def strong_blobs(image: np.ndarray, scale: DotScale) -> np.ndarray:
+    """Whole pixels (u, v) of blobs that are strong enough for dots, shape [blob, 2]."""
+    return _start(grey_levels(image), scale)[:, :2]
+
+
 def _start(grey: np.ndarray, scale: DotScale) -> np.ndarray:
     answer = response(grey, scale.sigma_px, bright_level(grey))
     blobs = find_blobs(answer, scale.sigma_px, scale.sign, MIN_CONTRAST)
@@ -115,8 +125,19 @@ def _reaches_border(p: np.ndarray, width: int, height: int) -> np.ndarray:
     return (u < radius) | (v < radius) | (u > width - 1 - radius) | (v > height - 1 - radius)
 
 
-def _refit_cut(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
-    """Fit the place of cut dots alone, with the shape of the nearest whole ones.
+def _touching(fit: DotFit) -> np.ndarray:
+    """Dots whose outline meets that of another one, bool, shape [dot]."""
+    p = fit.parameters
+    if len(p) < 2:
+        return np.zeros(len(p), dtype=bool)
+    radius = model.mean_radius(p)
+    distance, nearest = map(np.asarray, KDTree(p[:, :2]).query(p[:, :2], k=2))
+    usual = np.minimum(radius, np.median(radius))
+    return distance[:, 1] < _TOUCH * (usual + usual[nearest[:, 1]])
+
+
+def _refit_partial(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
+    """Fit the place alone of dots that are partly seen, with the shape of the nearest whole ones.
 
     Where one edge alone is seen, an error of the size is an error of the place; the neighbours'
     spread in size enters the covariance by that.

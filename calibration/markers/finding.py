@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.markers.brightness import grey_levels
-from calibration.markers.detection import detect_dots, dots_from_fit, start_parameters
+from calibration.markers.detection import detect_dots, dots_from_fit, start_parameters, strong_blobs
 from calibration.markers.dot_fit import fit_dots
 from calibration.markers.dots import DotFlag, Dots
 from calibration.markers.lattice import Lattice, lattice_index, renumbered
@@ -26,9 +26,12 @@ MIN_DOTS = 9
 _MIN_CONTRAST = 0.05
 _FREE_DOTS, _FREE_GAP, _FREE_CONTRAST = 12, 1.6, 0.15
 """Without a lattice: how many dots, how far above the rest, how much contrast."""
+_ONE_SIZE = 0.2
 _FAINT = 0.3
 """A dot in a gap has at least this share of the usual contrast."""
 _TRIED = 4
+_MANY = 300
+"""Blobs above which a part of them is looked at first."""
 _STRAY = 0.34
 """An outermost line of odd blobs that is filled less than this is dirt."""
 
@@ -54,7 +57,7 @@ def find_markers(image: np.ndarray) -> MarkerPicture:
     """
     best_count, best = 0, None
     for scale in scale_candidates(image)[:_TRIED]:
-        if scale.count < MIN_DOTS:
+        if scale.count < MIN_DOTS or (scale.count > _MANY and not _regular(image, scale)):
             continue
         dots = detect_dots(image, scale)
         picture = _accept(dots, scale)
@@ -63,6 +66,17 @@ def find_markers(image: np.ndarray) -> MarkerPicture:
         if scale.count > best_count:
             best_count, best = scale.count, dots
     raise InputError("no dots found: " + _why_not(best))
+
+
+def _regular(image: np.ndarray, scale: DotScale) -> bool:
+    """Whether very many blobs look like dots before any is fitted: part of them forms a lattice,
+    or they stand far above the rest. Noise makes thousands of blobs of any small size."""
+    if scale.gap >= _FREE_GAP:
+        return True
+    blobs = strong_blobs(image, scale)
+    middle = np.median(blobs, axis=0)
+    near = np.argsort(np.hypot(*(blobs - middle).T))[: _MANY // 2]
+    return lattice_index(blobs[near]).kind != "none"
 
 
 def _accept(dots: Dots, scale: DotScale) -> MarkerPicture | None:
@@ -76,9 +90,15 @@ def _accept(dots: Dots, scale: DotScale) -> MarkerPicture | None:
     if lattice.kind != "none" and lattice.numbered.sum() >= MIN_DOTS:
         return _numbered(dots, lattice)
     clear = scale.gap >= _FREE_GAP and np.median(np.abs(likely.contrast)) >= _FREE_CONTRAST
-    if likely.count >= _FREE_DOTS and clear:
+    if likely.count >= _FREE_DOTS and clear and _alike(likely) and _alike(dots):
         return MarkerPicture(likely, lattice_index(likely.uv_px), None)
     return None
+
+
+def _alike(dots: Dots) -> bool:
+    """Whether dots have one size: the middle two thirds within 20 % of the median; dirt has not."""
+    size = np.log(dots.radius_px)
+    return bool(np.median(np.abs(size - np.median(size))) / 0.6745 < _ONE_SIZE)
 
 
 def _numbered(dots: Dots, lattice: Lattice) -> MarkerPicture:

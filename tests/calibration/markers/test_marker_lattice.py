@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of a lattice: any order, rotation, skew, distortion, with points missing and astray."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration.markers import fit_layout, lattice_index
+from calibration.markers.lattice import renumbered
+from taccel_lab.errors import InputError
+from taccel_lab.optics import MarkerGrid
+from tests.calibration.markers.drawn import grid_points
+
+
+def bent(points: np.ndarray, barrel: float, tilt: float, skew: float, turn: float) -> np.ndarray:
+    """Barrel (share of the corner's distance), perspective, skew and rotation about the middle."""
+    middle = points.mean(axis=0)
+    reach = np.abs(points - middle).max()
+    x = (points - middle) / reach
+    x = x * (1 - barrel * (x**2).sum(axis=1, keepdims=True))
+    x = x / (1 + tilt * x[:, :1])
+    x = x + np.stack([skew * x[:, 1], 0 * x[:, 1]], axis=1)
+    c, s = np.cos(turn), np.sin(turn)
+    return reach * x @ np.array([[c, s], [-s, c]]) + middle
+
+
+def one_shift(found: np.ndarray, true: np.ndarray) -> bool:
+    return len(np.unique(found - true)) == 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    rows=st.integers(5, 12),
+    columns=st.integers(5, 14),
+    ratio=st.floats(0.7, 1.4),
+    barrel=st.floats(-0.08, 0.12),
+    tilt=st.floats(-0.12, 0.12),
+    skew=st.floats(-0.1, 0.1),
+    turn=st.floats(-0.6, 0.6),
+    seed=st.integers(0, 10_000),
+)
+def test_rectangular_lattices_are_numbered(
+    rows: int,
+    columns: int,
+    ratio: float,
+    barrel: float,
+    tilt: float,
+    skew: float,
+    turn: float,
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    points = bent(grid_points(rows, columns, (30.0, 30.0 * ratio)), barrel, tilt, skew, turn)
+    points += rng.normal(0, 0.5, points.shape)
+    keep = rng.random(len(points)) > 0.12
+    astray = rng.uniform(points.min(axis=0), points.max(axis=0), (3, 2))
+    order = rng.permutation(keep.sum() + 3)
+    lattice = lattice_index(np.concatenate([points[keep], astray])[order])
+    back = np.argsort(order)[: keep.sum()]
+    row, column = lattice.row[back], lattice.column[back]
+    true_row, true_column = (n.ravel()[keep] for n in np.mgrid[:rows, :columns])
+    numbered = row >= 0
+    assert lattice.kind == "rectangular"
+    assert numbered.mean() > 0.9
+    assert one_shift(row[numbered], true_row[numbered])
+    assert one_shift(column[numbered], true_column[numbered])
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    turn=st.floats(-0.4, 0.4),
+    barrel=st.floats(-0.05, 0.08),
+    stagger=st.sampled_from([0.5, -0.5]),
+    seed=st.integers(0, 10_000),
+)
+def test_hexagonal_lattices_are_numbered(
+    turn: float, barrel: float, stagger: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    straight = grid_points(8, 10, (30.0, 30.0 * np.sqrt(0.75)), stagger=stagger)
+    points = bent(straight, barrel, 0.05, 0.0, turn) + rng.normal(0, 0.4, straight.shape)
+    keep = rng.random(len(points)) > 0.08
+    order = rng.permutation(keep.sum())
+    lattice = lattice_index(points[keep][order])
+    assert lattice.kind == "hexagonal"
+    assert lattice.numbered.mean() > 0.9
+    numbered = np.flatnonzero(lattice.numbered)
+    # Numbers are right when steps and straight points are one affine map of each other.
+    steps = np.column_stack([lattice.steps()[numbered], np.ones(len(numbered))])
+    target = straight[keep][order][numbered]
+    miss = target - steps @ np.linalg.lstsq(steps, target, rcond=None)[0]
+    assert np.abs(miss).max() < 1e-6
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000), count=st.integers(0, 150))
+def test_scattered_points_are_no_lattice(seed: int, count: int) -> None:
+    points = np.random.default_rng(seed).uniform(0, 300, (count, 2))
+    lattice = lattice_index(points)
+    assert lattice.kind == "none"
+    assert (lattice.row == -1).all()
+    assert (lattice.column == -1).all()
+
+
+def test_rows_run_right_and_down_from_zero() -> None:
+    points = grid_points(3, 4)
+    lattice = lattice_index(points[::-1])
+    np.testing.assert_array_equal(lattice.row[::-1].reshape(3, 4)[:, 0], [0, 1, 2])
+    np.testing.assert_array_equal(lattice.column[::-1].reshape(3, 4)[0], [0, 1, 2, 3])
+    np.testing.assert_allclose(lattice.basis, [[30, 0], [0, 29]], atol=1e-9)
+
+
+def test_a_whole_missing_column_leaves_a_gap() -> None:
+    keep = np.tile(np.arange(9) != 4, 7)
+    lattice = lattice_index(grid_points()[keep])
+    assert lattice.columns == 9
+    assert 4 not in lattice.column
+
+
+def test_part_of_a_lattice_is_counted_from_its_own_corner() -> None:
+    points = grid_points(6, 5, (30.0, 26.0), stagger=0.5)
+    lattice = lattice_index(points)
+    part, first = renumbered(lattice, lattice.row >= 1)
+    assert first == (1, 0)
+    assert part.rows == 5
+    steps = np.column_stack([part.steps(), np.ones(len(points))])[part.numbered]
+    target = points[part.numbered]
+    assert np.abs(target - steps @ np.linalg.lstsq(steps, target, rcond=None)[0]).max() < 1e-9
+
+
+def test_bad_points_are_refused() -> None:
+    with pytest.raises(InputError, match=r"shape \[point, 2\]"):
+        lattice_index(np.zeros((4, 3)))
+    with pytest.raises(InputError, match="finite"):
+        lattice_index(np.full((9, 2), np.nan))
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    turn=st.floats(-0.7, 0.7),
+    stagger=st.sampled_from([0.0, 0.5]),
+    ratio=st.floats(0.75, 0.95),
+    seed=st.integers(0, 10_000),
+)
+def test_a_layout_gives_back_the_marker_grid(
+    turn: float, stagger: float, ratio: float, seed: int
+) -> None:
+    """From the profile's own points, without noise, to the last digit."""
+    rng = np.random.default_rng(seed)
+    ratio = np.sqrt(0.75) if stagger else ratio
+    places = [(r, c) for r in range(1, 6) for c in range(1, 7)]
+    missing = tuple(sorted(places[n] for n in rng.choice(len(places), 3, replace=False)))
+    if stagger:
+        turn = 0.4 * turn  # six directions look alike beyond 30 degrees
+    grid = MarkerGrid(
+        7, 8, 2.0, 2.0 * ratio, 0.3, (0.4, -0.7), float(np.degrees(turn)), stagger, missing
+    )
+    points = grid.points_mm()
+    lattice = lattice_index(points)
+    layout = fit_layout(points, lattice)
+    np.testing.assert_allclose(layout.pitch, (2.0, 2.0 * ratio), rtol=1e-9)
+    np.testing.assert_allclose(layout.rotation_deg, np.degrees(turn), atol=1e-7)
+    np.testing.assert_allclose(layout.centre, (0.4, -0.7), atol=1e-9)
+    assert layout.missing == missing
+    assert layout.stagger == stagger
+    assert layout.residual_rms < 1e-9
+    back = layout.place(lattice.row, lattice.column)
+    np.testing.assert_allclose(back, points, atol=1e-9)
+
+
+def test_layout_sigmas_hold() -> None:
+    rng = np.random.default_rng(3)
+    true = grid_points(8, 9, (30.0, 28.0), turn_rad=0.1)
+    lattice = lattice_index(true)
+    z = []
+    for _ in range(120):
+        fit = fit_layout(true + rng.normal(0, 0.1, true.shape), lattice)
+        truth = np.array([30.0, 28.0, 0.1, 159.3, 119.8])
+        z.append((fit.parameters - truth) / np.sqrt(np.diag(fit.covariance)))
+    rms = np.sqrt((np.array(z) ** 2).mean(axis=0))
+    # The larger of two covariances: somewhat wide, never narrow.
+    assert (rms < 1.1).all()
+    assert (rms > 0.6).all()
+
+
+def test_a_few_points_far_off_bend_no_layout() -> None:
+    true = grid_points()
+    moved = true.copy()
+    moved[[5, 33]] += (4.0, -3.0)
+    lattice = lattice_index(true)
+    fit = fit_layout(moved, lattice)
+    assert fit.pitch == pytest.approx((30.0, 29.0), abs=0.02)
+    assert not fit.inlier[[5, 33]].any()
+    assert fit.inlier.sum() == len(true) - 2
+
+
+def test_too_few_points_have_no_layout() -> None:
+    line = lattice_index(np.zeros((0, 2)))
+    with pytest.raises(InputError, match="at least 4 numbered dots"):
+        fit_layout(np.zeros((0, 2)), line)
