@@ -108,7 +108,8 @@ def _nearest_filled(filled: np.ndarray) -> np.ndarray:
     bins = len(filled)
     # Three turns beside each other, so that the ends of the directions are neighbours.
     turned = np.concatenate([filled] * 3, axis=1)
-    tilt, direction = distance_transform_edt(~turned, return_distances=False, return_indices=True)[
-        :, :, bins : 2 * bins
-    ]
+    nearest = np.asarray(
+        distance_transform_edt(~turned, return_distances=False, return_indices=True)
+    )
+    tilt, direction = nearest[:, :, bins : 2 * bins]
     return (tilt * bins + direction % bins).ravel()

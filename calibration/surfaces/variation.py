@@ -17,7 +17,6 @@ from scipy.ndimage import map_coordinates
 from calibration.capture.captures import ContactCircle
 from calibration.surfaces.radial import RadialSurfaces, slope_of
 from calibration.surfaces.types import PressSurface
-from taccel_lab.geometry import PixelGrid
 
 MOVED_RADII = 2.7
 """Beyond this many contact radii a surface stays where it was: it is nearly at rest there."""
@@ -104,10 +103,10 @@ def moved_surfaces(
     surfaces: Sequence[PressSurface],
     simulated: Sequence[ContactCircle],
     circles: Sequence[ContactCircle],
-    grid: PixelGrid,
+    library: RadialSurfaces,
 ) -> list[PressSurface]:
     """Surfaces simulated at some circles as if simulated at others near them."""
-    library = RadialSurfaces.of(surfaces, simulated, grid)
+    grid = library.grid
     moved = []
     for surface, at, circle in zip(surfaces, simulated, circles, strict=True):
         near = np.flatnonzero(circle.distance_px(grid) <= MOVED_RADII * circle.radius_px)

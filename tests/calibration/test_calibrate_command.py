@@ -47,7 +47,7 @@ def folder(tmp_path: Path) -> Path:
 def test_writes_a_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder.parent / "profile"
     CalibrateColor(
-        folder, out, base=folder.parent / "base", surface="hertz", steps=60, folds=2, json=True
+        folder, out, base=folder.parent / "base", surface="hertz", steps=60, ensemble=2, json=True
     ).run()
     figures = json.loads(capsys.readouterr().out)
     assert figures["profile"] == str(out)
@@ -66,7 +66,7 @@ def test_writes_a_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
 def test_table_names_the_figures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder.parent / "profile"
     CalibrateColor(
-        folder, out, base=folder.parent / "base", surface="cap", steps=5, folds=0,
+        folder, out, base=folder.parent / "base", surface="cap", steps=5, ensemble=0,
         holdout_every=0,
     ).run()  # fmt: skip
     assert "no press was held out" in capsys.readouterr().out
@@ -86,7 +86,7 @@ def test_an_empty_frame_stops_it(folder: Path) -> None:
     [
         ({"holdout_every": 1}, "holdout_every must be 0 or at least 2"),
         ({"holdout_every": 9}, "too few to hold out"),
-        ({"folds": 1}, "folds must be 0 or at least 2"),
+        ({"ensemble": 1}, "ensemble must be 0 or at least 2"),
         ({"steps": 0}, "steps must be at least 1"),
         ({"sensor": "digit"}, "captured with sensor 'gelsight', not 'digit'"),
         ({"captures": Path("nowhere")}, "nowhere does not exist"),

@@ -133,8 +133,8 @@ def test_bad_captures(here: Path, capsys: pytest.CaptureFixture[str], case: str)
     [
         (["--steps", "0"], ["steps must be at least 1, got 0"]),
         (["--steps", "-5"], ["steps must be at least 1, got -5"]),
-        (["--folds", "1"], ["folds must be 0 or at least 2, got 1"]),
-        (["--folds", "-1"], ["folds must be 0 or at least 2, got -1"]),
+        (["--ensemble", "1"], ["ensemble must be 0 or at least 2, got 1"]),
+        (["--ensemble", "-1"], ["ensemble must be 0 or at least 2, got -1"]),
         (["--holdout-every", "1"], ["holdout_every must be 0 or at least 2, got 1"]),
         (["--holdout-every", "6"], [r"captures\.toml holds 5 presses, too few to hold out"]),
         (["--sensor", "digit"], ["captured with sensor 'gelsight', not 'digit'"]),

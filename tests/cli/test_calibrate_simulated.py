@@ -35,7 +35,7 @@ def test_captures_become_a_profile_that_can_be_pressed(
 ) -> None:
     captures = write_captures(tmp_path / "captures")
     out = tmp_path / "calibrated" / "unit"
-    assert calibrate(captures, out, "--steps", "150", "--folds", "0", "--json") == 0
+    assert calibrate(captures, out, "--steps", "150", "--ensemble", "0", "--json") == 0
     captured = capsys.readouterr()
     color = json.loads(captured.out)["color"]
     assert "found circles against 5 labels" in captured.err
@@ -70,7 +70,7 @@ def test_base_profile_gives_the_design(tmp_path: Path) -> None:
     captures = write_captures(tmp_path / "captures")
     base = write_profile(tmp_path / "base", color=False)
     out = tmp_path / "unit"
-    options = ["--base", str(base), "--steps", "5", "--folds", "0", "--holdout-every", "0"]
+    options = ["--base", str(base), "--steps", "5", "--ensemble", "0", "--holdout-every", "0"]
     assert calibrate(captures, out, *options) == 0
     assert load_profile(out).material == load_profile(base).material
     # Again, in the place of the first.

@@ -5,20 +5,31 @@ Pixels are drawn from the contact disc, the ring around it and the untouched res
 Huber's in levels unless another is asked for.
 """
 
+from calibration.estimators.color.drift_choice import DriftChoice, choose_drift
 from calibration.estimators.color.fit import ColorFit, disc_l1, fit_color_model
 from calibration.estimators.color.folds import FoldResult, cross_validate, fold_fits
 from calibration.estimators.color.frames import ColorFrame
 from calibration.estimators.color.options import ColorFitOptions, Loss, Progress
+from calibration.estimators.color.registration import (
+    Registration,
+    register_others,
+    register_presses,
+)
 
 __all__ = [
     "ColorFit",
     "ColorFitOptions",
     "ColorFrame",
+    "DriftChoice",
     "FoldResult",
     "Loss",
     "Progress",
+    "Registration",
+    "choose_drift",
     "cross_validate",
     "disc_l1",
     "fit_color_model",
     "fold_fits",
+    "register_others",
+    "register_presses",
 ]

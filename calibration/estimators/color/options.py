@@ -71,3 +71,10 @@ class ColorFitOptions:
             raise InputError(
                 f"validation_every must be 0 or at least 2, got {self.validation_every}"
             )
+
+
+SHORT_FIT = ColorFitOptions(
+    hidden=(48, 48), steps=400, batch_pixels=2048, disc_pixels=1500, ring_pixels=900,
+    far_pixels=200, learning_rate=8e-3,
+)  # fmt: skip
+"""Fits that settle questions, such as where a press is: a second each."""

@@ -26,7 +26,7 @@ from calibration.estimators.color.frames import (
     join_samples,
     samples_at,
 )
-from calibration.estimators.color.options import ColorFitOptions
+from calibration.estimators.color.options import SHORT_FIT, ColorFitOptions
 from calibration.estimators.color.training import train
 from calibration.surfaces.radial import RadialSurfaces
 from calibration.surfaces.variation import MovedPress
@@ -49,11 +49,6 @@ RADIUS_SIGMA = 0.05
 CORRELATED_PIXELS = 25.0
 """Neighbouring pixels err alike: as many count as one."""
 ROBUST_LEVELS = 4.0
-FIT = ColorFitOptions(
-    hidden=(48, 48), steps=400, batch_pixels=2048, disc_pixels=1500, ring_pixels=900,
-    far_pixels=200, learning_rate=8e-3,
-)  # fmt: skip
-"""The short fits that place the presses."""
 REACH = 1.8
 """Pixels up to this many contact radii are compared."""
 MAX_PIXELS = 1500
@@ -87,7 +82,7 @@ def register_presses(
         raise InputError(
             f"{len(frames)} presses are too few to place each by the others; at least {MIN_PRESSES}"
         )
-    options = replace(FIT, remove_drift=remove_drift, seed=seed)
+    options = replace(SHORT_FIT, remove_drift=remove_drift, seed=seed)
     job = _Job(frames, background, grid, mask, options)
     total = len(SCALES) + 2 + ROUNDS
     done = 0

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import tyro
 from tyro.conf import Positional
 
 from taccel_lab.errors import InputError
@@ -15,9 +16,13 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from calibration.capture import CaptureSet, ContactCircle
-    from calibration.color_calibration import ColorCalibration
+    from calibration.color_result import ColorCalibration
+    from calibration.result import Remark
     from calibration.surfaces import PressSurface
     from taccel_lab.profile import SensorProfile
+
+ASKED_ELSEWHERE = frozenset({"sensor_unknown"})
+"""Findings of the check that the calibration says in its own words."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +30,8 @@ class CalibrateColor:
     """Fit the pixel-to-colour model to captured ball presses and write a profile.
 
     Every press is simulated to get the gel's surface under it; the model then learns the colour
-    of each pixel from position, normal and displacement. Figures are of held-out presses.
+    of each pixel from position, normal and displacement. Figures are of held-out presses, and of
+    all presses by fits without them. Simulations are kept, so that a second run takes the fit only.
     """
 
     captures: Positional[Path]
@@ -33,22 +39,41 @@ class CalibrateColor:
     out: Path
     """Profile folder to write."""
     base: Path | None = None
-    """Profile of the designed sensor to extend; the catalogue's design of the sensor when left
-    out."""
+    """Profile of the designed sensor to extend; the catalogue's design of the sensor, turned as the
+    images are, when left out. A sensor that the catalogue does not know is taken as a flat pad."""
+    report: Path | None = None
+    """Folder of the report; <out>_report when left out."""
     sensor: str | None = None
     """Sensor of the catalogue; the captures' own when left out."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())
+    """Dimensions of the gel that differ from the catalogue's, such as thickness_mm=2.5; not with
+    --base."""
     holdout_every: int = 4
     """Every how-manieth press is held out for the figures; 0 holds none out."""
     circles: Literal["fused", "labels", "detected"] = "fused"
-    """Contact circles to simulate: those given, those found in the images, or the better estimate
+    """Contact circles to start from: those given, those found in the images, or the better estimate
     from both. A press without a given circle takes the one found. Figures always refer to the
     given circles where there are any."""
+    register: bool = True
+    """Read the circles again with the colours of the other presses; needs 8 presses to fit."""
     surface: Literal["simulated", "cap", "hertz"] = "simulated"
     """Gel surface under a press: the simulation, or a closed-form baseline for comparison."""
-    steps: int = 2000
+    cache: bool = True
+    """Keep simulated presses in the user's cache folder, and take what is there."""
+    drift: Literal["auto", "on", "off"] = "auto"
+    """Take the drift of the light off each frame: on for cameras with automatic white balance;
+    auto compares both on left-out presses."""
+    loss: Literal["huber", "l1", "ssim"] = "huber"
+    """Loss of the fit: nearly L1 and smooth, L1, or the first with structural similarity."""
+    steps: int = 1500
     """Optimiser steps of the fit."""
-    folds: int = 3
-    """Folds of the cross-validation over the training presses; 0 skips it."""
+    validation_every: int = 0
+    """Every how-manieth fitted press is kept back to stop the fit early; 0 for none."""
+    ensemble: int = 3
+    """Fits that each leave some presses out: they cross-validate all presses, and their spread says
+    how sure the model is; 0 skips them."""
+    table: bool = True
+    """Fit Taxim's table too, for comparison."""
     seed: int = 0
     """Seed of the pixel draw, the initial weights and the batches."""
     json: bool = False
@@ -57,31 +82,24 @@ class CalibrateColor:
     def run(self) -> None:
         from rich.console import Console
 
-        from calibration.capture import load_captures
-        from calibration.color_calibration import calibrate_color
+        from calibration.color_calibration import ColorPlan, calibrate_color
+        from calibration.color_report import color_page
         from calibration.estimators.color import ColorFitOptions
-        from sensors.profile import catalogue_profile
+        from taccel_lab.cli.calibrate.base import report_folder, require_outputs, write_results
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
-        from taccel_lab.profile import load_profile, require_profile_folder, save_profile
 
         console = Console(stderr=True)
-        require_profile_folder(self.out)
-        if self.folds == 1 or self.folds < 0:
-            raise InputError(f"folds must be 0 or at least 2, got {self.folds}")
-        options = ColorFitOptions(steps=self.steps, seed=self.seed)
-        captures = load_captures(self.captures)
+        report = report_folder(self.out, self.report)
+        require_outputs(self.out, report)
+        if self.ensemble == 1 or self.ensemble < 0:
+            raise InputError(f"ensemble must be 0 or at least 2, got {self.ensemble}")
+        options = ColorFitOptions(
+            steps=self.steps, seed=self.seed, loss=self.loss, validation_every=self.validation_every
+        )
+        captures, remarks = self._captures(console)
         captures.split(self.holdout_every)
-        if self.sensor is not None and self.sensor != captures.sensor:
-            raise InputError(
-                f"{captures.source} was captured with sensor {captures.sensor!r}, not "
-                f"{self.sensor!r}"
-            )
-        if self.base is not None:
-            base = load_profile(self.base)
-        else:
-            base = catalogue_profile(captures.sensor)
-        base = with_camera_of(base, captures)
+        base, assumed = self._base(captures)
         circles = _contact_circles(captures, self.circles, console)
         surfaces = self._surfaces(captures, circles, base, console)
         with fit_progress(console, "fitting the colour model") as progress:
@@ -89,17 +107,64 @@ class CalibrateColor:
                 captures,
                 circles,
                 surfaces,
-                holdout_every=self.holdout_every,
                 options=options,
-                folds=self.folds,
+                plan=ColorPlan(
+                    holdout_every=self.holdout_every,
+                    drift=self.drift,
+                    register=self.register,
+                    folds=min(self.ensemble, len(captures.presses)),
+                    table=self.table,
+                ),
+                remarks=(*remarks, *assumed),
                 progress=progress,
+                stage=lambda text: console.print(text, highlight=False),
             )
-        save_profile(result.apply_to(base), self.out)
+        write_results(result, color_page(result), base, self.out, report, console)
         if self.json:
             print_json({"profile": str(self.out), "color": result.figures()})
         else:
             _print_figures(Console(), result)
-            console.print(f"wrote {self.out}", highlight=False)
+
+    def _captures(self, console: Console) -> tuple[CaptureSet, list[Remark]]:
+        """The presses, and what is weak about them; what cannot be used is refused with reasons."""
+        from calibration.capture import load_capture_folder
+        from calibration.capture.check import check_captures
+        from taccel_lab.cli.progress import count_progress
+
+        folder = load_capture_folder(self.captures)
+        if self.sensor is not None and self.sensor != folder.sensor:
+            raise InputError(
+                f"{folder.source} was captured with sensor {folder.sensor!r}, not {self.sensor!r}"
+            )
+        fault, captures = None, None
+        try:
+            captures = folder.ball_presses()
+        except InputError as error:
+            fault = error
+        with count_progress(console, "checking the captures") as progress:
+            findings = [
+                finding
+                for finding in check_captures(folder, progress=progress).findings
+                if "color" in finding.blocks and finding.code not in ASKED_ELSEWHERE
+            ]
+        if captures is None:
+            also = [f"- {finding.message}" for finding in findings]
+            heading = ["the captures have more faults:"] if also else []
+            raise InputError("\n".join([str(fault), *heading, *also]))
+        return captures, list(findings)
+
+    def _base(self, captures: CaptureSet) -> tuple[SensorProfile, list[Remark]]:
+        """The designed sensor with the captures' camera, and what was assumed of it."""
+        from cad.parameters import parse_overrides
+        from calibration.surfaces.design import fitted_design
+        from taccel_lab.cli.calibrate.base import base_profile
+
+        if self.base is not None:
+            if self.set:
+                raise InputError("--set changes the catalogue's design and cannot go with --base")
+            return with_camera_of(base_profile(self.base, captures.sensor), captures), []
+        design = fitted_design(captures.sensor, captures.grid, parse_overrides(self.set))
+        return with_camera_of(design.profile, captures), design.remarks
 
     def _surfaces(
         self,
@@ -113,12 +178,19 @@ class CalibrateColor:
             from taccel_lab.cli.progress import count_progress
 
             with count_progress(console, "simulating the presses") as progress:
-                return simulate_presses(captures, circles, base, progress=progress)
+                return simulate_presses(
+                    captures, circles, base, cache=self.cache, progress=progress
+                )
         from calibration.surfaces import analytic_surface
 
         return [
-            analytic_surface(circle, captures.grid, captures.ball_radius_mm, skirt=self.surface)
-            for circle in circles
+            analytic_surface(
+                circle,
+                captures.grid,
+                press.radius_mm or captures.ball_radius_mm,
+                skirt=self.surface,
+            )
+            for press, circle in zip(captures.presses, circles, strict=True)
         ]
 
 
@@ -162,29 +234,21 @@ def _contact_circles(
 def _print_figures(console: Console, result: ColorCalibration) -> None:
     from rich.table import Table
 
-    from calibration.evaluate import mean_score
+    from calibration.color_report import FIGURES, figure_columns
 
+    columns = figure_columns(result)
     if not result.heldout:
-        console.print("no press was held out, so there are no figures")
+        console.print("no press was held out, so there are no figures of held-out presses")
+    if not columns:
         return
-    columns = {
-        "rendered": mean_score([item.score for item in result.heldout]),
-        "drift corrected": mean_score([item.score_drift_corrected for item in result.heldout]),
-        "background only": mean_score([item.background_only for item in result.heldout]),
-    }
     table = Table(
         "figure",
         *columns,
         title=f"{len(result.heldout)} held-out presses, {len(result.train_names)} fitted",
         title_justify="left",
     )
-    for key, label, style in (
-        ("crop_psnr_db", "PSNR in the 1.6 r crop [dB]", ".2f"),
-        ("crop_ssim", "SSIM in the crop", ".4f"),
-        ("disc_l1", "L1 in the contact disc [levels]", ".2f"),
-        ("crop_l1", "L1 in the crop [levels]", ".2f"),
-        ("full_l1", "L1 over the image [levels]", ".2f"),
-    ):
+    for key, label in FIGURES:
+        style = ".4f" if key == "crop_ssim" else ".2f"
         table.add_row(label, *(format(scores[key], style) for scores in columns.values()))
     console.print(table)
     console.print(
@@ -192,10 +256,3 @@ def _print_figures(console: Console, result: ColorCalibration) -> None:
         f"levels; fit took {result.fit.seconds:.0f} s",
         highlight=False,
     )
-    if result.cross_validated_l1:
-        values = list(result.cross_validated_l1.values())
-        console.print(
-            f"cross-validated L1 in the disc: {sum(values) / len(values):.2f} levels, worst press "
-            f"{max(values):.2f}",
-            highlight=False,
-        )

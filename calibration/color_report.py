@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report of a colour calibration: figures, presses worst first, and where the errors are."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from calibration.color_result import ColorCalibration, HeldoutRender
+from calibration.evaluate import ImageScore, crop_slices, mean_score
+from calibration.report import Page, Picture, Table
+from taccel_lab.report.style import BLUE, GREY, INK, ORANGE, in_report_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURES = (
+    ("crop_psnr_db", "PSNR in the 1.6 r crop [dB]"),
+    ("crop_ssim", "SSIM in the crop"),
+    ("disc_l1", "L1 in the contact disc [levels]"),
+    ("crop_l1", "L1 in the crop [levels]"),
+    ("full_l1", "L1 over the image [levels]"),
+)
+SHOWN = 5
+"""Held-out presses in the picture, from the worst to the best."""
+ERROR_LEVELS = 24.0
+"""Mean error over the channels that is drawn darkest [levels]."""
+
+
+def color_page(result: ColorCalibration) -> Page:
+    """The page of a colour calibration."""
+    pictures = []
+    if result.heldout:
+        pictures.append(
+            Picture(
+                "heldout",
+                partial(draw_heldout, result),
+                "Held-out presses from the worst to the best: capture, render, mean absolute error "
+                "over the channels. The circle is the one in which figures are taken.",
+            )
+        )
+    pictures += [
+        Picture(
+            "coverage",
+            partial(draw_coverage, result),
+            "Contacts on the background, by their error: colours are only known where balls were.",
+        ),
+        Picture(
+            "loss",
+            partial(draw_loss, result),
+            "Loss of the fit over its steps: mean absolute error of single pixels, near enough.",
+        ),
+    ]
+    return Page(
+        title="Colour calibration",
+        summary=_summary(result),
+        remarks=result.remarks,
+        tables=_tables(result),
+        pictures=pictures,
+        figures={"color": result.figures()},
+    )
+
+
+def figure_columns(result: ColorCalibration) -> dict[str, dict[str, float]]:
+    """Mean figures by what was rendered, for tables."""
+    columns: dict[str, list[ImageScore]] = {}
+    if result.heldout:
+        columns["rendered"] = [item.score for item in result.heldout]
+        columns["drift corrected"] = [item.score_drift_corrected for item in result.heldout]
+        columns["background only"] = [item.background_only for item in result.heldout]
+    if result.table_scores:
+        columns["Taxim's table"] = [result.counted(item) for item in result.table_scores]
+    if result.validated:
+        columns["cross-validated, all"] = [result.counted(item) for item in result.validated]
+    return {name: mean_score(scores) for name, scores in columns.items()}
+
+
+def _summary(result: ColorCalibration) -> str:
+    options = result.fit.options
+    network = "-".join(str(width) for width in options.hidden)
+    parts = [
+        f"A network of {network} units was fitted to {len(result.train_names)} presses in "
+        f"{result.fit.seconds:.0f} s; surfaces: {result.surface_provider}."
+    ]
+    if result.heldout:
+        score = mean_score(result.heldout_counted())
+        light = " in the light of each capture" if result.drift_corrected else ""
+        parts.append(
+            f"{len(result.heldout)} presses that it never saw are rendered{light} at "
+            f"{score['crop_psnr_db']:.1f} dB in the crop around the contact and "
+            f"{score['disc_l1']:.2f} levels of error inside it."
+        )
+    if result.spread is not None:
+        parts.append(
+            f"{result.spread.fit_count} fits to different presses disagree by "
+            f"{result.spread.disc_levels:.2f} levels inside the contacts and "
+            f"{result.spread.ring_levels:.2f} beside them."
+        )
+    return " ".join(parts)
+
+
+def _tables(result: ColorCalibration) -> list[Table]:
+    tables = []
+    columns = figure_columns(result)
+    if columns:
+        tables.append(
+            Table(
+                "Figures",
+                ("figure", *columns),
+                [(label, *(column[key] for column in columns.values())) for key, label in FIGURES],
+                "Drift corrected: the render in the capture's own light, fitted beyond 3 contact "
+                "radii. Cross-validated: every press by a fit without it."
+                + (" Light drifts here, so that drift-corrected figures count in the last columns."
+                   if result.drift_corrected else ""),
+            )
+        )  # fmt: skip
+    if result.validated or result.heldout:
+        tables.append(_press_table(result))
+    region = [(name, *bounds) for name, bounds in result.valid_region.items()]
+    tables.append(Table("Valid region", ("quantity", "from", "to"), region))
+    if result.registration is not None:
+        moved = result.circle_changes()
+        losses = result.registration.scale_losses
+        tables.append(
+            Table(
+                "Circles read again",
+                ("quantity", "value"),
+                [
+                    ("centres moved, median [px]", moved["center_moved_median_px"]),
+                    ("centres moved, largest [px]", moved["center_moved_largest_px"]),
+                    ("radii grew, median [px]", moved["radius_grown_median_px"]),
+                    ("factor on all radii", result.registration.scale),
+                    *(
+                        (f"left-out loss at factor {scale:g} [levels]", loss)
+                        for scale, loss in losses
+                    ),
+                ],
+                "Each press is placed by a fit that did not see it; held-out presses by the "
+                "finished model.",
+            )
+        )
+    return tables
+
+
+def _press_table(result: ColorCalibration) -> Table:
+    if result.validated:
+        scores = {item.name: result.counted(item) for item in result.validated}
+        title, caption = "Presses, by fits without them", "Worst first."
+    else:
+        scores = {
+            item.name: score
+            for item, score in zip(result.heldout, result.heldout_counted(), strict=True)
+        }
+        title, caption = "Held-out presses", "Worst first."
+    circles = dict(zip(result.press_names, result.circles, strict=True))
+    order = sorted(scores, key=lambda name: scores[name].crop_psnr_db)
+    return Table(
+        title,
+        ("press", "u [px]", "v [px]", "radius [px]", "PSNR crop [dB]", "SSIM crop", "L1 disc",
+         "L1 crop"),
+        [
+            (
+                name, circles[name].u_px, circles[name].v_px, circles[name].radius_px,
+                scores[name].crop_psnr_db, scores[name].crop_ssim, scores[name].disc_l1,
+                scores[name].crop_l1,
+            )
+            for name in order
+        ],
+        caption,
+    )  # fmt: skip
+
+
+@in_report_style
+def draw_heldout(result: ColorCalibration) -> Figure:
+    """Capture, render and error of held-out presses, one a column."""
+    from matplotlib.patches import Circle
+
+    items = _chosen(result)
+    figure, axes = new_figure(1.9 * len(items) + 1.2, 6.4, 3, len(items), squeeze=False)
+    shown = None
+    for column, (item, score) in enumerate(items):
+        rows, columns = crop_slices(item.circle, result.grid)
+        render = item.corrected if result.drift_corrected else item.rendered
+        error = np.abs(item.captured.astype(float) - render).mean(axis=-1)
+        for axis, image in zip(axes[:2, column], (item.captured, render), strict=True):
+            axis.imshow(np.clip(image[rows, columns] / 255.0, 0, 1))
+        shown = axes[2, column].imshow(
+            error[rows, columns], cmap="magma_r", vmin=0, vmax=ERROR_LEVELS
+        )
+        center = (item.circle.u_px - columns.start, item.circle.v_px - rows.start)
+        for axis in axes[:, column]:
+            axis.add_patch(
+                Circle(center, item.circle.radius_px, fill=False, edgecolor=INK, linewidth=0.8)
+            )
+            axis.set_xticks([])
+            axis.set_yticks([])
+        axes[0, column].set_title(
+            f"{_short(item.name)}\n{score.crop_psnr_db:.1f} dB, L1 {score.disc_l1:.1f}", fontsize=9
+        )
+    for axis, label in zip(axes[:, 0], ("capture", "render", "error"), strict=True):
+        axis.set_ylabel(label)
+    if shown is not None:
+        figure.colorbar(shown, ax=list(axes[2]), label="error [levels]", shrink=0.9)
+    return figure
+
+
+def _chosen(result: ColorCalibration) -> list[tuple[HeldoutRender, ImageScore]]:
+    pairs = sorted(
+        zip(result.heldout, result.heldout_counted(), strict=True),
+        key=lambda pair: pair[1].crop_psnr_db,
+    )
+    places = np.unique(np.linspace(0, len(pairs) - 1, min(SHOWN, len(pairs))).round().astype(int))
+    return [pairs[i] for i in places]
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 18 else "..." + name[-15:]
+
+
+@in_report_style
+def draw_coverage(result: ColorCalibration) -> Figure:
+    """All contacts on the background, those with figures by their error."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.patches import Ellipse
+
+    grid = result.grid
+    errors: dict[str, float] = result.cross_validated_l1 or {
+        item.name: score.disc_l1
+        for item, score in zip(result.heldout, result.heldout_counted(), strict=True)
+    }
+    height = 6.4 * min(1.25, grid.height_px / grid.width_px)
+    figure, axis = new_figure(7.6, height + 0.5)
+    axis.imshow(np.clip(result.fit.background / 255.0, 0, 1))
+    top = max(errors.values(), default=1.0)
+    scale = ScalarMappable(Normalize(0.0, top), "magma_r")
+    ratio = grid.mm_per_px_x / grid.mm_per_px_y
+    for name, circle in zip(result.press_names, result.circles, strict=True):
+        color: Any = scale.to_rgba(errors[name]) if name in errors else GREY
+        size = 2 * circle.radius_px
+        axis.add_patch(
+            Ellipse(
+                (circle.u_px, circle.v_px), size, size * ratio, fill=False, edgecolor=color,
+                linewidth=1.6, linestyle="-" if name in errors else ":",
+            )
+        )  # fmt: skip
+    axis.set(xlabel="column [px]", ylabel="row [px]")
+    if errors:
+        figure.colorbar(scale, ax=axis, label="L1 in the contact [levels]", shrink=0.9)
+    return figure
+
+
+@in_report_style
+def draw_loss(result: ColorCalibration) -> Figure:
+    """Loss over the steps, of the pixels fitted and of presses kept back to stop the fit."""
+    figure, axis = new_figure(7.0, 2.8)
+    steps, loss = np.array(result.fit.loss_curve, dtype=float).T
+    axis.plot(steps, loss, color=BLUE, label="fitted presses")
+    if result.fit.validation_curve:
+        steps, loss = np.array(result.fit.validation_curve, dtype=float).T
+        axis.plot(steps, loss, color=ORANGE, label="presses kept back")
+        axis.axvline(result.fit.step, color=GREY, linewidth=0.8)
+    axis.set(xlabel="step", ylabel="loss [levels]", yscale="log")
+    axis.grid(True, axis="y")
+    axis.legend()
+    return figure

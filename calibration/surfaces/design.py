@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The catalogue's design that fits captures: turned as the camera is, or a pad made to measure.
+
+Captures may show a sensor upright that the catalogue has lying down; its pad is then turned by a
+quarter. A ``flat_pad``, which stands for any sensor that is not in the catalogue too, is made as
+large as the image shows and a margin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from calibration.result import Remark, Severity
+from sensors.profile import catalogue_profile
+from sensors.registry import catalogue, sensor_family
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import SensorProfile
+
+FLAT_PAD = "flat_pad"
+MARGIN_MM = 3.0
+"""Gel beyond what the image shows, all around, of a pad made to measure: it holds the sunk rim of
+presses at the image's edge."""
+TURN_ASPECT = 1.1
+"""From this ratio of its sides on, an image or a pad is upright or lies down."""
+
+
+@dataclass(frozen=True)
+class FittedDesign:
+    """A design for captures, and what was assumed."""
+
+    profile: SensorProfile
+    overrides: Mapping[str, Any]
+    """Parameters that differ from the catalogue's."""
+    remarks: list[Remark] = field(default_factory=list)
+
+
+def fitted_design(
+    sensor: str, grid: PixelGrid, overrides: Mapping[str, Any] | None = None
+) -> FittedDesign:
+    """The catalogue's design of ``sensor``, made to fit images of ``grid``.
+
+    ``overrides`` are parameters known otherwise, such as the gel's thickness; they win.
+
+    Raises:
+        InputError: Parameters that cannot be built, or a sensor whose package cannot be loaded.
+    """
+    given = dict(overrides or {})
+    known = catalogue()
+    if sensor == FLAT_PAD or (sensor not in known.families and sensor not in known.broken):
+        found = {**_made_to_measure(grid), **given}
+        profile = catalogue_profile(FLAT_PAD, found)
+        return FittedDesign(profile, found, [_assumed_pad(sensor, profile, given)])
+    turned = _turned(sensor, grid)
+    found = {**turned, **given}
+    remarks = []
+    if turned:
+        remarks.append(
+            Remark(
+                Severity.INFO,
+                "pad_turned",
+                f"the images are upright, the catalogue's {sensor} lies down: its pad was turned "
+                "by a quarter",
+            )
+        )
+    return FittedDesign(catalogue_profile(sensor, found), found, remarks)
+
+
+def _made_to_measure(grid: PixelGrid) -> dict[str, Any]:
+    width_mm = grid.width_px * grid.mm_per_px_x
+    height_mm = grid.height_px * grid.mm_per_px_y
+    size = {"length_x_mm": width_mm, "length_y_mm": height_mm}
+    limits = sensor_family(FLAT_PAD).parameters_type.parameters()
+    return {
+        **{
+            name: round(max(value + 2 * MARGIN_MM, float(limits[name].minimum or 0.0)), 3)
+            for name, value in size.items()
+        },
+        "width_px": grid.width_px,
+        "height_px": grid.height_px,
+        "mm_per_px": grid.mm_per_px_x,
+        "mm_per_px_y": 0.0 if grid.mm_per_px_y == grid.mm_per_px_x else grid.mm_per_px_y,
+    }
+
+
+def _assumed_pad(sensor: str, profile: SensorProfile, given: Mapping[str, Any]) -> Remark:
+    who = "this sensor" if sensor == FLAT_PAD else repr(sensor)
+    thickness = profile.gel.thickness_mm
+    if "thickness_mm" in given:
+        return Remark(
+            Severity.INFO, "flat_pad", f"the gel is taken as flat and {thickness:g} mm thick"
+        )
+    return Remark(
+        Severity.WARNING,
+        "flat_pad",
+        f"the catalogue does not know {who}: its gel is taken as flat, bonded to a plate and "
+        f"{thickness:g} mm thick. The thickness shapes the sunk gel beside a contact only; give "
+        "yours with --set thickness_mm=... (docs/calibration_color.md has what it changes)",
+    )
+
+
+def _turned(sensor: str, grid: PixelGrid) -> dict[str, Any]:
+    """Overrides that exchange x and y of the pad, where images and pad lie across each other."""
+    family = sensor_family(sensor)
+    parameters = family.parameters()
+    size = np.ptp(family.pad(parameters).bounds_mm(), axis=0)
+    pad = float(size[0] / size[1])
+    view = grid.width_px * grid.mm_per_px_x / (grid.height_px * grid.mm_per_px_y)
+    if not ((view < 1 / TURN_ASPECT and pad > TURN_ASPECT) or (
+        view > TURN_ASPECT and pad < 1 / TURN_ASPECT
+    )):  # fmt: skip
+        return {}
+    described = parameters.describe()
+    values = parameters.values()
+    return {
+        name: values[name.replace("_x_", "_y_")]
+        for name, item in described.items()
+        if (item["group"] or "gel") == "gel"
+        and "_x_" in name
+        and name.replace("_x_", "_y_") in values
+    } | {
+        name: values[name.replace("_y_", "_x_")]
+        for name, item in described.items()
+        if (item["group"] or "gel") == "gel"
+        and "_y_" in name
+        and name.replace("_y_", "_x_") in values
+    }
