@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the light of a sensor has changed since its profile was made, from a few new frames.
+
+Lamps that age, and cameras that are set up anew, change each channel c to
+
+    frame_c = gain_c * background_c + response_c * change_c + offset_c + gradient_c(u, v),
+
+``change`` being the colour change that the profile's model gives for the frame. Aged lamps have
+response = gain; the two are fitted apart since the background may hold light that is not the
+lamps'. All frames are fitted at once by least squares with Tukey's biweight; the normal equations
+of each frame are kept, so that leaving a frame out costs nothing (the delete-one jackknife,
+B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982, gives the standard
+deviations).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.background.drift import unit_position
+from taccel_lab.errors import InputError
+
+FRAME_PIXELS = 12_000
+"""Pixels taken of each frame, half of them in and around the contact."""
+BIWEIGHT = 4.0
+ITERATIONS = 8
+FLAT_LEVELS = 4.0
+"""Spread of a background's channel below which its gain cannot be told from its offset."""
+PRIOR_SIGMA = np.array([0.5, 1.0, 50.0, 15.0, 15.0])
+"""Prior spread of gain, response, offset and the gradient's parts around no change."""
+NO_CHANGE = np.array([1.0, 1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class RefitFrame:
+    """One new frame and what the old profile gives for it."""
+
+    name: str
+    sha256: str
+    image: np.ndarray
+    """RGB levels, shape [height_px, width_px, 3]."""
+    change: np.ndarray | None
+    """Colour change that the old model renders [levels], same shape; None of an untouched frame."""
+    disc: np.ndarray | None
+    """Contact disc, bool, shape [height_px, width_px]; None of an untouched frame."""
+    near: np.ndarray | None
+    """The disc and its surroundings, where the model changes the picture."""
+
+
+@dataclass(frozen=True)
+class LightChange:
+    """Change of every channel since the profile was made."""
+
+    gain: np.ndarray
+    """Of the background, shape [3]."""
+    response: np.ndarray
+    """Of the colour change, shape [3]."""
+    offset: np.ndarray
+    """[levels], shape [3]."""
+    gradient: np.ndarray
+    """From the middle to the right and to the lower border [levels], shape [3, 2]."""
+
+    def background(self, old: np.ndarray) -> np.ndarray:
+        """The old background in the new light, levels, shape [height_px, width_px, 3]."""
+        u, v = unit_position(old.shape[0], old.shape[1])
+        plane = u[..., None] * self.gradient[:, 0] + v[..., None] * self.gradient[:, 1]
+        return old * self.gain + self.offset + plane
+
+    def render(self, old: np.ndarray, change: np.ndarray | None) -> np.ndarray:
+        """What the refitted profile shows, levels in 0..255."""
+        image = self.background(old)
+        if change is not None:
+            image = image + self.response * change
+        return np.clip(image, 0.0, 255.0)
+
+
+@dataclass(frozen=True)
+class LightChangeFit:
+    """The change from all frames, and from all but each."""
+
+    change: LightChange
+    left_out: tuple[LightChange, ...]
+    """Fitted without frame k."""
+    sigma: LightChange
+    """Standard deviations by the jackknife."""
+
+
+def fit_light_change(
+    frames: Sequence[RefitFrame], old: np.ndarray, mask: np.ndarray | None = None, seed: int = 0
+) -> LightChangeFit:
+    """Fit the change of the light to new frames.
+
+    ``old`` is the old background, RGB levels, shape [height_px, width_px, 3]; pixels where ``mask``
+    is false are left out.
+    """
+    if len(frames) < 2:
+        raise InputError(f"a refit needs at least 2 frames, got {len(frames)}")
+    rng = np.random.default_rng(seed)
+    pixels = [_draw(frame, old, mask, rng) for frame in frames]
+    pressed = any(frame.change is not None for frame in frames)
+    channels = []
+    for c in range(3):
+        designs, wanted = [], []
+        for frame, idx in zip(frames, pixels, strict=True):
+            designs.append(_design(frame, old, idx, c))
+            wanted.append(frame.image.reshape(-1, 3)[idx, c].astype(np.float64))
+        # A channel at its end of the range says nothing.
+        inside = [(w > 1) & (w < 254) for w in wanted]
+        flat = bool(old[..., c][mask if mask is not None else slice(None)].std() < FLAT_LEVELS)
+        channels.append(_fit_channel(designs, wanted, inside, tie=flat or not pressed))
+    whole = _light([channel[0] for channel in channels])
+    left_out = tuple(_light([ch[1][k] for ch in channels]) for k in range(len(frames)))
+    return LightChangeFit(whole, left_out, _jackknife(left_out))
+
+
+def _draw(
+    frame: RefitFrame, old: np.ndarray, mask: np.ndarray | None, rng: np.random.Generator
+) -> np.ndarray:
+    usable = np.ones(old.shape[:2], bool) if mask is None else mask
+    parts = []
+    regions = [usable] if frame.near is None else [usable & frame.near, usable & ~frame.near]
+    for region in regions:
+        found = np.flatnonzero(region)
+        parts.append(rng.permutation(found)[: FRAME_PIXELS // len(regions)])
+    return np.concatenate(parts)
+
+
+def _design(frame: RefitFrame, old: np.ndarray, idx: np.ndarray, c: int) -> np.ndarray:
+    height, width = old.shape[:2]
+    u, v = unit_position(height, width)
+    change = np.zeros(len(idx)) if frame.change is None else frame.change.reshape(-1, 3)[idx, c]
+    return np.column_stack(
+        [
+            old.reshape(-1, 3)[idx, c].astype(np.float64),
+            change,
+            np.ones(len(idx)),
+            u[0, idx % width],
+            v[idx // width, 0],
+        ]
+    )
+
+
+def _fit_channel(
+    designs: list[np.ndarray],
+    wanted: list[np.ndarray],
+    inside: list[np.ndarray],
+    *,
+    tie: bool,
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Coefficients from all frames, and from all but each one.
+
+    ``tie``: the background's gain and the response are one number. Of a flat background it is the
+    response alone that tells it.
+    """
+    basis = np.eye(5)
+    if tie:
+        basis = np.delete(basis, 1, axis=1)
+        basis[1, 0] = 1.0
+    count = sum(map(len, wanted))
+    mean_level = sum(float(d[:, 0].sum()) for d in designs) / count
+    local = []
+    for design in designs:
+        moved = design.copy()
+        moved[:, 0] -= mean_level
+        local.append(moved @ basis)
+    change = [w - d @ NO_CHANGE for w, d in zip(wanted, designs, strict=True)]
+    prior_sigma = np.delete(PRIOR_SIGMA, 1) if tie else PRIOR_SIGMA
+    step = np.zeros(basis.shape[1])
+    normals: list[np.ndarray] = []
+    sides: list[np.ndarray] = []
+    scale = 1.0
+    for _ in range(ITERATIONS):
+        left = [c - d @ step for c, d in zip(change, local, strict=True)]
+        every = np.abs(np.concatenate(left))
+        scale = max(1.4826 * float(np.median(every)), 0.05)
+        normals, sides = [], []
+        for d, c, e, ok in zip(local, change, left, inside, strict=True):
+            weight = ok * np.clip(1 - (e / (BIWEIGHT * scale)) ** 2, 0, 1) ** 2
+            normals.append((d * weight[:, None]).T @ d)
+            sides.append((d * weight[:, None]).T @ c)
+        prior = np.diag((scale / prior_sigma) ** 2)
+        step = np.linalg.solve(np.sum(normals, axis=0) + prior, np.sum(sides, axis=0))
+
+    def finish(normal: np.ndarray, side: np.ndarray) -> np.ndarray:
+        found = basis @ np.linalg.solve(normal + prior, side)
+        found[2] -= found[0] * mean_level
+        return NO_CHANGE + found
+
+    whole, wanted_side = np.sum(normals, axis=0), np.sum(sides, axis=0)
+    left_out = [finish(whole - n, wanted_side - s) for n, s in zip(normals, sides, strict=True)]
+    return finish(whole, wanted_side), left_out
+
+
+def _light(channels: Sequence[np.ndarray]) -> LightChange:
+    rows = np.array(channels)
+    return LightChange(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3:])
+
+
+def _jackknife(left_out: Sequence[LightChange]) -> LightChange:
+    def sigma(values: list[np.ndarray]) -> np.ndarray:
+        stack = np.array(values)
+        count = len(stack)
+        return np.sqrt((count - 1) / count * ((stack - stack.mean(axis=0)) ** 2).sum(axis=0))
+
+    return LightChange(
+        sigma([x.gain for x in left_out]),
+        sigma([x.response for x in left_out]),
+        sigma([x.offset for x in left_out]),
+        sigma([x.gradient for x in left_out]),
+    )

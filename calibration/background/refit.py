@@ -1,0 +1,339 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bring an existing profile to the light of today from a handful of new frames.
+
+The profile stays of the same kind: its background is put into the new light and averaged with what
+the new frames show of the untouched gel, and the last layer of its colour model is scaled a
+channel, which scales the colour change that it gives. Every figure is of frames that were left out
+of the fit, one after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calibration.background.drift import fit_robust_drift
+from calibration.background.light_change import (
+    LightChange,
+    LightChangeFit,
+    RefitFrame,
+    fit_light_change,
+)
+from calibration.background.untouched import RunningMean, untouched_pixels
+from calibration.result import Remark, Severity, judge
+from taccel_lab.errors import InputError
+from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
+from taccel_lab.signals.color_model import ColorModelConfig
+
+MIN_FRAMES = 3
+MAX_RESPONSE_SIGMA = 0.12
+"""Largest standard deviation of the response that a refit may have."""
+FRAME_DRIFT_LEVELS = 3.0
+MIN_GAIN_LEVELS = 0.1
+CHANNELS = ("red", "green", "blue")
+
+
+@dataclass(frozen=True)
+class FrameError:
+    """Mean absolute error of a new frame that was left out of the fit [levels]."""
+
+    name: str
+    pressed: bool
+    before: float
+    """The old profile, in the contact disc of a press or over an untouched frame."""
+    after: float
+    whole_before: float
+    """Over the whole frame."""
+    whole_after: float
+
+
+@dataclass(frozen=True)
+class Refit:
+    """The correction with what it gains."""
+
+    fit: LightChangeFit
+    background: np.ndarray
+    """New background, RGB levels, float32, shape [height_px, width_px, 3]."""
+    errors: tuple[FrameError, ...]
+    remarks: tuple[Remark, ...]
+    inputs: dict[str, str]
+    source: str
+    surface_provider: str
+
+    def mean(self, name: str) -> float:
+        """Mean of a figure of ``errors`` over the frames [levels]."""
+        return float(np.mean([getattr(error, name) for error in self.errors]))
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured, ready for JSON."""
+        change, sigma = self.fit.change, self.fit.sigma
+        return {
+            "verdict": judge(self.remarks),
+            "before_l1": self.mean("before"),
+            "after_l1": self.mean("after"),
+            "whole_before_l1": self.mean("whole_before"),
+            "whole_after_l1": self.mean("whole_after"),
+            "response_rgb": change.response.tolist(),
+            "response_sigma": sigma.response.tolist(),
+            "gain_rgb": change.gain.tolist(),
+            "gain_sigma": sigma.gain.tolist(),
+            "offset_rgb": change.offset.tolist(),
+            "gradient_rgb": change.gradient.tolist(),
+            "frames": [vars(error) for error in self.errors],
+        }
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` in the new light: background and, where it has one, colour model."""
+        profile = profile.with_block(
+            BackgroundBlock(
+                provenance=self._provenance(
+                    profile.background,
+                    "refitted: the old background in the new light, averaged with the untouched "
+                    f"parts of {len(self.errors)} new frames",
+                )
+            ),
+            self.background,
+        )
+        if profile.color is None or profile.color_weights is None:
+            return profile
+        config = ColorModelConfig.from_dict(profile.color.architecture)
+        response = self.fit.change.response
+        factors = ", ".join(f"{name} {x:.3f}" for name, x in zip(CHANNELS, response, strict=True))
+        method = f"refitted: last layer scaled by {factors}; before that: "
+        return profile.with_block(
+            profile.color.replace(
+                provenance=self._provenance(profile.color, method + profile.color.provenance.method)
+            ),
+            scale_channels(config, profile.color_weights, response),
+        )
+
+    def _provenance(self, block: Block | None, method: str) -> Provenance:
+        old = {} if block is None else dict(block.provenance.inputs)
+        region = {} if block is None else dict(block.provenance.valid_region)
+        sigma = self.fit.sigma
+        spread = {f"response_{n}": float(x) for n, x in zip(CHANNELS, sigma.response, strict=True)}
+        spread |= {f"gain_{n}": float(x) for n, x in zip(CHANNELS, sigma.gain, strict=True)}
+        return Provenance(
+            kind="calibrated",
+            method=method,
+            source=self.source,
+            inputs={**old, **{f"refit_{name}": sha for name, sha in self.inputs.items()}},
+            residuals={
+                "heldout_l1_levels": self.mean("after"),
+                "heldout_before_refit_l1_levels": self.mean("before"),
+                "heldout_whole_l1_levels": self.mean("whole_after"),
+            },
+            spread=spread,
+            valid_region=region or {"level": (0.0, 255.0)},
+            verdict=judge(self.remarks).value,
+            remarks=tuple(remark.message for remark in self.remarks),
+        )
+
+
+def scale_channels(
+    config: ColorModelConfig, weights: Any, factors: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Weights of a colour model whose change is ``factors`` [3] times as large a channel."""
+    last = len(config.layer_sizes()) - 1
+    scaled = {name: np.array(value) for name, value in weights.items()}
+    # Also the bias, which cancels, so that the layer stays the old one but for its scale.
+    for name in (f"layer{last}.weight", f"layer{last}.bias"):
+        if name not in scaled or scaled[name].shape[0] != 3:
+            raise InputError(
+                f"the profile's colour model has no last layer {name} of three channels; it "
+                "cannot be refitted"
+            )
+        shape = (3,) + (1,) * (scaled[name].ndim - 1)
+        scaled[name] = (scaled[name] * factors.reshape(shape)).astype(scaled[name].dtype)
+    return scaled
+
+
+def refit_profile(
+    profile: SensorProfile,
+    frames: Sequence[RefitFrame],
+    *,
+    source: str,
+    surface_provider: str,
+    mask: np.ndarray | None = None,
+) -> Refit:
+    """Fit today's light to new ``frames`` of the sensor of ``profile``.
+
+    Raises InputError when the profile has no background, or when the frames cannot tell the
+    correction: too few, no contact although the profile has a colour model, a response that the
+    frames disagree on, or no gain on frames that were left out.
+    """
+    old = profile.background_rgb
+    if old is None:
+        raise InputError(
+            "the profile has no background, so that there is nothing to refit; calibrate the "
+            "background and the colour first"
+        )
+    if len(frames) < MIN_FRAMES:
+        raise InputError(
+            f"{len(frames)} new frames cannot tell a correction from chance; at least "
+            f"{MIN_FRAMES}, better 5, presses among them"
+        )
+    pressed = [frame for frame in frames if frame.change is not None]
+    if profile.color is not None and len(pressed) < 2:
+        raise InputError(
+            f"{len(pressed)} of the {len(frames)} new frames are presses: the colour model's "
+            "response cannot be told from that; at least 2 presses of a known ball"
+        )
+    old = old.astype(np.float64)
+    fit = fit_light_change(frames, old, mask)
+    errors = tuple(
+        _error(frame, fit.left_out[k], frames, k, old, mask) for k, frame in enumerate(frames)
+    )
+    refit = Refit(
+        fit=fit,
+        background=_new_background(frames, fit.change, old, mask, None),
+        errors=errors,
+        remarks=_remarks(fit, frames, errors, old, mask),
+        inputs={frame.name: frame.sha256 for frame in frames},
+        source=source,
+        surface_provider=surface_provider,
+    )
+    _refuse_chance(refit, profile.color is not None)
+    return refit
+
+
+def _refuse_chance(refit: Refit, has_color: bool) -> None:
+    sigma = refit.fit.sigma.response / np.maximum(refit.fit.change.response, 1e-3)
+    worst = int(np.argmax(sigma))
+    if has_color and sigma[worst] > MAX_RESPONSE_SIGMA:
+        raise InputError(
+            f"the {len(refit.errors)} frames cannot tell the correction: the response of "
+            f"{CHANNELS[worst]} is {refit.fit.change.response[worst]:.2f} with a standard "
+            f"deviation of {100 * sigma[worst]:.0f} %, at most {100 * MAX_RESPONSE_SIGMA:.0f} % "
+            "is allowed. Give more presses, spread over the gel, in steady light"
+        )
+    gain = refit.mean("before") - refit.mean("after")
+    whole = refit.mean("whole_before") - refit.mean("whole_after")
+    if max(gain, whole) < MIN_GAIN_LEVELS:
+        raise InputError(
+            "no correction is worth it: on frames left out of the fit the error is "
+            f"{refit.mean('before'):.2f} levels with the old profile and "
+            f"{refit.mean('after'):.2f} with a refitted one ({refit.mean('whole_before'):.2f} and "
+            f"{refit.mean('whole_after'):.2f} over the whole frames). The old profile stays"
+        )
+
+
+def _new_background(
+    frames: Sequence[RefitFrame],
+    change: LightChange,
+    old: np.ndarray,
+    mask: np.ndarray | None,
+    leave_out: int | None,
+) -> np.ndarray:
+    """The old background in the new light, averaged with what the frames show of the gel."""
+    base = change.background(old)
+    mean = RunningMean.empty(old.shape)
+    mean.add(base, np.ones(old.shape[:2], bool))
+    for k, frame in enumerate(frames):
+        if k == leave_out:
+            continue
+        drift = fit_robust_drift(frame.image, base, mask)
+        seen = untouched_pixels(frame.image, base, drift, mask)
+        mean.add(drift.remove(frame.image.astype(np.float64)), seen)
+    averaged = mean.mean(base)
+    if mask is not None:
+        averaged[~mask] = base[~mask]
+    return np.clip(averaged, 0, 255).astype(np.float32)
+
+
+def _error(
+    frame: RefitFrame,
+    change: LightChange,
+    frames: Sequence[RefitFrame],
+    k: int,
+    old: np.ndarray,
+    mask: np.ndarray | None,
+) -> FrameError:
+    usable = np.ones(old.shape[:2], bool) if mask is None else mask
+    background = _new_background(frames, change, old, mask, k).astype(np.float64)
+    before, after = old, background
+    if frame.change is not None:
+        before = np.clip(old + frame.change, 0, 255)
+        after = np.clip(background + change.response * frame.change, 0, 255)
+    where = usable if frame.disc is None else usable & frame.disc
+    image = frame.image.astype(np.float64)
+
+    def l1(rendered: np.ndarray, pixels: np.ndarray) -> float:
+        return float(np.abs(rendered - image)[pixels].mean())
+
+    return FrameError(
+        name=frame.name,
+        pressed=frame.change is not None,
+        before=l1(before, where),
+        after=l1(after, where),
+        whole_before=l1(before, usable),
+        whole_after=l1(after, usable),
+    )
+
+
+def _remarks(
+    fit: LightChangeFit,
+    frames: Sequence[RefitFrame],
+    errors: Sequence[FrameError],
+    old: np.ndarray,
+    mask: np.ndarray | None,
+) -> tuple[Remark, ...]:
+    change, sigma = fit.change, fit.sigma
+    values = ", ".join(
+        f"{name} {r:.3f} ± {s:.3f}"
+        for name, r, s in zip(CHANNELS, change.response, sigma.response, strict=True)
+    )
+    before, after = (float(np.mean([getattr(e, n) for e in errors])) for n in ("before", "after"))
+    remarks = [
+        Remark(
+            Severity.INFO,
+            "response",
+            f"the colour change is now {values} of what it was; left-out frames are off by "
+            f"{after:.2f} levels instead of {before:.2f}",
+        )
+    ]
+    if len(frames) < 5:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "few_frames",
+                f"{len(frames)} frames: the standard deviations are rough; 5 or more are better",
+            )
+        )
+    worse = [error.name for error in errors if error.after > error.before + 0.5]
+    if worse:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "some_worse",
+                f"{', '.join(worse)} fits worse than before when it is left out: the light changes "
+                "between the new frames, or a press is off",
+            )
+        )
+    moving = _between(frames, change, old, mask)
+    if moving > FRAME_DRIFT_LEVELS:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "light_unsteady",
+                f"the light of the new frames differs by {moving:.1f} levels among themselves: one "
+                "correction cannot follow. Fix exposure and white balance",
+            )
+        )
+    return tuple(remarks)
+
+
+def _between(
+    frames: Sequence[RefitFrame], change: LightChange, old: np.ndarray, mask: np.ndarray | None
+) -> float:
+    """Root mean square over the frames and channels of the light's change left in each [levels]."""
+    base = change.background(old)
+    level = base.reshape(-1, 3).mean(axis=0)
+    shifts = []
+    for frame in frames:
+        drift = fit_robust_drift(frame.image, base, mask)
+        shifts.append((drift.gain - 1) * level + drift.offset)
+    return float(np.sqrt(np.mean(np.square(shifts))))

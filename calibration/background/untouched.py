@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which pixels of a frame show untouched gel, and an image of the gel from those alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calibration.background.drift import Drift, fit_robust_drift, smoothed
+from taccel_lab.errors import InputError
+
+TOUCHED_SIGMAS = 4.0
+TOUCHED_LEVELS = 3.0
+"""Smallest smoothed change that counts as touched [levels]."""
+SMOOTHING_SHARE = 1 / 160
+MARGIN_SHARE = 1 / 24
+"""Widening of the touched parts, both as parts of the image's shorter side."""
+MIN_MEDIAN_FRAMES = 5
+MIN_SEEN = 3
+"""Untouched frames that a pixel of a background made of presses needs."""
+MAX_RARELY_SEEN = 0.1
+"""Share of the image that may be seen by fewer."""
+ROWS_AT_ONCE = 64
+
+ReadImage = Callable[[], np.ndarray]
+
+
+def untouched_pixels(
+    frame: np.ndarray, background: np.ndarray, drift: Drift, mask: np.ndarray | None = None
+) -> np.ndarray:
+    """Where ``frame`` shows the background in its own light, bool, shape [height_px, width_px].
+
+    Touched parts are those whose smoothed change stands out of the frame's noise, with a margin;
+    pixels where ``mask`` is false are neither.
+    """
+    side = min(frame.shape[:2])
+    change = frame.astype(np.float32) - drift.apply(background.astype(np.float32))
+    strength = np.linalg.norm(smoothed(change, mask, max(side * SMOOTHING_SHARE, 0.7)), axis=-1)
+    usable = strength if mask is None else strength[mask]
+    noise = 1.4826 * float(np.median(np.abs(usable - np.median(usable))))
+    limit = float(np.median(usable)) + max(TOUCHED_LEVELS, TOUCHED_SIGMAS * noise)
+    size = 2 * max(1, round(side * MARGIN_SHARE)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    touched = cv2.dilate((strength > limit).astype(np.uint8), kernel) > 0
+    return ~touched if mask is None else ~touched & mask
+
+
+def background_from_presses(
+    frames: Sequence[ReadImage], mask: np.ndarray | None = None
+) -> np.ndarray:
+    """Image of the untouched gel from presses alone, float32 levels, shape [height, width, 3].
+
+    Each pixel is the median over the frames, whose light is first brought to the common one; then
+    again over the frames that did not touch it. Raises InputError with fewer than 5 frames, or
+    where pixels were touched in nearly all of them.
+    """
+    if len(frames) < MIN_MEDIAN_FRAMES:
+        raise InputError(
+            f"no image of the untouched sensor, and {len(frames)} presses are too few to make one "
+            f"of: at least {MIN_MEDIAN_FRAMES}. Give background"
+        )
+    images = [read() for read in frames]
+    start = _median(images, [None] * len(images), [None] * len(images))[0]
+    drifts = [fit_robust_drift(image, start, mask) for image in images]
+    # The common light is that of the frames' mean, so that the drifts cancel out.
+    level = start
+    for _ in range(2):
+        seen = [
+            untouched_pixels(image, level, drift, mask)
+            for image, drift in zip(images, drifts, strict=True)
+        ]
+        level, count = _median(images, drifts, seen)
+        drifts = [fit_robust_drift(image, level, mask) for image in images]
+    rarely = np.asarray(count < MIN_SEEN)
+    if mask is not None:
+        rarely &= mask
+    if rarely.mean() > MAX_RARELY_SEEN:
+        raise InputError(
+            f"no image of the untouched sensor, and {rarely.mean():.0%} of it is touched in all "
+            f"but {MIN_SEEN - 1} of the {len(images)} presses; give background, or presses that "
+            "are spread over the gel"
+        )
+    return level
+
+
+def _median(
+    images: Sequence[np.ndarray],
+    drifts: Sequence[Drift | None],
+    seen: Sequence[np.ndarray | None],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Median of the drift-free images over the frames that see a pixel, and how many do."""
+    height, width = images[0].shape[:2]
+    result = np.empty((height, width, 3), np.float32)
+    count = np.full((height, width), len(images))
+    steady = [
+        image if drift is None else np.clip(drift.remove(image.astype(np.float32)), 0, 255)
+        for image, drift in zip(images, drifts, strict=True)
+    ]
+    steady = [np.asarray(image, np.float16) for image in steady]
+    for top in range(0, height, ROWS_AT_ONCE):
+        rows = slice(top, top + ROWS_AT_ONCE)
+        stack = np.stack([image[rows] for image in steady]).astype(np.float32)
+        plain = np.median(stack, axis=0)
+        for k, where in enumerate(seen):
+            if where is not None:
+                stack[k][~where[rows]] = np.nan
+        missing = np.isnan(stack[..., 0])
+        count[rows] = (~missing).sum(axis=0)
+        stack[:, missing.all(axis=0)] = plain[missing.all(axis=0)]
+        result[rows] = np.nanmedian(stack, axis=0)
+    return result, count
+
+
+@dataclass
+class RunningMean:
+    """Mean and spread of drift-free images over the frames that see each pixel."""
+
+    total: np.ndarray
+    squares: np.ndarray
+    count: np.ndarray
+
+    @classmethod
+    def empty(cls, shape: tuple[int, ...]) -> RunningMean:
+        """Of no image yet; ``shape`` is [height_px, width_px, 3]."""
+        return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape[:2]))
+
+    def add(self, image: np.ndarray, seen: np.ndarray, sign: int = 1) -> None:
+        """Take an image in, or with ``sign`` -1 out again."""
+        values = np.where(seen[..., None], image, 0.0).astype(np.float64)
+        self.total += sign * values
+        self.squares += sign * values**2
+        self.count += sign * seen
+
+    def mean(self, otherwise: np.ndarray) -> np.ndarray:
+        """Mean [levels]; ``otherwise`` where no image saw the pixel."""
+        count = np.maximum(self.count, 1)[..., None]
+        return np.where(self.count[..., None] > 0, self.total / count, otherwise)
+
+    def noise(self) -> np.ndarray:
+        """Standard deviation between images, the channels' root mean square, shape [height, width];
+        NaN where fewer than 3 images saw the pixel."""
+        count = self.count[..., None]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            variance = (self.squares - self.total**2 / count) / (count - 1)
+        found = np.sqrt(np.maximum(variance, 0).mean(axis=-1))
+        return np.where(self.count >= 3, found, np.nan)
