@@ -12,20 +12,24 @@ def calibrate_commands() -> Any:
     """The sub-commands; imported here so that help is fast."""
     from tyro.extras import SubcommandApp
 
+    from taccel_lab.cli.calibrate.background import CalibrateBackground
     from taccel_lab.cli.calibrate.camera import CalibrateCamera
     from taccel_lab.cli.calibrate.color import CalibrateColor
     from taccel_lab.cli.calibrate.markers import CalibrateMarkers
     from taccel_lab.cli.calibrate.material import CalibrateMaterial
     from taccel_lab.cli.calibrate.scale import CalibrateScale
     from taccel_lab.cli.calibrate.normals import CalibrateNormals
+    from taccel_lab.cli.calibrate.refit import CalibrateRefit
     from taccel_lab.cli.calibrate.spread import CalibrateSpread
 
     app = SubcommandApp()
+    app.command(name="background")(CalibrateBackground)
     app.command(name="camera")(CalibrateCamera)
     app.command(name="color")(CalibrateColor)
     app.command(name="markers")(CalibrateMarkers)
     app.command(name="material")(CalibrateMaterial)
     app.command(name="normals")(CalibrateNormals)
     app.command(name="scale")(CalibrateScale)
+    app.command(name="refit")(CalibrateRefit)
     app.command(name="spread")(CalibrateSpread)
     return app
