@@ -15,6 +15,7 @@ from calibration.background.dust import dust_mask, speck_count
 from calibration.background.untouched import (
     RunningMean,
     background_from_presses,
+    steady_pixels,
     untouched_pixels,
 )
 from calibration.capture.folder import CaptureFolder
@@ -187,18 +188,20 @@ def calibrate_background(
     else:
         reference = sources[0][3]().astype(np.float32)
     running = RunningMean.empty(reference.shape)
-    lights: list[tuple[Drift, np.ndarray]] = []
+    lights: list[_Light] = []
     new = RunningMean.empty(reference.shape)
     for k, (_, kind, _, read) in enumerate(sources):
         image = read()
         drift = fit_robust_drift(image, reference, mask)
         seen = untouched_pixels(image, reference, drift, mask)
-        lights.append((drift, seen))
-        if seen.mean() >= MIN_SEEN_SHARE:
-            steady = drift.remove(image.astype(np.float64))
-            running.add(steady, seen)
-            if kind != "background":
-                new.add(steady - reference, seen)
+        used = seen if kind != "press" else steady_pixels(image, reference, drift, mask)
+        if seen.mean() < MIN_SEEN_SHARE:
+            used = np.zeros_like(used)
+        lights.append((drift, seen, used))
+        steady = drift.remove(image.astype(np.float64))
+        running.add(steady, used)
+        if kind != "background":
+            new.add(steady - reference, seen)
         if progress is not None:
             progress(k + 1, len(sources))
     average = running.mean(reference)
@@ -237,6 +240,8 @@ def calibrate_background(
 MIN_SEEN_FRAMES = 3
 """Frames that have to show a new speck."""
 
+_Light = tuple[Drift, np.ndarray, np.ndarray]
+"""Drift, untouched pixels, and those of them that the average takes."""
 _Source = tuple[str, str, str, Callable[[], np.ndarray]]
 
 
@@ -262,16 +267,14 @@ def _sources(folder: CaptureFolder) -> list[_Source]:
 
 
 def _compare(
-    source: _Source, light: tuple[Drift, np.ndarray], running: RunningMean, reference: np.ndarray
+    source: _Source, light: _Light, running: RunningMean, reference: np.ndarray
 ) -> FrameLight:
     name, kind, _, read = source
-    drift, seen = light
+    drift, seen, used = light
     image = read().astype(np.float64)
-    total, count = running.total, running.count
-    if seen.mean() >= MIN_SEEN_SHARE:
-        # The mean of the others alone.
-        steady = np.where(seen[..., None], drift.remove(image), 0.0)
-        total, count = total - steady, count - seen
+    # The mean of the others alone.
+    total = running.total - np.where(used[..., None], drift.remove(image), 0.0)
+    count = running.count - used
     others = np.where(count[..., None] > 0, total / np.maximum(count, 1)[..., None], reference)
     where = seen if seen.any() else np.ones_like(seen)
     return FrameLight(

@@ -30,6 +30,10 @@ def dust_mask(image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
         # Next to masked pixels the surroundings are one-sided.
         inner = cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=1) > 0
         specks &= inner
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(specks.astype(np.uint8))
+    small = stats[:, cv2.CC_STAT_AREA] < (2 * sigma) ** 2
+    small[0] = False
+    specks = small[parts]
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
     return cv2.dilate(specks.astype(np.uint8), kernel) > 0
 

@@ -22,7 +22,7 @@ from calibration.background.light_change import (
     RefitFrame,
     fit_light_change,
 )
-from calibration.background.untouched import RunningMean, untouched_pixels
+from calibration.background.untouched import RunningMean, steady_pixels, untouched_pixels
 from calibration.result import Remark, Severity, judge
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
@@ -236,7 +236,8 @@ def _new_background(
         if k == leave_out:
             continue
         drift = fit_robust_drift(frame.image, base, mask)
-        seen = untouched_pixels(frame.image, base, drift, mask)
+        pick = untouched_pixels if frame.change is None else steady_pixels
+        seen = pick(frame.image, base, drift, mask)
         mean.add(drift.remove(frame.image.astype(np.float64)), seen)
     averaged = mean.mean(base)
     if mask is not None:

@@ -18,6 +18,11 @@ TOUCHED_LEVELS = 3.0
 SMOOTHING_SHARE = 1 / 160
 MARGIN_SHARE = 1 / 24
 """Widening of the touched parts, both as parts of the image's shorter side."""
+SPECK_SHARE = 1 / 20
+"""Parts smaller than this are specks, not contacts, as a part of the shorter side."""
+STEADY_LEVELS = 1.5
+STEADY_SIGMAS = 1.0
+STEADY_SMOOTHING_SHARE = 1 / 40
 MIN_MEDIAN_FRAMES = 5
 MIN_SEEN = 3
 """Untouched frames that a pixel of a background made of presses needs."""
@@ -34,18 +39,47 @@ def untouched_pixels(
     """Where ``frame`` shows the background in its own light, bool, shape [height_px, width_px].
 
     Touched parts are those whose smoothed change stands out of the frame's noise, with a margin;
-    pixels where ``mask`` is false are neither.
+    specks do not count as touched. Pixels where ``mask`` is false are neither.
     """
     side = min(frame.shape[:2])
-    change = frame.astype(np.float32) - drift.apply(background.astype(np.float32))
-    strength = np.linalg.norm(smoothed(change, mask, max(side * SMOOTHING_SHARE, 0.7)), axis=-1)
-    usable = strength if mask is None else strength[mask]
-    noise = 1.4826 * float(np.median(np.abs(usable - np.median(usable))))
-    limit = float(np.median(usable)) + max(TOUCHED_LEVELS, TOUCHED_SIGMAS * noise)
+    strength, noise = _strength(frame, background, drift, mask, max(side * SMOOTHING_SHARE, 0.7))
+    limit = max(TOUCHED_LEVELS, TOUCHED_SIGMAS * noise)
+    count, parts, stats, _ = cv2.connectedComponentsWithStats((strength > limit).astype(np.uint8))
+    large = stats[:, cv2.CC_STAT_AREA] >= (SPECK_SHARE * side) ** 2
+    large[0] = False
     size = 2 * max(1, round(side * MARGIN_SHARE)) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    touched = cv2.dilate((strength > limit).astype(np.uint8), kernel) > 0
+    touched = cv2.dilate(large[parts].astype(np.uint8), kernel) > 0 if count > 1 else parts > 0
     return ~touched if mask is None else ~touched & mask
+
+
+def steady_pixels(
+    frame: np.ndarray, background: np.ndarray, drift: Drift, mask: np.ndarray | None = None
+) -> np.ndarray:
+    """Where a frame may be averaged into ``background``: where no shade of a touch is left.
+
+    The gel sinks far beyond a contact, by less and less; averaged over presses that leaves a stain.
+    Only untouched pixels count whose surroundings agree with the background to within 1.5 levels,
+    or the noise of the frame's light where that is more. What is averaged then is the fine noise.
+    """
+    sigma = max(min(frame.shape[:2]) * STEADY_SMOOTHING_SHARE, 1.0)
+    strength, noise = _strength(frame, background, drift, mask, sigma)
+    steady = strength < max(STEADY_LEVELS, min(STEADY_SIGMAS * noise, 2 * STEADY_LEVELS))
+    return steady & untouched_pixels(frame, background, drift, mask)
+
+
+def _strength(
+    frame: np.ndarray,
+    background: np.ndarray,
+    drift: Drift,
+    mask: np.ndarray | None,
+    sigma_px: float,
+) -> tuple[np.ndarray, float]:
+    """Size of the smoothed change [levels], and its robust standard deviation from zero."""
+    change = frame.astype(np.float32) - drift.apply(background.astype(np.float32))
+    strength = np.linalg.norm(smoothed(change, mask, sigma_px), axis=-1)
+    usable = strength if mask is None else strength[mask]
+    return strength, float(np.median(usable)) / 1.538 * np.sqrt(3)
 
 
 def background_from_presses(
