@@ -178,7 +178,11 @@ class CaptureFolder:
             raise InputError(
                 f"{self.source}: the radius of the ball is missing; give [indenter] radius_mm"
             )
-        presses = tuple(p for p in self.presses if (p.radius_mm or radius) == radius)
+        presses = tuple(
+            press
+            for press in self.presses
+            if (press.radius_mm or self.ball_radius_mm or radius) == radius
+        )
         if not presses:
             raise InputError(
                 f"{self.source} holds no press of a ball of {radius:g} mm; the balls are of "

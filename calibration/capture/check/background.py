@@ -10,11 +10,17 @@ import numpy as np
 
 from calibration.capture.captures import Press
 from calibration.capture.check.findings import Finding, error, info, warning
-from calibration.capture.check.framing import Crop, find_crop, misfit_levels, thumb
+from calibration.capture.check.framing import (
+    Crop,
+    best_channel_order,
+    find_crop,
+    misfit_levels,
+    thumb,
+)
 from calibration.capture.folder import CaptureFolder
 from taccel_lab.errors import InputError
 
-OTHER_FRAMING_LEVELS = 6.0
+OTHER_FRAMING_LEVELS = 5.0
 CROP_GAIN = 2.0
 """A crop is believed when it fits this many times better than the whole image."""
 MIN_MEDIAN_PRESSES = 7
@@ -73,6 +79,10 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
     own = float(np.median([misfit_levels(thumb(press.image()), median) for press in presses[:20]]))
     if misfit < OTHER_FRAMING_LEVELS or misfit < CROP_GAIN * own:
         return BackgroundCheck(image, False, tuple(_check_untouched(folder)))
+    order, swapped, _ = best_channel_order(small, median)
+    if order != (0, 1, 2) and swapped * CROP_GAIN < misfit:
+        # Said by the check of channels, which sees all images against each other.
+        return BackgroundCheck(np.ascontiguousarray(image), False, ())
     longer = FINE_THUMB_PX
     fine = thumb(image, longer), thumb(median_image, longer)
     inner, outer = find_crop(*fine), find_crop(*fine[::-1])

@@ -27,18 +27,20 @@ def draw_coverage(
 ) -> Figure:
     """Contacts over the untouched gel, and how often each pixel was touched."""
     aspect = grid.height_px / grid.width_px
-    width = 8.6 if aspect <= 1 else 6.4
-    figure, axes = new_figure(width, 0.9 + 0.44 * width * aspect, 1, 2)
+    width = 8.6 if aspect <= 1 else 7.4
+    figure, axes = new_figure(width, 1.0 + 0.4 * width * aspect, 1, 2)
+    figure.set_layout_engine("compressed")
     axes[0].imshow(background)
     for frame in frames:
         if frame.circle is not None:
             color = GREEN if frame.contact is not None else ORANGE
             _circle(axes[0], frame.circle, grid, color, "-", 1.0)
-    axes[0].set_title(f"contacts of {len(frames)} presses (orange: label only)")
+    axes[0].set_title(f"{len(frames)} presses")
     count = coverage_map(frames, grid)
     top = max(1, int(count.max()))
     drawn = axes[1].imshow(count, cmap="viridis", vmin=0, vmax=top)
-    figure.colorbar(drawn, ax=axes[1], label="contacts on a pixel", shrink=0.85)
+    ticks = np.unique(np.linspace(0, top, min(top, 5) + 1).round())
+    figure.colorbar(drawn, ax=axes[1], label="contacts on a pixel", ticks=ticks)
     axes[1].set_title(f"{(count > 0).mean():.0%} of the image touched")
     for panel in axes:
         panel.set_xlim(-0.5, grid.width_px - 0.5)
@@ -94,7 +96,8 @@ def draw_frames(
 @in_report_style
 def draw_framings(check: BackgroundCheck, background: np.ndarray) -> Figure:
     """The background beside the median of the presses, with the part that both show."""
-    figure, axes = new_figure(8.6, 3.4, 1, 2)
+    figure, axes = new_figure(8.6, 1.0 + 4.0 * background.shape[0] / background.shape[1], 1, 2)
+    figure.set_layout_engine("compressed")
     axes[0].imshow(background)
     axes[0].set_title("background as given")
     axes[1].imshow(check.image)

@@ -16,6 +16,8 @@ import numpy as np
 
 THUMB_PX = 160
 """Longer side of the small images."""
+FITTED_PIXELS = 5000
+"""Pixels that a fit of the levels takes, evenly picked."""
 MIN_CROP, CROP_STEP = 0.5, 0.01
 ORDERS: tuple[tuple[int, int, int], ...] = tuple(itertools.permutations(range(3)))  # type: ignore[assignment]
 
@@ -42,9 +44,10 @@ def level_fit(image: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.
     """
     channels = reference.shape[-1]
     gains, offsets = np.ones(channels), np.zeros(channels)
+    step = max(1, round((reference.shape[0] * reference.shape[1] / FITTED_PIXELS) ** 0.5))
     for c in range(channels):
-        x = reference[..., c].ravel().astype(np.float64)
-        y = image[..., c].ravel().astype(np.float64)
+        x = reference[::step, ::step, c].ravel().astype(np.float64)
+        y = image[::step, ::step, c].ravel().astype(np.float64)
         keep = np.ones(len(x), dtype=bool)
         for _ in range(3):
             spread = x[keep] - x[keep].mean()

@@ -37,12 +37,10 @@ CHANNELS = "RGB"
 
 def check_light(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Finding]:
     """All findings of this module that need presses and a background (small, RGB levels)."""
-    return [
-        *_check_drift(frames),
-        *_check_saturation(frames),
-        *check_channel_order(frames, background),
-        *check_mixed(frames),
-    ]
+    swapped = check_channel_order(frames, background)
+    if swapped:  # Drift and other sensors would be found as a consequence.
+        return [*swapped, *_check_saturation(frames)]
+    return [*_check_drift(frames), *_check_saturation(frames), *check_mixed(frames)]
 
 
 def is_grey(frames: Sequence[FrameFigures]) -> bool:

@@ -108,7 +108,8 @@ def _pictures(check: CaptureCheck) -> list[Picture]:
         Picture(
             "coverage",
             lambda: drawings.draw_coverage(frames, background.image, grid),
-            "Where balls were: the colour model holds there and nowhere else.",
+            "Where balls were: the colour model holds there and nowhere else. Green: contact "
+            "found; orange: only the given circle.",
         ),
         Picture(
             "frames",

@@ -9,10 +9,11 @@ holds millimetres per pixel, despite its name.
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 
 from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import first_existing, load_npz, load_yaml
+from calibration.capture.importers.files import first_existing, load_npz, load_yaml, natural_key
 from calibration.capture.importers.layout import Layout
 from calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
@@ -21,6 +22,7 @@ CATALOG = "catalog.csv"
 DIAMETER = "diameter(mm)"
 FOLDER = "experiment_reldir"
 SOURCE = "gs_sdk layout (joehjhuang/gs_sdk)"
+_BALL_FOLDER = re.compile(r"([\d.]+)\s*mm")
 _SENSORS = {"gelsight mini": "gelsight_mini", "digit": "digit"}
 
 
@@ -36,7 +38,16 @@ def _recognises(path: Path) -> bool:
     catalog = path / CATALOG
     if catalog.is_file():
         return DIAMETER in catalog.read_text(encoding="utf-8", errors="replace")
-    return (path / "examples" / "data" / "background.png").is_file()
+    if (path / "examples" / "data" / "background.png").is_file():
+        return True
+    labels = _labels(path)
+    return bool(labels) and {"center", "radius"} <= load_npz(labels[0]).keys()
+
+
+def _labels(path: Path) -> list[Path]:
+    """Labels of presses where the catalogue is missing, in natural order."""
+    found = [*path.glob("*/label.npz"), *path.glob("*/*/label.npz")] if path.is_dir() else []
+    return sorted(found, key=lambda label: natural_key(label.relative_to(path)))
 
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
@@ -49,6 +60,8 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     _read_config(path, draft)
     if (path / CATALOG).is_file():
         _read_catalog(path, draft)
+    elif _labels(path):
+        _read_labelled(path, draft)
     else:
         ball = first_existing(path / "assets" / "ball_image.png")
         if ball is not None:
@@ -107,6 +120,23 @@ def _read_catalog(path: Path, draft: Draft) -> None:
             radius_mm=None if diameter == common else diameter / 2,
             contact=_circle(folder / "label.npz"),
         )
+
+
+def _read_labelled(path: Path, draft: Draft) -> None:
+    """Presses of folders with labels; a folder ``4.760mm`` says the ball's diameter."""
+    draft.notes.append(f"{CATALOG} is missing: balls are told by the names of their folders")
+    balls = []
+    for label in _labels(path):
+        image = first_existing(label.parent / "gelsight.png", label.parent / "digit.png")
+        if image is None:
+            raise InputError(f"{label.parent / 'gelsight.png'} does not exist")
+        match = _BALL_FOLDER.fullmatch(label.parent.parent.name)
+        balls.append(None if match is None else float(match[1]) / 2)
+        name = "_".join(label.parent.relative_to(path).parts)
+        draft.add_press(image, name, radius_mm=balls[-1], contact=_circle(label))
+    stated = [ball for ball in balls if ball is not None]
+    if stated:
+        draft.set_ball(max(set(stated), key=stated.count))
 
 
 def _circle(label: Path) -> dict[str, float] | None:

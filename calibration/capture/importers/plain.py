@@ -60,7 +60,8 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     images = _take_background(images, draft, options)
     labels = labels_of(path)
     for image in images:
-        draft.add_press(image, contact=label_for(image, path, labels))
+        name = "_".join(image.relative_to(path).with_suffix("").parts)
+        draft.add_press(image, name, contact=label_for(image, path, labels))
     _take_records(path, draft)
     _take_videos(path, draft)
     return [draft]

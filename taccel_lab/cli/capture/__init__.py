@@ -13,11 +13,13 @@ def capture_commands() -> Any:
     from tyro.extras import SubcommandApp
 
     from taccel_lab.cli.capture.check import CaptureCheckCommand
+    from taccel_lab.cli.capture.guide import CaptureGuide
     from taccel_lab.cli.capture.import_ import CaptureImport
     from taccel_lab.cli.capture.review import CaptureReview
 
     app = SubcommandApp()
     app.command(name="check")(CaptureCheckCommand)
+    app.command(name="guide")(CaptureGuide)
     app.command(name="import")(CaptureImport)
     app.command(name="review")(CaptureReview)
     return app

@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults put into made-up captures, one at a time: each is found, and nothing else is claimed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.capture import ContactCircle
+from calibration.capture.check import CaptureCheck, check_captures, check_page
+from calibration.capture.check.findings import Finding
+from calibration.result import Severity
+from calibration.synthetic import blur, drift
+from tests.calibration.capture.capture_sets import (
+    HEIGHT,
+    WIDTH,
+    CaptureMaker,
+    gel,
+    press,
+    spread_circles,
+)
+
+
+def check(maker: CaptureMaker, folder: Path) -> CaptureCheck:
+    return check_captures(maker.load(folder))
+
+
+def by_code(found: CaptureCheck) -> dict[str, Finding]:
+    return {finding.code: finding for finding in found.findings}
+
+
+HARMLESS = {"one_background", "few_presses"}
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> CaptureCheck:
+    return check(CaptureMaker(), tmp_path_factory.mktemp("sound"))
+
+
+def test_sound_captures_get_no_remark(sound: CaptureCheck) -> None:
+    assert set(by_code(sound)) <= HARMLESS
+    assert sound.usable
+    state = {block.command: str(block.readiness) for block in sound.blocks}
+    assert state["color"] == "ready" and state["normals"] == "ready"
+    assert state["camera"] == state["markers"] == state["material"] == "absent"
+    assert all(frame.contact is not None for frame in sound.frames)
+
+
+def test_figures_are_of_every_press(sound: CaptureCheck) -> None:
+    figures = sound.figures()
+    assert [row["name"] for row in figures["presses"]] == [f"p{i:02d}" for i in range(15)]
+    assert max(row["label_center_px"] for row in figures["presses"]) < 2.5
+    assert 0.5 < figures["coverage"]["share"] < 1
+    page = check_page(sound)
+    assert [picture.name for picture in page.pictures] == ["coverage", "frames", "light"]
+
+
+def test_auto_white_balance(tmp_path: Path) -> None:
+    maker = CaptureMaker()
+    maker.change(range(0, 15, 2), lambda image: drift(image, [1.08, 1.0, 0.93]))
+    finding = by_code(check(maker, tmp_path))["auto_white_balance"]
+    assert finding.severity == Severity.WARNING and "color" in finding.blocks
+
+
+def test_auto_exposure(tmp_path: Path) -> None:
+    maker = CaptureMaker()
+    maker.change(range(0, 15, 2), lambda image: drift(image, 0.9))
+    codes = by_code(check(maker, tmp_path))
+    assert "auto_exposure" in codes and "auto_white_balance" not in codes
+
+
+def test_saturation(tmp_path: Path) -> None:
+    maker = CaptureMaker(background=gel() + 90)
+    maker.change(range(15), lambda image: image + 90)
+    finding = by_code(check(maker, tmp_path))["saturated"]
+    assert "Lower the exposure" in finding.message
+
+
+@pytest.mark.parametrize("order", [(2, 1, 0), (1, 2, 0)])
+def test_channels_swapped_in_some_frames(tmp_path: Path, order: tuple[int, int, int]) -> None:
+    maker = CaptureMaker()
+    maker.change([3, 7], lambda image: image[..., list(order)])
+    found = check(maker, tmp_path)
+    finding = by_code(found)["channels_swapped"]
+    assert finding.frames == ("p03", "p07") and not found.usable
+
+
+def test_channels_swapped_in_the_background(tmp_path: Path) -> None:
+    maker = CaptureMaker(background=gel()[..., ::-1])
+    finding = by_code(check(maker, tmp_path))["channels_swapped"]
+    assert "15 of 15 presses and the background" in finding.message and "BGR" in finding.message
+
+
+def test_all_channels_swapped_on_a_known_sensor(tmp_path: Path) -> None:
+    # The made-up lamps stand red, green, blue clockwise, as a GelSight Mini's do.
+    right, wrong = CaptureMaker(sensor="gelsight_mini"), CaptureMaker(sensor="gelsight_mini")
+    wrong.change(range(15), lambda image: image[..., ::-1])
+    wrong.background = gel()[..., ::-1]
+    assert "lamps_reversed" not in by_code(check(right, tmp_path / "right"))
+    assert "lamps_reversed" in by_code(check(wrong, tmp_path / "wrong"))
+
+
+def test_mixed_sensors(tmp_path: Path) -> None:
+    maker = CaptureMaker()
+    other = np.flip(gel(), axis=1) + np.linspace(-40, 40, HEIGHT)[:, None, None]
+    maker.change([1, 5, 9], lambda image: image - gel() + other)
+    found = check(maker, tmp_path)
+    finding = by_code(found)["mixed_sensors"]
+    assert finding.frames == ("p01", "p05", "p09") and not found.usable
+
+
+def test_blurred_frame(tmp_path: Path) -> None:
+    maker = CaptureMaker()
+    maker.change([6], lambda image: blur(image, 5.0))
+    finding = by_code(check(maker, tmp_path))["blurred"]
+    assert finding.frames == ("p06",)
+
+
+def test_duplicates(tmp_path: Path) -> None:
+    circles = spread_circles()
+    circles[4], circles[5] = circles[2], circles[2]
+    maker = CaptureMaker(circles=circles)
+    folder = maker.write(tmp_path)
+    (folder / "p04.png").write_bytes((folder / "p02.png").read_bytes())
+    from calibration.capture import load_capture_folder
+
+    codes = by_code(check_captures(load_capture_folder(folder)))
+    assert codes["duplicates"].frames == ("p02", "p04")
+    # p05 shows the same press with other noise.
+    assert set(codes["near_duplicates"].frames) == {"p02", "p04", "p05"}
+
+
+def test_presses_at_one_spot(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    circles = [
+        ContactCircle(80 + rng.uniform(-4, 4), 60 + rng.uniform(-4, 4), rng.uniform(9, 15))
+        for _ in range(10)
+    ]
+    found = check(CaptureMaker(circles=circles), tmp_path)
+    assert by_code(found)["one_spot"].severity == Severity.ERROR and not found.usable
+
+
+def test_poor_coverage_names_the_empty_parts(tmp_path: Path) -> None:
+    circles = [circle for circle in spread_circles(30) if circle.u_px < 85]
+    finding = by_code(check(CaptureMaker(circles=circles), tmp_path))["coverage"]
+    assert "top right" in finding.message and "bottom right" in finding.message
+
+
+def test_labels_that_disagree(tmp_path: Path) -> None:
+    maker = CaptureMaker()
+    maker.labels = [
+        replace(c, u_px=c.u_px + 9, v_px=c.v_px + 2) if i in (2, 11) else c
+        for i, c in enumerate(maker.circles)
+    ]
+    few = by_code(check(maker, tmp_path / "few"))["labels_off"]
+    assert few.frames == ("p02", "p11") and few.severity == Severity.WARNING
+    maker.labels = [replace(c, u_px=c.u_px + 9) if c.u_px < 130 else c for c in maker.circles]
+    many = by_code(check(maker, tmp_path / "many"))["labels_off"]
+    assert many.severity == Severity.ERROR and "--circles detected" in many.message
+
+
+def test_frame_without_contact(tmp_path: Path) -> None:
+    maker = CaptureMaker(labelled=False)
+    maker.images[8] = gel()
+    found = check(maker, tmp_path)
+    finding = by_code(found)["no_contact"]
+    assert finding.frames == ("p08",) and not found.usable
+
+
+def crop_and_enlarge(image: np.ndarray, left: int, top: int, wide: int, high: int) -> np.ndarray:
+    part = np.ascontiguousarray(image[top : top + high, left : left + wide])
+    return cv2.resize(part, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
+
+
+def test_background_is_a_crop(tmp_path: Path) -> None:
+    maker = CaptureMaker(background=crop_and_enlarge(gel(), 20, 15, 120, 90))
+    found = check(maker, tmp_path)
+    finding = by_code(found)["background_is_a_crop"]
+    assert "--background median" in finding.message and not found.usable
+    crop = found.background.crop if found.background is not None else None
+    assert crop is not None
+    assert crop.in_pixels(WIDTH, HEIGHT) == pytest.approx((20, 15, 120, 90), abs=3)
+    # The contacts are judged against the median of the presses instead.
+    assert all(frame.contact is not None for frame in found.frames)
+
+
+def test_background_of_another_sensor(tmp_path: Path) -> None:
+    other = np.flip(gel(), axis=1) + np.linspace(-60, 60, HEIGHT)[:, None, None]
+    codes = by_code(check(CaptureMaker(background=other), tmp_path))
+    assert "background_differs" in codes
+
+
+def test_no_background_falls_back_on_the_median(tmp_path: Path) -> None:
+    folder = CaptureMaker().write(tmp_path)
+    text = (folder / "captures.toml").read_text().replace('background = "background.png"\n', "")
+    (folder / "captures.toml").write_text(text)
+    from calibration.capture import load_capture_folder
+
+    found = check_captures(load_capture_folder(folder))
+    assert "no_background" in by_code(found)
+    assert all(frame.contact is not None for frame in found.frames)
+
+
+def test_ball_smaller_than_its_contacts(tmp_path: Path) -> None:
+    maker = CaptureMaker(radius_mm=1.0, labelled=False)
+    finding = by_code(check(maker, tmp_path))["ball_too_small"]
+    assert finding.severity == Severity.ERROR and "diameter" in finding.message
+
+
+@pytest.mark.parametrize(("stated", "wrong"), [(2.0, False), (4.0, True), (0.8, True)])
+def test_ball_against_travel(tmp_path: Path, stated: float, wrong: bool) -> None:
+    circles = [replace(c, radius_px=c.radius_px - 6) for c in spread_circles()]
+    maker = CaptureMaker(circles=circles, radius_mm=stated, labelled=False)
+    # Travel between those of an elastic gel (a^2 = R d) and of one that does not rise (2 R d).
+    maker.extra = [f"depth_mm = {(0.1 * c.radius_px) ** 2 / (1.4 * 2.0):.4f}" for c in circles]
+    codes = by_code(check(maker, tmp_path))
+    assert ("ball_against_travel" in codes) == wrong
+    if wrong:
+        assert f"stated is {stated:g} mm" in codes["ball_against_travel"].message
+
+
+def test_press_with_another_ball(tmp_path: Path) -> None:
+    maker = CaptureMaker(labelled=False)
+    maker.images[4] = press(maker.circles[4], 4.5)
+    maker.images[10] = press(maker.circles[10], 4.5)
+    finding = by_code(check(maker, tmp_path))["other_ball"]
+    assert set(finding.frames) == {"p04", "p10"}
+
+
+@pytest.mark.parametrize(("stated", "wrong"), [(4.0, False), (2.0, False), (1.6, True)])
+def test_ratio_of_two_balls(tmp_path: Path, stated: float, wrong: bool) -> None:
+    maker = CaptureMaker(labelled=False)
+    if stated != 2.0:
+        for i in range(8):
+            maker.images[i] = press(maker.circles[i], 4.0)
+            maker.extra[i] = f"radius_mm = {stated}"
+    assert ("ball_ratio" in by_code(check(maker, tmp_path))) == wrong
+
+
+def test_view_past_the_pad(tmp_path: Path) -> None:
+    maker = CaptureMaker(sensor="gelsight_mini", mm_per_px=0.25, radius_mm=5.0)
+    assert "scale_past_pad" in by_code(check(maker, tmp_path))
+
+
+def test_radius_and_scale_that_nobody_states(tmp_path: Path) -> None:
+    found = check(CaptureMaker(radius_mm=None, mm_per_px=None), tmp_path)
+    assert {"ball_radius_unstated", "scale_unstated"} <= set(by_code(found))
+    color = next(block for block in found.blocks if block.command == "color")
+    assert color.missing == "the ball's radius, the scale" and color.readiness == "blocked"
+
+
+def test_unknown_sensor(tmp_path: Path) -> None:
+    assert "sensor_unknown" in by_code(check(CaptureMaker(sensor="gelsite"), tmp_path))

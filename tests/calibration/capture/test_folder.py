@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every section of a version 2 manifest, and what each refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.capture import CaptureFolder, load_capture_folder
+from calibration.capture.guide import capture_plan
+from calibration.capture.schema import CaptureManifest
+from sensors import sensor_families
+from taccel_lab.errors import InputError
+from tests.calibration.capture.capture_sets import write_image
+
+MANIFEST = """
+schema_version = 2
+sensor = "gelsight_mini"
+unit = "S1"
+background = "background.png"
+untouched = ["later.png"]
+[indenter]
+radius_mm = 2.0
+[[presses]]
+image = "a.png"
+depth_mm = 0.5
+force_n = 0.7
+[[presses]]
+image = "b.png"
+radius_mm = 3.0
+[[presses]]
+image = "c.png"
+[[boards]]
+kind = "chessboard"
+columns = 6
+rows = 5
+images = ["board.png"]
+[[edges]]
+image = "edge.png"
+length_mm = 10.0
+line = { u_px = 30.0, v_px = 20.0, length_px = 40.0, angle_deg = 5.0 }
+[markers]
+pitch_x_mm = 2.0
+labels = "dots.csv"
+[[markers.videos]]
+frames = ["video/*.png"]
+motion = "shear"
+poses = "poses.csv"
+[[records]]
+file = "force.csv"
+kind = "indentation"
+tool = { kind = "sphere", radius_mm = 4.0 }
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "video").mkdir()
+    names = ["background", "later", "a", "b", "c", "edge", "video/0", "video/1", "video/2"]
+    for i, name in enumerate(names):
+        write_image(tmp_path / f"{name}.png", np.full((48, 64, 3), 40 + 10 * i, np.uint8))
+    # A view of a board need not be of the size of the presses.
+    write_image(tmp_path / "board.png", np.full((96, 128, 3), 90, np.uint8))
+    (tmp_path / "dots.csv").write_text("u_px,v_px,du_px,dv_px\n1,2,0,0\n3,4,0,1\n")
+    (tmp_path / "poses.csv").write_text("time_s,x_mm\n0,0\n0.1,0.2\n0.2,0.4\n")
+    (tmp_path / "force.csv").write_text("depth_mm,force_n\n0.2,0.1\n0.5,0.4\n1.0,1.1\n")
+    (tmp_path / "captures.toml").write_text(MANIFEST)
+    return tmp_path
+
+
+def edit(folder: Path, old: str, new: str) -> None:
+    text = (folder / "captures.toml").read_text()
+    assert old in text
+    (folder / "captures.toml").write_text(text.replace(old, new))
+
+
+def test_every_section(folder: Path) -> None:
+    captures = load_capture_folder(folder)
+    assert (captures.sensor, captures.unit) == ("gelsight_mini", "S1")
+    assert captures.mm_per_px is None and len(captures.untouched) == 1
+    assert (captures.presses[0].depth_mm, captures.presses[0].force_n) == (0.5, 0.7)
+    assert captures.boards[0].entry.columns == 6
+    assert captures.boards[0].frames[0].image().shape == (96, 128, 3)
+    line = captures.edges[0].entry.line
+    assert line is not None and line.angle_deg == 5.0
+    markers = captures.markers
+    assert markers is not None and markers.rest is captures.background
+    assert markers.labels["dv_px"].tolist() == [0.0, 1.0]
+    video = markers.videos[0]
+    assert [frame[0, 0, 0] for frame in video.frames()] == [100, 110, 120]
+    assert video.poses["x_mm"].tolist() == [0.0, 0.2, 0.4]
+    assert captures.records[0].columns["force_n"].tolist() == [0.1, 0.4, 1.1]
+    assert captures.contents().items() >= {
+        "background": 1, "untouched": 1, "ball_presses": 3, "labelled_presses": 0, "boards": 1,
+        "board_views": 1, "edges": 1, "marker_images": 1, "marker_videos": 1, "force_records": 1,
+    }.items()  # fmt: skip
+
+
+def test_presses_of_several_balls(folder: Path) -> None:
+    captures = load_capture_folder(folder)
+    assert captures.ball_radii_mm() == {2.0: 2, 3.0: 1}
+    of_two = captures.ball_presses((0.1, 0.1))
+    assert [press.name for press in of_two.presses] == ["a", "c"]
+    assert of_two.ball_radius_mm == 2.0 and "1 presses" in of_two.provenance["left_out"]
+    of_three = captures.ball_presses((0.1, 0.1), radius_mm=3.0)
+    assert [press.name for press in of_three.presses] == ["b"]
+    with pytest.raises(InputError, match=r"no press of a ball of 5 mm; the balls are of 2, 3 mm"):
+        captures.ball_presses((0.1, 0.1), radius_mm=5.0)
+    with pytest.raises(InputError, match="no scale; give mm_per_px_x and mm_per_px_y, or calib"):
+        captures.ball_presses()
+
+
+def test_only_some_sections(folder: Path) -> None:
+    (folder / "captures.toml").write_text('schema_version = 2\nsensor = "digit"\n')
+    captures = load_capture_folder(folder)
+    assert captures == CaptureFolder(
+        source=captures.source, root=folder, sensor="digit", unit=None, background=None,
+        untouched=(), mask=None, mm_per_px=None, ball_radius_mm=None, presses=(),
+        provenance=captures.provenance,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('untouched = ["later.png"]', 'untouched = ["board.png"]', r"board\.png is 128x96 px but"),
+        ('image = "edge.png"', 'image = "gone.png"', r"gone\.png does not exist"),
+        ("length_mm = 10.0", "length_mm = -1", r"edges\.0\.length_mm.*greater than"),
+        ('kind = "chessboard"', 'kind = "checker"', r"boards\.0\.kind.*chessboard"),
+        ("columns = 6", "columns = 1", r"boards\.0\.columns.*greater than or equal to 2"),
+        ('images = ["board.png"]', "images = []", r"boards\.0\.images.*at least 1"),
+        ('"video/*.png"', '"nothing/*.png"', r"at least 2 frames, found 0"),
+        ('frames = ["video/*.png"]', "", "either a file or frames"),
+        (
+            'frames = ["video/*.png"]',
+            'file = "force.csv"',
+            r"force\.csv does not decode as a video",
+        ),
+        ('frames = ["video/*.png"]', 'file = "gone.avi"', r"gone\.avi does not exist"),
+        ('labels = "dots.csv"', 'labels = "poses.csv"', r"poses\.csv lacks du_px"),
+        ('kind = "indentation"', 'kind = "press"', r"records\.0\.kind.*indentation"),
+        ("depth_mm = 0.5", "depth_mm = -0.5", r"presses\.0\.depth_mm.*greater than or equal to 0"),
+        ("force_n = 0.7", "force_n = inf", r"presses\.0\.force_n.*finite"),
+        ('unit = "S1"', "mm_per_px_x = 0.1", "give both mm_per_px_x and mm_per_px_y"),
+        ("radius_mm = 4.0", "radius_mm = nan", r"tool\.radius_mm.*finite"),
+    ],
+)
+def test_refusals(folder: Path, old: str, new: str, message: str) -> None:
+    edit(folder, old, new)
+    with pytest.raises(InputError, match=message) as caught:
+        load_capture_folder(folder)
+    assert str(folder) in str(caught.value)
+
+
+def test_a_video_file(folder: Path) -> None:
+    writer = cv2.VideoWriter(str(folder / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
+    if not writer.isOpened():
+        pytest.skip("OpenCV is built without a video writer")
+    for level in (60, 120, 180):
+        writer.write(np.full((48, 64, 3), level, np.uint8))
+    writer.release()
+    edit(folder, 'frames = ["video/*.png"]', 'file = "v.avi"')
+    markers = load_capture_folder(folder).markers
+    assert markers is not None
+    levels = [int(frame.mean()) for frame in markers.videos[0].frames()]
+    assert levels == pytest.approx([60, 120, 180], abs=3)
+    data = (folder / "v.avi").read_bytes()
+    (folder / "v.avi").write_bytes(data[:64])
+    with pytest.raises(InputError, match=r"v\.avi does not decode as a video \(0 frames read\)"):
+        load_capture_folder(folder)
+
+
+@pytest.mark.parametrize("sensor", sorted(sensor_families()))
+def test_guide_of_every_sensor(sensor: str) -> None:
+    import tomllib
+
+    plan = capture_plan(sensor)
+    assert 20 < plan.minutes < 60
+    manifest = CaptureManifest.model_validate(tomllib.loads(plan.manifest))
+    assert manifest.sensor == sensor and manifest.indenter is not None
+    assert manifest.indenter.radius_mm == plan.ball_radius_mm
+    blocks = " ".join(step.block for step in plan.steps)
+    assert ("markers" in blocks) == (manifest.markers is not None)
+    assert ("depth" in blocks) != ("color" in blocks)

@@ -1,0 +1,415 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Layouts of other projects, made up here: told apart, read, and every byte kept."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.capture import CaptureFolder, import_captures, load_capture_folder
+from calibration.capture.importers import (
+    LAYOUTS,
+    ImportOptions,
+    detect_layout,
+    read_drafts,
+)
+from calibration.capture.importers.background_guess import guess_background
+from calibration.capture.importers.files import natural_key, read_labels
+from taccel_lab.errors import InputError
+from tests.calibration.capture.capture_sets import gel, press, spread_circles, write_image
+
+RNG = np.random.default_rng(0)
+
+
+def picture(path: Path, level: int = 90, size: tuple[int, int] = (48, 64)) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = RNG.integers(0, 30, (*size, 3), dtype=np.uint8) + np.uint8(level)
+    write_image(path, image)
+    return path
+
+
+def taxim(folder: Path) -> None:
+    np.savez(
+        folder / "dataPack.npz",
+        f0=np.full((48, 64, 3), 9, np.uint8),
+        imgs=np.full((2, 48, 64, 3), 90, np.uint8),
+        touch_center=np.array([[30.0, 24.0], [33.0, 24.0]]),
+        touch_radius=np.array([12, 13]),
+    )
+    (folder / "params.json").write_text(json.dumps({"sensor": {"pixmm": 0.1}}))
+
+
+def fots(folder: Path) -> None:
+    for name in ("mlp_calib/0000", "mlp_calib/gelsight/0001", "mlp_calib/gelsight/0002"):
+        picture(folder / f"{name}.png")
+    for name in ("mlp_calib/scripts/0000", "mlp_calib/digit/0005"):
+        picture(folder / f"{name}.png")
+    picture(folder / "marker_calib" / "data" / "0.png")
+    (folder / "marker_calib" / "data" / "0.csv").write_text("Mx,My,dx,dy\n25,11,-1,-2\n54,12,0,1\n")
+    (folder / "labels_gelsight.csv").write_text(
+        "file,cx_px,cy_px,contact_r_px\nmlp_calib/gelsight/0002.png,30,20,12\n"
+    )
+
+
+def ninedtact(folder: Path) -> None:
+    for unit in ("sensor_1", "sensor_2"):
+        for part in ("camera_calibration", "depth_calibration"):
+            for name in ("ref", "sample", "sample_drawing"):
+                picture(folder / "calibration" / unit / part / f"{name}.png")
+
+
+def feats(folder: Path) -> None:
+    (folder / "force_indentation.json").write_text(
+        json.dumps(
+            {
+                "indenter": "rigid sphere, radius 7.5 mm",
+                "indentation_mm": [0.5, 1.0],
+                "normal_force_N": [1.65, 5.96],
+            }
+        )
+    )
+    np.save(folder / "homography.npy", np.array([[0.0, -14, 160], [-14, 0, 120], [0, 0, 1]]))
+
+
+def gs_sdk(folder: Path) -> None:
+    picture(folder / "background.png")
+    (folder / "gsmini.yaml").write_text("device_name: GelSight Mini\nppmm: 0.0634\n")
+    rows = ["experiment_reldir,diameter(mm)"]
+    for i, ball in enumerate((4.76, 4.76, 6.35)):
+        place = folder / f"{ball:.3f}mm" / str(i)
+        picture(place / "gelsight.png")
+        np.savez(place / "label.npz", center=np.array([30 + i, 22]), radius=11)
+        rows.append(f"{ball:.3f}mm/{i},{ball}")
+    (folder / "catalog.csv").write_text("\n".join(rows) + "\n")
+
+
+def cube_edges(folder: Path) -> None:
+    picture(folder / "background.png")
+    for i in (0, 2, 10):
+        picture(folder / str(i) / "gelsight.png")
+        np.savez(
+            folder / str(i) / "label.npz",
+            line_center=np.array([31.0, 20.0]), line_length=40, line_angle=4.0,
+        )  # fmt: skip
+
+
+def rvsathu(folder: Path) -> None:
+    picture(folder / "background_real.png")
+    picture(folder / "calib_9_real.png")
+    picture(folder / "calib_10_real.png")
+    (folder / "labels").mkdir()
+    (folder / "labels" / "res.txt").write_text("calib_9_real.png (30, 21) 12\n")
+
+
+def ruihangao(folder: Path) -> None:
+    for i in range(3):
+        picture(folder / "calib_ball" / f"frame_{i}.{'png' if i == 0 else 'jpg'}")
+
+
+def osaka(folder: Path) -> None:
+    for i in range(3):
+        picture(folder / "fisheye" / "cam2" / f"{i}.jpg", size=(60, 80))
+        picture(folder / "cam2" / f"{i}.jpg", size=(60, 80))
+    picture(folder / "cam2" / "tst4.jpg", size=(60, 80))
+
+
+def gelslim(folder: Path) -> None:
+    for name in ("ref", "sample_2", "sample_10"):
+        picture(folder / "updated_calib" / f"{name}.jpg")
+
+
+def py3dcal(folder: Path) -> None:
+    picture(folder / "blank_images" / "blank.png")
+    picture(folder / "probe_images" / "0.png")
+    (folder / "annotations").mkdir()
+    (folder / "annotations" / "annotations.csv").write_text(
+        "img_name,x_mm,y_mm,penetration_depth_mm,x_px,y_px\n0.png,1,2,0.8,30,20\n"
+    )
+    (folder / "annotations" / "metadata.json").write_text(
+        json.dumps({"px_per_mm": 20.0, "probe_radius_mm": 2.0})
+    )
+
+
+def markers(folder: Path) -> None:
+    for i in range(25):
+        picture(folder / f"{i:04d}.png")
+
+
+def plain(folder: Path) -> None:
+    for name in ("bg", "a_1", "a_2", "a_10"):
+        picture(folder / f"{name}.png")
+    picture(folder / "other_camera.png", size=(60, 80))
+    (folder / "labels.csv").write_text("name,x,y,radius\na_2.png,30,20,11\n")
+    (folder / "press.csv").write_text("depth_mm,force_n\n0.2,0.1\n0.5,0.4\n")
+
+
+MAKERS: dict[str, Callable[[Path], None]] = {
+    "taxim": taxim, "fots": fots, "9dtact": ninedtact, "feats": feats, "py3dcal": py3dcal,
+    "gs-sdk": gs_sdk, "cube-edges": cube_edges, "rvsathu": rvsathu, "ruihangao": ruihangao,
+    "osaka": osaka, "gelslim": gelslim, "markers": markers, "plain": plain,
+}  # fmt: skip
+
+
+@pytest.fixture(params=sorted(MAKERS))
+def source(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
+    folder = tmp_path / "source"
+    folder.mkdir()
+    MAKERS[request.param](folder)
+    return request.param, folder
+
+
+def test_every_layout_has_a_maker() -> None:
+    assert set(MAKERS) == set(LAYOUTS)
+
+
+def test_layouts_are_told_apart(source: tuple[str, Path]) -> None:
+    name, folder = source
+    assert detect_layout(folder).name == name
+
+
+def test_imported_files_keep_their_bytes(source: tuple[str, Path], tmp_path: Path) -> None:
+    name, folder = source
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    outs = import_captures(folder, tmp_path / "out", name)
+    assert {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()} == before
+    originals = set(before.values())
+    for out in outs:
+        captures = load_capture_folder(out)
+        assert tomllib.loads((out / "captures.toml").read_text())["schema_version"] == 2
+        assert captures.provenance["source"]
+        if name != "taxim":  # whose images come out of an archive
+            for image in [*out.glob("*.png"), *out.glob("*.jpg")]:
+                assert image.read_bytes() in originals
+
+
+def test_drafts_open_without_being_written(source: tuple[str, Path], tmp_path: Path) -> None:
+    name, folder = source
+    layout, drafts = read_drafts(folder)
+    for draft, out in zip(drafts, import_captures(folder, tmp_path / "out"), strict=True):
+        with draft.opened() as captures:
+            assert captures.contents() == load_capture_folder(out).contents()
+            assert captures.source == draft.source
+    assert layout.name == name
+
+
+def imported(make: Callable[[Path], None], folder: Path, **options: object) -> list[CaptureFolder]:
+    source = folder / "source"
+    source.mkdir()
+    make(source)
+    outs = import_captures(source, folder / "out", "auto", ImportOptions(**options))  # type: ignore[arg-type]
+    return [load_capture_folder(out) for out in outs]
+
+
+def test_fots_has_three_sets(tmp_path: Path) -> None:
+    mini, digit, dots = imported(fots, tmp_path)
+    assert (mini.sensor, mini.ball_radius_mm) == ("gelsight_mini", 2.35)
+    assert mini.mm_per_px == pytest.approx((1 / 19.58,) * 2)
+    assert [press.circle is not None for press in mini.presses] == [False, True]
+    assert (digit.sensor, digit.ball_radius_mm, digit.mm_per_px) == ("digit", None, None)
+    assert dots.markers is not None and dots.markers.labels["du_px"].tolist() == [-1.0, 0.0]
+
+
+def test_gs_sdk_balls_and_scale(tmp_path: Path) -> None:
+    (captures,) = imported(gs_sdk, tmp_path)
+    assert captures.mm_per_px == (0.0634, 0.0634)
+    assert captures.ball_radii_mm() == {2.38: 2, 3.175: 1}
+    circle = captures.presses[1].circle
+    assert circle is not None and (circle.u_px, circle.v_px, circle.radius_px) == (31, 22, 11)
+
+
+def test_gs_sdk_without_its_catalogue(tmp_path: Path) -> None:
+    def without(folder: Path) -> None:
+        gs_sdk(folder)
+        (folder / "catalog.csv").unlink()
+
+    (captures,) = imported(without, tmp_path)
+    assert captures.ball_radii_mm() == {2.38: 2, 3.175: 1}
+    assert [press.name for press in captures.presses] == ["4.760mm_0", "4.760mm_1", "6.350mm_2"]
+
+
+def test_ninedtact_units(tmp_path: Path) -> None:
+    units = imported(ninedtact, tmp_path)
+    assert [unit.unit for unit in units] == ["sensor_1", "sensor_2"]
+    board = units[0].boards[0]
+    assert (board.entry.columns, board.entry.rows, board.entry.pitch_mm) == (9, 7, 2.5)
+    assert board.entry.on_gel and board.reference is not None
+    assert units[0].ball_radius_mm == 4.0 and len(units[0].presses) == 1
+
+
+def test_feats_record(tmp_path: Path) -> None:
+    (captures,) = imported(feats, tmp_path)
+    record = captures.records[0]
+    assert record.entry.tool.radius_mm == 7.5
+    assert record.columns["force_n"].tolist() == [1.65, 5.96]
+    assert captures.mm_per_px == pytest.approx((1 / 14, 1 / 14))
+
+
+def test_cube_edges_are_in_natural_order(tmp_path: Path) -> None:
+    (captures,) = imported(cube_edges, tmp_path, edge_mm=8.0)
+    assert [edge.frame.name for edge in captures.edges] == ["edge_0", "edge_2", "edge_10"]
+    assert captures.edges[0].entry.length_mm == 8.0
+
+
+def test_py3dcal_travel(tmp_path: Path) -> None:
+    (captures,) = imported(py3dcal, tmp_path)
+    assert captures.mm_per_px == (0.05, 0.05) and captures.ball_radius_mm == 2.0
+    assert captures.presses[0].depth_mm == 0.8
+
+
+def test_osaka_boards_and_presses(tmp_path: Path) -> None:
+    (captures,) = imported(osaka, tmp_path)
+    assert len(captures.boards[0].frames) == 3 and not captures.boards[0].entry.on_gel
+    assert [press.name for press in captures.presses] == ["press_1", "press_2"]
+    assert captures.background is not None
+
+
+def test_plain_folder(tmp_path: Path) -> None:
+    (captures,) = imported(plain, tmp_path, sensor="digit", radius_mm=3.0, mm_per_px_x=0.05)
+    assert [press.name for press in captures.presses] == ["a_1", "a_2", "a_10"]
+    assert [press.circle is not None for press in captures.presses] == [False, True, False]
+    assert captures.background is not None and captures.mm_per_px == (0.05, 0.05)
+    assert captures.records[0].entry.kind == "indentation"
+    notes = (tmp_path / "out" / "captures.toml").read_text()
+    assert "# left out, since not 64x48 px as most images: other_camera.png" in notes
+
+
+def test_options_replace_what_a_layout_says(tmp_path: Path) -> None:
+    (captures,) = imported(
+        ruihangao, tmp_path, sensor="flat_pad", unit="mine", radius_mm=3.0, mm_per_px_x=0.09,
+        mm_per_px_y=0.08,
+    )  # fmt: skip
+    assert (captures.sensor, captures.unit, captures.ball_radius_mm) == ("flat_pad", "mine", 3.0)
+    assert captures.mm_per_px == (0.09, 0.08)
+
+
+def test_median_of_the_presses_as_background(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    for i, circle in enumerate(spread_circles(9)):
+        write_image(source / f"p{i}.png", np.clip(press(circle), 0, 255).astype(np.uint8))
+    (out,) = import_captures(
+        source, tmp_path / "out", "plain", ImportOptions(background="median", sensor="flat_pad")
+    )
+    captures = load_capture_folder(out)
+    assert len(captures.presses) == 9
+    off = np.abs(captures.require_background().image().astype(float) - gel())
+    assert np.median(off) < 1.0 and np.percentile(off, 99) < 10
+
+
+def test_board_views_of_a_plain_folder(tmp_path: Path) -> None:
+    (captures,) = imported(gelslim_like_boards, tmp_path, board="charuco:8x6:3.5")
+    entry = captures.boards[0].entry
+    assert (entry.kind, entry.columns, entry.rows, entry.pitch_mm) == ("charuco", 8, 6, 3.5)
+    with pytest.raises(InputError, match=r"kind:COLUMNSxROWS"):
+        read_drafts(tmp_path / "source", "plain", ImportOptions(board="8x6"))
+
+
+def gelslim_like_boards(folder: Path) -> None:
+    for name in ("view_a", "view_b"):
+        picture(folder / f"{name}.png")
+
+
+def test_the_untouched_image_is_found_without_a_name(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    images = [press(circle) for circle in spread_circles(7)]
+    images.insert(4, gel())
+    for i, image in enumerate(images):
+        noisy = image + rng.normal(0, 0.7, image.shape)
+        write_image(tmp_path / f"shot_{i + 1}.png", np.clip(noisy, 0, 255).astype(np.uint8))
+    paths = sorted(tmp_path.iterdir())
+    found, why = guess_background(paths)
+    assert found is not None and found.name == "shot_5.png" and "differs least" in why
+    found, why = guess_background([path for path in paths if path.name != "shot_5.png"])
+    assert found is None and "no image is untouched" in why
+
+
+@pytest.mark.parametrize(
+    ("name", "is_background"),
+    [("bg", True), ("my_background_2", True), ("ref", True), ("refraction", False), ("abg", False)],
+)
+def test_names_of_backgrounds(tmp_path: Path, name: str, is_background: bool) -> None:
+    paths = [picture(tmp_path / f"{stem}.png") for stem in (name, "x", "y")]
+    assert (guess_background(paths)[0] is not None) == is_background
+
+
+def test_label_tables(tmp_path: Path) -> None:
+    table = tmp_path / "t.txt"
+    table.write_text("a.png (204, 98) 31\nb.png (10, 20) 5.5\n")
+    labels = read_labels(table)
+    assert labels is not None and labels["b.png"] == {"u_px": 10, "v_px": 20, "radius_px": 5.5}
+    table.write_text("image, u_px, v_px, radius_px\n")
+    assert read_labels(table) is None
+    table.write_text("nothing of the kind\n")
+    assert read_labels(table) is None
+    table.write_text("file,cx,cy,r\na.png,1,2,x\n")
+    with pytest.raises(InputError, match=r"circle of a\.png"):
+        read_labels(table)
+
+
+def test_natural_order() -> None:
+    names = ["f_10", "f_2", "f_1", "g", "2", "10"]
+    assert sorted(names, key=natural_key) == ["2", "10", "f_1", "f_2", "f_10", "g"]
+
+
+Break = Callable[[Path], object]
+
+
+@pytest.mark.parametrize(
+    ("make", "spoil", "message"),
+    [
+        (gs_sdk, lambda f: (f / "catalog.csv").write_text("experiment_reldir,diameter(mm)\nx,1\n"),
+         r"x/gelsight\.png does not exist"),
+        (gs_sdk, lambda f: (f / "gsmini.yaml").write_text("ppmm: 15.8\n"), "ppmm is 15.8; gs_sdk"),
+        (gs_sdk, lambda f: (f / "gsmini.yaml").write_text("[1,"), "not valid YAML"),
+        (gs_sdk, lambda f: (f / "4.760mm/0/label.npz").write_text("x"), "label.npz is not a"),
+        (feats, lambda f: (f / "force_indentation.json").write_text("{"), "not valid JSON"),
+        (feats, lambda f: (f / "force_indentation.json").write_text("{}"), "indentation_mm has to"),
+        (rvsathu, lambda f: (f / "background_real.png").unlink(), "background_real.png is missing"),
+        (fots, lambda f: (f / "mlp_calib/0000.png").unlink(), "no background"),
+        (fots, lambda f: (f / "mlp_calib/gelsight/0001.png").write_text("x"), "is not an image"),
+        (py3dcal, lambda f: (f / "probe_images/0.png").unlink(), r"0\.png does not exist"),
+        (cube_edges, lambda f: (f / "2/gelsight.png").unlink(), r"2/gelsight\.png does not exist"),
+    ],
+)  # fmt: skip
+def test_broken_sources(
+    tmp_path: Path, make: Callable[[Path], None], spoil: Break, message: str
+) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    make(source)
+    spoil(source)
+    with pytest.raises(InputError, match=message):
+        import_captures(source, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_to_import(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"follows none of the layouts known: taxim \(Taxim"):
+        detect_layout(tmp_path)
+    with pytest.raises(InputError, match="does not exist"):
+        detect_layout(tmp_path / "gone")
+    picture(tmp_path / "a.png")
+    with pytest.raises(InputError, match="no layout 'x'; known: auto, taxim"):
+        read_drafts(tmp_path, "x")
+    with pytest.raises(InputError, match="is not of the layout fots"):
+        read_drafts(tmp_path, "fots")
+    (tmp_path / "captures.toml").write_text("")
+    with pytest.raises(InputError, match="is a capture folder already"):
+        import_captures(tmp_path, tmp_path / "out")
+
+
+def test_images_of_other_formats_become_png(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    image = RNG.integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    for name in ("bg", "a", "b"):
+        assert cv2.imwrite(str(source / f"{name}.bmp"), image)
+    (out,) = import_captures(source, tmp_path / "out")
+    assert {path.suffix for path in out.iterdir() if path.suffix} == {".png", ".toml"}
+    assert np.array_equal(cv2.imread(str(out / "a.png")), image)
