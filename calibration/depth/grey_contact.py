@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contact circle of a ball in a grey sensor's image, where darkness stands for depth.
+
+Inside the contact the depth follows the ball, whose slope grows up to the rim and falls behind it.
+So the grey drop is steepest at the rim, which is where it is taken. Two things blur that:
+scattering in the gel, which moves the steepest place inwards, and the light beside the contact,
+where grey gels brighten, which moves it outwards. Half the distance to where the slope has fallen
+steepest is taken as the rim's uncertainty: the units of 9DTact's authors give 3 to 4 px. That
+light is uneven around a contact, so the centre is that of the lines of equal grey further in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from calibration.capture.captures import ContactCircle
+from calibration.targets.circle_fit import fit_circle_ransac
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+
+SMOOTHING_PX = 2.0
+RAY_COUNT = 180
+MIN_DROP_LEVELS = 6.0
+MIN_DROP_OVER_NOISE = 8.0
+MIN_ROUND = 0.6
+"""Smallest ratio of the axes of the dark patch at half its depth."""
+MIN_RADIUS_PX = 6.0
+ISOLINES = (0.4, 0.5, 0.6, 0.7)
+"""Greys, as parts of the peak, whose lines give the centre."""
+
+
+@dataclass(frozen=True)
+class GreyContact:
+    """A contact found in a grey image."""
+
+    circle: ContactCircle
+    radius_sigma_px: float
+    """Half the distance between the steepest drop and its steepest fall."""
+    drop_levels: float
+    """Largest smoothed drop [levels]."""
+
+
+def find_grey_contact(
+    drop: np.ndarray, grid: PixelGrid, *, mask: np.ndarray | None = None, name: str = "image"
+) -> GreyContact:
+    """Contact circle from a map of grey drops [levels], shape [height_px, width_px].
+
+    Raises InputError naming ``name`` when no round dark patch stands out.
+    """
+    values = np.asarray(drop, dtype=np.float32)
+    if mask is not None:
+        values = np.where(mask, values, np.float32(np.median(values[mask])))
+    ratio = grid.mm_per_px_y / grid.mm_per_px_x
+    if abs(ratio - 1) > 1e-6:  # rows are resampled so that a round contact is a circle
+        size = (values.shape[1], max(2, round(values.shape[0] * ratio)))
+        values = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
+    smooth = cv2.GaussianBlur(values, (0, 0), SMOOTHING_PX)
+    noise = 1.4826 * float(np.median(np.abs(values - smooth))) + 0.05
+    peak = float(smooth.max())
+    if peak < MIN_DROP_LEVELS or peak < MIN_DROP_OVER_NOISE * noise:
+        raise InputError(
+            f"{name}: no contact found; it darkens by {peak:.1f} levels of 255 at most over a "
+            f"noise of {noise:.1f}; at least {MIN_DROP_LEVELS:g} levels and "
+            f"{MIN_DROP_OVER_NOISE:g} times the noise are needed. Remove the frame, or is this a "
+            "colour sensor (taccel-lab calibrate color, normals)?"
+        )
+    center, radius = _rough(smooth, peak, name)
+    for _ in range(3):
+        _, radius = _steepest_circle(smooth, center, radius)
+        center = _isoline_center(smooth, center, radius, peak)
+    steepest, fall = _rim_radii(smooth, center, radius)
+    circle = ContactCircle(float(center[0]), float(center[1] / ratio), float(steepest))
+    return GreyContact(circle, max(0.5 * (fall - steepest), 0.5), peak)
+
+
+def _rough(smooth: np.ndarray, peak: float, name: str) -> tuple[np.ndarray, float]:
+    """Centre and radius of the patch that is darker than half the peak."""
+    labels, _ = ndimage.label(smooth > 0.5 * peak)  # type: ignore[misc]
+    patch = labels == labels[np.unravel_index(int(np.argmax(smooth)), smooth.shape)]
+    rows, columns = np.nonzero(patch)
+    radius = float(np.sqrt(len(rows) / np.pi))
+    axes = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(np.stack([columns, rows]))), 0.0))
+    touches = rows.min() == 0 or columns.min() == 0
+    touches |= rows.max() == smooth.shape[0] - 1 or columns.max() == smooth.shape[1] - 1
+    if radius < MIN_RADIUS_PX or axes[0] < MIN_ROUND * axes[1] or touches:
+        raise InputError(
+            f"{name}: no round contact found; the dark patch has a radius of {radius:.0f} px, axes "
+            f"{axes[0]:.0f} and {axes[1]:.0f} px"
+            + (" and touches the image's border" if touches else "")
+            + f"; a ball leaves a round one of at least {MIN_RADIUS_PX:g} px inside the image"
+        )
+    return np.array([columns.mean(), rows.mean()]), radius
+
+
+def _rays(smooth: np.ndarray, center: np.ndarray, reach: float) -> np.ndarray:
+    angle = np.arange(RAY_COUNT)[:, None] * (2 * np.pi / RAY_COUNT)
+    distance = np.arange(int(np.ceil(reach)) + 1)[None, :]
+    x = (center[0] + distance * np.cos(angle)).astype(np.float32)
+    y = (center[1] + distance * np.sin(angle)).astype(np.float32)
+    rays = cv2.remap(smooth, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    outside = (x < 0) | (y < 0) | (x > smooth.shape[1] - 1) | (y > smooth.shape[0] - 1)
+    rays[outside] = np.nan
+    return rays
+
+
+def _steepest_circle(
+    smooth: np.ndarray, center: np.ndarray, radius: float
+) -> tuple[np.ndarray, float]:
+    """Circle through the steepest drop along each ray, near the given one."""
+    slope = -np.gradient(_rays(smooth, center, 1.8 * radius + 4), axis=1)
+    slope = np.nan_to_num(slope, nan=-np.inf)
+    slope[:, : int(0.4 * radius)] = -np.inf
+    reach = np.argmax(slope, axis=1)
+    angle = np.arange(RAY_COUNT) * (2 * np.pi / RAY_COUNT)
+    found = np.isfinite(slope.max(axis=1))
+    points = center + reach[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    fit = fit_circle_ransac(points[found], tolerance=max(2.0, 0.06 * radius))
+    return fit.center, fit.radius
+
+
+def _isoline_center(
+    smooth: np.ndarray, center: np.ndarray, radius: float, peak: float
+) -> np.ndarray:
+    """Mean centre of the circles through the lines of equal grey inside the contact."""
+    rays = np.nan_to_num(_rays(smooth, center, 1.1 * radius), nan=-np.inf)
+    angle = np.arange(RAY_COUNT) * (2 * np.pi / RAY_COUNT)
+    direction = np.column_stack([np.cos(angle), np.sin(angle)])
+    centers = []
+    for share in ISOLINES:
+        below = rays < share * peak
+        reach = np.argmax(below, axis=1)
+        rows = np.flatnonzero(below.any(axis=1) & (reach > 0))
+        if len(rows) < RAY_COUNT // 2:
+            continue
+        before, after = rays[rows, reach[rows] - 1], rays[rows, reach[rows]]
+        part = np.clip((before - share * peak) / np.maximum(before - after, 1e-6), 0, 1)
+        points = center + (reach[rows] - 1 + part)[:, None] * direction[rows]
+        centers.append(fit_circle_ransac(points, tolerance=max(2.0, 0.06 * radius)).center)
+    return np.mean(centers, axis=0) if centers else center
+
+
+def _rim_radii(smooth: np.ndarray, center: np.ndarray, radius: float) -> tuple[float, float]:
+    """Radii of the steepest drop and of the steepest fall of its slope behind that [px]."""
+    profile = np.nanmean(_rays(smooth, center, 2.0 * radius + 6), axis=0)
+    profile = profile[np.isfinite(profile)]
+    slope = -ndimage.gaussian_filter1d(np.gradient(profile), 1.5)
+    first = int(0.5 * radius)
+    steepest = first + int(np.argmax(slope[first:]))
+    fall = -np.gradient(slope)
+    last = min(len(fall), int(steepest + 0.6 * radius) + 2)
+    return float(steepest), float(steepest + int(np.argmax(fall[steepest:last])))
