@@ -21,6 +21,11 @@ from taccel_lab.errors import InputError
 MIN_SHARE = 0.5
 """Least share of the corners that a partly hidden board must show."""
 MIN_POINTS = 12
+_WEAKEST = 0.2
+"""Weakest saddle point that may be a corner, as a share of the usual one."""
+_RING = 24
+_OPPOSITE = 0.25
+"""Mean difference of opposite points around a corner, as a share of the contrast, at most."""
 _SMALL_PX = 500
 """Images narrower than this are doubled when the board is not found at once."""
 
@@ -105,23 +110,43 @@ def saddle_points(grey: np.ndarray, sigma_px: float, most: int) -> np.ndarray:
     strength = np.asarray(xy * xy - xx * yy / 4.0, dtype=np.float32)
     width = 2 * max(1, round(2 * sigma_px)) + 1
     peak = strength >= cv2.dilate(strength, np.ones((width, width), np.uint8))
-    peak &= strength > 0.02 * float(strength.max(initial=0.0))
     edge = width
     peak[:edge], peak[-edge:], peak[:, :edge], peak[:, -edge:] = False, False, False, False
-    v, u = np.nonzero(peak)
-    order = np.argsort(-strength[v, u])[:most]
-    if len(order) == 0:
+    v, u = np.nonzero(peak & (strength > 0))
+    if len(u) == 0:
         return np.zeros((0, 2))
+    order = np.argsort(-strength[v, u])[:most]
+    # Half of the corners show at least: where squares end, saddles are far weaker.
+    usual = float(np.median(strength[v, u][order[: max(most // 6, 1)]]))
+    order = order[strength[v, u][order] > _WEAKEST * usual]
     corners = np.column_stack([u, v])[order].astype(np.float32).reshape(-1, 1, 2)
     half = max(2, round(2.5 * sigma_px))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
     refined = cv2.cornerSubPix(grey, corners, (half, half), (-1, -1), criteria).reshape(-1, 2)
     moved = np.linalg.norm(refined - corners.reshape(-1, 2), axis=1) < half
     refined = refined[moved].astype(np.float64)
+    refined = refined[_crossings(smooth, refined, max(3.0, 2.5 * sigma_px))]
     # The refinement may draw two peaks to one corner.
     pairs = KDTree(refined).query_pairs(1.0) if len(refined) else set()
     doubled = {max(pair) for pair in pairs}
     return refined[[i for i in range(len(refined)) if i not in doubled]]
+
+
+def _crossings(smooth: np.ndarray, uv: np.ndarray, radius_px: float) -> np.ndarray:
+    """Points [n, 2] where two dark squares meet, bool: on a ring around, opposite points are alike
+    and dark and light take turns twice. The outer corners of squares are not so."""
+    angles = np.arange(_RING) * (2 * np.pi / _RING)
+    ring = uv[:, None] + radius_px * np.column_stack([np.cos(angles), np.sin(angles)])
+    at = ring.astype(np.float32)
+    values = cv2.remap(
+        smooth, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    ).reshape(len(uv), _RING)
+    low, high = values.min(axis=1), values.max(axis=1)
+    contrast = np.maximum(high - low, 1e-6)
+    opposite = np.abs(values - np.roll(values, _RING // 2, axis=1)).mean(axis=1) / contrast
+    dark = values < ((low + high) / 2)[:, None]
+    turns = (dark != np.roll(dark, 1, axis=1)).sum(axis=1)
+    return (opposite < _OPPOSITE) & (turns == 4)
 
 
 def _first_square_dark(grey: np.ndarray, view: BoardView, columns: int, rows: int) -> bool | None:

@@ -30,12 +30,19 @@ _TRIES = 12
 """Sizes and signs of blobs that are searched for a lattice, the strongest first."""
 
 
+_IRREGULAR = 0.09
+"""Largest error of a lattice's points in pitches; among random ones it is 0.12 and more."""
+_RIVAL = 0.4
+"""Blobs weaker than this share of those that form a lattice are no rivals to them."""
+
+
 @dataclass(frozen=True)
 class _Candidate:
     """Blobs of one size and sign."""
 
     uv_px: np.ndarray
     strength: float
+    sign: int
 
 
 @dataclass(frozen=True)
@@ -78,13 +85,23 @@ def detect_dots(
         for item in _blobs_at(signal, float(sigma), expected)
     ]
     candidates.sort(key=lambda item: -item.strength)
+    least = max(MIN_POINTS, MIN_SHARE * expected)
+    leader: _Candidate | None = None
     for item in candidates[:_TRIES]:
-        found = index_lattice(item.uv_px, columns, rows)
-        if found is not None:
-            found = _Found(found, item.uv_px)
-            best = found if best is None or found.score > best.score else best
-            if len(found.lattice.points) == expected and not found.lattice.strangers:
-                break
+        # What is left between dots forms a lattice too, a weaker one of the other sign.
+        if leader is not None and (
+            item.sign != leader.sign or item.strength < _RIVAL * leader.strength
+        ):
+            continue
+        lattice = index_lattice(item.uv_px, columns, rows)
+        if lattice is None or lattice.rms_share > _IRREGULAR:
+            continue
+        found = _Found(lattice, item.uv_px)
+        best = found if best is None or found.score > best.score else best
+        if leader is None and len(lattice.points) >= least:
+            leader = item
+        if len(lattice.points) == expected and not lattice.strangers:
+            break
     return _checked(best, columns, rows, expected, (width, height), name)
 
 
@@ -156,7 +173,7 @@ def _blobs_at(signal: np.ndarray, sigma_px: float, expected: int) -> list[_Candi
         keep &= np.arange(len(blobs.contrast)) < _CANDIDATES * expected
         strength = float(np.mean(top)) * min(1.0, len(blobs.contrast) / expected)
         uv = subpixel_peaks(sign * answer, blobs.uv_px[keep])
-        found.append(_Candidate((uv + 0.5) * shrink - 0.5, strength))
+        found.append(_Candidate((uv + 0.5) * shrink - 0.5, strength, sign))
     return found
 
 

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which point of a square lattice is which: indices for dots seen through a bending lens.
+"""Which point of a board is which, among points of which many may be none of it.
 
-A seed with neighbours on all four sides is grown outward; each point is predicted from indexed
-points beside it, so that slow changes of pitch and direction do not matter. A smooth polynomial
-through what was found then predicts the rest, bridges missing points and rejects strangers.
+The numbering is grown from seeds as for markers (``calibration.markers.lattice_growth``). What a
+board adds is its known number of columns and rows: the largest lattice of that size is looked for
+among strangers that may outnumber it. A smooth polynomial through what was found then predicts
+the rest of it and rejects strangers.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
+
+from calibration.markers.lattice_growth import grow
 
 _NEAR = 0.3
 """A point is taken for a lattice site within this share of the local pitch."""
@@ -55,10 +58,11 @@ def index_lattice(uv_px: np.ndarray, columns: int, rows: int) -> Lattice | None:
     for seed in _seeds(uv, tree):
         if best is not None and seed[0] in set(best.points.tolist()):
             continue  # the seed belongs to the lattice that is known already
-        grown = _grow(uv, tree, seed)
-        if len(grown) < 4:
+        grown = grow(uv, tree, seed[0], seed[1][0], seed[1][1])
+        if grown.count < 4:
             continue
-        found = _fit_window(uv, tree, grown, columns, rows)
+        points = np.flatnonzero(grown.numbered)
+        found = _fit_window(uv, tree, grown.index[points], points, columns, rows)
         if found is not None and (best is None or _score(found) > _score(best)):
             best = found
         if best is not None and len(best.points) == columns * rows:
@@ -98,50 +102,15 @@ def _seeds(uv: np.ndarray, tree: KDTree) -> list[tuple[int, np.ndarray]]:
     return [(i, axes) for _, i, axes in ranked[: 4 * _SEEDS : max(1, len(ranked) // _SEEDS)]]
 
 
-def _grow(uv: np.ndarray, tree: KDTree, seed: tuple[int, np.ndarray]) -> dict[tuple[int, int], int]:
-    """Lattice sites reached from the seed, step by step: site -> point."""
-    start, axes = seed
-    sites = {(0, 0): start}
-    local = {(0, 0): axes}
-    taken = {start}
-    queue = [(0, 0)]
-    while queue:
-        site = queue.pop(0)
-        for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            step = (sign, 0) if axis == 0 else (0, sign)
-            target = (site[0] + step[0], site[1] + step[1])
-            if target in sites:
-                continue
-            reach = _step(uv, sites, local, site, axis, sign)
-            distance, point = tree.query(uv[sites[site]] + reach)
-            if distance > _NEAR * np.linalg.norm(reach) or point in taken:
-                continue
-            sites[target] = int(point)
-            taken.add(int(point))
-            moved = np.array(local[site])
-            moved[axis] = sign * (uv[point] - uv[sites[site]])
-            local[target] = moved
-            queue.append(target)
-    return sites
-
-
-def _step(uv, sites, local, site, axis: int, sign: int) -> np.ndarray:
-    """Step from a site to the next: that of the site before it, else its own axes."""
-    back = (site[0] - sign, site[1]) if axis == 0 else (site[0], site[1] - sign)
-    if back in sites:
-        return uv[sites[site]] - uv[sites[back]]
-    for side in (1, -1):
-        beside = (site[0], site[1] + side) if axis == 0 else (site[0] + side, site[1])
-        ahead = (beside[0] + sign, beside[1]) if axis == 0 else (beside[0], beside[1] + sign)
-        if beside in sites and ahead in sites:
-            return uv[sites[ahead]] - uv[sites[beside]]
-    return sign * local[site][axis]
-
-
-def _fit_window(uv, tree, grown, columns: int, rows: int) -> Lattice | None:
+def _fit_window(
+    uv: np.ndarray,
+    tree: KDTree,
+    keys: np.ndarray,
+    points: np.ndarray,
+    columns: int,
+    rows: int,
+) -> Lattice | None:
     """Fill the grown patch out, in the basis and window that hold the most points."""
-    keys = np.array(list(grown.keys()))
-    points = np.array(list(grown.values()))
     best = None
     for basis in _BASES:
         index = keys @ np.array(basis)
