@@ -9,6 +9,8 @@ import numpy as np
 from taccel_lab.errors import InputError
 
 MIN_SIZE_PX = 32
+_FINE = 6.0
+"""Width, in its own pixels, of a Gaussian that is wide enough to be sampled."""
 _FLOOR = 0.08
 """Share of the picture's bright level below which the light is too weak to divide by."""
 
@@ -51,5 +53,11 @@ def local_contrast(grey: np.ndarray, around_px: float, bright: float) -> np.ndar
         around_px: Standard deviation of the Gaussian that takes the mean [px].
         bright: ``bright_level`` of the picture; light below 8 % of it is not divided by.
     """
-    around = cv2.GaussianBlur(grey, (0, 0), around_px, borderType=cv2.BORDER_REPLICATE)
+    factor = max(1, int(around_px / _FINE))
+    height, width = grey.shape
+    # A wide mean needs no fine pixels.
+    size = (max(1, width // factor), max(1, height // factor))
+    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if factor > 1 else grey
+    small = cv2.GaussianBlur(small, (0, 0), around_px / factor, borderType=cv2.BORDER_REPLICATE)
+    around = cv2.resize(small, (width, height)) if factor > 1 else small
     return (grey - around) / np.maximum(around, _FLOOR * bright)

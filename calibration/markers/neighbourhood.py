@@ -74,7 +74,8 @@ class Neighbourhood:
             scatter = np.sqrt(
                 (robust * miss**2).sum(axis=1) / np.maximum(2 * robust.sum(axis=1), 1e-12)
             )
-            bound = np.maximum(2.0 * scatter, 0.02 * self.pitch_px)[:, None]
-            robust = weight * np.minimum(1.0, bound / np.maximum(miss, 1e-12))
+            bound = np.maximum(scatter, 0.02 * self.pitch_px)[:, None]
+            # Cauchy's weights: a dot that was mistaken for another has no say.
+            robust = weight / (1.0 + (miss / bound) ** 2)
         said = np.where((total > 0)[:, None], solution[:, 0], np.nan)
         return said, scatter, total

@@ -79,8 +79,9 @@ def response(grey: np.ndarray, sigma_px: float, bright: float) -> np.ndarray:
 def find_blobs(answer: np.ndarray, sigma_px: float, sign: int, least: float) -> Blobs:
     """Local extrema of ``response`` of one sign, at least ``least`` strong."""
     signed = sign * answer
-    width = 2 * max(1, round(1.2 * sigma_px)) + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    # A square: its maximum filter is separable.
+    width = 2 * max(1, round(sigma_px)) + 1
+    kernel = np.ones((width, width), dtype=np.uint8)
     peak = (signed >= cv2.dilate(signed, kernel)) & (signed >= least)
     # Equal neighbours make one blob.
     count, _, _, centres = cv2.connectedComponentsWithStats(peak.astype(np.uint8))

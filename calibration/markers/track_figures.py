@@ -14,7 +14,8 @@ from calibration.markers.tracks import MarkerTracks, Status
 _QUIET_PX = 0.05
 """Median distance from the first frame below which the gel is at rest in any case."""
 _QUIET_NOISE = 4.0
-"""And in units of that between the first frames, where noise makes dots scatter more."""
+"""And in units of the least motion between two of the first frames, which is noise."""
+_QUIET_MOST_PX = 0.3
 _QUIET_FRAMES = 5
 _MOVED_PX = 1.0
 _BACK = 0.25
@@ -102,8 +103,11 @@ def _quiet_frames(tracks: MarkerTracks) -> int:
     offset = np.linalg.norm(tracks.uv_px - tracks.uv_px[0], axis=2)
     offset = np.where(tracks.seen & tracks.seen[0], offset, np.nan)
     median = np.array([_median(row) for row in offset])
-    noise = float(np.nanmedian(median[1:_QUIET_FRAMES])) if len(median) > _QUIET_FRAMES else 0.0
-    moving = np.flatnonzero(~(median < max(_QUIET_PX, _QUIET_NOISE * np.nan_to_num(noise))))
+    steps = [
+        float(np.median(np.linalg.norm(d, axis=1))) for d in np.diff(tracks.uv_px[:10], axis=0)
+    ]
+    limit = np.clip(_QUIET_NOISE * min(steps, default=0.0), _QUIET_PX, _QUIET_MOST_PX)
+    moving = np.flatnonzero(~(median < limit))
     return int(moving[0]) if len(moving) else tracks.frame_count
 
 

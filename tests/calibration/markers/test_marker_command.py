@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab calibrate markers`` on drawn captures, from the folder to the profile."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from taccel_lab.cli.app import main
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import load_profile, save_profile
+from tests.calibration.markers.drawn import HEIGHT, WIDTH, grid_points, picture
+from tests.calibration.synthetic import tiny_profile
+
+PITCH_MM = 1.8
+SCALE = 0.06
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Path:
+    save_profile(tiny_profile(PixelGrid(WIDTH, HEIGHT, 0.07, 0.07)), tmp_path / "base")
+    return tmp_path / "base"
+
+
+def write_captures(folder: Path, manifest: str, centres: list[np.ndarray]) -> Path:
+    folder.mkdir()
+    for number, points in enumerate(centres):
+        image = picture(points, 5.0, noise=1.0, seed=number)
+        assert cv2.imwrite(str(folder / f"{number:03d}.png"), image)
+    text = f'schema_version = 2\nsensor = "gelsight"\n{manifest}'
+    (folder / "captures.toml").write_text(text, encoding="utf-8")
+    return folder
+
+
+def moving(frames: int = 7) -> list[np.ndarray]:
+    rest = grid_points(pitch=(30.0, 30.0), turn_rad=0.02)
+    sway = [np.sin(np.pi * t / (frames - 1)) for t in range(frames)]
+    return [rest, *[rest + (12.0 * s, -5.0 * s) for s in sway]]
+
+
+VIDEO = """
+mm_per_px_x = 0.06
+mm_per_px_y = 0.06
+[markers]
+rest = "000.png"
+[[markers.videos]]
+frames = ["00[1-7].png"]
+fps = 20.0
+motion = "shear"
+"""
+
+
+def run(*arguments: object) -> int:
+    return main(["calibrate", "markers", *map(str, arguments)])
+
+
+def test_captures_become_a_block_a_report_and_tracks(
+    tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_captures(tmp_path / "captures", VIDEO, moving())
+    out, tracks = tmp_path / "profile", tmp_path / "tracks.json"
+    assert run(folder, "--out", out, "--base", base, "--tracks", tracks, "--json") == 0
+    figures = json.loads(capsys.readouterr().out)["markers"]
+    block = load_profile(out).markers
+    assert block is not None
+    assert (block.rows, block.columns) == (7, 9)
+    assert block.pitch_x_mm == pytest.approx(PITCH_MM, abs=1e-3)
+    assert block.rotation_deg == pytest.approx(np.degrees(0.02), abs=0.02)
+    assert block.radius_mm == pytest.approx(5.0 * SCALE, rel=0.03)
+    assert block.offset_mm[0] == pytest.approx((159.3 - 159.5) * SCALE, abs=2e-3)
+    provenance = block.provenance
+    assert provenance.kind == "calibrated"
+    assert provenance.verdict == "good"
+    assert set(provenance.inputs) == {"000.png", "captures/001.png", "captures.toml"}
+    assert abs(block.pitch_x_mm - PITCH_MM) < 4 * provenance.spread["pitch_x_mm"]
+    assert figures["videos"][0]["seen_share"] == 1.0
+    assert figures["videos"][0]["largest_px"] == pytest.approx(13.0, abs=0.1)
+    page = (tmp_path / "profile_report" / "report.html").read_text(encoding="utf-8")
+    assert "video0_tracks" in page or "Paths of the dots" in page
+    video = json.loads(tracks.read_text(encoding="utf-8"))["videos"][0]
+    flow = np.array(video["displacement_mm"])
+    np.testing.assert_allclose(flow[3], [[12.0 * SCALE, -5.0 * SCALE]] * 63, atol=0.01)
+    np.testing.assert_allclose(video["time_s"], np.arange(7) / 20.0)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_tracks_are_written_as_tables_and_arrays(tmp_path: Path, base: Path, suffix: str) -> None:
+    folder = write_captures(tmp_path / "captures", VIDEO, moving())
+    tracks = tmp_path / f"tracks{suffix}"
+    assert run(folder, "--out", tmp_path / "p", "--base", base, "--tracks", tracks) == 0
+    if suffix == ".csv":
+        with tracks.open(encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+        assert len(rows) == 7 * 63
+        assert rows[-1]["status"] == "seen"
+        assert float(rows[3 * 63]["dx_mm"]) == pytest.approx(12.0 * SCALE, abs=0.01)
+    else:
+        arrays = np.load(tracks)
+        assert arrays["video0_uv_px"].shape == (7, 63, 2)
+        assert str(arrays["video0_name"]) == "captures/001.png"
+
+
+def test_a_stated_pitch_gives_the_scale(tmp_path: Path, base: Path) -> None:
+    manifest = '[markers]\nrest = "000.png"\npitch_x_mm = 1.8\n'
+    folder = write_captures(tmp_path / "captures", manifest, moving()[:1])
+    assert run(folder, "--out", tmp_path / "p", "--base", base) == 0
+    block = load_profile(tmp_path / "p").markers
+    assert block is not None
+    assert block.pitch_x_mm == pytest.approx(1.8, abs=1e-6)
+    assert block.pitch_y_mm == pytest.approx(1.8, abs=2e-3)
+
+
+def test_an_assumed_scale_and_a_contradiction_are_told(
+    tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rest = '[markers]\nrest = "000.png"\n'
+    folder = write_captures(tmp_path / "assumed", rest, moving()[:1])
+    assert run(folder, "--out", tmp_path / "p", "--base", base) == 0
+    assert "nobody measured" in " ".join(capsys.readouterr().err.split())
+    both = "mm_per_px_x = 0.05\nmm_per_px_y = 0.05\n" + rest + "pitch_x_mm = 1.8\n"
+    folder = write_captures(tmp_path / "both", both, moving()[:1])
+    assert run(folder, "--out", tmp_path / "q", "--base", base) == 0
+    assert "+20.0 and +20.0 %" in " ".join(capsys.readouterr().err.split())
+
+
+def test_what_cannot_be_used_is_refused(
+    tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(folder: Path, *more: object) -> str:
+        assert run(folder, "--out", tmp_path / "none", "--base", base, *more) == 2
+        assert not (tmp_path / "none").exists()
+        return " ".join(capsys.readouterr().err.split())
+
+    rest = '[markers]\nrest = "000.png"\n'
+    nothing = write_captures(tmp_path / "nothing", rest, [np.empty((0, 2))])
+    assert "no dots found" in refused(nothing)
+    good = write_captures(tmp_path / "good", rest, moving()[:1])
+    assert ".json, .npz, .csv" in refused(good, "--tracks", tmp_path / "tracks.txt")
+    bare = write_captures(tmp_path / "bare", "", moving()[:1])
+    assert "no background" in refused(bare)
+    video = rest + '[[markers.videos]]\nfile = "film.avi"\n'
+    broken = write_captures(tmp_path / "broken", video, moving()[:1])
+    (broken / "film.avi").write_bytes(b"no film")
+    assert "does not decode" in refused(broken)
+    small = write_captures(tmp_path / "small", VIDEO, moving())
+    assert cv2.imwrite(str(small / "004.png"), np.zeros((50, 60), dtype=np.uint8))
+    assert "frame 3 is 60x50 px" in refused(small)

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From pixels to the gel: through a grid, through a refracting camera, onto a mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration.markers import CameraView, GridView, MarkerTracks, find_markers, marker_flow_mm
+from calibration.markers.calibrate import layout_on_gel
+from calibration.markers.flow import MarkerFlow
+from calibration.markers.gel_view import pixel_jacobian
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid, Region, TetMesh
+from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.optics import Camera, Coating, Light, MarkerGrid, OpticalDesign, Window
+from taccel_lab.optics.camera_model import CameraModel, look_at
+from taccel_lab.optics.media import media_between
+from taccel_lab.optics.render import OpticalModel
+
+GRID_VIEW = GridView(PixelGrid(320, 240, 0.06, 0.05), "a test")
+
+
+def tracks_of(uv: np.ndarray, sigma: float = 0.02) -> MarkerTracks:
+    frames, count = uv.shape[:2]
+    return MarkerTracks(
+        uv_px=uv,
+        sigma_px=np.full(uv.shape, sigma),
+        status=np.full((frames, count), 2, dtype=np.uint8),
+        rest_px=uv[0],
+        rest_sigma_px=np.full((count, 2), sigma),
+        row=np.arange(count),
+        column=np.zeros(count, dtype=int),
+        size_px=(320, 240),
+    )
+
+
+def test_flow_through_a_grid_is_pixels_times_scale() -> None:
+    rest = np.array([[100.0, 80.0], [200.0, 150.0], [40.0, 60.0]])
+    uv = np.stack([rest, rest + (10.0, -4.0)])
+    flow = marker_flow_mm(tracks_of(uv), GRID_VIEW, fps=25.0)
+    np.testing.assert_allclose(flow.displacement_mm[1], [[0.6, -0.2]] * 3, atol=1e-12)
+    np.testing.assert_allclose(flow.points_mm, GRID_VIEW.grid.gel_from_pixel(rest))
+    np.testing.assert_allclose(flow.sigma_mm[1, 0], np.sqrt(2) * 0.02 * np.array([0.06, 0.05]))
+    assert flow.time_s is not None
+    np.testing.assert_allclose(flow.time_s, [0.0, 0.04])
+    shift, turn = flow.mean_motion(1)
+    np.testing.assert_allclose(shift, (0.6, -0.2), atol=1e-12)
+    assert turn == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_rigid_part_of_a_flow_is_its_rotation() -> None:
+    points = np.random.default_rng(0).uniform(-5, 5, (20, 2))
+    c, s = np.cos(0.2), np.sin(0.2)
+    moved = points @ np.array([[c, s], [-s, c]]) - points
+    flow = MarkerFlow(points, moved[None], np.ones((1, 20), bool), np.full((1, 20, 2), 0.01))
+    assert flow.mean_motion(0)[1] == pytest.approx(0.2)
+
+
+def design(camera: Camera) -> OpticalDesign:
+    light = Light((3.0, -2.0, -25.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
+    return OpticalDesign(
+        camera, (light,), Coating((0.6, 0.6, 0.6)), Window(2.0, (40.0, 40.0), 1.49)
+    )
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "stagger", "missing"),
+    [(0.0, 0.0, ()), (7.0, 0.0, ((1, 2), (4, 5))), (-5.0, 0.5, ((2, 3),))],
+)
+def test_a_rendered_grid_comes_back_through_the_camera(
+    turn_deg: float, stagger: float, missing: tuple[tuple[int, int], ...]
+) -> None:
+    """Our own renderer: perspective from aside, lens distortion, refraction by window and gel."""
+    position = (1.5, -1.0, -24.0)
+    camera = Camera(
+        320, 240, 400.0, 404.0, 161.0, 118.0, position, look_at(position, (0.0, 0.2, 0.0)),
+        distortion=(-0.12, 0.03, 0.001, -0.001),
+    )  # fmt: skip
+    truth = MarkerGrid(
+        6, 7, 2.0, 2.0 * (np.sqrt(0.75) if stagger else 0.95), 0.35, (0.3, -0.2),
+        turn_deg, stagger, missing,
+    )  # fmt: skip
+    optics = design(camera)
+    model = OpticalModel.from_formula(
+        optics, lambda xy: np.zeros(xy.shape[:-1]), half_size_mm=(14.0, 14.0), back_z_mm=-4.0,
+        step_mm=0.5, markers=truth,
+    )  # fmt: skip
+    image = np.nan_to_num(model.render().linear)
+    picture = find_markers(255.0 * image / image.max())
+    back = np.array([[x, y, -4.0] for x in (-14, 14) for y in (-14, 14)], dtype=float)
+    view = CameraView(
+        CameraModel(camera), media_between(optics, back), lambda xy: np.zeros(len(xy)), "a test"
+    )
+    layout = layout_on_gel(picture, view)
+    assert (layout.rows, layout.columns) == (truth.rows, truth.columns)
+    np.testing.assert_allclose(layout.pitch, (truth.pitch_x_mm, truth.pitch_y_mm), rtol=1e-3)
+    np.testing.assert_allclose(layout.centre, truth.offset_mm, atol=0.01)
+    assert layout.rotation_deg == pytest.approx(turn_deg, abs=0.05)
+    assert set(layout.missing) == set(missing)
+    assert layout.residual_rms < 0.005
+    # The same dots by a plain scale are bent by lens, tilt and refraction.
+    plain = layout_on_gel(picture, GridView(PixelGrid(320, 240, 0.055, 0.055), "a test"))
+    assert plain.residual_rms > 5 * layout.residual_rms
+    assert picture.layout_px is not None
+
+
+def test_a_camera_view_undoes_projection_on_a_dome() -> None:
+    camera = Camera(320, 240, 400.0, 400.0, 159.5, 119.5, (0.0, 0.0, -24.0))
+    back = np.array([[x, y, -4.0] for x in (-14, 14) for y in (-14, 14)], dtype=float)
+    media = media_between(design(camera), back)
+
+    def dome(xy: np.ndarray) -> np.ndarray:
+        return np.sqrt(40.0**2 - (xy**2).sum(axis=1)) - 40.0
+
+    view = CameraView(CameraModel(camera), media, dome, "a test")
+    xy = np.random.default_rng(2).uniform(-4, 4, (30, 2))
+    points = np.column_stack([xy, dome(xy)])
+    sight = media.sight(np.array(camera.position_mm), points)
+    uv = view.model.pixels_from_directions(sight @ view.model.gel_from_camera)
+    np.testing.assert_allclose(view.gel_from_pixel(uv), xy, atol=1e-6)
+    jacobian = pixel_jacobian(view, uv)
+    assert (np.linalg.det(jacobian) > 0).all()
+
+
+def test_markers_are_attached_where_they_lie_on_the_mesh() -> None:
+    # Two tets whose lid is a square of 10 mm.
+    nodes = np.array([[-5, -5, 0], [5, -5, 0], [5, 5, 0], [-5, 5, 0], [0, 0, -4.0]]) * 1e-3
+    tets = np.array([[0, 2, 1, 4], [0, 3, 2, 4]])
+    faces = boundary_faces(tets)
+    lid = (nodes[faces, 2] == 0).all(axis=1)
+    mesh = TetMesh(nodes, tets, faces, np.where(lid, int(Region.CONTACT), int(Region.BOND)))
+    points = np.array([[1.0, -2.0], [7.0, 0.0], [np.nan, 0.0], [-3.0, 3.5]])
+    flow = MarkerFlow(points, np.zeros((2, 4, 2)), np.ones((2, 4), bool), np.full((2, 4, 2), 0.01))
+    layout, attached = flow.attach(mesh)
+    assert attached.marker_count == layout.count == 2
+    placed = (mesh.nodes_m[layout.nodes] * layout.weights[..., None]).sum(axis=1)[:, :2] * 1e3
+    np.testing.assert_allclose(placed, points[[0, 3]], atol=1e-12)
+    with pytest.raises(InputError, match="none of the 1 markers lies on"):
+        flow.select(np.array([1])).attach(mesh)
