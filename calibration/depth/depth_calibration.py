@@ -22,8 +22,8 @@ from calibration.depth.depth_fit import (
     ContactPixels,
     contact_pixels,
     curve_spread_mm,
-    fit_response,
     depth_at_no_drop,
+    fit_response,
     left_out_errors,
 )
 from calibration.depth.grey_contact import find_grey_contact

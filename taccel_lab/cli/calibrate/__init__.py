@@ -15,17 +15,19 @@ def calibrate_commands() -> Any:
     from taccel_lab.cli.calibrate.background import CalibrateBackground
     from taccel_lab.cli.calibrate.camera import CalibrateCamera
     from taccel_lab.cli.calibrate.color import CalibrateColor
+    from taccel_lab.cli.calibrate.depth import CalibrateDepth
     from taccel_lab.cli.calibrate.markers import CalibrateMarkers
     from taccel_lab.cli.calibrate.material import CalibrateMaterial
-    from taccel_lab.cli.calibrate.scale import CalibrateScale
     from taccel_lab.cli.calibrate.normals import CalibrateNormals
     from taccel_lab.cli.calibrate.refit import CalibrateRefit
+    from taccel_lab.cli.calibrate.scale import CalibrateScale
     from taccel_lab.cli.calibrate.spread import CalibrateSpread
 
     app = SubcommandApp()
     app.command(name="background")(CalibrateBackground)
     app.command(name="camera")(CalibrateCamera)
     app.command(name="color")(CalibrateColor)
+    app.command(name="depth")(CalibrateDepth)
     app.command(name="markers")(CalibrateMarkers)
     app.command(name="material")(CalibrateMaterial)
     app.command(name="normals")(CalibrateNormals)
