@@ -61,3 +61,15 @@ def local_contrast(grey: np.ndarray, around_px: float, bright: float) -> np.ndar
     small = cv2.GaussianBlur(small, (0, 0), around_px / factor, borderType=cv2.BORDER_REPLICATE)
     around = cv2.resize(small, (width, height)) if factor > 1 else small
     return (grey - around) / np.maximum(around, _FLOOR * bright)
+
+
+def reduced(grey: np.ndarray, factor: int) -> np.ndarray:
+    """Means of squares of ``factor`` pixels; what is left over at the right and below is cut off.
+
+    Pixel (u, v) of the reduced picture is the middle of its square: ``(u + 0.5) factor - 0.5``.
+    """
+    if factor <= 1:
+        return grey
+    height, width = (side // factor * factor for side in grey.shape)
+    size = (width // factor, height // factor)
+    return cv2.resize(grey[:height, :width], size, interpolation=cv2.INTER_AREA)

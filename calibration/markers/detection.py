@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from calibration.markers import dot_model as model
-from calibration.markers.brightness import bright_level, grey_levels
+from calibration.markers.brightness import bright_level, grey_levels, reduced
 from calibration.markers.dot_fit import DotFit, fit_dots
 from calibration.markers.dots import DotFlag, Dots
 from calibration.markers.merged import split_merged
@@ -20,6 +20,8 @@ from calibration.markers.scale_space import (
     response,
 )
 
+_LARGE_PX = 10.0
+"""Dots of twice this radius or more are found in a reduced picture: their rim is long enough."""
 _WEAK = 0.3
 """A blob below this share of the usual contrast is not fitted."""
 _FULL = 0.93
@@ -44,6 +46,33 @@ def detect_dots(image: np.ndarray, scale: DotScale) -> Dots:
         scale: Size, sign and contrast of the dots, see ``scale_candidates``.
     """
     grey = grey_levels(image)
+    factor = max(1, int(scale.radius_px / _LARGE_PX))
+    if factor == 1:
+        return _detect(grey, scale)
+    small = _detect(reduced(grey, factor), replace(scale, sigma_px=scale.sigma_px / factor))
+    return _enlarged(small, factor, scale, (grey.shape[1], grey.shape[0]))
+
+
+def _enlarged(dots: Dots, factor: int, scale: DotScale, size_px: tuple[int, int]) -> Dots:
+    """Dots of a reduced picture in the pixels of the whole one."""
+    parameters = dots.parameters.copy()
+    uv = (parameters[:, :2] + 0.5) * factor - 0.5
+    parameters[:, :2] = uv
+    parameters[:, model.SHAPE] /= factor
+    parameters[:, model.LOG_BLUR] += np.log(factor)
+    parameters[:, [model.SLOPE_U, model.SLOPE_V]] /= factor
+    return replace(
+        dots,
+        uv_px=uv,
+        covariance_px2=dots.covariance_px2 * factor**2,
+        axes_px=dots.axes_px * factor,
+        parameters=parameters,
+        scale=scale,
+        size_px=size_px,
+    )
+
+
+def _detect(grey: np.ndarray, scale: DotScale) -> Dots:
     start = _start(grey, scale)
     fit = fit_dots(grey, start)
     fit, merged = split_merged(grey, fit, scale)

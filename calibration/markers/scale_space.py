@@ -9,16 +9,18 @@ anything else of that size; a picture without dots has no such gap between stron
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from calibration.markers.brightness import bright_level, grey_levels, local_contrast
+from calibration.markers.brightness import bright_level, grey_levels, local_contrast, reduced
 
 DISC_RESPONSE = 2.0 / np.e
 """Answer of the filter of the right width to a disc of contrast one."""
 MIN_SIGMA_PX = 1.0
+_LONGEST_PX = 1000
+"""Larger pictures are looked at reduced; dots that then vanish are too small for their sensor."""
 _RATIO = 1.2
 _LARGEST = 14.0
 """The widest filter is the picture's shorter side over this; six dots in a row have to fit."""
@@ -129,6 +131,8 @@ def scale_candidates(image: np.ndarray) -> list[DotScale]:
     widths are taken together, as dots in one picture differ a little in size.
     """
     grey = grey_levels(image)
+    factor = -(-max(grey.shape) // _LONGEST_PX)
+    grey = reduced(grey, factor)
     bright = bright_level(grey)
     steps = np.log(min(grey.shape) / _LARGEST / MIN_SIGMA_PX) / np.log(_RATIO)
     sigmas = MIN_SIGMA_PX * _RATIO ** np.arange(-1, max(3, int(steps) + 1))
@@ -140,7 +144,11 @@ def scale_candidates(image: np.ndarray) -> list[DotScale]:
             scale = describe_scale(answers[k], float(sigmas[k]), sign)
             found.append((weight[k], scale))
     found.sort(key=lambda item: -item[0])
-    return [scale for weight, scale in found if weight > 0 and scale.count > 0]
+    return [
+        replace(scale, sigma_px=factor * scale.sigma_px)
+        for weight, scale in found
+        if weight > 0 and scale.count > 0
+    ]
 
 
 def describe_scale(answer: np.ndarray, sigma_px: float, sign: int) -> DotScale:

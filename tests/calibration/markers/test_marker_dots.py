@@ -188,3 +188,15 @@ def test_pitch_is_that_of_the_drawing_within_its_sigma() -> None:
     assert sigma < 0.01
     assert abs(x - 30.0) < 4 * sigma
     assert abs(y - 29.0) < 4 * sigma
+
+
+def test_large_pictures_with_large_dots_are_no_harder() -> None:
+    true = grid_points(5, 6, (200.0, 190.0), turn_rad=0.04, centre=(640.0, 480.0))
+    image = draw_dots(1281, 963, true, 45.0) + np.random.default_rng(0).normal(0, 3, (963, 1281))
+    found = find_markers(image)
+    index, error = nearest(found.dots.uv_px, true)
+    assert sorted(index) == list(range(30))
+    z = error / found.dots.sigma_px
+    assert np.abs(error).max() < 0.1
+    assert np.sqrt((z**2).mean()) < 1.5
+    assert np.median(found.dots.radius_px) == pytest.approx(45.0, abs=0.3)
