@@ -12,6 +12,7 @@ def calibrate_commands() -> Any:
     """The sub-commands; imported here so that help is fast."""
     from tyro.extras import SubcommandApp
 
+    from taccel_lab.cli.calibrate.all import CalibrateAll
     from taccel_lab.cli.calibrate.background import CalibrateBackground
     from taccel_lab.cli.calibrate.camera import CalibrateCamera
     from taccel_lab.cli.calibrate.color import CalibrateColor
@@ -24,6 +25,7 @@ def calibrate_commands() -> Any:
     from taccel_lab.cli.calibrate.spread import CalibrateSpread
 
     app = SubcommandApp()
+    app.command(name="all")(CalibrateAll)
     app.command(name="background")(CalibrateBackground)
     app.command(name="camera")(CalibrateCamera)
     app.command(name="color")(CalibrateColor)
