@@ -8,7 +8,8 @@ from calibration.material.bonded_layer import (
 )
 from calibration.material.calibrate import MaterialOptions, calibrate_material
 from calibration.material.calibration import MaterialCalibration
-from calibration.material.flow import FlowFit, ToolPath, fit_flow
+from calibration.material.flow import FlowFit, fit_flow
+from calibration.material.flow_table import ToolPath
 from calibration.material.indentation import IndentationFit, fit_indentation
 from calibration.material.page import material_page
 from calibration.material.points import IndentationPoints, points_of_record

@@ -182,8 +182,7 @@ def friction_of(
             found.append((fit.name, fit.friction, fit.friction * fit.relative_sigma))
     for fit in flows:
         if fit.friction_told:
-            sigma = fit.solution.sigma_of("ln_mu") * fit.friction
-            found.append((fit.name, fit.friction, max(sigma, 0.02 * fit.friction)))
+            found.append((fit.name, fit.friction, fit.friction * fit.relative_sigma))
     if not found:
         return None, remarks
     value = np.array([item[1] for item in found])
@@ -262,3 +261,18 @@ def _of_slide(
             )
         ],
     )
+
+
+def weighted_mean(estimates: Sequence[Estimate]) -> Estimate | None:
+    """Weighted mean; the scatter of the estimates counts where it exceeds their errors."""
+    if not estimates:
+        return None
+    value = np.array([item.value for item in estimates])
+    weight = np.array([max(item.sigma, 1e-12) ** -2.0 for item in estimates])
+    mean = float(weight @ value / weight.sum())
+    sigma = float(weight.sum() ** -0.5)
+    if len(value) > 1:
+        scatter = float(weight @ (value - mean) ** 2 / (len(value) - 1))
+        sigma *= math.sqrt(max(scatter, 1.0))
+    low = max(mean - NORMAL_95 * sigma, 0.0)
+    return Estimate(mean, sigma, estimates[0].unit, (low, mean + NORMAL_95 * sigma))

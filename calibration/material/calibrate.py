@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from calibration.capture import CaptureFolder, ForceRecord
 from calibration.capture.schema import ToolEntry
 from calibration.material.agreement import (
@@ -17,6 +15,7 @@ from calibration.material.agreement import (
     press_friction_remark,
     records_disagree,
     residual_remarks,
+    weighted_mean,
 )
 from calibration.material.calibration import MaterialCalibration
 from calibration.material.flow import FlowFit, fit_flow
@@ -126,6 +125,7 @@ def calibrate_material(
     for record in records["relaxation"]:
         job.fit_damping(record)
     job.fit_friction(slides)
+    job.remark_press_friction()
     return job.result(slides, time.perf_counter() - started)
 
 
@@ -208,11 +208,6 @@ class _Job:
         self._keep(found, tells_nu, tells_ratio)
         self.remarks += residual_remarks(found)
         self.remarks += records_disagree(found)
-        if self.options.press_friction == 0:
-            mu = self.options.fixed.get("friction", self.base.material.friction_coefficient)
-            self.remarks += press_friction_remark(
-                self.gel, found, mu, self.options.friction_effort, self._told("press with friction")
-            )
 
     def _tables(
         self, points: Sequence[IndentationPoints], free_nu: bool, free_ratio: bool
@@ -327,6 +322,31 @@ class _Job:
             )  # fmt: skip
             self.flows.append(fit)
             self.remarks += fit.remarks
+            if not known and fit.nu_told:
+                self._take_nu(fit.nu_estimate)
+
+    def _take_nu(self, estimate: Estimate) -> None:
+        """Poisson's ratio from marker flow; Young's modulus of the indentations follows it."""
+        self.nu, self.nu_estimate = estimate.value, estimate
+        self.remarks = [r for r in self.remarks if r.code not in ("nu_untold", "young_given_nu")]
+        if self.fit is None:
+            return
+        old, start = self.fit, self.fit.young_modulus_pa
+
+        def fit(nu: float) -> IndentationFit:
+            return fit_indentation(
+                old.points, old.tables, start_pa=start, poisson_ratio=nu,
+                mooney_ratio=old.mooney_ratio, free_nu=False,
+                touch_sigma_mm=self.options.touch_sigma_mm, drawn=nu == estimate.value,
+            )  # fmt: skip
+
+        self.fit = found = fit(estimate.value)
+        low, high = (max(min(nu, NU_RANGE[1]), NU_RANGE[0]) for nu in estimate.interval95)
+        slope = abs(math.log(fit(high).young_modulus_pa / fit(low).young_modulus_pa))
+        relative = math.hypot(found.relative_sigma, slope / (2 * NORMAL_95))
+        value, half = found.young_modulus_pa, NORMAL_95 * relative
+        interval = (value * math.exp(-half), value * math.exp(half))
+        self.young = Estimate(value, value * relative, "Pa", interval)
 
     def fit_damping(self, record: ForceRecord) -> None:
         tool = self.gel.tool(record.entry.tool, self.folder.ball_radius_mm)
@@ -361,6 +381,16 @@ class _Job:
         )  # fmt: skip
         self.remarks += remarks
 
+    def remark_press_friction(self) -> None:
+        """What the modulus would be if the presses had rubbed as the gel is now known to."""
+        if self.fit is None or self.options.press_friction != 0:
+            return
+        mu = self.options.fixed.get("friction", self.base.material.friction_coefficient)
+        mu = mu if self.friction is None else self.friction.value
+        self.remarks += press_friction_remark(
+            self.gel, self.fit, mu, self.options.friction_effort, self._told("press with friction")
+        )
+
     def result(self, slides: Sequence[SlideFit], seconds: float) -> MaterialCalibration:
         damping = [f.damping_time_s for f in self.damping if f.damping_time_s is not None]
         fit = self.fit
@@ -390,7 +420,7 @@ class _Job:
             poisson_ratio=self.nu_estimate,
             mooney_ratio=self.ratio_estimate,
             friction=self.friction,
-            damping_time_s=_mean(damping),
+            damping_time_s=weighted_mean(damping),
             used_poisson_ratio=self.nu,
             used_mooney_ratio=self.ratio,
             press_friction=self.options.press_friction,
@@ -405,18 +435,3 @@ class _Job:
             remarks=tuple(self.remarks),
             seconds=seconds,
         )
-
-
-def _mean(estimates: Sequence[Estimate]) -> Estimate | None:
-    """Weighted mean; the scatter of the estimates counts where it exceeds their errors."""
-    if not estimates:
-        return None
-    value = np.array([item.value for item in estimates])
-    weight = np.array([max(item.sigma, 1e-12) ** -2.0 for item in estimates])
-    mean = float(weight @ value / weight.sum())
-    sigma = float(weight.sum() ** -0.5)
-    if len(value) > 1:
-        scatter = float(weight @ (value - mean) ** 2 / (len(value) - 1))
-        sigma *= math.sqrt(max(scatter, 1.0))
-    low = max(mean - NORMAL_95 * sigma, 0.0)
-    return Estimate(mean, sigma, estimates[0].unit, (low, mean + NORMAL_95 * sigma))

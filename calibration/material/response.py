@@ -95,11 +95,21 @@ class ForceTable:
         slope[..., depth_mm > self.depths_mm[-1]] = 0.0
         basis, dbasis = self._nu_basis(poisson_ratio)
         ratios, dratios = _basis(2 * mooney_ratio - 1, c.shape[0])
-        by_nu = np.tensordot(basis, c, (0, 1))
-        value = ratios @ by_nu + self.exponent * np.log(depth_mm)
-        by_depth = (ratios @ np.tensordot(basis, slope, (0, 1)) + self.exponent) / depth_mm
-        nu_slope = ratios @ np.tensordot(dbasis, c, (0, 1))
-        return value, by_depth, nu_slope, 2 * (dratios @ by_nu)
+        terms = np.stack(
+            [
+                np.outer(ratios, basis).ravel(),
+                np.outer(ratios, dbasis).ravel(),
+                np.outer(2 * dratios, basis).ravel(),
+            ]
+        )
+        value, by_nu, by_ratio = terms @ c.reshape(terms.shape[1], -1)
+        by_depth = terms[0] @ slope.reshape(terms.shape[1], -1)
+        return (
+            value + self.exponent * np.log(depth_mm),
+            (by_depth + self.exponent) / depth_mm,
+            by_nu,
+            by_ratio,
+        )
 
     def force_n(
         self,

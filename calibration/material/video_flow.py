@@ -9,7 +9,7 @@ from calibration.capture import CaptureFolder
 from calibration.capture.folder import Video
 from calibration.markers.calibrate import calibrate_markers
 from calibration.markers.flow import MarkerFlow, marker_flow_mm
-from calibration.material.flow import ToolPath
+from calibration.material.flow_table import ToolPath
 from calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile

@@ -102,6 +102,7 @@ def test_the_modulus_of_a_finer_simulation_within_its_interval(
     assert np.percentile(np.abs(errors), 95) < 0.04
 
 
+@pytest.mark.slow
 def test_two_balls_tell_poisson_ratio(
     gel: Gel, tool: Tool, table: ForceTable, truth: np.ndarray
 ) -> None:

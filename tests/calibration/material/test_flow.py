@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Friction and Poisson's ratio from the motion of markers, simulated on a finer mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.capture.schema import ToolEntry
+from calibration.markers.flow import MarkerFlow
+from calibration.material import Gel, ToolPath, fit_flow
+from calibration.material.flow_table import path_displacements
+from calibration.material.setup import DRAFT, QUICK, STANDARD, Effort, Tool
+from taccel_lab.errors import InputError
+
+FRICTION, POISSON = 0.5, 0.475
+X, Y = np.meshgrid(np.linspace(-4, 4, 7), np.linspace(-3, 3, 5))
+POINTS = np.stack([X.ravel(), Y.ravel()], axis=1)
+
+
+def path(shift_mm: float = 0.9, twist_deg: float = 0.0, depth_mm: float = 0.6) -> ToolPath:
+    """Down, then sideways."""
+    down, side = np.linspace(0.1, 1, 5), np.linspace(0.1, 1, 7)
+    depth = np.concatenate([[0.0], depth_mm * down, np.full(7, depth_mm)])
+    along = np.concatenate([np.zeros(6), side])
+    shift = np.stack([shift_mm * along, np.zeros(13)], axis=1)
+    return ToolPath(depth, shift, twist_deg * along)
+
+
+def flow_of(
+    gel: Gel, tool: Tool, way: ToolPath, sigma_mm: float, effort: Effort, seed: int = 0
+) -> MarkerFlow:
+    frames = way.chosen()
+    moved = path_displacements(
+        gel, tool, way, frames, POINTS, POISSON, 0.0, FRICTION, effort
+    )["displacement_mm"]  # fmt: skip
+    everywhere = np.zeros((len(way.depth_mm), len(POINTS), 2))
+    everywhere[frames] = moved
+    rng = np.random.default_rng(seed)
+    seen = rng.random(everywhere.shape[:2]) > 0.1
+    noisy = everywhere + sigma_mm * rng.standard_normal(everywhere.shape)
+    noisy[~seen] = 77.0  # what is not seen must not matter
+    return MarkerFlow(POINTS, noisy, seen, np.full(everywhere.shape, max(sigma_mm, 1e-4)))
+
+
+@pytest.fixture(scope="module")
+def tool(gel: Gel) -> Tool:
+    return gel.tool(ToolEntry(kind="sphere", radius_mm=4.0))
+
+
+@pytest.mark.parametrize("motion", ["shear", pytest.param("twist", marks=pytest.mark.slow)])
+def test_friction_from_the_slip_of_markers(
+    gel: Gel, tool: Tool, press_cache: Path, motion: str
+) -> None:
+    way = path() if motion == "shear" else path(0.0, 20.0)
+    flow = flow_of(gel, tool, way, 0.004, QUICK)
+    fit = fit_flow(flow, way, gel, tool, fixed_nu=POISSON, effort=DRAFT)
+    assert fit.friction_told
+    assert fit.friction == pytest.approx(FRICTION, rel=0.05)
+    low, high = fit.friction_interval
+    assert low < FRICTION < high
+    assert fit.rms_mm < 0.3 * fit.moved_mm
+
+
+def test_a_press_alone_leaves_friction_open(gel: Gel, tool: Tool, press_cache: Path) -> None:
+    way = path(0.0)
+    flow = flow_of(gel, tool, way, 0.05, DRAFT)
+    fit = fit_flow(flow, way, gel, tool, fixed_nu=POISSON, effort=DRAFT)
+    assert not fit.friction_told
+    assert any(remark.code == "flow_ln_mu_untold" for remark in fit.remarks)
+
+
+@pytest.mark.slow
+def test_poisson_ratio_from_how_the_gel_swells(gel: Gel, tool: Tool, press_cache: Path) -> None:
+    way = path()
+    flow = flow_of(gel, tool, way, 0.003, STANDARD)
+    fit = fit_flow(flow, way, gel, tool, effort=DRAFT)
+    assert fit.nu_told
+    assert fit.poisson_ratio == pytest.approx(POISSON, abs=0.02)
+    assert fit.friction == pytest.approx(FRICTION, rel=0.08)
+
+
+def test_paths_are_read_and_checked(gel: Gel, tool: Tool) -> None:
+    poses = {
+        "z_mm": np.array([1.0, -0.2, -0.5, -0.5]),
+        "x_mm": np.array([2.0, 2.0, 2.0, 2.5]),
+        "y_mm": np.full(4, -1.0),
+    }
+    way = ToolPath.of_poses(poses, "a.csv")
+    np.testing.assert_allclose(way.depth_mm, [0, 0.2, 0.5, 0.5])
+    np.testing.assert_allclose(way.shift_mm[:, 0], [0, 0, 0, 0.5])
+    assert way.place_mm == (2.0, -1.0)
+    with pytest.raises(InputError, match="needs z_mm"):
+        ToolPath.of_poses({"x_mm": np.zeros(3)}, "a.csv")
+    with pytest.raises(InputError, match="never touches"):
+        ToolPath.of_poses({"z_mm": np.ones(3)}, "a.csv")
+    flow = MarkerFlow(POINTS, np.zeros((3, 35, 2)), np.ones((3, 35), bool), np.ones((3, 35, 2)))
+    with pytest.raises(InputError, match="4 rows, the video 3 frames"):
+        fit_flow(flow, way, gel, tool)
+    off = MarkerFlow(POINTS + 40, np.zeros((4, 35, 2)), np.ones((4, 35), bool), np.ones((4, 35, 2)))
+    with pytest.raises(InputError, match="0 of 35 markers lie on the pad"):
+        fit_flow(off, way, gel, tool)
