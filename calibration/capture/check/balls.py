@@ -7,6 +7,8 @@ A radius on its own cannot be read from a contact circle. It shows where it cont
 - travel: a ball that is pressed ``d`` deep leaves a contact of ``a^2 = R d`` on an elastic gel
   (Hertz; K. L. Johnson, Contact Mechanics, 1985, eq. 4.22) and ``a^2 = 2 R d - d^2`` in a gel that
   does not rise beside the ball, so ``a^2 / 2 d < R < a^2 / d``;
+- slopes: a ball that is too small has contacts steeper than the gel beside them
+  (``calibration.targets.ball_check``; a ball that is stated too large does not show there);
 - two balls: the colour changes over the contact's centre at a rate of 1/R, so that presses of one
   ball agree and those of two differ as their radii do.
 """
@@ -14,11 +16,16 @@ A radius on its own cannot be read from a contact circle. It shows where it cont
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from calibration.capture.captures import CaptureSet
 from calibration.capture.check.findings import Finding, error, name_some, warning
 from calibration.capture.check.frames import FrameFigures
+from calibration.capture.folder import CaptureFolder
+from calibration.targets.ball import find_contacts
+from calibration.targets.ball_check import check_ball
 from taccel_lab.geometry import PixelGrid
 
 TRAVEL_SLACK = 1.35
@@ -26,6 +33,7 @@ TRAVEL_SLACK = 1.35
 ODD_RATE = 1.45
 """Centre slopes differ by this factor between balls; presses of one ball by 1.25."""
 FIELD_SLACK = 1.05
+FITTED_PRESSES, MIN_PRESSES = 12, 4
 FEW_SHARE = 0.1
 """So many contacts may be wrongly found or labelled before the radius is at fault."""
 SCALE_FACTOR = 1.4
@@ -203,6 +211,32 @@ def _check_stated_ratio(rates: np.ndarray, radii: np.ndarray, balls: np.ndarray)
             "scale",
         )
     ]
+
+
+def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Finding]:
+    """Whether the colours of up to twelve presses allow the stated ball."""
+    plain = tuple(press for press in folder.presses if press.radius_mm is None)
+    if len(plain) < MIN_PRESSES or folder.mm_per_px is None or folder.ball_radius_mm is None:
+        return []
+    pick = np.unique(np.linspace(0, len(plain) - 1, min(len(plain), FITTED_PRESSES)).astype(int))
+    grid = PixelGrid(background.shape[1], background.shape[0], *folder.mm_per_px)
+    chosen = CaptureSet(
+        source=folder.source,
+        sensor=folder.sensor,
+        background=background,
+        background_sha256="",
+        mask=np.ones(background.shape[:2], dtype=bool) if folder.mask is None else folder.mask,
+        ball_radius_mm=folder.ball_radius_mm,
+        grid=grid,
+        # Labels that contradict the ball are a finding of their own.
+        presses=tuple(replace(plain[i], circle=None) for i in pick),
+        provenance={},
+    )
+    found = check_ball(chosen, find_contacts(chosen))
+    if found is None:
+        return []
+    remark = found.remark()
+    return [Finding(remark.severity, remark.code, remark.message, (), ("color", "normals"))]
 
 
 def check_scale(

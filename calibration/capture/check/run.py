@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calibration.capture.check.background import BackgroundCheck, check_background
-from calibration.capture.check.balls import check_balls, check_scale
+from calibration.capture.check.balls import check_balls, check_scale, check_slopes
 from calibration.capture.check.content import BlockStatus, block_statuses, check_content
 from calibration.capture.check.findings import Finding, error, info, warning, worst_first
 from calibration.capture.check.frames import FrameFigures, measure_presses
@@ -26,6 +26,8 @@ from taccel_lab.geometry import PixelGrid
 
 ANY_SCALE_MM_PER_PX = 0.05
 """Where no scale is stated: pixels are then square and lengths are only told in pixels."""
+SPOILS_SLOPES = {"channels_swapped", "mixed_sensors", "ball_too_small", "background_differs"}
+"""Faults that leave nothing to learn about the ball from colours."""
 
 
 @dataclass(frozen=True)
@@ -100,8 +102,12 @@ def check_captures(
     *,
     notes: tuple[str, ...] = (),
     progress: Callable[[int, int], None] | None = None,
+    fit_ball: bool = True,
 ) -> CaptureCheck:
     """Judge everything in a folder; ``notes`` are what an importer assumed.
+
+    ``fit_ball`` holds the ball's radius against the slopes that colours show, which takes several
+    seconds.
 
     Raises:
         InputError: A file cannot be read.
@@ -131,6 +137,8 @@ def check_captures(
         grid = _grid(folder, background.image)
         frames = measure_presses(folder.presses, background.image, folder.mask, grid, progress)
         findings += _check_presses(folder, frames, background, grid, facts)
+        if fit_ball and not any(finding.code in SPOILS_SLOPES for finding in findings):
+            findings += check_slopes(folder, background.image)
     elif folder.background is None and not folder.presses and not _has_other(folder):
         findings.append(error("empty", "the folder holds no captures"))
     grey = None if facts is None else facts.is_grey

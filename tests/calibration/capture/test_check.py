@@ -26,7 +26,7 @@ from tests.calibration.capture.capture_sets import (
 
 
 def check(maker: CaptureMaker, folder: Path) -> CaptureCheck:
-    return check_captures(maker.load(folder))
+    return check_captures(maker.load(folder), fit_ball=False)
 
 
 def by_code(found: CaptureCheck) -> dict[str, Finding]:
@@ -128,7 +128,7 @@ def test_duplicates(tmp_path: Path) -> None:
     (folder / "p04.png").write_bytes((folder / "p02.png").read_bytes())
     from calibration.capture import load_capture_folder
 
-    codes = by_code(check_captures(load_capture_folder(folder)))
+    codes = by_code(check_captures(load_capture_folder(folder), fit_ball=False))
     assert codes["duplicates"].frames == ("p02", "p04")
     # p05 shows the same press with other noise.
     assert set(codes["near_duplicates"].frames) == {"p02", "p04", "p05"}
@@ -200,7 +200,7 @@ def test_no_background_falls_back_on_the_median(tmp_path: Path) -> None:
     (folder / "captures.toml").write_text(text)
     from calibration.capture import load_capture_folder
 
-    found = check_captures(load_capture_folder(folder))
+    found = check_captures(load_capture_folder(folder), fit_ball=False)
     assert "no_background" in by_code(found)
     assert all(frame.contact is not None for frame in found.frames)
 
@@ -221,6 +221,18 @@ def test_ball_against_travel(tmp_path: Path, stated: float, wrong: bool) -> None
     assert ("ball_against_travel" in codes) == wrong
     if wrong:
         assert f"stated is {stated:g} mm" in codes["ball_against_travel"].message
+
+
+@pytest.mark.parametrize(
+    ("stated", "code"), [(2.0, "ball_radius_fits"), (1.55, "wrong_ball_radius")]
+)
+def test_ball_against_slopes(tmp_path: Path, stated: float, code: str) -> None:
+    maker = CaptureMaker(radius_mm=stated, labelled=False)
+    maker.images, maker.circles = maker.images[:8], maker.circles[:8]
+    maker.labels, maker.extra = maker.labels[:8], maker.extra[:8]
+    found = check_captures(maker.load(tmp_path))
+    assert code in by_code(found)
+    assert found.usable == (stated == 2.0)
 
 
 def test_press_with_another_ball(tmp_path: Path) -> None:

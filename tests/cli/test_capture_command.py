@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab capture``: exit codes, messages, JSON, reports, and nothing left behind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.cli.app import main
+from tests.cli.small_captures import everything_below, write_captures, write_image
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    write_captures(tmp_path / "captures")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(arguments: list[str]) -> int:
+    try:
+        return main(arguments)
+    except SystemExit as left:
+        return int(left.code or 0)
+
+
+def test_check_writes_a_page(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["capture", "check", "captures", "--report", "page", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["usable"] and len(figures["presses"]) == 5
+    states = {block["command"].split()[-1]: block["readiness"] for block in figures["blocks"]}
+    assert states["color"] == "weak"  # five presses
+    page = (here / "page" / "report.html").read_text()
+    assert "Blocks of a profile" in page and "data:image/png" in page
+    report = json.loads((here / "page" / "report.json").read_text())
+    assert report["verdict"] == "usable"
+    assert {path.name for path in (here / "page").glob("*.png")} == {
+        "coverage.png", "frames.png", "light.png",
+    }  # fmt: skip
+
+
+def test_check_fails_when_something_blocks(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    manifest = here / "captures" / "captures.toml"
+    manifest.write_text(manifest.read_text().replace("[indenter]\nradius_mm = 2.0\n", ""))
+    assert run(["capture", "check", "captures"]) == 1
+    out = capsys.readouterr().out.replace("\n", " ")
+    assert "error: the radius of the ball is not stated" in out and "blocked" in out
+
+
+def test_check_reads_a_plain_folder(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "captures" / "captures.toml").unlink()
+    before = everything_below(here)
+    assert run(["capture", "check", "captures", "--json"]) == 1
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["contents"]["ball_presses"] == 5 and figures["contents"]["background"] == 1
+    assert any("read as plain" in note for note in figures["notes"])
+    assert everything_below(here) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["check", "gone"], "gone does not exist"),
+        (["check", "empty"], "follows none of the layouts known"),
+        (["check", "captures", "--report", "captures"], "files that taccel-lab did not write"),
+        (["import", "gone", "out"], "gone does not exist"),
+        (["import", "captures", "out"], "is a capture folder already"),
+        (["import", "plain", "out", "--layout", "taxi"], "no layout 'taxi'; known: auto, taxim"),
+        (["import", "plain", "out", "--sensor", "gelsite"], "gelsite"),
+        (["import", "plain", "out", "--radius-mm", "-1"], "radius_mm is -1; a positive number"),
+        (["import", "plain", "out", "--radius-mm", "nan"], "radius_mm is nan; a positive number"),
+        (["import", "plain", "out", "--mm-per-px-y", "0.1"], "mm-per-px-x"),
+        (["import", "plain", "out", "--background", "gone.png"], "no such background image"),
+        (["import", "plain", "out", "--board", "6x6"], "chessboard:6x6:2.5"),
+        (["import", "plain", "captures"], "files that taccel-lab did not write"),
+        (["guide", "gelsite"], "known: 9dtact, digit"),
+        (["guide", "digit", "--out", "captures/captures.toml"], "exists; name a file"),
+    ],
+)
+def test_refusals_change_nothing(
+    here: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    (here / "empty").mkdir()
+    (here / "plain").mkdir()
+    for name in ("bg", "a", "b"):
+        write_image(here / "plain" / f"{name}.png", np.full((48, 64, 3), 90, np.uint8))
+    before = everything_below(here)
+    assert run(["capture", *arguments]) == 2
+    message = capsys.readouterr().err.replace("\n", " ")
+    assert words in message and "Traceback" not in message
+    assert everything_below(here) == before
+
+
+def test_import_then_check(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "captures" / "captures.toml").unlink()
+    command = ["capture", "import", "captures", "out", "--sensor", "gelsight", "--json"]
+    assert run([*command, "--radius-mm", "2", "--mm-per-px-x", "0.1"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["layout"] == "plain"
+    assert printed["folders"][0]["contents"]["ball_presses"] == 5
+    assert run(["capture", "check", "out", "--json"]) == 0
+
+
+def test_several_sets_are_checked_one_by_one(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_captures(here / "both" / "first")
+    write_captures(here / "both" / "second")
+    assert run(["capture", "check", "both", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["parts"]) == 2
+
+
+def test_guide_writes_a_manifest(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["capture", "guide", "9dtact", "--out", "new.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "minutes in all" in out and "Board of dots" in out
+    assert 'sensor = "9dtact"' in (here / "new.toml").read_text()
+    assert run(["capture", "guide", "digit_360", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["minutes"] < 60

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real captures: every set imports, and the check says what is known to be wrong with it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.capture import (
+    CaptureFolder,
+    find_taxim_pack,
+    import_captures,
+    load_capture_folder,
+)
+from calibration.capture.check import CaptureCheck, check_captures
+from calibration.capture.importers import detect_layout
+from taccel_lab.errors import InputError
+
+DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
+LAYOUTS = {
+    "9dtact_official": "9dtact",
+    "backgrounds_misc": "plain",
+    "digit_aurova": "plain",
+    "fots_calib": "fots",
+    "gelsight_osaka_photon26": "osaka",
+    "gelsight_rvsathu_sim2real": "rvsathu",
+    "gelslim_mcubelab": "gelslim",
+    "gsmini_cube_edges": "cube-edges",
+    "gsmini_feats_calib": "feats",
+    "gsmini_gs_sdk": "gs-sdk",
+    "gsmini_markers_video": "markers",
+    "gsmini_ruihangao_calib": "ruihangao",
+}
+
+
+def source(name: str) -> Path:
+    if not (DATA / name).is_dir():
+        pytest.skip(f"the real captures {name} are not at {DATA}")
+    return DATA / name
+
+
+def some_presses(folder: CaptureFolder, count: int) -> CaptureFolder:
+    """Evenly picked presses: enough to judge, in a fraction of the time."""
+    pick = np.linspace(0, len(folder.presses) - 1, count).astype(int)
+    return replace(folder, presses=tuple(folder.presses[i] for i in np.unique(pick)))
+
+
+def codes(check: CaptureCheck) -> dict[str, str]:
+    return {finding.code: finding.message for finding in check.findings}
+
+
+@pytest.mark.parametrize("name", sorted(LAYOUTS))
+def test_every_set_imports(name: str, tmp_path: Path) -> None:
+    folder = source(name)
+    assert detect_layout(folder).name == LAYOUTS[name]
+    for out in import_captures(folder, tmp_path / "out"):
+        assert sum(load_capture_folder(out).contents().values()) > 0
+
+
+def imported(name: str, tmp_path: Path, part: str = "") -> CaptureFolder:
+    import_captures(source(name), tmp_path / "out")
+    return load_capture_folder(tmp_path / "out" / part)
+
+
+def test_background_that_is_a_crop_of_the_presses(tmp_path: Path) -> None:
+    folder = some_presses(imported("gsmini_ruihangao_calib", tmp_path), 10)
+    check = check_captures(folder, fit_ball=False)
+    assert "background_is_a_crop" in codes(check) and not check.usable
+    assert check.background is not None and check.background.crop is not None
+    # A border of one seventh is cut off on each side.
+    expected = (320 / 7, 240 / 7, 320 * 5 / 7, 240 * 5 / 7)
+    assert check.background.crop.in_pixels(320, 240) == pytest.approx(expected, abs=3)
+
+
+def test_automatic_white_balance(tmp_path: Path) -> None:
+    folder = some_presses(imported("fots_calib", tmp_path, "gelsight"), 8)
+    found = codes(check_captures(folder, fit_ball=False))
+    assert {"auto_white_balance", "saturated", "coverage"} <= set(found)
+    assert not {"mixed_sensors", "channels_swapped", "lamps_reversed", "labels_off"} & set(found)
+
+
+def test_good_captures_are_usable(tmp_path: Path) -> None:
+    folder = some_presses(imported("gelsight_rvsathu_sim2real", tmp_path), 6)
+    check = check_captures(folder)
+    assert check.usable
+    assert not {"auto_white_balance", "labels_off", "mixed_sensors", "blurred"} & set(codes(check))
+    assert "ball_radius_fits" in codes(check)
+
+
+def test_frames_of_another_unit_and_swapped_channels(tmp_path: Path) -> None:
+    folder = some_presses(imported("gsmini_ruihangao_calib", tmp_path), 10)
+    other = load_capture_folder(import_captures(source("gsmini_gs_sdk"), tmp_path / "other")[0])
+    foreign = replace(other.presses[0], name="foreign")
+    mixed = check_captures(replace(folder, presses=(*folder.presses, foreign)), fit_ball=False)
+    finding = next(f for f in mixed.findings if f.code == "mixed_sensors")
+    assert finding.frames == ("foreign",)
+    read = folder.presses[3].read
+    bgr = replace(folder.presses[3], read=partial(lambda get: get()[..., ::-1], read))
+    swapped = check_captures(
+        replace(folder, presses=(*folder.presses[:3], bgr, *folder.presses[4:])), fit_ball=False
+    )
+    finding = next(f for f in swapped.findings if f.code == "channels_swapped")
+    assert finding.frames == (bgr.name,)
+
+
+def test_mini_presses_of_taxim_are_refused_with_the_reasons() -> None:
+    try:
+        pack = find_taxim_pack().parents[1] / "gelsight_mini" / "dataPack.npz"
+    except InputError as error:
+        pytest.skip(f"the real captures are not there: {error}")
+    folder = some_presses(load_capture_folder(pack), 8)
+    assert folder.sensor == "gelsight_mini" and folder.ball_radius_mm is None
+    check = check_captures(folder)
+    found = codes(check)
+    assert not check.usable
+    assert {"one_spot", "labels_off", "ball_radius_unstated"} <= set(found)
+    with pytest.raises(InputError, match="radius of the ball is missing"):
+        folder.ball_presses()
+
+
+def test_boards_edges_and_dots(tmp_path: Path) -> None:
+    unit = imported("9dtact_official", tmp_path, "sensor_1")
+    check = check_captures(unit)
+    assert check.usable and "board_not_found" not in codes(check)
+    assert {b.command: str(b.readiness) for b in check.blocks}["depth"] in ("ready", "weak")
+    assert {b.command: str(b.readiness) for b in check.blocks}["color"] == "absent"
+    dots = load_capture_folder(import_captures(source("fots_calib"), tmp_path / "fots")[2])
+    assert "no_markers" not in codes(check_captures(dots))
