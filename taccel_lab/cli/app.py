@@ -40,6 +40,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.capture import HELP as CAPTURE_HELP
     from taccel_lab.cli.capture import capture_commands
     from taccel_lab.cli.demo import Demo
+    from taccel_lab.cli.depth import Depth
     from taccel_lab.cli.design import Design
     from taccel_lab.cli.doctor import Doctor
     from taccel_lab.cli.export import Export
@@ -66,6 +67,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(name="preview")(Preview)
     app.command(name="press")(Press)
     app.command(capture_commands(), name="capture", help=CAPTURE_HELP)
+    app.command(name="depth")(Depth)
     app.command(calibrate_commands(), name="calibrate", help=CALIBRATE_HELP)
     app.command(profile, name="profile", help="Show, check, compare or report on sensor profiles.")
     app.command(name="export")(Export)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gel's surface from one tactile image, by whichever model a profile holds.
+
+Colour sensors tell slopes, which are integrated; grey ones tell depths. Heights are in the gel
+frame: the rise over the resting face, and the face itself, which is curved on some sensors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from calibration.background import fit_robust_drift
+from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
+from taccel_lab.signals.depth_response import DepthResponse
+from taccel_lab.signals.normal_model import NormalModel
+from taccel_lab.signals.normals import normals_from_height
+from taccel_lab.signals.poisson import height_from_slopes
+from taccel_lab.signals.rest_surface import RestSurface, rest_surface
+
+Method = Literal["auto", "normals", "depth"]
+DriftMode = Literal["auto", "on", "off"]
+FLAT_SIGMAS = 2.0
+"""Tilts below this many standard deviations count as at rest."""
+FLAT_DEG = 3.0
+"""Tilts below this angle do anyway."""
+CONTACT_MM = 0.05
+CONTACT_SHARE = 0.1
+"""Pixels pressed deeper than both this and this share of the deepest one count as touched."""
+
+
+@dataclass(frozen=True)
+class SurfaceReading:
+    """What one image shows."""
+
+    height_m: np.ndarray
+    """z of the contact face [m], gel frame, shape [height_px, width_px]."""
+    rise_m: np.ndarray
+    """Its rise over the resting face [m], negative in a dent."""
+    normals: np.ndarray
+    """Outward unit normals, shape [height_px, width_px, 3]."""
+    sigma_deg: np.ndarray | None
+    """Standard deviation of each component of the tilt [degrees]; None of a grey sensor."""
+    saturated: np.ndarray | None
+    """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
+    method: Literal["normals", "depth"]
+    drift_removed: bool
+
+    def figures(self, profile: SensorProfile) -> dict[str, Any]:
+        """Depth, place and size of what is pressed in, ready for JSON."""
+        grid = profile.grid()
+        depth_mm = -1e3 * self.rise_m
+        row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
+        least_mm = max(CONTACT_MM, CONTACT_SHARE * float(depth_mm[row, column]))
+        touched = depth_mm > least_mm
+        pixel_mm2 = grid.mm_per_px_x * grid.mm_per_px_y
+        at_mm = grid.gel_from_pixel(np.array([column, row], dtype=float))
+        found: dict[str, Any] = {
+            "method": self.method,
+            "light_drift_removed": self.drift_removed,
+            "max_depth_mm": float(depth_mm[row, column]),
+            "deepest_px": [int(column), int(row)],
+            "deepest_gel_mm": [float(at_mm[0]), float(at_mm[1])],
+            "touched_mm2": float(touched.sum() * pixel_mm2),
+            "touched_deeper_than_mm": least_mm,
+            "volume_mm3": float(depth_mm[touched].sum() * pixel_mm2),
+        }
+        if self.sigma_deg is not None:
+            inside = touched if touched.any() else np.ones_like(touched)
+            found["sigma_deg"] = float(self.sigma_deg[inside].mean())
+        if self.saturated is not None:
+            found["saturated_share"] = float(self.saturated.mean())
+        return found
+
+
+class SurfaceReader:
+    """Reads images of one sensor; what does not depend on the image is done once."""
+
+    def __init__(
+        self,
+        profile: SensorProfile,
+        *,
+        background: np.ndarray | None = None,
+        mask: np.ndarray | None = None,
+        method: Method = "auto",
+        drift: DriftMode = "auto",
+    ) -> None:
+        """A reader of the profile's images.
+
+        Args:
+            background: Untouched sensor instead of the profile's, RGB, shape [h, w, 3].
+            mask: Pixels that count, bool, shape [height_px, width_px].
+            method: ``normals`` or ``depth``; ``auto`` takes the block that the profile has.
+            drift: Whether each image is brought to the background's light first; ``auto`` does as
+                in the calibration.
+        """
+        self.profile, self.mask = profile, mask
+        self.method = self._chosen(method)
+        if background is None:
+            if profile.background_rgb is None:
+                raise InputError(
+                    "the profile has no background; give an image of the untouched sensor "
+                    "(--background)"
+                )
+            background = profile.background_rgb
+        self.background = np.asarray(background, dtype=np.float32)
+        grid = profile.grid()
+        expected = (grid.height_px, grid.width_px, 3)
+        if self.background.shape != expected:
+            raise InputError(
+                f"the background is {self.background.shape[1]}x{self.background.shape[0]} px, the "
+                f"profile's camera {expected[1]}x{expected[0]} px"
+            )
+        self.rest: RestSurface = rest_surface(profile.mesh, grid)
+        self.normal_model = NormalModel.from_profile(profile) if self.method == "normals" else None
+        self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
+        self.drift = drift == "on"
+        if drift == "auto":
+            self.drift = self.normal_model is not None and self.normal_model.config.light_drift
+
+    def _chosen(self, method: Method) -> Literal["normals", "depth"]:
+        if method != "auto":
+            return method
+        if self.profile.normals is not None:
+            return "normals"
+        if self.profile.depth_response is not None:
+            return "depth"
+        raise InputError(
+            f"the profile of {self.profile.sensor.name} has neither a normals nor a "
+            "depth_response block; fit one with taccel-lab calibrate normals (colour sensors) or "
+            "calibrate depth (grey ones)"
+        )
+
+    def read(self, image: np.ndarray, name: str = "image") -> SurfaceReading:
+        """The surface under one image, RGB levels, shape [height_px, width_px, 3]."""
+        if image.shape != self.background.shape:
+            raise InputError(
+                f"{name} is {image.shape[1]}x{image.shape[0]} px, the profile's camera "
+                f"{self.background.shape[1]}x{self.background.shape[0]} px; give images of that "
+                "size (raw ones are rectified with --maps)"
+            )
+        levels = image.astype(np.float32)
+        if self.drift:
+            drift = fit_robust_drift(levels, self.background, self.mask, gradient=False)
+            levels = drift.remove(levels).astype(np.float32)
+        if self.response is not None:
+            return self._by_depth(levels)
+        return self._by_normals(levels)
+
+    def _by_depth(self, levels: np.ndarray) -> SurfaceReading:
+        assert self.response is not None
+        found = self.response.read(levels, self.background, self.mask)
+        height = self.rest.height_m + found.height_m
+        return SurfaceReading(
+            height_m=height,
+            rise_m=found.height_m,
+            normals=normals_from_height(height, self.profile.grid()),
+            sigma_deg=None,
+            saturated=found.saturated,
+            method="depth",
+            drift_removed=self.drift,
+        )
+
+    def _by_normals(self, levels: np.ndarray) -> SurfaceReading:
+        assert self.normal_model is not None
+        found = self.normal_model.predict(
+            levels,
+            self.background,
+            mask=self.mask,
+            rest_normals=None if self.rest.is_flat else self.rest.normals,
+        )
+        rest_slope = -self.rest.normals[..., :2] / self.rest.normals[..., 2:]
+        rise = height_from_slopes(
+            found.slopes() - rest_slope,
+            self.profile.grid(),
+            weights=None if self.mask is None else self.mask.astype(float),
+            zero=self._at_rest(found.tilt_rad, found.sigma_deg),
+        )
+        return SurfaceReading(
+            height_m=self.rest.height_m + rise,
+            rise_m=rise,
+            normals=found.normals,
+            sigma_deg=found.sigma_deg,
+            saturated=None,
+            method="normals",
+            drift_removed=self.drift,
+        )
+
+    def _at_rest(self, tilt_rad: np.ndarray, sigma_deg: np.ndarray) -> np.ndarray | None:
+        """Border pixels that are flat; None (the whole border) where next to none are."""
+        tilt_deg = np.degrees(np.linalg.norm(tilt_rad, axis=-1))
+        flat = tilt_deg < np.maximum(FLAT_DEG, FLAT_SIGMAS * sigma_deg)
+        rows, columns = tilt_deg.shape
+        depth = max(2, min(rows, columns) // 20)
+        flat[depth:-depth, depth:-depth] = False
+        if self.mask is not None:
+            flat &= self.mask
+        return flat if flat.sum() > 0.2 * (rows + columns) else None
