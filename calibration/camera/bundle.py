@@ -19,7 +19,7 @@ from taccel_lab.errors import InputError
 
 HUBER = 1.345
 """Residual over its scale from which on it counts less: 95 % efficiency on normal noise."""
-_STEPS = 100
+_STEPS = 60
 _EXACT_PX = 1e-9
 """Scale of residuals below which they are taken for exact."""
 
@@ -54,7 +54,7 @@ class BundleFit:
     @property
     def sigma(self) -> np.ndarray:
         """Standard deviation of each parameter, shape [p]."""
-        return np.sqrt(np.diag(self.covariance))
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
 
 def rms(residuals: np.ndarray) -> float:
@@ -67,8 +67,9 @@ def fit_bundle(
     lens: Lens,
     start: np.ndarray,
     poses: np.ndarray | None = None,
+    steps: int = _STEPS,
 ) -> BundleFit:
-    """Fit a lens to views from the ``start`` parameters [p].
+    """Fit a lens to views from the ``start`` parameters [p], in at most so many steps.
 
     Raises:
         InputError: Too few points for the unknowns.
@@ -83,7 +84,7 @@ def fit_bundle(
     if poses is None:
         poses = np.stack([initial_pose(view, lens, start) for view in views])
     state = _State(list(views), lens, np.array(start, dtype=np.float64), np.array(poses))
-    converged = state.solve()
+    converged = state.solve(steps)
     return state.result(converged)
 
 
@@ -177,10 +178,10 @@ class _State:
         scale = float(np.median(lengths)) / 1.1774
         return [huber_weights(r, scale) for r, _, _ in terms]
 
-    def solve(self) -> bool:
+    def solve(self, steps: int) -> bool:
         terms = self.evaluate(self.parameters, self.poses)
         damping = 1e-3
-        for _ in range(_STEPS):
+        for _ in range(steps):
             weights = self.weights(terms)
             before = sum(_cost(r, w) for (r, _, _), w in zip(terms, weights, strict=True))
             step, moves = self._step(terms, weights, damping)
@@ -194,7 +195,7 @@ class _State:
                 self.parameters, self.poses, terms = parameters, poses, trial
                 damping = max(damping * 0.2, 1e-14)
                 scaled = np.abs(step) / (1e-3 + np.abs(parameters))
-                if scaled.max() < 1e-11 or before - after <= 1e-13 * before:
+                if scaled.max() < 1e-11 or before - after <= 1e-10 * before:
                     return True
             else:
                 damping *= 10.0
@@ -248,7 +249,7 @@ class _State:
         views = len(scores)
         meat = sum(np.outer(s, s) for s in scores) * views / max(views - 1, 1)
         clustered = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0))
-        plain = np.sqrt(np.diag(covariance))
+        plain = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         wider = np.maximum(clustered / np.maximum(plain, 1e-300), 1.0)
         return BundleFit(
             self.lens,

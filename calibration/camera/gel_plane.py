@@ -21,6 +21,8 @@ from taccel_lab.errors import InputError
 
 FOLDS = 5
 _EXACT_PX = 1e-7
+_TOLERANCE = 1e-14
+_HELDOUT_TOLERANCE = 1e-8
 CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Steps to the right, left, down and up."""
 
@@ -141,11 +143,23 @@ def plane_rotation(angle_rad: float) -> np.ndarray:
     return np.array([[c, -s], [s, c]])
 
 
-def _fit(views: Sequence[BoardView], model: PlaneModel, used: list[np.ndarray]) -> PlaneFit:
-    """Robust least squares of one model on some points of each view."""
+def _fit(
+    views: Sequence[BoardView],
+    model: PlaneModel,
+    used: list[np.ndarray],
+    whole: PlaneFit | None = None,
+) -> PlaneFit:
+    """Robust least squares of one model on some points of each view.
+
+    ``whole``: a fit to all points, to start from when some are left out.
+    """
     boards = [view.board_mm()[:, :2] for view in views]
-    theta = model.start(boards[0][used[0]], views[0].uv_px[used[0]])
-    start = np.concatenate([theta, _first_motions(views, boards)[1:].ravel()])
+    tolerance = _TOLERANCE if whole is None else _HELDOUT_TOLERANCE
+    if whole is None:
+        theta = model.start(boards[0][used[0]], views[0].uv_px[used[0]])
+        start = np.concatenate([theta, _first_motions(views, boards)[1:].ravel()])
+    else:
+        start = np.concatenate([whole.theta, whole.motions[1:].ravel()])
 
     def residuals(x: np.ndarray) -> list[np.ndarray]:
         motions = np.vstack([np.zeros(3), x[model.count :].reshape(-1, 3)])
@@ -169,9 +183,9 @@ def _fit(views: Sequence[BoardView], model: PlaneModel, used: list[np.ndarray]) 
             loss="huber",
             f_scale=HUBER * 1.5 * max(scale, _EXACT_PX),
             x_scale="jac",
-            xtol=1e-15,
-            ftol=1e-15,
-            gtol=1e-15,
+            xtol=tolerance,
+            ftol=tolerance,
+            gtol=tolerance,
             max_nfev=200,
         )
         x = fitted.x
@@ -179,7 +193,7 @@ def _fit(views: Sequence[BoardView], model: PlaneModel, used: list[np.ndarray]) 
             [np.linalg.norm(r[m], axis=1) for r, m in zip(residuals(x), used, strict=True)]
         )
         new = max(float(np.median(lengths)) / 1.1774, _EXACT_PX)
-        if abs(new - scale) < 1e-3 * scale:
+        if abs(new - scale) < 1e-2 * scale:
             break
         scale = new
     freedom = max(2 * len(lengths) - len(x), 1)
@@ -222,7 +236,7 @@ def _with_heldout(views: Sequence[BoardView], fit: PlaneFit) -> PlaneFit:
     folds = [(view.index[:, 0] + 2 * view.index[:, 1]) % FOLDS for view in views]
     squares = [np.zeros(len(view.index)) for view in views]
     for k in range(FOLDS):
-        held = _fit(views, fit.model, [fold != k for fold in folds])
+        held = _fit(views, fit.model, [fold != k for fold in folds], fit)
         for square, residual, fold in zip(squares, held.residuals, folds, strict=True):
             square[fold == k] = np.sum(residual[fold == k] ** 2, axis=1)
     every = np.concatenate(squares)

@@ -19,6 +19,9 @@ from taccel_lab.errors import InputError
 from taccel_lab.optics.refraction import FlatMedia
 
 
+_LEAST_DISTANCE_MM = 0.1
+
+
 class PlaneModel(Protocol):
     """A map from the plane [mm] to the image [px] with ``count`` parameters."""
 
@@ -153,6 +156,8 @@ class CameraPose:
             return self._project_in_air(theta, xy_mm)
         rotation = cv2.Rodrigues(theta[:3])[0]
         position = -rotation.T @ theta[3:6]
+        if position[2] > -_LEAST_DISTANCE_MM:
+            return np.full((len(xy_mm), 2), np.nan)  # The search stepped behind the gel.
         # Looking out of the camera, the plane is at z = 0 and the media lie before it.
         beyond = [i for i, z in enumerate(self.media.planes_mm) if z > position[2]]
         media = FlatMedia(

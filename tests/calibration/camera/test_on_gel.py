@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scale, pose and rectification from boards on the gel, exact, noisy, in part, and refracted."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from calibration.camera import calibrate_intrinsics, fit_on_gel, gel_maps
+from calibration.camera.board import BoardView
+from calibration.camera.dots import detect_dots
+from calibration.camera.plane_models import CameraPose
+from calibration.capture.images import read_image
+from calibration.synthetic.boards import lattice_points
+from taccel_lab.errors import InputError
+from taccel_lab.optics.refraction import FlatMedia
+from tests.calibration.camera.views import SIZE, TRUTHS, views_of
+
+DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
+NINE = DATA / "9dtact_official" / "shape_reconstruction" / "calibration"
+MEDIA = FlatMedia((-7.0, -4.0), (1.0, 1.49, 1.41))
+
+
+def flat_view(
+    scale: tuple[float, float], turn_deg: float = 0.0, noise_px: float = 0.0, seed: int = 0
+) -> BoardView:
+    """A 9 x 7 board of 2.5 mm under an ideal scanner of unequal scales."""
+    index = lattice_points(9, 7)
+    angle = np.radians(turn_deg)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    xy = (index - [4, 3]) * 2.5 @ turn.T
+    uv = xy / scale + np.array([322.0, 236.0])
+    uv = uv + np.random.default_rng(seed).normal(0, noise_px, uv.shape)
+    return BoardView("flat", "flat", SIZE, index, uv, 63, pitch_mm=2.5)
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    sx=st.floats(0.02, 0.08),
+    ratio=st.floats(0.9, 1.1),
+    turn=st.floats(-40, 40),
+)
+def test_unequal_scales_come_back_exactly(sx: float, ratio: float, turn: float) -> None:
+    found = fit_on_gel([flat_view((sx, sx * ratio), turn)])
+    assert found.frame.mm_per_px_x.value == pytest.approx(sx, rel=1e-6)
+    assert found.frame.mm_per_px_y.value == pytest.approx(sx * ratio, rel=1e-6)
+    assert abs(found.frame.shear) < 1e-6
+    assert found.fit.model.name == "homography"
+    # The gel frame's x runs along the image's rows, whatever the board does.
+    ahead = found.pixel_from_gel(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    np.testing.assert_allclose(ahead[0], (319.5, 239.5), atol=1e-5)
+    np.testing.assert_allclose(ahead[1] - ahead[0], (1 / sx, 0), atol=1e-4)
+    np.testing.assert_allclose(ahead[2] - ahead[0], (0, 1 / (sx * ratio)), atol=1e-4)
+
+
+def test_noise_stays_within_the_predicted_uncertainty() -> None:
+    scores = []
+    for seed in range(10):
+        view = flat_view((0.05, 0.052), 10.0, 0.3, seed)
+        if seed % 2:  # Also with a third of the dots missing.
+            view = view.take(np.random.default_rng(seed).permutation(63)[:42])
+        frame = fit_on_gel([view]).frame
+        scores += [
+            (frame.mm_per_px_x.value - 0.05) / frame.mm_per_px_x.sigma,
+            (frame.mm_per_px_y.value - 0.052) / frame.mm_per_px_y.sigma,
+        ]
+    assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.4
+
+
+def test_boards_at_several_places_are_one_plane() -> None:
+    """The second board is turned and shifted: neither changes the scale."""
+    views = [flat_view((0.05, 0.05), 3.0), flat_view((0.05, 0.05), -31.0)]
+    views[1] = replace(views[1], uv_px=views[1].uv_px + (35.0, -20.0))
+    found = fit_on_gel(views)
+    assert found.frame.mm_per_px_x.value == pytest.approx(0.05, rel=1e-6)
+    assert found.fit.rms_px < 1e-5
+    assert np.degrees(found.fit.motions[1, 0]) == pytest.approx(-34.0, abs=1e-4)
+
+
+def lens_of(name: str):
+    return calibrate_intrinsics(views_of(name, 8), models=[name], folds=2)
+
+
+def board_through(intrinsics, media: FlatMedia | None) -> tuple[BoardView, np.ndarray, np.ndarray]:
+    """A board on the gel as the camera sees it, with the camera's true position and rotation."""
+    model = CameraPose(
+        intrinsics.lens, intrinsics.parameters, intrinsics.chosen.fit.covariance, SIZE, media
+    )
+    gel_from_camera = Rotation.from_euler("xyz", [4.0, -3.0, 0.0], degrees=True)
+    position = np.array([0.4, -0.3, -27.0])
+    camera_from_gel = gel_from_camera.inv()
+    theta = np.concatenate(
+        [camera_from_gel.as_rotvec(), -camera_from_gel.apply(position), intrinsics.parameters]
+    )
+    index = lattice_points(9, 7)
+    xy = (index - [4, 3]) * 2.5
+    view = BoardView("gel", "gel", SIZE, index, model.project(theta, xy), 63, pitch_mm=2.5)
+    return view, position, gel_from_camera.as_matrix()
+
+
+def test_pose_of_the_gel_with_and_without_refraction() -> None:
+    intrinsics = lens_of("pinhole")
+    for media in (None, MEDIA):
+        view, position, rotation = board_through(intrinsics, media)
+        found = fit_on_gel([view], intrinsics=intrinsics, media=media)
+        assert found.pose is not None and found.pose.refracted is (media is not None)
+        assert found.pose.fit.rms_px < 1e-4
+        # The gel frame has its origin at the image's middle and its x along the rows.
+        origin = found.frame.board_from_gel(np.zeros((1, 2)))[0] - (10.0, 7.5)
+        turn = Rotation.from_rotvec([0, 0, found.frame.angle_rad]).as_matrix()
+        wanted = turn.T @ (position - [*origin, 0.0])
+        np.testing.assert_allclose(found.pose.position_mm, wanted, atol=2e-3)
+        camera = Rotation.from_quat(found.pose.rotation).as_matrix()
+        np.testing.assert_allclose(camera, turn.T @ rotation, atol=1e-4)
+    assert found.pose_in_air is not None
+    # Straight sight lines make the gel look nearer: sum of h (1 - 1/n) by the paraxial law.
+    nearer = found.pose_in_air.position_mm[2] - found.pose.position_mm[2]
+    paraxial = 3.0 * (1 - 1 / 1.49) + 4.0 * (1 - 1 / 1.41)
+    assert nearer == pytest.approx(paraxial, rel=0.35)
+    assert found.pose_in_air.fit.heldout_px > 10 * found.pose.fit.heldout_px
+
+
+def test_rectified_pictures_have_one_scale() -> None:
+    """Dots drawn through the lens lie on a square lattice after rectification."""
+    intrinsics = lens_of("k1")
+    view, _, _ = board_through(intrinsics, None)
+    found = fit_on_gel([view], intrinsics=intrinsics)
+    picture = np.full((SIZE[1], SIZE[0]), 200, np.uint8)
+    for u, v in view.uv_px:
+        cv2.circle(picture, (round(u * 16), round(v * 16)), 6 * 16, 20, -1, cv2.LINE_AA, 4)
+    maps = gel_maps(found)
+    rectified = np.repeat(maps.apply(picture)[..., None], 3, axis=2)
+    dots = detect_dots(rectified, 9, 7)
+    xy = found.grid.gel_from_pixel(dots.uv_px)
+    design = np.column_stack([dots.index, np.ones(len(dots.index))])
+    slopes, *_ = np.linalg.lstsq(design, xy, rcond=None)
+    left = xy - design @ slopes
+    assert np.sqrt(np.mean(np.sum(left**2, axis=1))) < 0.2 * found.grid.mm_per_px_x
+    np.testing.assert_allclose(slopes[:2].T @ slopes[:2], 2.5**2 * np.eye(2), rtol=4e-3, atol=0.03)
+    assert maps.measured[SIZE[1] // 2, SIZE[0] // 2] and not maps.measured[0, 0]
+
+
+def test_maps_are_saved_whole(tmp_path: Path) -> None:
+    found = fit_on_gel([flat_view((0.05, 0.05))])
+    gel_maps(found).save(tmp_path / "maps.npz")
+    with np.load(tmp_path / "maps.npz") as stored:
+        assert stored["map_u_px"].shape == (SIZE[1], SIZE[0])
+        np.testing.assert_allclose(stored["mm_per_px"], 0.05, rtol=1e-6)
+
+
+def test_boards_that_give_no_scale_are_refused() -> None:
+    view = flat_view((0.05, 0.05))
+    with pytest.raises(InputError, match="pitch_mm"):
+        fit_on_gel([replace(view, pitch_mm=None)])
+    with pytest.raises(InputError, match="at least 8"):
+        fit_on_gel([view.take(np.arange(5))])
+    with pytest.raises(InputError, match="use one size"):
+        fit_on_gel([replace(view, size_px=(320, 240))], intrinsics=lens_of("k1"))
+
+
+def test_a_board_beside_the_middle_is_said_to_be_so() -> None:
+    view = flat_view((0.02, 0.02))
+    view = replace(view, uv_px=view.uv_px * 0.3 + (10.0, 10.0))
+    found = fit_on_gel([view])
+    assert any(remark.code == "off_center" for remark in found.remarks)
+
+
+@pytest.mark.skipif(not NINE.is_dir(), reason=f"the pressed boards are not in {DATA}")
+@pytest.mark.parametrize("unit", [1, 2])
+@pytest.mark.parametrize("removed", [0, 21])
+def test_scale_of_pressed_boards_of_9dtact(unit: int, removed: int) -> None:
+    """Within 1 % of the scale that the authors stored; also when a third of the dots is gone."""
+    folder = NINE / f"sensor_{unit}" / "camera_calibration"
+    row, column, stored = np.load(folder / "position_scale.npy")
+    image, reference = read_image(folder / "sample.png"), read_image(folder / "ref.png")
+    if removed:
+        whole = detect_dots(image, 9, 7, reference=reference)
+        for u, v in whole.uv_px[np.random.default_rng(unit).permutation(63)[:removed]]:
+            at = (slice(max(int(v) - 26, 0), int(v) + 27), slice(max(int(u) - 26, 0), int(u) + 27))
+            image[at] = reference[at]
+    view = detect_dots(image, 9, 7, reference=reference)
+    assert len(view.index) >= 63 - removed - 6
+    found = fit_on_gel([replace(view, pitch_mm=2.5)], center_px=(float(column), float(row)))
+    for scale in (found.frame.mm_per_px_x, found.frame.mm_per_px_y):
+        assert scale.value == pytest.approx(stored, rel=0.01)
+        assert scale.sigma < 0.02 * stored
+    assert any(remark.code == "distorted" for remark in found.remarks)

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exact views of a board through a known lens, for round trips."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration.camera.board import BoardView
+from calibration.camera.lens import LENSES
+from calibration.synthetic.boards import exact_view, pose_over
+
+SIZE = (640, 480)
+TRUTHS = {
+    "k1": np.array([420.0, 415.0, 322.0, 236.0, -0.14]),
+    "pinhole": np.array([420.0, 415.0, 322.0, 236.0, -0.28, 0.10, 8e-4, -6e-4, -0.02]),
+    "rational": np.array([420.0, 415.0, 322.0, 236.0, 0.1, 0.05, 8e-4, -6e-4, 0.01, 0.4, 0.1, 0.02]),
+    "fisheye": np.array([290.0, 287.0, 330.0, 244.0, 0.03, -0.01, 0.02, -0.01]),
+}
+COLUMNS, ROWS, PITCH = 8, 6, 3.0
+
+
+def views_of(
+    name: str, count: int = 16, noise_px: float = 0.0, seed: int = 0, columns: int = COLUMNS
+) -> list[BoardView]:
+    """Views from many sides, all points inside the image."""
+    rng = np.random.default_rng(seed)
+    lens, truth, views = LENSES[name], TRUTHS[name], []
+    while len(views) < count:
+        pose = pose_over(
+            columns,
+            ROWS,
+            PITCH,
+            distance_mm=rng.uniform(24, 40),
+            tilt_deg=tuple(rng.uniform(-35, 35, 2)),
+            turn_deg=rng.uniform(-180, 180),
+            shift_mm=tuple(rng.uniform(-8, 8, 2)),
+        )
+        view = exact_view(
+            lens, truth, pose, SIZE, columns, ROWS, PITCH,
+            noise_px=noise_px, rng=rng, name=f"view{len(views)}",
+        )  # fmt: skip
+        if (view.uv_px > 2).all() and (view.uv_px < np.array(SIZE) - 3).all():
+            views.append(view)
+    return views
