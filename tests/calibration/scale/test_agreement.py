@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scales of several kinds are averaged when they agree, and contradicted when they do not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration.capture.captures import ContactCircle, Press
+from calibration.capture.load import load_capture_folder
+from calibration.result import Estimate, judge
+from calibration.scale import calibrate_scale, combine_axis
+from calibration.scale.landmarks import fit_map, scale_of_map
+from calibration.scale.spheres import BETA, BallContact, scale_from_spheres
+from calibration.synthetic import add_noise, quantise
+from taccel_lab.errors import InputError
+from tests.calibration.scale.test_edges import BACKGROUND, edges_at
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    values=st.lists(st.floats(0.04, 0.06), min_size=2, max_size=5),
+    sigmas=st.lists(st.floats(1e-4, 1e-3), min_size=5, max_size=5),
+)
+def test_the_mean_lies_among_the_estimates(values: list[float], sigmas: list[float]) -> None:
+    named = [(str(k), Estimate(v, s)) for k, (v, s) in enumerate(zip(values, sigmas, strict=False))]
+    found = combine_axis(named)
+    assert min(values) - 1e-12 <= found.estimate.value <= max(values) + 1e-12
+    assert len(found.pairs) == len(values) * (len(values) - 1) // 2
+    if found.agrees and found.chi_square < found.freedom:
+        assert found.estimate.sigma <= min(s for _, s in zip(values, sigmas, strict=False)) + 1e-15
+
+
+def test_false_alarms_are_rare_and_real_ones_are_not() -> None:
+    rng = np.random.default_rng(0)
+    agree = [
+        combine_axis([(str(k), Estimate(rng.normal(0.05, 5e-4), 5e-4)) for k in range(3)]).agrees
+        for _ in range(400)
+    ]
+    assert np.mean(agree) > 0.97
+    apart = combine_axis([("a", Estimate(0.050, 5e-4)), ("b", Estimate(0.055, 5e-4))])
+    assert not apart.agrees and abs(apart.pairs["a*b"]) == pytest.approx(7.07, abs=0.01)
+    assert apart.estimate.sigma > 2e-3
+
+
+def contact(radius_px: float, ball_mm: float, depth_mm: float | None = None) -> BallContact:
+    circle = ContactCircle(100.0, 100.0, radius_px)
+    press = Press(f"p{radius_px}", "p.png", "0" * 64, circle, lambda: BACKGROUND, depth_mm=depth_mm)
+    return BallContact(press, ball_mm, radius_px, 1.0, True)
+
+
+def test_balls_without_depths_give_a_limit_only() -> None:
+    found = scale_from_spheres([contact(r, 2.0) for r in (30, 45, 55, 60, 61)], [])
+    assert found.x is None and found.y is None
+    assert found.upper_x == pytest.approx(2.0 / (60 - 1.645), rel=1e-9)
+    # A single circle that is far too large is a mistake of detection.
+    found = scale_from_spheres([contact(r, 2.0) for r in (30, 45, 55, 60, 140)], [])
+    assert found.upper_x == pytest.approx(2.0 / (60 - 1.645), rel=1e-9)
+    with pytest.raises(InputError, match="no contact"):
+        scale_from_spheres([], ["p.png: nothing there"])
+
+
+@pytest.mark.parametrize("beta", [0.5, 0.75, 1.05])
+def test_balls_with_depths_hold_the_truth_for_every_gel(beta: float) -> None:
+    """Whether the gel sinks beside the ball or not is not known: the interval covers both."""
+    rng = np.random.default_rng(int(100 * beta))
+    scale, ball = 0.03, 2.0
+    contacts = []
+    for depth in (0.2, 0.4, 0.6, 0.8, 1.0):
+        radius = np.sqrt(beta * depth * (2 * ball - depth)) / scale
+        contacts.append(contact(radius + rng.normal(0, 0.5), ball, depth))
+    found = scale_from_spheres(contacts, [], ratio=0.98)
+    assert found.x is not None and found.y is not None
+    low, high = found.x.interval95
+    assert low <= scale * 1.002 and high >= scale * 0.998
+    assert high / low < np.sqrt(BETA[1] / BETA[0]) * 1.15
+    assert found.y.value == pytest.approx(0.98 * found.x.value)
+
+
+@settings(max_examples=20, deadline=None)
+@given(sx=st.floats(0.02, 0.1), sy=st.floats(0.02, 0.1), tilt=st.floats(-1e-3, 1e-3))
+def test_scale_of_landmarks(sx: float, sy: float, tilt: float) -> None:
+    xy = np.array([[0, 0], [10, 0], [10, 10], [0, 10], [5, 0], [5, 10], [2, 7]], dtype=float)
+    matrix = np.array([[1 / sx, 0, 50], [0, 1 / sy, 30], [tilt, -tilt, 1]])
+    uv = np.column_stack([xy, np.ones(7)]) @ matrix.T
+    uv = uv[:, :2] / uv[:, 2:]
+    found, rms = fit_map(xy, uv, projective=True)
+    assert rms < 1e-4  # OpenCV takes the points in single precision
+    np.testing.assert_allclose(
+        scale_of_map(found, np.zeros(2)), scale_of_map(matrix, np.zeros(2)), rtol=1e-5
+    )
+    np.testing.assert_allclose(scale_of_map(np.diag([1 / sx, 1 / sy, 1.0]), xy[2]), (sx, sy))
+    with pytest.raises(InputError, match="one line"):
+        fit_map(xy[:, :1] * [1.0, 2.0], uv, projective=False)
+
+
+def write_folder(
+    folder: Path,
+    scale: tuple[float, float],
+    *,
+    marker_error: float = 1.0,
+    ball_mm: float | None = None,
+) -> Path:
+    """Edges of 10 mm, markers of 2 mm pitch (wrongly stated by a factor), and landmarks."""
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(0)
+
+    def save(name: str, image: np.ndarray) -> None:
+        cv2.imwrite(str(folder / name), quantise(image)[..., ::-1])
+
+    save("background.png", add_noise(BACKGROUND, 1.0, rng))
+    lines = ["schema_version = 2", 'sensor = "gelsight"', 'background = "background.png"']
+    for k, image in enumerate(edges_at(scale, [5, -12, 85, 70])):
+        save(f"edge_{k}.png", image)
+        lines += ["[[edges]]", f'image = "edge_{k}.png"', "length_mm = 10.0"]
+    dots = BACKGROUND.copy()
+    v, u = np.mgrid[:240, :320]
+    step = (2.0 / scale[0], 2.0 / scale[1])
+    for i in range(-5, 6):
+        for j in range(-4, 5):
+            at = (160.3 + i * step[0], 119.6 + j * step[1])
+            if 8 < at[0] < 312 and 8 < at[1] < 232:
+                dots -= (
+                    80 * np.exp(-((((u - at[0]) ** 2 + (v - at[1]) ** 2) / 3.5**2) ** 3))[..., None]
+                )
+    save("markers.png", add_noise(dots, 1.0, rng))
+    pitch = 2.0 * marker_error
+    lines += ["[markers]", 'rest = "markers.png"', f"pitch_x_mm = {pitch}", f"pitch_y_mm = {pitch}"]
+    lines += ["[[landmarks]]", 'image = "edge_0.png"', "points = ["]
+    for x, y in ((-5, -4), (5, -4), (5, 4), (-5, 4)):
+        lines.append(
+            f"  {{u_px = {160 + x / scale[0]}, v_px = {120 + y / scale[1]}, x_mm = {x}, y_mm = {y}}},"
+        )
+    lines.append("]")
+    if ball_mm is not None:
+        save("press.png", BACKGROUND)
+        lines += ["[indenter]", f"radius_mm = {ball_mm}", "[[presses]]", 'image = "press.png"']
+        lines.append("contact = {u_px = 160.0, v_px = 120.0, radius_px = 50.0}")
+    # Tables of an array come after plain keys; TOML takes them in any order after that.
+    (folder / "captures.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder
+
+
+def test_three_kinds_of_captures_agree(tmp_path: Path) -> None:
+    truth = (0.085, 0.082)
+    result = calibrate_scale(load_capture_folder(write_folder(tmp_path / "ok", truth, ball_mm=8.0)))
+    assert {e.method for e in result.estimates} == {"edge", "markers", "landmarks", "spheres"}
+    for axis, wanted in zip("xy", truth, strict=True):
+        found = result.axes[axis]
+        assert found.agrees and found.freedom == 2
+        assert abs(found.estimate.value - wanted) < 3 * found.estimate.sigma
+        assert found.estimate.sigma < 0.01 * wanted
+    assert not any(remark.code == "scale_disagrees" for remark in result.remarks)
+
+
+def test_a_wrong_pitch_and_a_wrong_ball_are_said_to_be_so(tmp_path: Path) -> None:
+    """Markers stated 12 % too far apart; a ball whose contacts are larger than itself."""
+    folder = write_folder(tmp_path / "bad", (0.085, 0.082), marker_error=1.12, ball_mm=2.0)
+    result = calibrate_scale(load_capture_folder(folder))
+    codes = [remark.code for remark in result.remarks]
+    assert codes.count("scale_disagrees") == 2 and "ball_too_small" in codes
+    worst = max(result.axes["x"].pairs.items(), key=lambda item: abs(item[1]))
+    assert "markers" in worst[0] and abs(worst[1]) > 4
+    assert judge(result.remarks) == "weak"
+
+
+def test_folders_without_known_lengths_are_refused(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "b.png"), quantise(BACKGROUND))
+    manifest = tmp_path / "captures.toml"
+    manifest.write_text('schema_version = 2\nsensor = "gelsight"\nbackground = "b.png"\n')
+    with pytest.raises(InputError, match="nothing of known length"):
+        calibrate_scale(load_capture_folder(tmp_path))
+    manifest.write_text(
+        'schema_version = 2\nsensor = "gelsight"\nbackground = "b.png"\n'
+        '[indenter]\nradius_mm = 4.0\n[[presses]]\nimage = "b.png"\n'
+        "contact = {u_px = 100.0, v_px = 100.0, radius_px = 40.0}\n"
+    )
+    result = calibrate_scale(load_capture_folder(tmp_path))
+    with pytest.raises(InputError, match="do not determine the scale.*at|only limit it to 0.10"):
+        _ = result.scale
