@@ -86,7 +86,9 @@ def _stated(folder: CaptureFolder, layout: LayoutFit, size_px: tuple[int, int]) 
             )
         sigma = max(layout.sigma(PITCH_X) / pitch_x_px, layout.sigma(PITCH_Y) / pitch_y_px)
         grid = PixelGrid(*size_px, per_x, per_y)
-        views.append(GridView(grid, "the pitch of the dots stated in the manifest", sigma))
+        square = "" if x and y else ", for square pixels"
+        text = f"the pitch of the dots stated in the manifest{square}"
+        views.append(GridView(grid, text, sigma))
     return views
 
 

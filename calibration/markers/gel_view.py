@@ -2,8 +2,8 @@
 """From pixels to places on the gel: through the pixel grid, or through the calibrated camera.
 
 A dot lies on the contact face, so that its pixel's sight line, bent by window and gel, is followed
-to the height that the face has at rest. A dent moves dots away from the camera; the parallax of
-that is not corrected.
+to the height that the face has at rest. A press moves dots towards the camera; the parallax of that
+is not corrected.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from taccel_lab.optics.media import glued_back_mm, media_between
 from taccel_lab.optics.refraction import Media
 from taccel_lab.profile import SensorProfile
 
+_REMEDY = "; state mm_per_px_x and mm_per_px_y, or the dots' pitch_x_mm, in captures.toml"
 _FLAT_MM = 0.01
 _STEPS = 40
 _EXACT_MM = 1e-7
@@ -115,7 +116,7 @@ def camera_view(profile: SensorProfile, size_px: tuple[int, int]) -> CameraView:
     if abs(camera.width_px * size_px[1] - camera.height_px * size_px[0]) > max(size_px):
         raise InputError(
             f"the camera's picture is {camera.width_px}x{camera.height_px} px, that of the markers "
-            f"{size_px[0]}x{size_px[1]}: another shape"
+            f"{size_px[0]}x{size_px[1]}: another shape, so that it gives no millimetres{_REMEDY}"
         )
     if (camera.width_px, camera.height_px) != size_px:
         camera = resized(camera, *size_px)
@@ -135,7 +136,7 @@ def grid_view(profile: SensorProfile, size_px: tuple[int, int]) -> GridView:
     if abs(block.width_px * size_px[1] - block.height_px * size_px[0]) > max(size_px):
         raise InputError(
             f"the profile's picture is {block.width_px}x{block.height_px} px, that of the markers "
-            f"{size_px[0]}x{size_px[1]}: another shape"
+            f"{size_px[0]}x{size_px[1]}: another shape, so that it gives no millimetres{_REMEDY}"
         )
     sx, sy = block.width_px / size_px[0], block.height_px / size_px[1]
     grid = PixelGrid(

@@ -63,10 +63,14 @@ class CalibrateMarkers:
             require_track_file(self.tracks)
         folder = load_capture_folder(self.captures)
         base = base_profile(self.base, folder.sensor)
-        with count_progress(console, "following the dots") as bar:
-            result = calibrate_markers(
-                folder, base, progress=lambda name, done, total: bar(done, total)
-            )
+        if folder.markers is None or not folder.markers.videos:
+            with console.status("finding the dots"):
+                result = calibrate_markers(folder, base)
+        else:
+            with count_progress(console, "following the dots") as bar:
+                result = calibrate_markers(
+                    folder, base, progress=lambda name, done, total: bar(done, total)
+                )
         if self.tracks is not None:
             write_tracks(self.tracks, {v.name: v.tracks for v in result.videos}, result.flows())
         if self.json:

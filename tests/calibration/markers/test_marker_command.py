@@ -105,14 +105,17 @@ def test_tracks_are_written_as_tables_and_arrays(tmp_path: Path, base: Path, suf
         assert str(arrays["video0_name"]) == "captures/001.png"
 
 
-def test_a_stated_pitch_gives_the_scale(tmp_path: Path, base: Path) -> None:
+def test_a_stated_pitch_gives_the_scale_and_missing_dots_are_kept(tmp_path: Path, base: Path) -> None:
     manifest = '[markers]\nrest = "000.png"\npitch_x_mm = 1.8\n'
-    folder = write_captures(tmp_path / "captures", manifest, moving()[:1])
+    left = np.delete(moving()[0], [2 * 9 + 3, 4 * 9 + 7], axis=0)
+    folder = write_captures(tmp_path / "captures", manifest, [left])
     assert run(folder, "--out", tmp_path / "p", "--base", base) == 0
     block = load_profile(tmp_path / "p").markers
     assert block is not None
     assert block.pitch_x_mm == pytest.approx(1.8, abs=1e-6)
     assert block.pitch_y_mm == pytest.approx(1.8, abs=2e-3)
+    assert block.missing == ((2, 3), (4, 7))
+    assert len(block.grid().points_mm()) == 61
 
 
 def test_an_assumed_scale_and_a_contradiction_are_told(
