@@ -75,6 +75,8 @@ def _scale_sources(folder: CaptureFolder) -> list[str]:
     sources = []
     if any(board.entry.on_gel and board.entry.pitch_mm is not None for board in folder.boards):
         sources.append("board on the gel")
+    if folder.landmarks:
+        sources.append(f"{len(folder.landmarks)} images with landmarks")
     if folder.edges:
         sources.append(f"{len(folder.edges)} edges")
     if folder.markers is not None and folder.markers.pitch_x_mm is not None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from calibration.camera.detect import detect_views
@@ -28,6 +29,7 @@ BOARD_COVERAGE = 0.5
 STILL_LEVELS = 0.05
 """Frames that differ less, at their strongest, are one frame stored twice."""
 MAX_STILL_SHARE = 0.3
+LOST_SHARE = 0.95
 GOOD_POINTS = 5
 LABEL_DOT_PX = 3.0
 
@@ -147,6 +149,7 @@ def _check_markers(markers: MarkerCaptures) -> list[Finding]:
 
 def _check_video(video: Video, rest: np.ndarray) -> list[Finding]:
     frames = video.frames()
+    findings = _check_whole(video, len(frames))
     sizes = {frame.shape for frame in frames}
     if sizes != {rest.shape}:
         return [
@@ -159,7 +162,6 @@ def _check_video(video: Video, rest: np.ndarray) -> list[Finding]:
         ]
     small = [thumb(frame) for frame in frames]
     steps = np.array([float(np.abs(b - a).max()) for a, b in itertools.pairwise(small)])
-    findings = []
     still = float((steps < STILL_LEVELS).mean())
     if still > MAX_STILL_SHARE:
         findings.append(
@@ -178,6 +180,25 @@ def _check_video(video: Video, rest: np.ndarray) -> list[Finding]:
             )
         )
     return findings
+
+
+def _check_whole(video: Video, decoded: int) -> list[Finding]:
+    """Whether as many frames decode as the file says it has."""
+    if video.entry.file is None:
+        return []
+    capture = cv2.VideoCapture(video.source)
+    stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    capture.release()
+    if decoded >= LOST_SHARE * stated:
+        return []
+    return [
+        warning(
+            "video_cut_short",
+            f"{video.source}: {decoded} of the {stated} frames that it states can be read: the "
+            "file is damaged or was not closed",
+            "markers",
+        )
+    ]
 
 
 def _check_edges(edges: Sequence[EdgeCapture]) -> list[Finding]:

@@ -81,7 +81,7 @@ def read_drafts(
     if not source.exists():
         raise InputError(f"{source} does not exist")
     chosen = detect_layout(source) if layout == AUTO else LAYOUTS[layout]
-    if not chosen.recognises(source):
+    if chosen.by_structure and layout != AUTO and not chosen.recognises(source):
         raise InputError(f"{source} is not of the layout {chosen.name}: {chosen.title}")
     drafts = chosen.read(source, options)
     for draft in drafts:

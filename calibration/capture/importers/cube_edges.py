@@ -6,7 +6,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import first_existing, load_npz, natural_key
+from calibration.capture.importers.files import (
+    first_existing,
+    load_npz,
+    natural_key,
+    number_in,
+    point_in,
+)
 from calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
 
@@ -41,10 +47,7 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         if image is None:
             raise InputError(f"{label.parent / 'gelsight.png'} does not exist")
         arrays = load_npz(label)
-        missing = [k for k in ("line_center", "line_length", "line_angle") if k not in arrays]
-        if missing:
-            raise InputError(f"{label} lacks {', '.join(missing)}")
-        u, v = (float(value) for value in arrays["line_center"].ravel()[:2])
+        u, v = point_in(arrays, "line_center", label)
         edges.append(
             {
                 "image": draft.add_image(image, f"edge_{label.parent.name}"),
@@ -53,8 +56,8 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
                 "line": {
                     "u_px": u,
                     "v_px": v,
-                    "length_px": float(arrays["line_length"]),
-                    "angle_deg": float(arrays["line_angle"]),
+                    "length_px": number_in(arrays, "line_length", label),
+                    "angle_deg": number_in(arrays, "line_angle", label),
                 },
             }
         )

@@ -64,7 +64,10 @@ def _numbers(path: Path, values: object, key: str) -> list[float]:
 
 def _read_scale(path: Path, draft: Draft) -> None:
     """Scale from a homography of millimetres to pixels, whose axes may be swapped."""
-    matrix = np.load(path, allow_pickle=False)
+    try:
+        matrix = np.load(path, allow_pickle=False)
+    except (OSError, EOFError, ValueError) as error:
+        raise InputError(f"{path} is not a readable .npy of numbers: {error}") from error
     if matrix.shape != (3, 3) or np.abs(matrix[2, :2]).max() > 1e-9 or matrix[2, 2] == 0:
         draft.notes.append(f"{path.name} is no affine 3 x 3 matrix; its scale was left out")
         return

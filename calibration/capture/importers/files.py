@@ -128,6 +128,28 @@ def load_npz(path: Path) -> dict[str, np.ndarray]:
         raise InputError(f"{path} is not a readable .npz of plain arrays: {error}") from error
 
 
+def number_in(arrays: dict[str, np.ndarray], key: str, path: Path) -> float:
+    """A single finite number of an archive."""
+    try:
+        value = float(arrays[key].item())
+    except (KeyError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: {key} has to be a single number ({error})") from error
+    if not math.isfinite(value):
+        raise InputError(f"{path}: {key} is {value}; a finite number is needed")
+    return value
+
+
+def point_in(arrays: dict[str, np.ndarray], key: str, path: Path) -> tuple[float, float]:
+    """Two finite numbers of an archive."""
+    values = arrays.get(key)
+    if values is None or values.size != 2 or values.dtype.kind not in "iuf":
+        raise InputError(f"{path}: {key} has to be two numbers (u, v)")
+    u, v = (float(value) for value in values.ravel())
+    if not (math.isfinite(u) and math.isfinite(v)):
+        raise InputError(f"{path}: {key} is ({u}, {v}); finite numbers are needed")
+    return u, v
+
+
 def load_yaml(path: Path) -> dict[str, object]:
     """A YAML file as a dictionary."""
     import yaml

@@ -13,7 +13,14 @@ import re
 from pathlib import Path
 
 from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import first_existing, load_npz, load_yaml, natural_key
+from calibration.capture.importers.files import (
+    first_existing,
+    load_npz,
+    load_yaml,
+    natural_key,
+    number_in,
+    point_in,
+)
 from calibration.capture.importers.layout import Layout
 from calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
@@ -105,7 +112,7 @@ def _read_catalog(path: Path, draft: Draft) -> None:
     for row in rows:
         try:
             diameters.append(float(row[DIAMETER]))
-        except ValueError as error:
+        except (TypeError, ValueError) as error:
             raise InputError(f"{catalog}: diameter {row[DIAMETER]!r} is not a number") from error
     common = max(set(diameters), key=diameters.count)
     draft.set_ball(common / 2)
@@ -143,10 +150,8 @@ def _circle(label: Path) -> dict[str, float] | None:
     if not label.is_file():
         return None
     arrays = load_npz(label)
-    if "center" not in arrays or "radius" not in arrays or arrays["center"].size != 2:
-        raise InputError(f"{label} holds {', '.join(arrays)}; center (2) and radius are needed")
-    u, v = (float(value) for value in arrays["center"].ravel())
-    return {"u_px": u, "v_px": v, "radius_px": float(arrays["radius"])}
+    u, v = point_in(arrays, "center", label)
+    return {"u_px": u, "v_px": v, "radius_px": number_in(arrays, "radius", label)}
 
 
 LAYOUT = Layout(

@@ -19,7 +19,10 @@ class Layout:
     title: str
     """One line: whose layout, and what tells it."""
     recognises: Callable[[Path], bool]
-    """Whether a file or folder follows it; cheap, decodes no image."""
+    """Whether a file or folder follows it; decodes a few images at most."""
     read: Callable[[Path, ImportOptions], list[Draft]]
     """One draft for each sensor or set. Raises InputError naming the file, what was found and what
     is allowed."""
+    by_structure: bool = True
+    """Whether a source that is not recognised cannot be read either; otherwise, a person who names
+    the layout is believed."""

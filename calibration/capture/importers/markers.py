@@ -5,6 +5,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import numpy as np
+
+from calibration.capture.images import read_image
 from calibration.capture.importers.draft import Draft, ImportOptions
 from calibration.capture.importers.files import images_in
 from calibration.capture.importers.layout import Layout
@@ -13,6 +17,9 @@ from taccel_lab.errors import InputError
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv")
 MIN_FRAMES = 20
+SAMPLED, STEADY = 12, 0.5
+"""Pairs of neighbours that are looked at, and how much nearer than distant frames they have to be.
+"""
 
 
 def _recognises(path: Path) -> bool:
@@ -26,9 +33,40 @@ def _recognises(path: Path) -> bool:
     return (
         len(images) >= MIN_FRAMES
         and all(number.isdigit() for number in numbers)
-        and len({len(number) for number in numbers}) == 1
         and int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1
+        and _moves_steadily(images)
+        and _shows_dots(images[0])
     )
+
+
+def _moves_steadily(images: list[Path]) -> bool:
+    """Whether neighbours are alike and distant frames are not: presses are all unlike."""
+    pick = np.unique(np.linspace(0, len(images) - 2, SAMPLED).astype(int))
+    small = {k: _small(images[k]) for k in {*pick, *(pick + 1)}}
+    if len({image.shape for image in small.values()}) > 1:
+        return False
+    steps = [_distance(small[k], small[k + 1]) for k in pick]
+    far = [_distance(small[a], small[b]) for a in pick for b in pick if a < b]
+    return float(np.median(steps)) < STEADY * float(np.percentile(far, 90))
+
+
+def _small(path: Path) -> np.ndarray:
+    return cv2.resize(read_image(path), (64, 48), interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+def _distance(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.abs(a - b).mean())
+
+
+def _shows_dots(path: Path) -> bool:
+    # Loaded here: the detector's package reads capture folders itself.
+    from calibration.markers.finding import find_markers
+
+    try:
+        find_markers(read_image(path))
+    except InputError:
+        return False
+    return True
 
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
@@ -50,4 +88,6 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     return [draft]
 
 
-LAYOUT = Layout("markers", "a video, or numbered frames, of a gel with dots", _recognises, _read)
+LAYOUT = Layout(
+    "markers", "a video, or numbered frames, of a gel with dots", _recognises, _read, False
+)

@@ -157,4 +157,4 @@ def _take_videos(path: Path, draft: Draft) -> None:
         draft.manifest["markers"] = {"videos": entries}
 
 
-LAYOUT = Layout("plain", "any folder of images", _recognises, _read)
+LAYOUT = Layout("plain", "any folder of images", _recognises, _read, False)

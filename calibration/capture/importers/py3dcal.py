@@ -53,10 +53,18 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         image = path / "probe_images" / row["img_name"]
         if not image.is_file():
             raise InputError(f"{image} does not exist; {table} names it")
-        travel = float(row[depth]) if depth is not None and row[depth] else None
-        draft.add_press(image, depth_mm=travel)
+        draft.add_press(image, depth_mm=_travel(table, row, depth))
     draft.notes.append("the travel of the probe is kept; circles are found in the images")
     return [draft]
+
+
+def _travel(table: Path, row: dict[str, str], column: str | None) -> float | None:
+    if column is None or not row[column]:
+        return None
+    try:
+        return float(row[column])
+    except ValueError as error:
+        raise InputError(f"{table}: {column} {row[column]!r} is not a number") from error
 
 
 LAYOUT = Layout("py3dcal", "py3DCal: annotations, probe_images, blank_images", _recognises, _read)

@@ -136,9 +136,18 @@ def py3dcal(folder: Path) -> None:
     )
 
 
+def dots_at(shift_px: float) -> np.ndarray:
+    image = np.full((120, 160, 3), 170, np.uint8)
+    for row in range(5):
+        for column in range(7):
+            center = (16 + 21 * column + shift_px, 16 + 21 * row)
+            cv2.circle(image, tuple(round(16 * c) for c in center), 16 * 4, (30,) * 3, -1, 16, 4)
+    return image
+
+
 def markers(folder: Path) -> None:
     for i in range(25):
-        picture(folder / f"{i:04d}.png")
+        write_image(folder / f"{i:04d}.png", dots_at(6 * np.sin(i / 8)))
 
 
 def plain(folder: Path) -> None:
@@ -352,6 +361,15 @@ def test_label_tables(tmp_path: Path) -> None:
         read_labels(table)
 
 
+def test_numbered_presses_are_no_video(tmp_path: Path) -> None:
+    for i, circle in enumerate(spread_circles(22)):
+        write_image(tmp_path / f"{i:04d}.png", np.clip(press(circle), 0, 255).astype(np.uint8))
+    assert detect_layout(tmp_path).name == "plain"
+    # Who says that it is one is believed.
+    (draft,) = read_drafts(tmp_path, "markers")[1]
+    assert len(draft.manifest["markers"]["videos"][0]["frames"]) == 22
+
+
 def test_natural_order() -> None:
     names = ["f_10", "f_2", "f_1", "g", "2", "10"]
     assert sorted(names, key=natural_key) == ["2", "10", "f_1", "f_2", "f_10", "g"]
@@ -374,6 +392,12 @@ Break = Callable[[Path], object]
         (fots, lambda f: (f / "mlp_calib/0000.png").unlink(), "no background"),
         (fots, lambda f: (f / "mlp_calib/gelsight/0001.png").write_text("x"), "is not an image"),
         (py3dcal, lambda f: (f / "probe_images/0.png").unlink(), r"0\.png does not exist"),
+        (py3dcal, lambda f: (f / "annotations/annotations.csv").write_text(
+            "img_name,depth_mm\n0.png,deep\n"), "depth_mm 'deep' is not a number"),
+        (feats, lambda f: (f / "homography.npy").write_text("x"), "homography.npy is not a read"),
+        (cube_edges, lambda f: np.savez(f / "2/label.npz", line_center=np.zeros(3)), "two numbers"),
+        (gs_sdk, lambda f: np.savez(f / "4.760mm/0/label.npz", center=np.zeros(2), radius="x"),
+         "radius has to be a single number"),
         (cube_edges, lambda f: (f / "2/gelsight.png").unlink(), r"2/gelsight\.png does not exist"),
     ],
 )  # fmt: skip
