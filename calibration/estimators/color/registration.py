@@ -60,7 +60,8 @@ class Registration:
 
     circles: list[ContactCircle]
     sigma_px: np.ndarray
-    """Standard deviations of u, v and radius by the curvature of the misfit, shape [press, 3]."""
+    """Standard deviations of u, v and radius by the curvature of the misfit, shape [press, 3]; what
+    all presses have in common, such as a shift of all circles, is not in them."""
     scale: float
     """Factor on all radii that predicts left-out presses best."""
     scale_losses: list[tuple[float, float]]
@@ -75,14 +76,21 @@ def register_presses(
     mask: np.ndarray | None = None,
     remove_drift: bool = False,
     seed: int = 0,
+    fit: ColorFitOptions = SHORT_FIT,
     progress: Callable[[int, int], None] | None = None,
 ) -> Registration:
-    """Place the presses; ``frames`` hold the circles to start from and surfaces simulated there."""
+    """Place the presses; ``frames`` hold the circles to start from and surfaces simulated there.
+
+    ``fit`` are the settings of the short fits that place them.
+
+    Raises:
+        InputError: Fewer than 8 presses.
+    """
     if len(frames) < MIN_PRESSES:
         raise InputError(
             f"{len(frames)} presses are too few to place each by the others; at least {MIN_PRESSES}"
         )
-    options = replace(SHORT_FIT, remove_drift=remove_drift, seed=seed)
+    options = replace(fit, remove_drift=remove_drift, seed=seed)
     job = _Job(frames, background, grid, mask, options)
     total = len(SCALES) + 2 + ROUNDS
     done = 0

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The design that captures are simulated on: turned, made to measure, or the catalogue's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration.result import Severity
+from calibration.surfaces.design import MARGIN_MM, fitted_design
+from sensors.registry import sensor_family
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import SensorProfile
+
+
+def pad_size(profile: SensorProfile) -> np.ndarray:
+    family = sensor_family(profile.sensor.family)
+    pad = family.pad(family.parameters(profile.sensor.parameters))
+    return np.ptp(pad.bounds_mm(), axis=0)[:2]
+
+
+def test_upright_images_turn_the_pad() -> None:
+    lying = fitted_design("gelsight_mini", PixelGrid(320, 240, 0.0511, 0.0511))
+    upright = fitted_design("gelsight_mini", PixelGrid(240, 320, 0.0511, 0.0511))
+    assert lying.overrides == {} and lying.remarks == []
+    assert [remark.code for remark in upright.remarks] == ["pad_turned"]
+    assert pad_size(upright.profile) == pytest.approx(pad_size(lying.profile)[::-1])
+    before, after = lying.profile.sensor.parameters, upright.profile.sensor.parameters
+    assert after["crown_radius_x_mm"] == before["crown_radius_y_mm"]
+    assert after["marker_pitch_mm"] == before["marker_pitch_mm"]
+
+
+@pytest.mark.parametrize("sensor", ["flat_pad", "of_my_own"])
+def test_unknown_sensors_are_flat_pads_made_to_measure(sensor: str) -> None:
+    grid = PixelGrid(400, 300, 0.07, 0.08)
+    found = fitted_design(sensor, grid)
+    assert found.profile.sensor.family == "flat_pad"
+    assert pad_size(found.profile) == pytest.approx(
+        [400 * 0.07 + 2 * MARGIN_MM, 300 * 0.08 + 2 * MARGIN_MM], abs=1e-3
+    )
+    assert found.profile.camera.grid() == grid
+    (remark,) = found.remarks
+    assert remark.severity is Severity.WARNING and "thickness" in remark.message
+    known = fitted_design(sensor, grid, {"thickness_mm": 2.5})
+    assert known.profile.gel.thickness_mm == 2.5
+    assert [r.severity for r in known.remarks] == [Severity.INFO]
+
+
+def test_a_view_larger_than_any_pad_is_refused() -> None:
+    with pytest.raises(InputError, match="length_x_mm"):
+        fitted_design("flat_pad", PixelGrid(640, 480, 0.2, 0.2))
+
+
+def test_dimensions_given_win_over_the_turn() -> None:
+    grid = PixelGrid(240, 320, 0.0511, 0.0511)
+    found = fitted_design("gelsight_mini", grid, {"length_x_mm": 21.5})
+    assert pad_size(found.profile) == pytest.approx([21.5, 25.25])
+    assert found.profile.sensor.parameters["length_x_mm"] == 21.5

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Circles read again with the colours: clicked ones that are off come back to the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.capture import CaptureSet, ContactCircle
+from calibration.estimators.color import (
+    ColorFitOptions,
+    ColorFrame,
+    fit_color_model,
+    register_others,
+    register_presses,
+    registration,
+)
+from calibration.estimators.color.frames import NO_DRIFT
+from calibration.surfaces import PressSurface, analytic_surface
+from calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.errors import InputError
+from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, synthetic_captures
+
+COUNT = 12
+QUICK = ColorFitOptions(
+    hidden=(24, 24), steps=200, batch_pixels=1024, disc_pixels=800, ring_pixels=500,
+    far_pixels=100, learning_rate=1e-2,
+)  # fmt: skip
+
+
+def clicked_frames(
+    captures: CaptureSet, rng: np.random.Generator, off_px: float, scale: float
+) -> list[ColorFrame]:
+    """The presses with circles that are off, and surfaces as if they were right."""
+    frames = []
+    for press in captures.presses:
+        assert press.circle is not None
+        shift = rng.normal(0, off_px, 2)
+        circle = ContactCircle(
+            press.circle.u_px + float(shift[0]),
+            press.circle.v_px + float(shift[1]),
+            press.circle.radius_px * scale,
+        )
+        frames.append(ColorFrame(press.name, press.image(), circle, simulated(circle)))
+    return frames
+
+
+def simulated(circle: ContactCircle) -> PressSurface:
+    return analytic_surface(circle, GRID, BALL_RADIUS_MM, decay_mm=1.0)
+
+
+def errors(captures: CaptureSet, circles: list[ContactCircle]) -> np.ndarray:
+    """Found minus true u, v and radius, shape [press, 3]."""
+    return np.array(
+        [
+            (c.u_px - p.circle.u_px, c.v_px - p.circle.v_px, c.radius_px - p.circle.radius_px)
+            for c, p in zip(circles, captures.presses, strict=True)
+            if p.circle is not None
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def captures() -> CaptureSet:
+    return synthetic_captures(COUNT, noise=1.0)[0]
+
+
+def test_circles_that_are_off_come_back(captures: CaptureSet) -> None:
+    frames = clicked_frames(captures, np.random.default_rng(1), off_px=1.5, scale=1.1)
+    found = register_presses(frames, captures.background, GRID, fit=QUICK)
+    before = errors(captures, [frame.circle for frame in frames])
+    after = errors(captures, found.circles)
+    assert np.hypot(*after[:, :2].T).mean() < 0.65 * np.hypot(*before[:, :2].T).mean()
+    assert 0.85 < found.scale < 0.96
+    assert np.abs(after[:, 2]).mean() < 0.5 * np.abs(before[:, 2]).mean()
+    assert (found.sigma_px > 0).all() and (found.sigma_px < 1).all()
+    losses = dict(found.scale_losses)
+    assert losses[found.scale] == min(losses.values()) < losses[1.0]
+
+
+def test_circles_that_are_right_stay(captures: CaptureSet) -> None:
+    frames = clicked_frames(captures, np.random.default_rng(2), off_px=0.0, scale=1.0)
+    found = register_presses(frames, captures.background, GRID, fit=QUICK)
+    after = errors(captures, found.circles)
+    assert abs(found.scale - 1) < 0.04
+    assert np.hypot(*after[:, :2].T).mean() < 0.3
+    assert np.abs(after[:, 2]).mean() < 0.4
+
+
+def test_a_press_the_model_never_saw_is_placed(captures: CaptureSet) -> None:
+    right = clicked_frames(captures, np.random.default_rng(3), off_px=0.0, scale=1.0)
+    training, held = right[:-2], right[-2:]
+    fit = fit_color_model(training, captures.background, GRID, QUICK)
+    library = RadialSurfaces.of([f.surface for f in training], [f.circle for f in training], GRID)
+    off = []
+    for frame in held:
+        circle = replace(frame.circle, u_px=frame.circle.u_px + 2, v_px=frame.circle.v_px - 1.5)
+        off.append(replace(frame, circle=circle, surface=simulated(circle)))
+    found = register_others(fit.model, fit.background, off, library, GRID, [NO_DRIFT, NO_DRIFT])
+    for circle, frame in zip(found, held, strict=True):
+        assert np.hypot(circle.u_px - frame.circle.u_px, circle.v_px - frame.circle.v_px) < 0.5
+
+
+def test_masked_pixels_have_no_effect_and_runs_agree(
+    captures: CaptureSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = clicked_frames(captures, np.random.default_rng(4), off_px=1.0, scale=1.0)[:8]
+    mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
+    mask[50:60, 60:100] = False
+    rng = np.random.default_rng(5)
+    poisoned = []
+    for frame in frames:
+        image = frame.image.copy()
+        image[~mask] = rng.integers(0, 256, image[~mask].shape)
+        poisoned.append(replace(frame, image=image))
+    monkeypatch.setattr(registration, "SCALES", (0.95, 1.0, 1.05))
+    monkeypatch.setattr(registration, "ROUNDS", 1)
+    clean = register_presses(frames, captures.background, GRID, mask=mask, fit=QUICK)
+    dirty = register_presses(poisoned, captures.background, GRID, mask=mask, fit=QUICK)
+    assert clean.circles == dirty.circles
+
+
+def test_too_few_presses_are_refused(captures: CaptureSet) -> None:
+    frames = clicked_frames(captures, np.random.default_rng(6), off_px=0.0, scale=1.0)
+    with pytest.raises(InputError, match="7 presses are too few"):
+        register_presses(frames[:7], captures.background, GRID)

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Taxim's table: what made the images is found again, bins without pixels borrow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration import taxim_table
+from calibration.capture import ContactCircle
+from calibration.estimators.background import Drift
+from calibration.estimators.color import ColorFit, ColorFitOptions, ColorFrame
+from calibration.surfaces import analytic_surface
+from calibration.taxim_table import fit_taxim_table, render_taxim_table
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.interop.taxim_table import TaximTable, bin_indices
+from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+
+GRID = PixelGrid(120, 90, 0.1, 0.1)
+BINS = 12
+PLACES = [(u, v, r) for u in (25.0, 45.0, 60.0, 80.0, 95.0) for v in (25.0, 45.0, 65.0)
+          for r in (14.0, 17.0)]  # fmt: skip
+STILL = Drift(np.ones(3), np.zeros(3))
+
+
+def true_table(rng: np.random.Generator) -> TaximTable:
+    """Random quadratics of which no term outweighs the others within the image."""
+    scale = np.array([GRID.width_px**2, GRID.height_px**2, GRID.width_px * GRID.height_px,
+                      GRID.width_px, GRID.height_px, 1.0])  # fmt: skip
+    return TaximTable(BINS, rng.uniform(-15, 15, (3, BINS, BINS, 6)) / scale)
+
+
+def frames_of(table: TaximTable, drift: Drift = STILL) -> list[ColorFrame]:
+    frames = []
+    for i, (u, v, r) in enumerate(PLACES):
+        circle = ContactCircle(u, v, r)
+        surface = analytic_surface(circle, GRID, 2.0, decay_mm=1.0)
+        image = drift.apply(120.0 + table.change(surface.normals))
+        frames.append(ColorFrame(f"p{i}", image, circle, surface))
+    return frames
+
+
+def fit_of(frames: list[ColorFrame], drift: Drift = STILL) -> ColorFit:
+    config = ColorModelConfig(GRID.width_px, GRID.height_px, hidden=(2,))
+    weights = {name: np.zeros(shape) for name, shape in expected_shapes(config).items()}
+    background = np.full((GRID.height_px, GRID.width_px, 3), 120.0, dtype=np.float32)
+    return ColorFit(
+        ColorModel(config, weights), background, [], {}, {f.name: drift for f in frames},
+        ColorFitOptions(), 0.0,
+    )  # fmt: skip
+
+
+def test_the_table_that_made_the_images_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(taxim_table, "_RIDGE", np.full(6, 1e-12))
+    truth = true_table(np.random.default_rng(0))
+    frames = frames_of(truth)
+    found = fit_taxim_table(frames, fit_of(frames), GRID, bins=BINS)
+    circle = ContactCircle(52.0, 41.0, 15.0)
+    surface = analytic_surface(circle, GRID, 2.0, decay_mm=1.0)
+    disc = circle.distance_px(GRID) <= circle.radius_px
+    wanted = 120.0 + truth.change(surface.normals)
+    rendered = render_taxim_table(found, surface.normals, fit_of(frames).background)
+    assert np.abs(rendered - wanted)[disc].mean() < 0.05
+
+
+def test_the_pull_keeps_the_images_near_and_the_far_side_tame() -> None:
+    truth = true_table(np.random.default_rng(1))
+    frames = [f for f, place in zip(frames_of(truth), PLACES, strict=True) if place[0] < 50]
+    rng = np.random.default_rng(2)
+    noisy = [replace(f, image=f.image + rng.normal(0, 2, f.image.shape)) for f in frames]
+    tame = fit_taxim_table(noisy, fit_of(frames), GRID, bins=BINS)
+    far = analytic_surface(ContactCircle(95.0, 45.0, 15.0), GRID, 2.0, decay_mm=1.0)
+    assert np.abs(tame.change(far.normals)).max() < 60
+    near = frames[4]
+    disc = near.circle.distance_px(GRID) <= near.circle.radius_px
+    error = 120.0 + tame.change(near.surface.normals) - near.image
+    assert np.abs(error)[disc].mean() < 1.5
+
+
+def test_drift_is_taken_off_and_masked_pixels_have_no_effect() -> None:
+    truth = true_table(np.random.default_rng(3))
+    drift = Drift(np.array([1.1, 0.9, 1.0]), np.array([5.0, -5.0, 3.0]))
+    plain, drifted = frames_of(truth), frames_of(truth, drift)
+    one = fit_taxim_table(plain, fit_of(plain), GRID, bins=BINS)
+    two = fit_taxim_table(drifted, fit_of(drifted, drift), GRID, bins=BINS)
+    assert two.grad_rgb == pytest.approx(one.grad_rgb, abs=1e-9)
+    mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
+    mask[30:50, 40:60] = False
+    rng = np.random.default_rng(4)
+    poisoned = []
+    for frame in plain:
+        image = frame.image.copy()
+        image[~mask] = rng.uniform(0, 255, image[~mask].shape)
+        poisoned.append(replace(frame, image=image))
+    clean = fit_taxim_table(plain, fit_of(plain), GRID, mask=mask, bins=BINS)
+    dirty = fit_taxim_table(poisoned, fit_of(plain), GRID, mask=mask, bins=BINS)
+    assert np.array_equal(clean.grad_rgb, dirty.grad_rgb)
+    with pytest.raises(InputError, match="no usable pixel"):
+        fit_taxim_table(plain, fit_of(plain), GRID, mask=np.zeros_like(mask), bins=BINS)
+
+
+def test_empty_bins_take_over_their_nearest_even_around_the_circle() -> None:
+    filled = np.zeros((8, 8), dtype=bool)
+    filled[3, 7] = filled[6, 2] = True
+    nearest = taxim_table._nearest_filled(filled).reshape(8, 8)
+    assert nearest[3, 7] == 3 * 8 + 7 and nearest[6, 2] == 6 * 8 + 2
+    # Direction 0 lies beside direction 7: the circle closes.
+    assert nearest[3, 0] == 3 * 8 + 7 and nearest[7, 3] == 6 * 8 + 2
+
+
+def test_flat_gel_lies_in_the_first_bin_of_tilt() -> None:
+    tilt, _ = bin_indices(np.array([[0.0, 0.0, 1.0]]), BINS)
+    assert tilt[0] == 0
