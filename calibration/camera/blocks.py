@@ -15,6 +15,17 @@ if TYPE_CHECKING:
     from calibration.camera.camera_calibration import CameraCalibration
 
 
+def tactile_size(profile: SensorProfile, raw_px: tuple[int, int]) -> tuple[int, int] | None:
+    """Size of the tactile image, where the profile says that it is a crop of pictures of ``raw_px``
+    (``optics.crop_x`` and ``crop_y``); None where it is not."""
+    camera, optics = profile.camera, profile.optics
+    size = camera.width_px, camera.height_px
+    if optics is None or (optics.raw_width_px, optics.raw_height_px) != raw_px:
+        return None
+    cropped = round(optics.crop_x * raw_px[0]), round(optics.crop_y * raw_px[1])
+    return size if size == cropped and size != raw_px else None
+
+
 def with_camera_block(profile: SensorProfile, block: CameraBlock) -> SensorProfile:
     """The profile with another pixel grid, without what belongs to the old one.
 

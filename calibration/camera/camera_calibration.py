@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calibration.camera.blocks import camera_block, optics_block, with_camera_block
+from calibration.camera.blocks import camera_block, optics_block, tactile_size, with_camera_block
 from calibration.camera.board import BoardView
 from calibration.camera.detect import Detections, detect_views
 from calibration.camera.intrinsics import Intrinsics, calibrate_intrinsics
@@ -119,7 +119,7 @@ def calibrate_camera(
         on_gel = fit_on_gel(
             laid.views,
             center_px=_middle(profile, laid.views[0]),
-            tactile_px=_crop(profile, laid.views[0]),
+            tactile_px=tactile_size(profile, laid.views[0].size_px),
             intrinsics=intrinsics,
             media=media,
         )
@@ -158,16 +158,6 @@ def _middle(profile: SensorProfile, view: BoardView) -> tuple[float, float] | No
     if (camera.width_px, camera.height_px) != view.size_px:
         return None
     return camera.center_u_px, camera.center_v_px
-
-
-def _crop(profile: SensorProfile, view: BoardView) -> tuple[int, int] | None:
-    """Size of the tactile image, where the profile says that it is a crop of this image."""
-    camera, optics = profile.camera, profile.optics
-    size = camera.width_px, camera.height_px
-    if optics is None or (optics.raw_width_px, optics.raw_height_px) != view.size_px:
-        return None
-    cropped = round(optics.crop_x * view.size_px[0]), round(optics.crop_y * view.size_px[1])
-    return size if size == cropped and size != view.size_px else None
 
 
 def _remarks(

@@ -18,7 +18,6 @@ from calibration.camera.lens import Lens
 from taccel_lab.errors import InputError
 from taccel_lab.optics.refraction import FlatMedia
 
-
 _LEAST_DISTANCE_MM = 0.1
 
 

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from calibration.camera.blocks import with_camera_block
+from calibration.camera.blocks import tactile_size, with_camera_block
 from calibration.capture.folder import CaptureFolder
-from calibration.result import Remark, Severity, judge
+from calibration.result import Estimate, Remark, Severity, judge
 from calibration.scale.boards import scale_from_boards
 from calibration.scale.combine import CombinedAxis, agreement_remarks, combine_axis
 from calibration.scale.edges import measure_edges, scale_from_edges
@@ -21,6 +21,9 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
 
+STATED = "stated"
+STATED_ERROR = 0.05
+"""Standard deviation of a scale that is stated and not measured, as a share."""
 STATED_SIGMAS = 3.0
 STATED_SHARE = 0.02
 """The manifest's scale is remarked on when it is off by more than both."""
@@ -85,13 +88,15 @@ class ScaleCalibration:
         """``profile`` with its pixel grid at the calibrated scale."""
         scale = self.scale
         camera = profile.camera
-        same = (camera.width_px, camera.height_px) == self.size_px
-        middle = (camera.center_u_px, camera.center_v_px) if same else (None, None)
-        grid = PixelGrid(*self.size_px, *scale, *middle)  # type: ignore[arg-type]
+        size = tactile_size(profile, self.size_px) or self.size_px
+        grid = PixelGrid(*size, *scale)
+        if (camera.width_px, camera.height_px) == size:
+            grid = replace(grid, center_u_px=camera.center_u_px, center_v_px=camera.center_v_px)
         spread, interval = {}, {}
         for axis, found in self.axes.items():
             spread[f"mm_per_px_{axis}"] = found.estimate.sigma
             interval[f"mm_per_px_{axis}"] = found.estimate.interval95
+        methods = [estimate.method for estimate in self.estimates if estimate.x or estimate.y]
         residuals = {
             f"{estimate.method}_minus_mean_{axis}_mm_per_px": one.value - found.estimate.value
             for estimate in self.estimates
@@ -102,11 +107,9 @@ class ScaleCalibration:
         block = CameraBlock.from_grid(
             grid,
             Provenance(
-                kind="calibrated",
-                method="mm/px from "
-                + ", ".join(e.method for e in self.estimates if e.x or e.y)
-                + ", weighed by inverse variance; the gel frame's origin as before, else in the "
-                "middle of the image",
+                kind="published" if STATED in methods else "calibrated",
+                method=f"mm/px from {', '.join(methods)}, weighed by inverse variance; the gel "
+                "frame's origin as before, else in the middle of the image",
                 source=self.provenance.get("source", self.source),
                 inputs=self.inputs(),
                 residuals=residuals,
@@ -172,6 +175,9 @@ def calibrate_scale(
     if folder.presses:
         _add_spheres(folder, axes, estimates, failures, progress)
         axes = _combine(estimates)
+    if not axes and folder.mm_per_px is not None:
+        estimates.append(_stated(folder, folder.mm_per_px))
+        axes = _combine(estimates)
     if not estimates:
         raise InputError(
             f"{folder.source}: no known length could be measured:\n" + "\n".join(failures.values())
@@ -195,6 +201,27 @@ def _combine(estimates: list[ScaleEstimate]) -> dict[str, CombinedAxis]:
         if named:
             axes[axis] = combine_axis(named)
     return axes
+
+
+def _stated(folder: CaptureFolder, mm_per_px: tuple[float, float]) -> ScaleEstimate:
+    """The manifest's scale, for captures that measure none: it is checked against the balls."""
+    return ScaleEstimate(
+        STATED,
+        Estimate(mm_per_px[0], STATED_ERROR * mm_per_px[0], "mm/px"),
+        Estimate(mm_per_px[1], STATED_ERROR * mm_per_px[1], "mm/px"),
+        inputs={"captures": folder.provenance["manifest_sha256"]}
+        if "manifest_sha256" in folder.provenance
+        else {},
+        remarks=(
+            Remark(
+                Severity.WARNING,
+                "scale_stated",
+                "nothing in the captures measures the scale: it is the one that they state, taken "
+                f"to be right within {STATED_ERROR:.0%} (published figures of one sensor differ by "
+                "more). Add a board on the gel, presses of an edge, or markers of known pitch",
+            ),
+        ),
+    )
 
 
 def _from_edges(folder: CaptureFolder) -> ScaleEstimate:

@@ -178,7 +178,7 @@ def test_pressed_pins_show_against_the_untouched_gel() -> None:
     assert errors(view, 6, 5, pose).max() < 1.0
     with pytest.raises(InputError, match="against an image of the untouched gel"):
         detect_pins(image, 6, 5, reference=None)
-    with pytest.raises(InputError, match="nothing is pressed|found"):
+    with pytest.raises(InputError, match=r"nothing is pressed|found"):
         detect_pins(reference, 6, 5, reference=reference)
 
 

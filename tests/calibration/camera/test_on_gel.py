@@ -22,7 +22,7 @@ from calibration.capture.images import read_image
 from calibration.synthetic.boards import lattice_points
 from taccel_lab.errors import InputError
 from taccel_lab.optics.refraction import FlatMedia
-from tests.calibration.camera.views import SIZE, TRUTHS, views_of
+from tests.calibration.camera.views import SIZE, views_of
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
 NINE = DATA / "9dtact_official" / "shape_reconstruction" / "calibration"

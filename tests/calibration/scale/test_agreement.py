@@ -133,15 +133,13 @@ def write_folder(
     lines += ["[markers]", 'rest = "markers.png"', f"pitch_x_mm = {pitch}", f"pitch_y_mm = {pitch}"]
     lines += ["[[landmarks]]", 'image = "edge_0.png"', "points = ["]
     for x, y in ((-5, -4), (5, -4), (5, 4), (-5, 4)):
-        lines.append(
-            f"  {{u_px = {160 + x / scale[0]}, v_px = {120 + y / scale[1]}, x_mm = {x}, y_mm = {y}}},"
-        )
+        u_px, v_px = 160 + x / scale[0], 120 + y / scale[1]
+        lines.append(f"  {{u_px = {u_px}, v_px = {v_px}, x_mm = {x}, y_mm = {y}}},")
     lines.append("]")
     if ball_mm is not None:
         save("press.png", BACKGROUND)
         lines += ["[indenter]", f"radius_mm = {ball_mm}", "[[presses]]", 'image = "press.png"']
         lines.append("contact = {u_px = 160.0, v_px = 120.0, radius_px = 50.0}")
-    # Tables of an array come after plain keys; TOML takes them in any order after that.
     (folder / "captures.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return folder
 
@@ -181,5 +179,20 @@ def test_folders_without_known_lengths_are_refused(tmp_path: Path) -> None:
         "contact = {u_px = 100.0, v_px = 100.0, radius_px = 40.0}\n"
     )
     result = calibrate_scale(load_capture_folder(tmp_path))
-    with pytest.raises(InputError, match="do not determine the scale.*at|only limit it to 0.10"):
+    with pytest.raises(InputError, match=r"only limit it to 0\.10"):
         _ = result.scale
+
+
+def test_a_stated_scale_is_taken_with_a_warning_and_checked_by_the_ball(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "b.png"), quantise(BACKGROUND))
+    for ball_mm, contradicts in ((4.0, False), (1.0, True)):
+        (tmp_path / "captures.toml").write_text(
+            'schema_version = 2\nsensor = "gelsight"\nbackground = "b.png"\n'
+            "mm_per_px_x = 0.05\nmm_per_px_y = 0.051\n"
+            f'[indenter]\nradius_mm = {ball_mm}\n[[presses]]\nimage = "b.png"\n'
+            "contact = {u_px = 100.0, v_px = 100.0, radius_px = 40.0}\n"
+        )
+        result = calibrate_scale(load_capture_folder(tmp_path))
+        assert result.scale == (0.05, 0.051)
+        codes = [remark.code for remark in result.remarks]
+        assert "scale_stated" in codes and ("ball_too_small" in codes) is contradicts
