@@ -22,6 +22,8 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 
 _MEASURED = ("calibrated", "measured")
+_CAMERA_AGREES = 0.05
+"""A camera whose scale at the origin is off its own pixel grid by more has another pose."""
 _AGREE = 0.02
 """Scales that differ by less than this part agree."""
 
@@ -47,8 +49,8 @@ def choose_view(
     """
     stated = _stated(folder, layout, size_px)
     chosen: GelView | None = None
-    if profile.optics is not None and profile.optics.provenance.kind in _MEASURED:
-        chosen = camera_view(profile, size_px)
+    if _has_pose(profile):
+        chosen = _through_camera(profile, size_px)
     elif profile.camera.provenance.kind in _MEASURED:
         chosen = grid_view(profile, size_px)
     elif stated:
@@ -64,6 +66,28 @@ def choose_view(
         "with a calibrated scale as --base",
     )
     return ChosenView(assumed, (remark,))
+
+
+def _has_pose(profile: SensorProfile) -> bool:
+    """Whether the profile's camera was calibrated with its pose: a lens alone gives no scale."""
+    optics = profile.optics
+    if optics is None or optics.provenance.kind not in _MEASURED:
+        return False
+    return "position_z_mm" in optics.provenance.spread
+
+
+def _through_camera(profile: SensorProfile, size_px: tuple[int, int]) -> GelView:
+    """The calibrated camera, with sight lines straight or bent, as its pose was fitted: what agrees
+    with the calibrated pixel grid. The grid itself where neither does."""
+    views = [camera_view(profile, size_px, refraction=bent) for bent in (True, False)]
+    if profile.camera.provenance.kind not in _MEASURED:
+        return views[0]
+    grid = grid_view(profile, size_px)
+    origin = np.array([grid.grid.center_u_px, grid.grid.center_v_px])
+    scale = np.diag(pixel_jacobian(grid, origin))
+    off = [np.abs(np.diag(pixel_jacobian(view, origin)) / scale - 1).max() for view in views]
+    best = int(np.argmin(off))
+    return views[best] if off[best] < _CAMERA_AGREES else grid
 
 
 def _stated(folder: CaptureFolder, layout: LayoutFit, size_px: tuple[int, int]) -> list[GridView]:

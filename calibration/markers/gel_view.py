@@ -18,11 +18,11 @@ from scipy.interpolate import LinearNDInterpolator
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.optics.camera_model import CameraModel, resized
-from taccel_lab.optics.media import glued_back_mm, media_between
+from taccel_lab.optics.description import Light, OpticalDesign
+from taccel_lab.optics.media import glued_back_mm, media_between, without_refraction
 from taccel_lab.optics.refraction import Media
-from taccel_lab.profile import SensorProfile
+from taccel_lab.profile import OpticsBlock, SensorProfile
 
-_REMEDY = "; state mm_per_px_x and mm_per_px_y, or the dots' pitch_x_mm, in captures.toml"
 _FLAT_MM = 0.01
 _STEPS = 40
 _EXACT_MM = 1e-7
@@ -102,42 +102,57 @@ def pixel_jacobian(view: GelView, uv_px: np.ndarray) -> np.ndarray:
     return np.stack(steps, axis=-1)
 
 
-def camera_view(profile: SensorProfile, size_px: tuple[int, int]) -> CameraView:
+def camera_view(
+    profile: SensorProfile, size_px: tuple[int, int], *, refraction: bool = True
+) -> CameraView:
     """View through the camera of a profile, for pictures of ``size_px`` (width, height).
+
+    Without ``refraction`` sight lines are straight, as for a pose that was fitted that way.
 
     Raises:
         InputError: The profile has no optics, or its picture has another shape.
     """
-    design, optics = profile.optical_design(), profile.optics
-    if design is None or optics is None:
-        raise InputError("the profile has no camera to look through (blocks optics, lights, "
-                         "coating)")  # fmt: skip
-    camera = design.camera
-    if abs(camera.width_px * size_px[1] - camera.height_px * size_px[0]) > max(size_px):
-        raise InputError(
-            f"the camera's picture is {camera.width_px}x{camera.height_px} px, that of the markers "
-            f"{size_px[0]}x{size_px[1]}: another shape, so that it gives no millimetres{_REMEDY}"
-        )
-    if (camera.width_px, camera.height_px) != size_px:
-        camera = resized(camera, *size_px)
-    back = glued_back_mm(profile.mesh)
+    optics = profile.optics
+    if optics is None:
+        raise InputError("the profile has no camera to look through (block optics)")
+    camera = optics.camera()
+    _require_shape("camera", (camera.width_px, camera.height_px), size_px)
+    media = _media(profile, optics)
     return CameraView(
-        CameraModel(camera),
-        media_between(design, back),
+        CameraModel(resized(camera, *size_px)),
+        media if refraction else without_refraction(media),
         contact_height(profile),
-        f"the {optics.provenance.kind} camera of the profile, with refraction",
-        _relative_sigma(optics.provenance.spread, ("fx_px", "fy_px"), (camera.fx_px,)),
+        f"the {optics.provenance.kind} camera of the profile, "
+        + ("through window and gel" if refraction else "sight lines straight"),
+        _relative_sigma(profile, ("mm_per_px_x", "mm_per_px_y")),
     )
+
+
+def _media(profile: SensorProfile, optics: OpticsBlock) -> Media:
+    """What lies between camera and gel; lights and coating have no part in it."""
+    light = Light((0.0, 0.0, -1.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
+    design = OpticalDesign(
+        camera=optics.camera(),
+        lights=(light,),
+        window=None if profile.window is None else profile.window.window(),
+        gel_refractive_index=optics.gel_refractive_index,
+    )
+    return media_between(design, glued_back_mm(profile.mesh))
+
+
+def _require_shape(what: str, theirs: tuple[int, int], size_px: tuple[int, int]) -> None:
+    if abs(theirs[0] * size_px[1] - theirs[1] * size_px[0]) > max(size_px):
+        raise InputError(
+            f"the profile's {what} has {theirs[0]}x{theirs[1]} px, the picture of the markers "
+            f"{size_px[0]}x{size_px[1]}: another shape, so that it gives no millimetres; state "
+            "mm_per_px_x and mm_per_px_y, or the dots' pitch_x_mm, in captures.toml"
+        )
 
 
 def grid_view(profile: SensorProfile, size_px: tuple[int, int]) -> GridView:
     """View by the pixel grid of a profile, for pictures of ``size_px``; as ``camera_view``."""
     block = profile.camera
-    if abs(block.width_px * size_px[1] - block.height_px * size_px[0]) > max(size_px):
-        raise InputError(
-            f"the profile's picture is {block.width_px}x{block.height_px} px, that of the markers "
-            f"{size_px[0]}x{size_px[1]}: another shape, so that it gives no millimetres{_REMEDY}"
-        )
+    _require_shape("pixel grid", (block.width_px, block.height_px), size_px)
     sx, sy = block.width_px / size_px[0], block.height_px / size_px[1]
     grid = PixelGrid(
         *size_px,
@@ -146,9 +161,7 @@ def grid_view(profile: SensorProfile, size_px: tuple[int, int]) -> GridView:
         (block.center_u_px + 0.5) / sx - 0.5,
         (block.center_v_px + 0.5) / sy - 0.5,
     )
-    sigma = _relative_sigma(
-        block.provenance.spread, ("mm_per_px_x", "mm_per_px_y"), (block.mm_per_px_x,)
-    )
+    sigma = _relative_sigma(profile, ("mm_per_px_x", "mm_per_px_y"))
     return GridView(grid, f"the {block.provenance.kind} scale of the profile", sigma)
 
 
@@ -164,8 +177,10 @@ def contact_height(profile: SensorProfile) -> Callable[[np.ndarray], np.ndarray]
     return LinearNDInterpolator(points[:, :2], points[:, 2])
 
 
-def _relative_sigma(
-    spread: dict[str, float], names: tuple[str, ...], values: tuple[float, ...]
-) -> float:
-    found = [spread[name] for name in names if name in spread]
-    return max(found) / values[0] if found else 0.0
+def _relative_sigma(profile: SensorProfile, names: tuple[str, ...]) -> float:
+    """Relative standard deviation of the profile's scale; 0 when it states none."""
+    spread = profile.camera.provenance.spread
+    return max(
+        (spread[name] / getattr(profile.camera, name) for name in names if name in spread),
+        default=0.0,
+    )

@@ -36,11 +36,17 @@ def picture(
     blur_px: float = 0.8,
     seed: int = 0,
     levels: bool = True,
-    **draw: float | np.ndarray,
+    background: float | np.ndarray = 160.0,
+    dot: float | np.ndarray = 25.0,
 ) -> np.ndarray:
     """A grey picture of 320 x 240 px; ``levels`` rounds it to whole ones."""
     wide = draw_dots(
-        WIDTH + 2 * MARGIN, HEIGHT + 2 * MARGIN, np.asarray(centres) + MARGIN, radius, **draw
+        WIDTH + 2 * MARGIN,
+        HEIGHT + 2 * MARGIN,
+        np.asarray(centres) + MARGIN,
+        radius,
+        background=background,
+        dot=dot,
     )
     if blur_px > 0:
         wide = blur(wide, blur_px)

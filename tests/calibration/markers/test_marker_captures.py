@@ -6,10 +6,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
+from calibration.capture.images import read_image
 from calibration.markers import find_markers, track_figures, track_markers
 from taccel_lab.errors import InputError
 
@@ -21,7 +21,7 @@ def real(name: str) -> np.ndarray:
     path = DATA / name
     if not path.is_file():
         pytest.skip(f"{path} is not there; TACCEL_LAB_DATA names the folder of real captures")
-    return cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+    return read_image(path)
 
 
 @pytest.mark.parametrize(

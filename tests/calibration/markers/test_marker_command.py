@@ -105,7 +105,9 @@ def test_tracks_are_written_as_tables_and_arrays(tmp_path: Path, base: Path, suf
         assert str(arrays["video0_name"]) == "captures/001.png"
 
 
-def test_a_stated_pitch_gives_the_scale_and_missing_dots_are_kept(tmp_path: Path, base: Path) -> None:
+def test_a_stated_pitch_gives_the_scale_and_missing_dots_are_kept(
+    tmp_path: Path, base: Path
+) -> None:
     manifest = '[markers]\nrest = "000.png"\npitch_x_mm = 1.8\n'
     left = np.delete(moving()[0], [2 * 9 + 3, 4 * 9 + 7], axis=0)
     folder = write_captures(tmp_path / "captures", manifest, [left])

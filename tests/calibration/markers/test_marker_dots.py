@@ -55,10 +55,12 @@ def test_perfect_dots_are_found_to_a_hundredth_of_a_pixel(radius: float, blur_px
 @pytest.mark.parametrize(("noise", "dark"), [(1.0, True), (4.0, True), (3.0, False)])
 def test_noisy_dots_lie_within_their_own_sigma(noise: float, dark: bool) -> None:
     true = jittered()
-    levels = {"background": 160.0, "dot": 25.0} if dark else {"background": 90.0, "dot": 220.0}
+    around, paint = (160.0, 25.0) if dark else (90.0, 220.0)
     standardised = []
     for seed in range(3):
-        dots = find_markers(picture(true, 5.0, noise=noise, seed=seed, **levels)).dots
+        dots = find_markers(
+            picture(true, 5.0, noise=noise, seed=seed, background=around, dot=paint)
+        ).dots
         index, error = nearest(dots.uv_px, true)
         assert sorted(index) == list(range(len(true)))
         assert dots.scale.sign == (-1 if dark else 1)

@@ -3,13 +3,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from calibration.markers import CameraView, GridView, MarkerTracks, find_markers, marker_flow_mm
+from calibration.capture import CaptureFolder
+from calibration.markers import (
+    CameraView,
+    GridView,
+    MarkerTracks,
+    camera_view,
+    choose_view,
+    find_markers,
+    fit_layout,
+    lattice_index,
+    marker_flow_mm,
+)
 from calibration.markers.calibrate import layout_on_gel
 from calibration.markers.flow import MarkerFlow
 from calibration.markers.gel_view import pixel_jacobian
+from sensors.profile import catalogue_profile
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
@@ -17,6 +31,8 @@ from taccel_lab.optics import Camera, Coating, Light, MarkerGrid, OpticalDesign,
 from taccel_lab.optics.camera_model import CameraModel, look_at
 from taccel_lab.optics.media import media_between
 from taccel_lab.optics.render import OpticalModel
+from taccel_lab.profile import Provenance
+from tests.calibration.markers.drawn import grid_points
 
 GRID_VIEW = GridView(PixelGrid(320, 240, 0.06, 0.05), "a test")
 
@@ -138,3 +154,51 @@ def test_markers_are_attached_where_they_lie_on_the_mesh() -> None:
     np.testing.assert_allclose(placed, points[[0, 3]], atol=1e-12)
     with pytest.raises(InputError, match="none of the 1 markers lies on"):
         flow.select(np.array([1])).attach(mesh)
+
+
+def calibrated(kind: str, spread: dict[str, float]) -> Provenance:
+    evidence = {"x": (0.0, 1.0)}
+    return Provenance(
+        kind=kind,  # type: ignore[arg-type]
+        method="a test",
+        source="none",
+        inputs={"a": "0" * 64},
+        residuals={"r": 0.0},
+        valid_region=evidence,
+        spread=spread,
+    )
+
+
+@pytest.mark.parametrize("bent", [True, False])
+def test_a_calibrated_pose_is_looked_through_as_it_was_fitted(bent: bool) -> None:
+    """Whether its sight lines are bent shows in the pixel grid that was calibrated with it."""
+    profile = catalogue_profile("gelsight_mini")
+    assert profile.optics is not None
+    grid = profile.camera
+    size = (grid.width_px, grid.height_px)
+    view = camera_view(profile, size, refraction=bent)
+    middle = np.array([(size[0] - 1) / 2, (size[1] - 1) / 2])
+    scale = np.diag(pixel_jacobian(view, middle))
+    other = np.diag(pixel_jacobian(camera_view(profile, size, refraction=not bent), middle))
+    assert np.abs(scale / other - 1).min() > 0.1
+    posed = profile.optics.replace(
+        provenance=calibrated("calibrated", {"position_z_mm": 0.1, "fx_px": 1.0})
+    )
+    scaled = grid.replace(
+        mm_per_px_x=float(scale[0]),
+        mm_per_px_y=float(scale[1]),
+        provenance=calibrated("calibrated", {"mm_per_px_x": 1e-4}),
+    )
+    lattice = lattice_index(grid_points())
+    layout = fit_layout(grid_points(), lattice)
+    folder = CaptureFolder("a test", Path(), "gelsight_mini", None, None, (), None, None, None, ())
+    chosen = choose_view(folder, profile.with_block(posed).with_block(scaled), layout, size).view
+    assert isinstance(chosen, CameraView)
+    np.testing.assert_allclose(np.diag(pixel_jacobian(chosen, middle)), scale, rtol=1e-9)
+    # A lens without a pose says nothing of millimetres; the calibrated grid does.
+    lens = profile.optics.replace(provenance=calibrated("calibrated", {"fx_px": 1.0}))
+    chosen = choose_view(folder, profile.with_block(lens).with_block(scaled), layout, size).view
+    assert isinstance(chosen, GridView)
+    # And where nothing was measured, that is said.
+    assumed = choose_view(folder, profile, layout, size)
+    assert [remark.code for remark in assumed.remarks] == ["scale_assumed"]

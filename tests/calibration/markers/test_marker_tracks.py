@@ -54,7 +54,7 @@ def errors(tracks: MarkerTracks, true: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """Distance of each marker from its own dot, and whether the dot is well inside, [f, m]."""
     own = np.argmin(np.linalg.norm(true[0][None] - tracks.rest_px[:, None], axis=2), axis=1)
     x = true[:, own]
-    inside = ((x > 8) & (x < (WIDTH - 9, HEIGHT - 9))).all(axis=2)
+    inside = np.asarray(((x > 8) & (x < (WIDTH - 9, HEIGHT - 9))).all(axis=2))
     return np.linalg.norm(tracks.uv_px - x, axis=2), inside
 
 
