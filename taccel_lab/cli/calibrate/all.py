@@ -75,6 +75,7 @@ class CalibrateAll:
     """Print the outcome of each stage as JSON."""
 
     def run(self) -> None:
+        import warp as wp
         from rich.console import Console
 
         from calibration.capture import load_capture_folder
@@ -85,6 +86,7 @@ class CalibrateAll:
         from taccel_lab.output import atomic_directory
         from taccel_lab.profile import load_profile, save_profile
 
+        wp.config.log_level = wp.LOG_ERROR
         console = Console(stderr=True)
         stages = [s for s in all_stages() if not self.only or s.name in self.only]
         known = [s.name for s in all_stages()]
@@ -180,12 +182,15 @@ def stage_states(check: CaptureCheck) -> dict[str, tuple[str, str]]:
 def _run_stage(
     stage: Stage, captures: Path, current: Path, work: Path, console: Console
 ) -> StageOutcome:
+    from taccel_lab.cli.calibrate.base import stage_of_all
+
     console.rule(stage.name, align="left")
     started = time.perf_counter()
     report = work / f"{stage.name}_report"
     try:
         out = work / stage.name
-        stage.command(captures=captures, out=out, base=current, report=report).run()
+        with stage_of_all():
+            stage.command(captures=captures, out=out, base=current, report=report).run()
     except InputError as error:
         console.print(f"refused: {error}", highlight=False)
         return StageOutcome(stage.name, "refused", str(error), time.perf_counter() - started)

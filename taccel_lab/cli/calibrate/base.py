@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,6 +48,19 @@ def require_outputs(out: Path, report: Path) -> None:
     require_replaceable(report)
 
 
+_within_all: ContextVar[bool] = ContextVar("within_all", default=False)
+
+
+@contextmanager
+def stage_of_all() -> Iterator[None]:
+    """Commands that run inside do not name the folders they write: these are scratch."""
+    token = _within_all.set(True)
+    try:
+        yield
+    finally:
+        _within_all.reset(token)
+
+
 def write_results(
     result: CalibrationResult,
     page: Page,
@@ -63,4 +79,5 @@ def write_results(
     for remark in result.remarks:
         console.print(str(remark), highlight=False)
     console.print(f"verdict: {judge(result.remarks)}", highlight=False)
-    console.print(f"wrote {out} and {report / 'report.html'}", highlight=False)
+    if not _within_all.get():
+        console.print(f"wrote {out} and {report / 'report.html'}", highlight=False)
