@@ -33,6 +33,7 @@ from calibration.material.setup import QUICK, STANDARD, Effort, Gel
 from calibration.material.sliding import SlideFit, fit_slide
 from calibration.material.tangential import TangentialFit, fit_tangential
 from calibration.material.video_flow import flows_of_folder, videos_with_path
+from calibration.material.viscous_gain import viscous_gain
 from calibration.result import NORMAL_95, Estimate, Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -357,7 +358,10 @@ class _Job:
             fixed_nu=self.nu, fixed_ratio=self.ratio, friction=self.options.press_friction,
             effort=self.options.effort, progress=self._told(f"presses of {tool.description}"),
         )  # fmt: skip
-        fit = fit_damping(record, tool, table, self.nu, self.ratio)
+        gain = viscous_gain(
+            self.gel, tool, _rounded(deepest), self.nu, self.ratio, self.options.friction_effort
+        )
+        fit = fit_damping(record, tool, table, self.nu, self.ratio, gain)
         self.damping.append(fit)
         self.remarks += fit.remarks
         if self.young is not None:
@@ -435,3 +439,8 @@ class _Job:
             remarks=tuple(self.remarks),
             seconds=seconds,
         )
+
+
+def _rounded(depth_mm: float) -> float:
+    """A depth to two digits, so that similar records share presses."""
+    return float(f"{depth_mm:.2g}")

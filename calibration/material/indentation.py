@@ -71,7 +71,9 @@ class IndentationFit:
         )
 
     def touch_mm(self, index: int) -> float:
-        """How much later the tool touched than the record says [mm]."""
+        """How much later the tool touched than the record says [mm]; 0 where that is trusted."""
+        if f"touch_{index}" not in self.solution.names:
+            return 0.0
         return self.solution.value(f"touch_{index}")
 
     def predicted_n(self, index: int, depth_mm: np.ndarray) -> np.ndarray:

@@ -2,10 +2,10 @@
 """The damping time of the gel from forces over time, and relaxation that the solver cannot show.
 
 The solver damps like Kelvin and Voigt: viscous stress is ``damping_time_s`` times the rate of the
-elastic one, so a press at a rate v needs F = E (f(d) + tau f'(d) v), with f of the tables, and the
-extra force is gone at once when the tool stops. A gel whose force keeps falling while the tool
-holds still relaxes (Maxwell, Zener); that no damping time reproduces, and it is reported with its
-amplitude and time instead.
+elastic one, so a press at a rate v needs F = E (f(d) + tau g(d) f'(d) v), with f of the tables and
+g, 1 at small strains, of ``viscous_gain``; the extra force is gone at once when the tool stops. A
+gel whose force keeps falling while the tool holds still relaxes (Maxwell, Zener); that no damping
+time reproduces, and it is reported with its amplitude and time instead.
 """
 
 from __future__ import annotations
@@ -82,9 +82,17 @@ def check_relaxation(record: ForceRecord) -> None:
 
 
 def fit_damping(
-    record: ForceRecord, tool: Tool, table: ForceTable, poisson_ratio: float, mooney_ratio: float
+    record: ForceRecord,
+    tool: Tool,
+    table: ForceTable,
+    poisson_ratio: float,
+    mooney_ratio: float,
+    gain: tuple[float, float] = (1.0, 0.0),
 ) -> DampingFit:
-    """Damping time and relaxation of a record, columns time_s, depth_mm and force_n."""
+    """Damping time and relaxation of a record, columns time_s, depth_mm and force_n.
+
+    ``gain``: of the solver's damping, at depth 0 and its slope over the depth [1/mm].
+    """
     check_relaxation(record)
     time, depth, force = (record.columns[key] for key in ("time_s", "depth_mm", "force_n"))
     name = record.source.replace("\\", "/").rsplit("/", 1)[-1]
@@ -99,7 +107,8 @@ def fit_damping(
     relaxation = None
     if hold is not None:
         relaxation = _relaxation(time[hold], force[hold])
-    columns = np.stack([elastic, slope * rate], axis=1)
+    viscous = slope * rate * (gain[0] + gain[1] * depth)
+    columns = np.stack([elastic, viscous], axis=1)
     use = inside.copy()
     if hold is not None and relaxation is not None:
         # The elastic part is what is left in the end.
@@ -107,12 +116,12 @@ def fit_damping(
     sigma = record_sigma(record, len(time))
     weight = np.ones(len(time)) if sigma is None else 1 / sigma
     fit, covariance = _regression(columns[use] * weight[use, None], force[use] * weight[use])
-    modulus, viscous = float(fit[0]), float(fit[1])
+    modulus, resistance = float(fit[0]), float(fit[1])
     if modulus <= 0:
         raise InputError(
             f"{record.source}: the force does not grow with depth (modulus {modulus:.3g} Pa)"
         )
-    tau = viscous / modulus
+    tau = resistance / modulus
     # Error of a ratio, to first order.
     gradient = np.array([-tau, 1.0]) / modulus
     error = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))

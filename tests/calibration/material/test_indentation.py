@@ -136,6 +136,16 @@ def test_few_points_do_not_tell_poisson_ratio(
     assert profile.open_low and profile.open_high
 
 
+def test_a_trusted_touch_is_not_fitted(tool: Tool, table: ForceTable) -> None:
+    force = table.force_n(DEPTH, MODULUS, POISSON)
+    fit = fit_indentation(
+        [points(tool, DEPTH, force)], [table], start_pa=4e5, poisson_ratio=POISSON,
+        free_nu=False, touch_sigma_mm=0.0,
+    )  # fmt: skip
+    assert fit.touch_mm(0) == 0.0
+    assert np.abs(fit.relative_residuals(0)).max() < 1e-6
+
+
 def test_stated_noise_that_is_too_small_is_noticed(
     tool: Tool, table: ForceTable, truth: np.ndarray
 ) -> None:

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much the solver's damping resists a press, over what small strains would say.
+
+At small strains a speed v adds tau f'(d) v to the elastic force f(d). The solver's viscous stress
+goes with the rate of Green's strain, which under compression changes less than the stress: at a
+fifth of the gel's thickness about 0.7 of that force is left. A slow dynamic press of a damped gel
+beside a static one measures the part, as a straight line over the depth.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration.material.setup import DHAT_M, QUICK, Effort, Gel, Tool
+from calibration.material.store import kept
+from taccel_lab.envs import profile_material
+from taccel_lab.envs.touch import first_touch_m
+from taccel_lab.errors import SimulationError
+from taccel_lab.geometry import Region
+from taccel_lab.scene import Element, KinematicBody, Scene, SoftBody, TimeStepping
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.state import initial_state
+
+STEPS = 30
+STEP_S = 0.01
+DAMPING_S = 0.03
+"""A tenth of the time of the press: the gel's shape stays the static one."""
+LIGHT_KG_M3 = 1.0
+"""Density of the gel, so that inertia adds nothing."""
+EARLIEST = 0.2
+"""Part of the depth from which forces count; before, single nodes make contact."""
+
+
+def viscous_gain(
+    gel: Gel,
+    tool: Tool,
+    deepest_mm: float,
+    poisson_ratio: float,
+    mooney_ratio: float = 0.0,
+    effort: Effort = QUICK,
+) -> tuple[float, float]:
+    """Part of tau f'(d) v that the solver's damping adds: its value at 0 and slope over d [1/mm].
+
+    Raises:
+        SimulationError: A step that did not converge.
+    """
+
+    def simulate() -> dict[str, np.ndarray]:
+        still = damped_forces(gel, tool, deepest_mm, poisson_ratio, mooney_ratio, 0.0, effort)
+        moving = damped_forces(
+            gel, tool, deepest_mm, poisson_ratio, mooney_ratio, DAMPING_S, effort
+        )
+        return {"still_n": still, "moving_n": moving}
+
+    recipe = {
+        "what": "viscous gain",
+        "gel": gel.recipe(),
+        "tool": tool.description,
+        "at_mm": list(tool.at_mm),
+        "deepest_mm": deepest_mm,
+        "nu": poisson_ratio,
+        "ratio": mooney_ratio,
+        "effort": effort.name,
+        "steps": STEPS,
+    }
+    found = kept(recipe, simulate)
+    depth = deepest_mm * np.arange(1, STEPS + 1) / STEPS
+    # The static curve is smooth; what single nodes do to its slope is not wanted.
+    late = depth > EARLIEST * deepest_mm
+    curve = np.polyfit(np.log(depth[late]), np.log(found["still_n"][late]), 2)
+    smooth = np.exp(np.polyval(curve, np.log(depth)))
+    slope = smooth * np.polyval(np.polyder(curve), np.log(depth)) / depth
+    unit = DAMPING_S * slope * deepest_mm / (STEPS * STEP_S)
+    columns = np.stack([unit, unit * depth], axis=1)[late]
+    extra = (found["moving_n"] - found["still_n"])[late]
+    gain = np.linalg.lstsq(columns, extra, rcond=None)[0]
+    return float(gain[0]), float(gain[1])
+
+
+def damped_forces(
+    gel: Gel,
+    tool: Tool,
+    deepest_mm: float,
+    poisson_ratio: float,
+    mooney_ratio: float,
+    damping_s: float,
+    effort: Effort,
+) -> np.ndarray:
+    """Normal force of a gel of 1 MPa in each step of a steady press [N]."""
+    mesh = gel.mesh(tool, deepest_mm, effort)
+    block = gel.unit_material(poisson_ratio, mooney_ratio)
+    block = block.replace(damping_time_s=damping_s, density_kg_m3=LIGHT_KG_M3)
+    soft = SoftBody(mesh, profile_material(block, mesh), element=Element.QUADRATIC)
+    body = KinematicBody(tool.indenter().shape, 0.0, name="tool")
+    time = TimeStepping(quasi_static=damping_s == 0, dt_s=STEP_S)
+    model = Scene(soft, (body,), 1, time).finalize("cpu")
+    solver = SolverIPC(model, SolverConfig(dhat_m=DHAT_M))
+    nodal = soft.nodal_mesh
+    at = np.array(tool.at_mm) * 1e-3
+    faces = nodal.region_faces(Region.CONTACT)
+    touch = first_touch_m(tool.indenter().shape, nodal.nodes_m, faces, at)
+    start = touch + 3 * DHAT_M
+    pose = np.array([[[*at, start, 0.0, 0.0, 0.0, 1.0]]])
+    state = initial_state(model, pose)
+    forces = []
+    for step in range(1, STEPS + 1):
+        pose[0, 0, 2] = touch - deepest_mm * 1e-3 * step / STEPS
+        report = solver.step(state, pose)
+        if not report.converged[0]:
+            raise SimulationError(
+                f"the damped press of {tool.description} did not converge at "
+                f"{deepest_mm * step / STEPS:.3g} mm"
+            )
+        gradient = solver.contact_gradient.numpy()[0, : model.soft_count, 2]
+        forces.append(float(gradient.sum()))
+    return np.array(forces)
