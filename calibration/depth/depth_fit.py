@@ -29,6 +29,8 @@ KNOT_LEVELS = 4.0
 TABLE_LEVELS = 1.0
 """Distance of the stored table's entries [levels]."""
 MIN_PIXELS = 200
+MIN_NEAR = 6
+"""Pixels that a knot needs within a step."""
 SECTOR_COUNT = 8
 START_SHARE = 0.4
 """Share of the range of drops that the line to zero drop is fitted over."""
@@ -104,14 +106,9 @@ def fit_response(parts: Sequence[ContactPixels], channel: Channel = "grey") -> D
     fitted = isotonic_regression(depth, weights=weight).x
     count = max(3, round((high - low) / KNOT_LEVELS) + 1)
     knots = np.linspace(low, high, count)
-    half = 0.5 * (knots[1] - knots[0])
-    means = []
-    for knot in knots:
-        near = np.abs(drop - knot) <= half
-        value = np.average(fitted[near], weights=weight[near]) if near.any() else np.nan
-        # A knot at an end has pixels on one side only: its mean is that half a cell inside.
-        means.append(value)
-    values = _ends(knots, np.array(means), drop, fitted)
+    values = np.array([_at_knot(knot, knots[1] - knots[0], drop, fitted, weight) for knot in knots])
+    known = np.isfinite(values)
+    values = np.interp(knots, knots[known], values[known])
     values = np.maximum.accumulate(np.maximum(values, 0.0))
     table = np.arange(low, high, TABLE_LEVELS)
     table = np.append(table, high) if high - table[-1] > 0.25 * TABLE_LEVELS else table
@@ -119,17 +116,16 @@ def fit_response(parts: Sequence[ContactPixels], channel: Channel = "grey") -> D
     return DepthResponse(channel, np.append(0.0, table), np.append(0.0, curve))
 
 
-def _ends(knots: np.ndarray, means: np.ndarray, drop: np.ndarray, fitted: np.ndarray) -> np.ndarray:
-    """Fill knots without pixels, and take the end ones from a line through their cell."""
-    known = np.isfinite(means)
-    values = np.interp(knots, knots[known], means[known])
-    step = knots[1] - knots[0]
-    for index in (0, -1):
-        near = np.abs(drop - knots[index]) <= step
-        if near.sum() > 2 and np.ptp(drop[near]) > 0.2 * step:
-            slope, level = np.polyfit(drop[near] - knots[index], fitted[near], 1)
-            values[index] = level if slope >= 0 else values[index]
-    return values
+def _at_knot(
+    knot: float, step: float, drop: np.ndarray, fitted: np.ndarray, weight: np.ndarray
+) -> float:
+    """Value of a parabola through the fit within one step of a knot; NaN where next to none is."""
+    near = np.abs(drop - knot) <= step
+    if near.sum() < MIN_NEAR:
+        return float("nan")
+    degree = 2 if np.ptp(drop[near]) > step else 1 if np.ptp(drop[near]) > 0.2 * step else 0
+    local = np.polyfit(drop[near] - knot, fitted[near], degree, w=np.sqrt(weight[near]))
+    return float(local[-1])
 
 
 def depth_at_no_drop(part: ContactPixels) -> float:

@@ -251,7 +251,7 @@ class _Training:
             optimizer.step()
             schedule.step()
             if step % CHECK_EVERY == 0 or step == options.steps:
-                train_deg = float(np.degrees(chord.detach().mean()))
+                train_deg = float(np.degrees(chord.detach().mean().item()))
                 self.curve.append((step, train_deg, self._keep_best(step)))
                 if progress is not None:
                     progress(step, options.steps, train_deg)

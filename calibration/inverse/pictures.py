@@ -69,7 +69,7 @@ def _draw_profile(ax: Axes, item: HeldoutNormals, scene: Scene) -> None:
     wanted = ball_depth_mm(circle, scene)[v]
     rim = np.abs(ratio - 1) < 0.06
     offset = found[rim].mean() - wanted[rim].mean() if rim.any() else 0.0
-    near = ratio < 2.5
+    near = ratio < 2.2
     inside = ratio <= 1
     ax.plot(across[near], found[near], color=BLUE, label="integrated")
     ax.plot(across[inside], wanted[inside] + offset, color=ORANGE, ls="--", label="ball")
@@ -77,7 +77,7 @@ def _draw_profile(ax: Axes, item: HeldoutNormals, scene: Scene) -> None:
     ax.invert_yaxis()
     ax.set_xlabel("x [mm]")
     ax.set_ylabel("depth [mm]")
-    ax.legend(fontsize=8, loc="lower right")
+    ax.legend(fontsize=7, loc="lower left", handlelength=1.2)
 
 
 def _extent(crop: tuple[slice, slice], grid: PixelGrid) -> tuple[float, float, float, float]:

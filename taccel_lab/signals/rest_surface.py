@@ -61,8 +61,15 @@ def rest_surface(mesh: TetMesh, grid: PixelGrid) -> RestSurface:
 
     from scipy.interpolate import CloughTocher2DInterpolator
     from scipy.ndimage import distance_transform_edt
+    from scipy.spatial import QhullError
 
-    interpolate = CloughTocher2DInterpolator(nodes[:, :2], nodes[:, 2])
+    try:
+        interpolate = CloughTocher2DInterpolator(nodes[:, :2], nodes[:, 2])
+    except QhullError:
+        raise InputError(
+            f"the {len(nodes)} nodes of the profile's contact face do not span an area seen from "
+            "the camera"
+        ) from None
     step = 0.5 * min(grid.mm_per_px_x, grid.mm_per_px_y)
     height = interpolate(u, v)
     slope = np.stack(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -98,3 +99,12 @@ def tiny_profile(grid: PixelGrid) -> SensorProfile:
         camera=CameraBlock.from_grid(grid, provenance),
         mesh=TetMesh(nodes, tets, faces, np.arange(4)),
     )  # fmt: skip
+
+
+def flat_profile(grid: PixelGrid) -> SensorProfile:
+    """A profile of one tet whose contact face is flat, without background and colour."""
+    nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, -1]]) * 1e-3
+    tets = np.array([[0, 2, 1, 3]])
+    faces = boundary_faces(tets)
+    up = (nodes[faces][..., 2] == 0).all(axis=1)
+    return replace(tiny_profile(grid), mesh=TetMesh(nodes, tets, faces, np.where(up, 1, 2)))

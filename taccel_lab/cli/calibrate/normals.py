@@ -44,8 +44,8 @@ class CalibrateNormals:
     from both. A press without a given circle takes the one found. The report gives figures in
     the given circles as well."""
     skirt: Literal["hertz", "simulated", "none"] = "hertz"
-    """Normals of the gel that sinks around a contact: a closed form, the simulation of every press
-    (minutes), or none, which leaves those pixels out of the training."""
+    """Normals of the gel that sinks around a contact: a closed form; the simulation of every press
+    (minutes), which absolute depths need most; or none, which leaves those pixels out."""
     drift: Literal["auto", "on", "off"] = "auto"
     """Bring the light of each frame to the background's first; auto does it where that takes away
     at least a quarter of the difference between untouched gel and background."""
@@ -125,13 +125,9 @@ class CalibrateNormals:
 
             with count_progress(console, "simulating the presses") as progress:
                 return simulate_presses(captures, circles, base, cache=True, progress=progress)
-        from calibration.surfaces import analytic_surface
+        from calibration.inverse.skirt import hertz_skirts
 
-        thickness_mm = base.gel.thickness_mm
-        return [
-            analytic_surface(circle, captures.grid, captures.ball_radius_mm, decay_mm=thickness_mm)
-            for circle in circles
-        ]
+        return hertz_skirts(captures, circles)
 
 
 def _contact_circles(

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth of grey sensors: synthetic round trips with faults, and the authors' own 9DTact presses."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.capture import CaptureSet, ContactCircle, Press
+from calibration.capture.images import file_sha256, read_image
+from calibration.depth.depth_calibration import DepthCalibration, calibrate_depth
+from calibration.depth.grey_contact import find_grey_contact
+from calibration.depth.page import depth_page
+from calibration.inverse.read_surface import SurfaceReader
+from calibration.report import write_page
+from calibration.surfaces import analytic_surface
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.signals.depth_response import DepthResponse
+from tests.calibration.synthetic import flat_profile
+
+GRID = PixelGrid(200, 150, 0.1, 0.1)
+BALL_MM = 4.0
+DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
+NINE = DATA / "9dtact_official" / "shape_reconstruction" / "calibration"
+
+TRUE = DepthResponse("grey", np.linspace(0, 80, 81), 1.6 * (np.linspace(0, 1, 81) ** 1.2))
+
+
+def captures_of(
+    circles: list[ContactCircle], noise: float = 0.0, seed: int = 0, labelled: bool = True
+) -> CaptureSet:
+    """Ball presses on a grey sensor whose depth below the rim answers by ``TRUE``."""
+    rng = np.random.default_rng(seed)
+    background = np.full((GRID.height_px, GRID.width_px, 3), 160.0)
+    presses = []
+    for i, circle in enumerate(circles):
+        distance = circle.distance_px(GRID) * GRID.mm_per_px_x
+        rim = circle.radius_px * GRID.mm_per_px_x
+        depth = np.sqrt(np.maximum(BALL_MM**2 - distance**2, 0)) - np.sqrt(BALL_MM**2 - rim**2)
+        image = TRUE.render(np.maximum(depth, 0.0), background)
+        image = image + rng.normal(0, noise, image.shape[:2])[..., None]
+        presses.append(
+            Press(
+                f"p{i}", f"memory[{i}]", f"{i:064x}", circle if labelled else None,
+                partial(np.copy, image),
+            )
+        )  # fmt: skip
+    return CaptureSet(
+        "memory", "9dtact", background, "0" * 64,
+        np.ones((GRID.height_px, GRID.width_px), dtype=bool), BALL_MM, GRID, tuple(presses), {},
+    )  # fmt: skip
+
+
+CIRCLES = [
+    ContactCircle(70.3, 60.1, 26.0),
+    ContactCircle(125.7, 85.2, 29.0),
+    ContactCircle(95.0, 75.0, 31.5),
+]
+
+
+def test_perfect_presses_give_the_curve() -> None:
+    result = calibrate_depth(captures_of(CIRCLES), zero="rim")
+    inside = (result.response.drop_levels > 3) & (result.response.drop_levels < 60)
+    wanted = TRUE.depth_of(result.response.drop_levels[inside])
+    assert result.response.depth_mm[inside] == pytest.approx(wanted, abs=2e-3)
+    assert result.left_out == "press"
+    # The deepest press lies partly beyond the curve of the others, which ends there.
+    assert np.median(result.left_out_mm) < 2e-3
+    assert result.left_out_mm.mean() < 0.02
+    assert result.response.depth_mm[0] == 0.0
+
+
+def test_noisy_presses_lie_within_their_spread() -> None:
+    inside = slice(8, 55)
+    errors = []
+    for seed in range(3):
+        result = calibrate_depth(captures_of(CIRCLES, noise=1.0, seed=seed), zero="rim")
+        level = result.response.drop_levels
+        error = result.response.depth_mm - TRUE.depth_of(level)
+        # Noise in the abscissa draws a curve's ends towards the middle, by well under a level.
+        assert np.abs(error[inside]).max() < 0.03
+        spread = np.hypot(result.spread_mm, 0.003)
+        errors.append((error / spread)[inside])
+    assert np.mean(np.abs(np.concatenate(errors)) < 3.0) > 0.85
+
+
+def test_contacts_are_found_without_circles() -> None:
+    captures = captures_of(CIRCLES, noise=1.0, labelled=False)
+    for press, circle in zip(captures.presses, CIRCLES, strict=True):
+        drop = (captures.background - press.image())[..., 0]
+        found = find_grey_contact(drop, GRID, name=press.name)
+        off = np.hypot(found.circle.u_px - circle.u_px, found.circle.v_px - circle.v_px)
+        assert off < 0.5
+        # These contacts have no bright ring; smoothing alone moves the steepest place inwards, by
+        # about its own 2.5 px.
+        assert circle.radius_px - 3.5 < found.circle.radius_px < circle.radius_px + 1.0
+    result = calibrate_depth(captures)
+    assert result.left_out_mm.mean() < 0.08
+    assert not any(p.given for p in result.presses)
+
+
+def test_one_press_is_judged_by_its_eighths() -> None:
+    result = calibrate_depth(captures_of(CIRCLES[:1], noise=1.0), zero="rim")
+    assert result.left_out == "eighth of the contact"
+    assert result.left_out_mm.mean() < 0.05
+    assert any(remark.code == "few_presses" for remark in result.remarks)
+
+
+def test_sunk_rim_adds_to_every_depth() -> None:
+    captures = captures_of(CIRCLES)
+    surfaces = [analytic_surface(c, GRID, BALL_MM, decay_mm=1.0) for c in CIRCLES]
+    by_rim = calibrate_depth(captures, zero="rim")
+    by_face = calibrate_depth(captures, zero="hertz", surface_of=lambda _: surfaces)
+    sunk = np.mean([p.rim_depth_mm for p in by_face.presses])
+    assert sunk > 0.1
+    drop = np.array([20.0, 40.0])
+    more = by_face.response.depth_of(drop) - by_rim.response.depth_of(drop)
+    assert more == pytest.approx(sunk, rel=0.15)
+    with pytest.raises(InputError, match="needs the surfaces"):
+        calibrate_depth(captures, zero="simulated")
+
+
+def test_poisoned_masked_pixels_have_no_effect() -> None:
+    captures = captures_of(CIRCLES, noise=1.0, labelled=False)
+    mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
+    mask[50:56, 60:75] = False
+    mask[:, :6] = False
+    captures = replace(captures, mask=mask)
+
+    def poisoned(image: np.ndarray) -> np.ndarray:
+        image = image.copy()
+        image[~mask] = 0.0
+        return image
+
+    dirty = replace(
+        captures,
+        presses=tuple(
+            replace(p, read=partial(poisoned, p.image())) for p in captures.presses
+        ),
+    )  # fmt: skip
+    one, two = calibrate_depth(captures), calibrate_depth(dirty)
+    assert np.array_equal(one.response.depth_mm, two.response.depth_mm)
+    assert one.presses == two.presses
+
+
+def test_profile_and_report(tmp_path: Path) -> None:
+    captures = captures_of(CIRCLES, noise=1.0)
+    captures = replace(captures, background=captures.background.astype(np.uint8))
+    result = calibrate_depth(captures, zero="rim")
+    save_profile(result.apply_to(flat_profile(GRID)), tmp_path / "profile")
+    profile = load_profile(tmp_path / "profile")
+    assert profile.depth_response is not None
+    assert profile.depth_response.provenance.residuals["left_out_depth_mm"] > 0
+    found = SurfaceReader(profile).read(captures.presses[2].image())
+    rim = CIRCLES[2].radius_px * GRID.mm_per_px_x
+    deepest = BALL_MM - np.sqrt(BALL_MM**2 - rim**2)
+    assert -1e3 * found.rise_m.min() == pytest.approx(deepest, abs=0.06)
+    assert found.method == "depth" and found.sigma_deg is None
+    write_page(depth_page(result, captures), tmp_path / "report")
+    assert (tmp_path / "report" / "curve.png").stat().st_size > 5_000
+
+
+def test_unusable_images_are_refused() -> None:
+    empty = np.random.default_rng(0).normal(0, 1, (150, 200))
+    with pytest.raises(InputError, match="no contact found"):
+        find_grey_contact(empty, GRID, name="empty.png")
+    edge = np.zeros((150, 200))
+    edge[:, 90:100] = 40.0
+    with pytest.raises(InputError, match="no round contact"):
+        find_grey_contact(edge, GRID)
+    captures = captures_of(CIRCLES)
+    with pytest.raises(InputError, match="not below the ball's"):
+        calibrate_depth(replace(captures, ball_radius_mm=3.14), zero="rim")
+
+
+def real_press(unit: int, mm_per_px: float) -> DepthCalibration:
+    folder = NINE / f"sensor_{unit}" / "depth_calibration"
+    image, background = folder / "rectify_crop_sample.png", folder / "rectify_crop_ref.png"
+    if not image.is_file():
+        pytest.skip(f"the 9DTact presses are not at {NINE}; set TACCEL_LAB_DATA")
+    untouched = read_image(background)
+    return calibrate_depth(
+        CaptureSet(
+            str(folder), "9dtact", untouched, file_sha256(background),
+            np.ones(untouched.shape[:2], dtype=bool), 4.0,
+            PixelGrid(untouched.shape[1], untouched.shape[0], mm_per_px, mm_per_px),
+            (Press("ball", str(image), file_sha256(image), None, partial(read_image, image)),), {},
+        )
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("unit", "mm_per_px"), [(1, 0.0510151), (2, 0.0499950)])
+def test_the_authors_tables_of_two_units(unit: int, mm_per_px: float) -> None:
+    """Their Pixel_to_Depth.npy, made from the same press by averaging and a circle of their own."""
+    result = real_press(unit, mm_per_px)
+    table = np.load(NINE / f"sensor_{unit}" / "depth_calibration" / "Pixel_to_Depth.npy")
+    drop = np.arange(5, len(table))
+    off = result.response.depth_of(drop) - table[drop]
+    assert np.abs(off).mean() < 0.035
+    assert np.abs(off - off.mean()).mean() < 0.012
+    assert result.left_out_mm.mean() < 0.035
