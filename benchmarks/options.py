@@ -202,6 +202,22 @@ class Study:
 
 
 @dataclass(frozen=True)
+class Captures:
+    """Accuracy and time of every calibration on published captures of real sensors, CPU."""
+
+    name: ClassVar[str] = "captures"
+    only: tuple[str, ...] = ()
+    """Commands to run: contacts, color, normals, camera, markers, material; all when left out."""
+    out: Path = RESULTS
+    """Folder of the result, or a JSON file."""
+
+    def run(self) -> None:
+        from benchmarks.capture_sets import run_capture_sets
+
+        run_capture_sets(self)
+
+
+@dataclass(frozen=True)
 class Quick:
     """Figures that noise cannot move (iterations, launches, forces) against the baseline, CPU."""
 
@@ -267,7 +283,17 @@ class Scenes:
             print(f"{name:<11} {bench.steps:>4} steps, {bench.source:<9}  {bench.what}")
 
 
-SUITES: tuple[type, ...] = (Speed, Error, Scaling, Skips, Stress, Peers, Study, Quick)
+SUITES: tuple[type, ...] = (
+    Speed,
+    Error,
+    Scaling,
+    Skips,
+    Stress,
+    Peers,
+    Study,
+    Captures,
+    Quick,
+)
 """Suites in the order of their help."""
 COMMANDS: tuple[type, ...] = (Compare, Report, Scenes)
 """Commands about results and scenes."""

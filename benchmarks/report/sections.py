@@ -318,6 +318,29 @@ def study(results: Results) -> str:
     return "\n\n".join(parts) or NOTHING
 
 
+def captures(results: Results) -> str:
+    """Calibrations of published captures against their goals."""
+    parts = []
+    for document in results.get("captures", []):
+        rows = [
+            [
+                row["set"],
+                f"`{row['command']}`",
+                row["figure"],
+                number(row["value"]),
+                f"{'at least' if row['at_least'] else 'at most'} {row['goal']:g}",
+                "met" if row["met"] else "**missed**",
+                row["verdict"] or "-",
+                "-" if row["fit_seconds"] is None else number(row["fit_seconds"], 2),
+                number(row["seconds"], 3),
+            ]
+            for row in document["rows"]
+        ]
+        head = ["captures", "calibration", "figure", "value", "goal", "", "verdict", "fit [s]"]
+        parts += [origin(document), table([*head, "command [s]"], rows)]
+    return "\n\n".join(parts) or NOTHING
+
+
 def picture(document: Document, kind: str, title: str) -> str:
     """Link to a picture of a result."""
     name = Path(document["file"]).stem
@@ -360,5 +383,6 @@ SECTIONS: dict[str, Section] = {
     "skips": skips,
     "stress": stress,
     "study": study,
+    "captures": captures,
 }
 """Parts of the page by the name in its markers."""

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well real captures are calibrated, and in what time: published sets through the commands.
+
+Every set is imported as a user would, the command of each block runs on it, and the figures of
+its report are compared with goals. Figures of colours, normals and lenses are of frames that the
+fit did not see. Sets that are not on this machine are left out and named.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.optics_captures import data_folder
+from benchmarks.options import Captures
+from benchmarks.results import ResultFile, note
+from taccel_lab.errors import InputError
+
+WHAT = "real captures through the commands of calibration; goals beside the figures"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of a report with its goal."""
+
+    name: str
+    path: str
+    """Dotted path in the report's JSON."""
+    goal: float
+    at_least: bool = False
+    """Whether more is better."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One command on one set."""
+
+    name: str
+    source: str
+    """Folder below the data folder, or ``taxim:`` and the name of a pack of that wheel."""
+    part: str
+    """Folder of the import; empty where there is one."""
+    command: str
+    figures: tuple[Figure, ...]
+    changes: tuple[tuple[str, Any], ...] = ()
+    """Options that differ from the defaults."""
+
+
+def _colors(psnr: float, disc: float, part: str) -> tuple[Figure, ...]:
+    return (
+        Figure("PSNR in the crop [dB]", f"color.{part}.crop_psnr_db", psnr, at_least=True),
+        Figure("L1 in the disc [levels]", f"color.{part}.disc_l1", disc),
+    )
+
+
+def _normals(goal: float) -> tuple[Figure, ...]:
+    return (
+        Figure("normals in the given circles [deg]", "heldout.in_given_circles.mean_deg", goal),
+    )
+
+
+def _contacts() -> tuple[Figure, ...]:
+    return (
+        Figure("centre, median [px]", "agreement.center_median_px", 2.0),
+        Figure("radius, median [px]", "agreement.radius_median_px", 2.0),
+    )
+
+
+TAXIM, FOTS, RVSATHU = "taxim:gelsight", "fots_calib", "gelsight_rvsathu_sim2real"
+CASES = (
+    Case("GelSight (taxim)", TAXIM, "", "contacts", _contacts()),
+    Case("GelSight Mini (FOTS)", FOTS, "gelsight", "contacts", _contacts()),
+    Case("lab-made (RVSATHU)", RVSATHU, "", "contacts", _contacts()),
+    Case("GelSight (taxim)", TAXIM, "", "color", _colors(34.0, 2.5, "cross_validated")),
+    Case(
+        "GelSight Mini (FOTS)", FOTS, "gelsight", "color",
+        _colors(30.5, 4.9, "heldout_drift_corrected"),
+    ),
+    Case("lab-made (RVSATHU)", RVSATHU, "", "color", _colors(29.5, 9.0, "cross_validated")),
+    Case("GelSight (taxim)", TAXIM, "", "normals", _normals(3.3)),
+    Case("GelSight Mini (FOTS)", FOTS, "gelsight", "normals", _normals(6.0)),
+    Case("lab-made (RVSATHU)", RVSATHU, "", "normals", _normals(3.2)),
+    Case(
+        "fisheye GelSight (Photon26)", "gelsight_osaka_photon26", "", "camera",
+        (Figure("held-out reprojection [px]", "intrinsics.heldout_rms_px", 0.70),),
+    ),
+    Case(
+        "9DTact, unit 1", "9dtact_official", "sensor_1", "camera",
+        (Figure("scale against 0.0510 mm/px", "on_gel.mm_per_px_x.value|0.0510", 0.01),),
+    ),
+    Case(
+        "9DTact, unit 2", "9dtact_official", "sensor_2", "camera",
+        (Figure("scale against 0.0500 mm/px", "on_gel.mm_per_px_x.value|0.0500", 0.01),),
+    ),
+    Case(
+        "GelSight Mini video (gsrobotics)", "gsmini_markers_video", "", "markers",
+        (
+            Figure("rest jitter [px]", "residuals.rest_jitter_px", 0.02),
+            Figure("return error [px]", "residuals.return_error_px", 0.6),
+        ),
+    ),
+    Case(
+        "GelSight Mini (FEATS)", "gsmini_feats_calib", "", "material",
+        (Figure("worst residual", "residuals.indentation_worst_relative", 0.03),),
+    ),
+)  # fmt: skip
+
+
+def run_capture_sets(options: Captures) -> None:
+    """Rows of the suite ``captures``; see ``Captures``."""
+    settings = {"only": list(options.only)}
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        ResultFile("captures", WHAT, options.out, "cpu", settings).finishing() as result,
+    ):
+        imported = _Imports(Path(scratch))
+        for case in CASES:
+            if options.only and case.command not in options.only:
+                continue
+            folder = imported.folder(case)
+            if folder is None:
+                note(f"{case.name}: not on this machine")
+                continue
+            for row in _run_case(case, folder, Path(scratch)):
+                result.add(row)
+                goal = "at least" if row["at_least"] else "at most"
+                note(
+                    f"{case.name}, {case.command}: {row['figure']} {row['value']:.4g} "
+                    f"({goal} {row['goal']:g}), {row['seconds']:.0f} s"
+                )
+
+
+class _Imports:
+    """Each set is imported once."""
+
+    def __init__(self, scratch: Path) -> None:
+        self._scratch = scratch
+        self._done: dict[str, Path | None] = {}
+
+    def folder(self, case: Case) -> Path | None:
+        """Capture folder of a case, or None where the set is not on this machine."""
+        if case.source not in self._done:
+            self._done[case.source] = self._import(case.source)
+        done = self._done[case.source]
+        return None if done is None else done / case.part
+
+    def _import(self, source: str) -> Path | None:
+        from calibration.capture import find_taxim_pack
+
+        if source.startswith("taxim:"):
+            try:
+                path = find_taxim_pack()
+            except InputError:
+                return None
+        else:
+            path = data_folder() / source
+        if not path.exists():
+            return None
+        out = self._scratch / source.replace(":", "_")
+        _main("capture", "import", str(path), str(out))
+        return out
+
+
+def _run_case(case: Case, folder: Path, scratch: Path) -> Iterator[dict[str, Any]]:
+    started = time.perf_counter()
+    report = (
+        _contact_report(folder) if case.command == "contacts" else _report(case, folder, scratch)
+    )
+    seconds = time.perf_counter() - started
+    for figure in case.figures:
+        value = _pick(report, figure.path)
+        met = value >= figure.goal if figure.at_least else value <= figure.goal
+        yield {
+            "set": case.name,
+            "command": case.command,
+            "figure": figure.name,
+            "value": value,
+            "goal": figure.goal,
+            "at_least": figure.at_least,
+            "met": bool(met),
+            "verdict": report.get("verdict"),
+            "fit_seconds": _fit_seconds(report),
+            "seconds": seconds,
+        }
+
+
+def _report(case: Case, folder: Path, scratch: Path) -> dict[str, Any]:
+    name = f"{case.source}_{case.part}_{case.command}".replace(":", "_").replace("/", "_")
+    out = scratch / name
+    arguments = [f"--{key}={value}" for key, value in case.changes]
+    _main("calibrate", case.command, str(folder), "--out", str(out), *arguments)
+    path = out.with_name(out.name + "_report") / "report.json"
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _contact_report(folder: Path) -> dict[str, Any]:
+    """Contacts found without any label, against the labels."""
+    from dataclasses import asdict
+
+    from calibration.capture import load_captures
+    from calibration.targets import compare_with_labels, resolve_contacts
+
+    captures = load_captures(folder)
+    agreement = compare_with_labels(captures, resolve_contacts(captures))
+    if agreement is None:
+        raise InputError(f"{folder} holds no labels to compare with")
+    return {"agreement": asdict(agreement)}
+
+
+def _pick(report: dict[str, Any], path: str) -> float:
+    """The value at a dotted path; after a bar, its relative distance to that number."""
+    dotted, _, reference = path.partition("|")
+    value: Any = report
+    for key in dotted.split("."):
+        value = value[key]
+    return abs(float(value) / float(reference) - 1) if reference else float(value)
+
+
+def _fit_seconds(report: dict[str, Any]) -> float | None:
+    for holder in (report, report.get("color", {})):
+        if "fit_seconds" in holder:
+            return float(holder["fit_seconds"])
+    return None
+
+
+def _main(*arguments: str) -> None:
+    """A command in a process of its own, as a user runs it."""
+    # Exit code 1: done, and parts of it weak or refused; the report says which.
+    done = subprocess.run(
+        [sys.executable, "-m", "taccel_lab.cli.app", *arguments], capture_output=True, text=True
+    )
+    if done.returncode not in (0, 1):
+        raise InputError(f"taccel-lab {' '.join(arguments)}: {done.stderr.strip()}")
