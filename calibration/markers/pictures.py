@@ -84,7 +84,8 @@ def draw_residuals(result: MarkerCalibration) -> Figure:
     length = float(np.percentile(np.hypot(*residual.T), 90))
     enlarged = _round_down(0.6 * min(layout.pitch) / max(length, 1e-9))
     ax.plot(*(points - residual).T, "o", ms=3, color=GREY, mec="none")
-    ax.plot(*(points - residual + enlarged * residual).T, "")  # tips count for the limits
+    tips = points - residual + enlarged * residual
+    ax.plot(*tips.T, ls="none")  # arrow tips count for the limits
     ax.quiver(
         *(points - residual).T,
         *(enlarged * residual).T,
