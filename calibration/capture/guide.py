@@ -20,6 +20,8 @@ DEPTH_SHARE = 0.25
 CONTACT_SHARE = 0.1
 BALLS_MM = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Radii of bearing balls that are easy to get."""
+CURVED_MM, DOME_MM = 0.5, 3.0
+"""Drop of the face over the view from which presses have to follow its normal, or go round it."""
 GENERIC_VIEW_MM, GENERIC_THICKNESS_MM = 20.0, 4.0
 
 
@@ -76,8 +78,10 @@ def capture_plan(sensor: str) -> CapturePlan:
         _settings(),
         _untouched(),
         *_scale(facts),
-        _grey_balls(4.0, depth) if facts.is_grey else _balls(ball, depth),
+        _grey_balls(4.0, depth) if facts.is_grey else _balls(ball, depth, facts.drop_mm),
     ]
+    if facts.drop_mm > DOME_MM:
+        steps.append(_round_the_dome(depth, "depth" if facts.is_grey else "color, normals"))
     if facts.has_markers:
         steps.append(_markers())
     steps += [_indentation(depth), _slide()]
@@ -159,7 +163,13 @@ def _scale(facts: SensorFacts) -> list[Step]:
     ]
 
 
-def _balls(radius_mm: float, depth_mm: float) -> Step:
+def _balls(radius_mm: float, depth_mm: float, drop_mm: float) -> Step:
+    curved = (
+        f" The face falls by {drop_mm:.1f} mm to the sides: there, press along its normal, not "
+        "along the camera's axis."
+        if drop_mm > CURVED_MM
+        else ""
+    )
     return Step(
         "color, normals",
         "Ball presses",
@@ -168,8 +178,21 @@ def _balls(radius_mm: float, depth_mm: float) -> Step:
         f"a bearing ball of {radius_mm:g} mm radius ({2 * radius_mm:g} mm diameter) on a stick",
         f"12 places (4 columns x 3 rows, also near the rim) at about 3 depths each, up to "
         f"{depth_mm:g} mm; press straight down, hold still, then take the image. 4 more anywhere. "
-        "No circles need be drawn. With a stage, note depth_mm; with a cell, force_n.",
+        f"No circles need be drawn. With a stage, note depth_mm; with a cell, force_n.{curved}",
         "Colour against slope at every place. Where no ball was, nothing is known.",
+    )
+
+
+def _round_the_dome(depth_mm: float, block: str) -> Step:
+    return Step(
+        block,
+        "Sides of the dome",
+        "16 presses",
+        5,
+        "the same ball, a turntable or a vice that holds the sensor tilted",
+        f"Eight directions round the dome, half way down and near its foot, up to {depth_mm:g} mm, "
+        "always along the normal of the gel.",
+        "The camera sees the sides at a slant and the lamps reach them otherwise than the top.",
     )
 
 

@@ -249,8 +249,12 @@ def check_scale(
     """Whether the stated scale fits the sensor: its pad's plan, and its usual field of view."""
     width, height = size_px[0] * mm_per_px[0], size_px[1] * mm_per_px[1]
     longer, shorter = max(width, height), min(width, height)
-    if pad_mm is not None and (
-        longer > FIELD_SLACK * max(pad_mm) or shorter > FIELD_SLACK * min(pad_mm)
+    # Lenses of domes see past the pad, as their usual view says.
+    wide = pad_mm is None or (usual_width_mm or 0.0) > max(pad_mm)
+    if (
+        pad_mm is not None
+        and not wide
+        and (longer > FIELD_SLACK * max(pad_mm) or shorter > FIELD_SLACK * min(pad_mm))
     ):
         return [
             warning(

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from calibration.capture.check.frames import handedness
 from sensors import sensor_families
+from taccel_lab.geometry import PixelGrid
 
 GENERIC = ("flat_pad",)
 """Families that stand for any sensor: their figures contradict nothing."""
@@ -28,6 +30,8 @@ class SensorFacts:
     """Longer side of what the camera usually shows."""
     handedness: float | None = None
     """Which way round its red, green and blue lamps stand, see ``frames.handedness``."""
+    drop_mm: float = 0.0
+    """How far the face lies lower at the sides of the view than at its apex."""
     has_markers: bool = False
     is_grey: bool = False
     """Whether all its lamps are white: grey levels stand for depth."""
@@ -44,19 +48,30 @@ def sensor_facts(name: str) -> SensorFacts | None:
     grey = bool(lamps) and all(np.ptp(lamp.rgb) < 1e-6 for lamp in lamps)
     if name in GENERIC:
         return SensorFacts(name, is_grey=grey)
-    bounds = parameters.pad().bounds_mm()
-    size = np.ptp(bounds, axis=0)
+    pad = parameters.pad()
+    size = np.ptp(pad.bounds_mm(), axis=0)
     grid = parameters.grid()
     view = max(grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y)
     return SensorFacts(
         family=name,
         pad_mm=(float(size[0]), float(size[1])),
-        thickness_mm=float(size[2]),
+        # A shell on a hard dome is thinner than it is high.
+        thickness_mm=float(getattr(parameters, "thickness_mm", size[2])),
         view_mm=float(view),
+        drop_mm=_drop_mm(pad, size, grid),
         handedness=_handedness([(lamp.rgb, lamp.position_mm) for lamp in lamps]),
         has_markers=parameters.markers() is not None,
         is_grey=grey,
     )
+
+
+def _drop_mm(pad: Any, size_mm: np.ndarray, grid: PixelGrid) -> float:
+    """Of the points at the middle of the view's sides, or well inside the pad's."""
+    view = np.array([grid.width_px * grid.mm_per_px_x / 2, grid.height_px * grid.mm_per_px_y / 2])
+    x, y = np.minimum(0.4 * size_mm[:2], view)
+    sides = np.array([[0.0, 0.0], [x, 0.0], [-x, 0.0], [0.0, y], [0.0, -y]])
+    heights = pad.top_mm(sides)
+    return float(heights[0] - heights[1:].min())
 
 
 def _handedness(

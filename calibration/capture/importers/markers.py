@@ -28,6 +28,8 @@ def _recognises(path: Path) -> bool:
     if not path.is_dir() or any(path.glob("*.toml")):
         return False
     images = images_in(path)
+    if not images:
+        return len(_videos(path)) == 1
     # Frames of a video count on without a gap, all with as many digits.
     numbers = [image.stem for image in images]
     return (
@@ -37,6 +39,10 @@ def _recognises(path: Path) -> bool:
         and _moves_steadily(images)
         and _shows_dots(images[0])
     )
+
+
+def _videos(path: Path) -> list[Path]:
+    return [p for p in sorted(path.iterdir()) if p.suffix.lower() in VIDEO_SUFFIXES]
 
 
 def _moves_steadily(images: list[Path]) -> bool:
@@ -71,6 +77,8 @@ def _shows_dots(path: Path) -> bool:
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
     draft = Draft("", "gelsight_mini", f"frames of a gel with dots, {path.name}")
+    if path.is_dir() and not images_in(path) and _videos(path):
+        path = _videos(path)[0]
     if path.is_file():
         frames = read_video(path)
         draft.files[path.name] = path

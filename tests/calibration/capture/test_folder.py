@@ -185,3 +185,8 @@ def test_guide_of_every_sensor(sensor: str) -> None:
     blocks = " ".join(step.block for step in plan.steps)
     assert ("markers" in blocks) == (manifest.markers is not None)
     assert ("depth" in blocks) != ("color" in blocks)
+    titles = {step.title for step in plan.steps}
+    assert ("Board of dots" in titles) == (sensor in ("9dtact", "rtac"))
+    assert ("Sides of the dome" in titles) == (sensor in ("digit_360", "rtac"))
+    falls = any("along its normal" in step.how for step in plan.steps)
+    assert falls == (sensor in ("digit", "digit_360", "gelsight"))

@@ -370,6 +370,22 @@ def test_numbered_presses_are_no_video(tmp_path: Path) -> None:
     assert len(draft.manifest["markers"]["videos"][0]["frames"]) == 22
 
 
+def test_a_video_file_or_a_folder_with_one(tmp_path: Path) -> None:
+    video = tmp_path / "in" / "v.avi"
+    video.parent.mkdir()
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (160, 120))
+    if not writer.isOpened():
+        pytest.skip("OpenCV is built without a video writer")
+    for shift in (0.0, 2.0, 4.0):
+        writer.write(dots_at(shift))
+    writer.release()
+    for source in (video, video.parent):
+        assert detect_layout(source).name == "markers"
+        (out,) = import_captures(source, tmp_path / "out")
+        markers = load_capture_folder(out).markers
+        assert markers is not None and markers.videos[0].frame_count == 3
+
+
 def test_natural_order() -> None:
     names = ["f_10", "f_2", "f_1", "g", "2", "10"]
     assert sorted(names, key=natural_key) == ["2", "10", "f_1", "f_2", "f_10", "g"]
