@@ -23,6 +23,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
 SMOOTHING_PX = 2.0
+PROFILE_SMOOTHING_PX = 1.0
+"""Of the mean slope over all rays."""
 RAY_COUNT = 180
 MIN_DROP_LEVELS = 6.0
 MIN_DROP_OVER_NOISE = 8.0
@@ -72,7 +74,8 @@ def find_grey_contact(
     for _ in range(3):
         _, radius = _steepest_circle(smooth, center, radius)
         center = _isoline_center(smooth, center, radius, peak)
-    steepest, fall = _rim_radii(smooth, center, radius)
+    # The mean over all rays is quiet enough; smoothing would move the steepest place inwards.
+    steepest, fall = _rim_radii(values, center, radius)
     circle = ContactCircle(float(center[0]), float(center[1] / ratio), float(steepest))
     return GreyContact(circle, max(0.5 * (fall - steepest), 0.5), peak)
 
@@ -143,11 +146,11 @@ def _isoline_center(
     return np.mean(centers, axis=0) if centers else center
 
 
-def _rim_radii(smooth: np.ndarray, center: np.ndarray, radius: float) -> tuple[float, float]:
+def _rim_radii(values: np.ndarray, center: np.ndarray, radius: float) -> tuple[float, float]:
     """Radii of the steepest drop and of the steepest fall of its slope behind that [px]."""
-    profile = np.nanmean(_rays(smooth, center, 2.0 * radius + 6), axis=0)
+    profile = np.nanmean(_rays(values, center, 2.0 * radius + 6), axis=0)
     profile = profile[np.isfinite(profile)]
-    slope = -ndimage.gaussian_filter1d(np.gradient(profile), 1.5)
+    slope = -ndimage.gaussian_filter1d(np.gradient(profile), PROFILE_SMOOTHING_PX)
     first = int(0.5 * radius)
     steepest = first + int(np.argmax(slope[first:]))
     fall = -np.gradient(slope)

@@ -273,7 +273,7 @@ def test_bad_fits_are_refused() -> None:
     with pytest.raises(InputError, match=r"max_zoom must lie in 1\.\.8"):
         SampleOptions(max_zoom=0.5)
     nothing = replace(captures, mask=np.zeros((120, 160), dtype=bool))
-    with pytest.raises(InputError, match="masked|usable"):
+    with pytest.raises(InputError, match=r"masked|usable"):
         calibrated(nothing, surfaces, holdout_every=0, drift="off")
     with pytest.raises(InputError, match="neither a normals nor a depth_response"):
         SurfaceReader(tiny_profile(GRID))
