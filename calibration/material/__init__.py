@@ -6,11 +6,12 @@ from calibration.material.bonded_layer import (
     layer_force_n,
     sphere_force_series_n,
 )
-from calibration.material.calibrate import MaterialOptions, calibrate_material
+from calibration.material.calibrate import calibrate_material
 from calibration.material.calibration import MaterialCalibration
 from calibration.material.flow import FlowFit, fit_flow
 from calibration.material.flow_table import ToolPath
 from calibration.material.indentation import IndentationFit, fit_indentation
+from calibration.material.options import MaterialOptions
 from calibration.material.page import material_page
 from calibration.material.points import IndentationPoints, points_of_record
 from calibration.material.relaxation import DampingFit, fit_damping

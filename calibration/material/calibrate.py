@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 from calibration.capture import CaptureFolder, ForceRecord
 from calibration.capture.schema import ToolEntry
@@ -21,6 +20,7 @@ from calibration.material.calibration import MaterialCalibration
 from calibration.material.flow import FlowFit, fit_flow
 from calibration.material.indentation import IndentationFit, fit_indentation
 from calibration.material.likelihood import Profile, require_nlopt
+from calibration.material.options import MaterialOptions
 from calibration.material.points import (
     IndentationPoints,
     points_of_presses,
@@ -29,7 +29,7 @@ from calibration.material.points import (
 )
 from calibration.material.relaxation import DampingFit, check_relaxation, fit_damping
 from calibration.material.response import NU_RANGE, ForceTable, force_table
-from calibration.material.setup import QUICK, STANDARD, Effort, Gel
+from calibration.material.setup import Gel
 from calibration.material.sliding import SlideFit, fit_slide
 from calibration.material.tangential import TangentialFit, fit_tangential
 from calibration.material.video_flow import flows_of_folder, videos_with_path
@@ -38,49 +38,11 @@ from calibration.result import NORMAL_95, Estimate, Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 
-FIXABLE = ("e", "nu", "mooney_ratio", "friction")
-"""Parameters that a user may hold."""
 USUAL_NU = (0.45, 0.495)
 """Poisson's ratios of gels, over which an untold one is varied to see what it does to E."""
 
 Progress = Callable[[str, int, int], None]
 """What is simulated, how many presses are done, of how many."""
-
-
-@dataclass(frozen=True)
-class MaterialOptions:
-    """How a material is fitted."""
-
-    model: str | None = None
-    """Law; that of the base profile when None."""
-    fixed: dict[str, float] = field(default_factory=dict)
-    """Parameters that are held, by their names in ``FIXABLE``."""
-    touch_sigma_mm: float | None = None
-    """How well first touch is known; chosen by the number of points when None."""
-    press_friction: float = 0.0
-    """Coefficient of friction in the simulated indentations."""
-    effort: Effort = STANDARD
-    """Mesh of indentations; presses with friction take ``QUICK`` at most."""
-
-    def __post_init__(self) -> None:
-        limits = {"e": (1e2, 1e9), "nu": (0.0, 0.4999), "mooney_ratio": (0, 1), "friction": (0, 5)}
-        for name, value in self.fixed.items():
-            if name not in limits:
-                raise InputError(
-                    f"{name!r} cannot be held; use one of {', '.join(FIXABLE)}, as in nu=0.48"
-                )
-            low, high = limits[name]
-            if not low <= value <= high:
-                raise InputError(f"{name} must lie in [{low:g}, {high:g}], got {value:g}")
-        if self.touch_sigma_mm is not None and not 0 <= self.touch_sigma_mm <= 1:
-            raise InputError(f"touch_sigma_mm must lie in [0, 1] mm, got {self.touch_sigma_mm:g}")
-        if not 0 <= self.press_friction <= 2:
-            raise InputError(f"press_friction must lie in [0, 2], got {self.press_friction:g}")
-
-    @property
-    def friction_effort(self) -> Effort:
-        """Mesh of presses with friction, which take ten times as long."""
-        return QUICK if self.effort.core > QUICK.core else self.effort
 
 
 def calibrate_material(
@@ -158,6 +120,11 @@ class _Job:
         self.tangential: list[TangentialFit] = []
         self.flows: list[FlowFit] = []
         self.damping: list[DampingFit] = []
+
+    @property
+    def shared_nu(self) -> float:
+        """Poisson's ratio of presses beside the tables, rounded so that equal fits share them."""
+        return round(self.nu, 3)
 
     def _told(self, what: str) -> Callable[[int, int], None] | None:
         if self._progress is None:
@@ -288,7 +255,8 @@ class _Job:
         elif self.young is not None:
             young = (self.young.value, self.young.sigma / self.young.value)
         fit = fit_tangential(
-            record, self.gel, tool, poisson_ratio=self.nu, mooney_ratio=self.ratio, young_pa=young,
+            record, self.gel, tool, poisson_ratio=self.shared_nu, mooney_ratio=self.ratio,
+            young_pa=young,
             effort=self.options.friction_effort,
             progress=self._told(f"{record.entry.kind} of {tool.description}"),
         )  # fmt: skip
@@ -318,7 +286,8 @@ class _Job:
             known = self.nu_estimate is not None or "nu" in self.options.fixed
             fit = fit_flow(
                 item.flow, item.path, self.gel, self.gel.tool(entry), name=item.name,
-                sha256=item.sha256, fixed_nu=self.nu if known else None, mooney_ratio=self.ratio,
+                sha256=item.sha256, fixed_nu=self.shared_nu if known else None,
+                mooney_ratio=self.ratio,
                 effort=self.options.friction_effort, progress=self._told(f"flow of {item.name}"),
             )  # fmt: skip
             self.flows.append(fit)
@@ -355,13 +324,18 @@ class _Job:
         deepest = float(depth.max())
         table = force_table(
             self.gel, tool, (max(0.1 * deepest, float(depth.min())), deepest),
-            fixed_nu=self.nu, fixed_ratio=self.ratio, friction=self.options.press_friction,
+            fixed_nu=self.shared_nu, fixed_ratio=self.ratio, friction=self.options.press_friction,
             effort=self.options.effort, progress=self._told(f"presses of {tool.description}"),
         )  # fmt: skip
         gain = viscous_gain(
-            self.gel, tool, _rounded(deepest), self.nu, self.ratio, self.options.friction_effort
+            self.gel,
+            tool,
+            _rounded(deepest),
+            self.shared_nu,
+            self.ratio,
+            self.options.friction_effort,
         )
-        fit = fit_damping(record, tool, table, self.nu, self.ratio, gain)
+        fit = fit_damping(record, tool, table, self.shared_nu, self.ratio, gain)
         self.damping.append(fit)
         self.remarks += fit.remarks
         if self.young is not None:
@@ -380,7 +354,7 @@ class _Job:
         if "friction" in self.options.fixed:
             return
         self.friction, remarks = friction_of(
-            self.gel, self.folder, slides, self.tangential, self.flows, self.young, self.nu,
+            self.gel, self.folder, slides, self.tangential, self.flows, self.young, self.shared_nu,
             self.ratio, self.options.friction_effort, self._told("slides"),
         )  # fmt: skip
         self.remarks += remarks

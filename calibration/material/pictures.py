@@ -90,7 +90,7 @@ def draw_profiles(result: MaterialCalibration) -> Figure:
             held = result.indentation.solution.profiles["ln_e"]
     for item in (*result.tangential, *result.flows):
         found += [(n, p, f" ({item.name})") for n, p in item.solution.profiles.items()]
-    columns = min(len(found), 3)
+    columns = 2 if len(found) == 4 else min(len(found), 3)
     rows = math.ceil(len(found) / columns)
     figure, axes = new_figure(3.3 * columns + 0.4, 3.1 * rows, rows, columns, squeeze=False)
     for axis, (name, profile, where) in zip(axes.flat, found, strict=False):

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a material is fitted, checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from calibration.material.setup import QUICK, STANDARD, Effort
+from taccel_lab.errors import InputError
+
+FIXABLE = ("e", "nu", "mooney_ratio", "friction")
+"""Parameters that a user may hold."""
+
+
+@dataclass(frozen=True)
+class MaterialOptions:
+    """How a material is fitted."""
+
+    model: str | None = None
+    """Law; that of the base profile when None."""
+    fixed: dict[str, float] = field(default_factory=dict)
+    """Parameters that are held, by their names in ``FIXABLE``."""
+    touch_sigma_mm: float | None = None
+    """How well first touch is known; chosen by the number of points when None."""
+    press_friction: float = 0.0
+    """Coefficient of friction in the simulated indentations."""
+    effort: Effort = STANDARD
+    """Mesh of indentations; presses with friction take ``QUICK`` at most."""
+
+    def __post_init__(self) -> None:
+        limits = {"e": (1e2, 1e9), "nu": (0.0, 0.4999), "mooney_ratio": (0, 1), "friction": (0, 5)}
+        for name, value in self.fixed.items():
+            if name not in limits:
+                raise InputError(
+                    f"{name!r} cannot be held; use one of {', '.join(FIXABLE)}, as in nu=0.48"
+                )
+            low, high = limits[name]
+            if not low <= value <= high:
+                raise InputError(f"{name} must lie in [{low:g}, {high:g}], got {value:g}")
+        if self.touch_sigma_mm is not None and not 0 <= self.touch_sigma_mm <= 1:
+            raise InputError(f"touch_sigma_mm must lie in [0, 1] mm, got {self.touch_sigma_mm:g}")
+        if not 0 <= self.press_friction <= 2:
+            raise InputError(f"press_friction must lie in [0, 2], got {self.press_friction:g}")
+
+    @property
+    def friction_effort(self) -> Effort:
+        """Mesh of presses with friction, which take ten times as long."""
+        return QUICK if self.effort.core > QUICK.core else self.effort
