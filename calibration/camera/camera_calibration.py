@@ -86,7 +86,8 @@ def calibrate_camera(
         models: Lenses to choose from.
         folds: Of the cross-validation over views.
         refraction: ``media`` fits the pose through the profile's window and gel, ``none`` in air;
-            ``auto`` through them where the profile describes them.
+            ``auto`` through them where the profile describes them and the board does not clearly
+            speak against it.
 
     Raises:
         InputError: No boards, none found, or too few views; says what to add.
@@ -122,6 +123,7 @@ def calibrate_camera(
             tactile_px=tactile_size(profile, laid.views[0].size_px),
             intrinsics=intrinsics,
             media=media,
+            media_if_better=refraction == "auto",
         )
     detections = Detections(
         shown.views + laid.views, shown.refused + laid.refused, shown.warnings + laid.warnings
@@ -286,7 +288,11 @@ def _on_gel_figures(found: OnGel) -> dict[str, Any]:
             for fit in found.fits
         },
     }
-    for name, pose in (("pose", found.pose), ("pose_in_air", found.pose_in_air)):
+    for name, pose in (
+        ("pose", found.pose),
+        ("pose_in_air", found.pose_in_air),
+        ("pose_refracted", found.pose_refracted),
+    ):
         if pose is not None:
             figures[name] = {
                 "position_mm": list(pose.position_mm),
@@ -296,7 +302,7 @@ def _on_gel_figures(found: OnGel) -> dict[str, Any]:
                 "refracted": pose.refracted,
                 "heldout_rms_px": pose.fit.heldout_px,
             }
-    if found.pose is not None and found.pose_in_air is not None:
-        moved = np.subtract(found.pose.position_mm, found.pose_in_air.position_mm)
+    if found.pose_refracted is not None and found.pose_in_air is not None:
+        moved = np.subtract(found.pose_refracted.position_mm, found.pose_in_air.position_mm)
         figures["refraction_moves_camera_mm"] = [float(v) for v in moved]
     return figures

@@ -65,8 +65,11 @@ class OnGel:
     fits: tuple[PlaneFit, ...]
     """All models compared."""
     pose: PoseInGel | None
+    """The one that is used; None without a calibrated lens."""
     pose_in_air: PoseInGel | None
-    """Without refraction, where the pose is with it."""
+    """With straight sight lines."""
+    pose_refracted: PoseInGel | None
+    """Through the media, where they were given."""
     scale_range: tuple[float, float]
     """Least and largest scale under the board, relative to its middle."""
     remarks: tuple[Remark, ...]
@@ -89,6 +92,7 @@ def fit_on_gel(
     tactile_px: tuple[int, int] | None = None,
     intrinsics: Intrinsics | None = None,
     media: FlatMedia | None = None,
+    media_if_better: bool = False,
 ) -> OnGel:
     """Fit the gel's face to boards that lie on it.
 
@@ -99,6 +103,7 @@ def fit_on_gel(
             of the camera's own; None: as large as that.
         intrinsics: The camera's lens, of images of the same size; gives its pose too.
         media: What lies before the contact face z = 0, for the pose.
+        media_if_better: Take straight sight lines where they explain the board clearly better.
 
     Raises:
         InputError: No pitch, too few points, or intrinsics of other images.
@@ -143,13 +148,30 @@ def fit_on_gel(
     else:
         grid = PixelGrid(*tactile_px, *scale)
     by_model = {fit.model.name: fit for fit in fits}
-    found = [
-        _pose(by_model[model.name], views, center, pitch, model)
+    found = {
+        model.media is not None: _pose(by_model[model.name], views, center, pitch, model)
         for model in poses
         if isinstance(model, CameraPose) and model.name in by_model
-    ]
+    }
+    in_air, refracted = found.get(False), found.get(True)
+    used = refracted or in_air
+    straight = False
+    if refracted is not None and in_air is not None and media_if_better:
+        straight = choose_plane([refracted.fit, in_air.fit])[0] is in_air.fit
+        used = in_air if straight else refracted
     spread = scale_range(chosen, views, pitch)
     remarks = _remarks(chosen, fits, frame, spread, pitch, views, center)
+    if straight and in_air is not None and refracted is not None:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "no_refraction",
+                f"the board is explained to {in_air.fit.heldout_px:.3f} px by straight sight "
+                f"lines, to {refracted.fit.heldout_px:.3f} px through the profile's window and "
+                "gel: the pose is that of straight sight lines. The profile's thicknesses are "
+                "wrong, or the lens was calibrated through the gel already",
+            )
+        )
     return OnGel(
         chosen,
         frame,
@@ -157,8 +179,9 @@ def fit_on_gel(
         (float(center[0]), float(center[1])),
         tuple(views),
         tuple(fits),
-        found[-1] if found else None,
-        found[0] if len(found) > 1 else None,
+        used,
+        in_air,
+        refracted,
         spread,
         tuple(remarks),
     )

@@ -98,7 +98,7 @@ def _summary(result: CameraCalibration) -> str:
             f"On the gel, a pixel is {frame.mm_per_px_x} wide and {frame.mm_per_px_y} high; points "
             f"of the board that were left out are {result.on_gel.fit.heldout_px:.3f} px off."
         )
-        pose, air = result.on_gel.pose, result.on_gel.pose_in_air
+        pose, air = result.on_gel.pose_refracted, result.on_gel.pose_in_air
         if pose is not None and air is not None:
             rise = np.subtract(pose.position_mm, air.position_mm)
             parts.append(
@@ -156,8 +156,12 @@ def _gel_tables(result: CameraCalibration) -> list[Table]:
         ("least scale under the board", found.scale_range[0], "", "of its middle"),
         ("largest scale under the board", found.scale_range[1], "", "of its middle"),
     ]
-    for name, pose in (("", found.pose), (" without refraction", found.pose_in_air)):
+    for name, pose in (
+        (" with straight sight lines", found.pose_in_air),
+        (" with refraction", found.pose_refracted),
+    ):
         if pose is not None:
+            name += " (used)" if pose is found.pose else ""
             rows += [
                 (f"camera {axis}{name}", value, sigma, "mm")
                 for axis, value, sigma in zip(

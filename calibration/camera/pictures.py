@@ -84,6 +84,8 @@ def draw_residuals(found: Intrinsics) -> Figure:
 @in_report_style
 def draw_distortion(found: Intrinsics) -> Figure:
     """How far the lens moves the pixels of an ideal pinhole camera."""
+    from matplotlib.ticker import MaxNLocator
+
     figure, axes = new_figure(6.5, 5.0)
     width, height = found.size_px
     u, v = np.meshgrid(np.linspace(0, width - 1, 61), np.linspace(0, height - 1, 46))
@@ -95,7 +97,7 @@ def draw_distortion(found: Intrinsics) -> Figure:
     moved = np.ma.masked_invalid(np.linalg.norm(uv - ideal, axis=1).reshape(u.shape))
     # Towards 90 degrees off the axis a pinhole camera's image runs off to infinity.
     top = float(np.percentile(moved.compressed(), 75)) if moved.count() else 1.0
-    levels = np.linspace(0.0, max(top, 1e-6), 13)
+    levels = MaxNLocator(12).tick_values(0.0, max(top, 1e-6))
     image = axes.contourf(u, v, moved, levels=levels, cmap="viridis", extend="max")
     figure.colorbar(image, ax=axes, label="displacement by distortion [px]", shrink=0.75)
     axes.plot(cx, cy, "+", ms=12, color=ORANGE, mew=2)

@@ -47,8 +47,8 @@ class CalibrateCamera:
     """Parts that the views are split into to score the lenses."""
     refraction: Literal["auto", "media", "none"] = "auto"
     """Pose of the gel through the profile's window and gel (media) or with straight sight lines
-    (none); auto takes them where the profile describes flat ones. Needs views and a board on the
-    gel; the report gives both poses."""
+    (none); auto takes them where the profile describes flat ones, unless the board clearly speaks
+    against it. Needs views and a board on the gel; the report gives both poses."""
     json: bool = False
     """Print the figures as JSON instead of a summary."""
 

@@ -120,6 +120,11 @@ def test_pose_of_the_gel_with_and_without_refraction() -> None:
         np.testing.assert_allclose(found.pose.position_mm, wanted, atol=2e-3)
         camera = Rotation.from_quat(found.pose.rotation).as_matrix()
         np.testing.assert_allclose(camera, turn.T @ rotation, atol=1e-4)
+        # The wrong assumption is found out by what it leaves.
+        other = fit_on_gel([view], intrinsics=intrinsics, media=MEDIA, media_if_better=True)
+        assert other.pose is not None and other.pose.refracted is (media is not None)
+        told = any(remark.code == "no_refraction" for remark in other.remarks)
+        assert told is (media is None)
     assert found.pose_in_air is not None
     # Straight sight lines make the gel look nearer: sum of h (1 - 1/n) by the paraxial law.
     nearer = found.pose_in_air.position_mm[2] - found.pose.position_mm[2]
