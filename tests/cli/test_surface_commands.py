@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``calibrate normals``, ``calibrate depth`` and ``depth`` from folders to height maps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from calibration.capture import ContactCircle
+from taccel_lab.cli.app import main
+from taccel_lab.profile import load_profile, save_profile
+from tests.calibration.synthetic import (
+    BALL_RADIUS_MM,
+    GRID,
+    flat_profile,
+    synthetic_captures,
+)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def write_folder(path: Path, background: np.ndarray, images: dict[str, np.ndarray], ball_mm: float,
+                 circles: dict[str, ContactCircle]) -> Path:  # fmt: skip
+    path.mkdir()
+    lines = [
+        "schema_version = 2",
+        'sensor = "gelsight"',
+        'background = "background.png"',
+        f"mm_per_px_x = {GRID.mm_per_px_x}",
+        f"mm_per_px_y = {GRID.mm_per_px_y}",
+        "[indenter]",
+        f"radius_mm = {ball_mm}",
+    ]
+    cv2.imwrite(str(path / "background.png"), background[..., ::-1])
+    for name, image in images.items():
+        cv2.imwrite(str(path / f"{name}.png"), image[..., ::-1])
+        lines += ["[[presses]]", f'image = "{name}.png"']
+        if name in circles:
+            c = circles[name]
+            lines.append(
+                f"contact = {{ u_px = {c.u_px}, v_px = {c.v_px}, radius_px = {c.radius_px} }}"
+            )
+    (path / "captures.toml").write_text("\n".join(lines))
+    return path
+
+
+@pytest.fixture
+def presses(tmp_path: Path) -> Path:
+    captures, _ = synthetic_captures(8)
+    circles = {p.name: p.circle for p in captures.presses if p.circle is not None}
+    save_profile(flat_profile(GRID), tmp_path / "base")
+    images = {p.name: p.image() for p in captures.presses}
+    return write_folder(tmp_path / "captures", captures.background, images, BALL_RADIUS_MM, circles)
+
+
+def test_normals_then_depth(presses: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = presses.parent
+    profile, base = str(folder / "profile"), str(folder / "base")
+    options = ["--base", base, "--circles", "labels", "--steps", "150", "--json"]
+    assert main(["calibrate", "normals", str(presses), "--out", profile, *options]) == 0
+    figures = json.loads(capsys.readouterr().out)["normals"]
+    assert len(figures["presses"]) == 2
+    assert load_profile(profile).normals is not None
+    assert (folder / "profile_report" / "report.html").is_file()
+
+    image = str(presses / "p3.png")
+    assert main(["depth", profile, image, "--out", str(folder / "depths"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["images"]["p3"]
+    assert found["method"] == "normals"
+    assert 0.2 < found["max_depth_mm"] < 1.2
+    with np.load(folder / "depths" / "p3.npz") as stored:
+        assert stored["height_m"].shape == (GRID.height_px, GRID.width_px)
+        assert -1e3 * stored["rise_m"].min() == pytest.approx(found["max_depth_mm"], rel=1e-5)
+        assert {"normals", "sigma_deg"} <= set(stored.files)
+    assert (folder / "depths" / "p3.png").stat().st_size > 5000
+    assert json.loads((folder / "depths" / "p3.json").read_text())["image"] == image
+
+
+def test_grey_depth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_profile(flat_profile(GRID), tmp_path / "base")
+    background = np.full((GRID.height_px, GRID.width_px, 3), 150, dtype=np.uint8)
+    circle = ContactCircle(80.0, 60.0, 25.0)
+    distance = circle.distance_px(GRID) * 0.1
+    depth = np.sqrt(np.maximum(16.0 - distance**2, 0)) - np.sqrt(16.0 - 2.5**2)
+    image = np.rint(background - 50 * np.maximum(depth, 0)[..., None]).astype(np.uint8)
+    folder = write_folder(tmp_path / "captures", background, {"ball": image}, 4.0, {})
+    profile = str(tmp_path / "profile")
+    base = str(tmp_path / "base")
+    assert main(["calibrate", "depth", str(folder), "--out", profile, "--base", base]) == 0
+    assert "off by" in capsys.readouterr().out
+    ball, out = str(folder / "ball.png"), str(tmp_path / "depths")
+    assert main(["depth", profile, ball, "--out", out, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["images"]["ball"]
+    assert found["method"] == "depth"
+    assert found["max_depth_mm"] == pytest.approx(depth.max(), abs=0.08)
+
+
+def test_unusable_input_exits_with_2(presses: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = presses.parent
+    base, out = str(folder / "base"), str(folder / "out")
+    image = str(presses / "p3.png")
+
+    def refused(*arguments: str) -> str:
+        assert main(list(arguments)) == 2
+        return capsys.readouterr().err
+
+    assert "neither a normals nor a depth_response" in refused("depth", base, image, "--out", out)
+    missing = str(folder / "nothing.png")
+    assert "does not exist" in refused("depth", base, missing, "--out", out)
+    assert "named alike" in refused("depth", base, image, image, "--out", out)
+    text = refused(
+        "calibrate", "depth", str(presses), "--out", out, "--maps", image, "--base", base
+    )
+    assert "not a readable .npz" in text
+    manifest = presses / "captures.toml"
+    manifest.write_text(manifest.read_text().replace("contact = {", "# contact = {", 1))
+    arguments = ("--out", out, "--base", base, "--circles", "labels")
+    assert "1 presses come without" in refused("calibrate", "normals", str(presses), *arguments)
+    assert not Path(out).exists()
