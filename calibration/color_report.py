@@ -234,11 +234,11 @@ def draw_coverage(result: ColorCalibration) -> Figure:
     height = 6.4 * min(1.25, grid.height_px / grid.width_px)
     figure, axis = new_figure(7.6, height + 0.5)
     axis.imshow(np.clip(result.fit.background / 255.0, 0, 1))
-    top = max(errors.values(), default=1.0)
-    scale = ScalarMappable(Normalize(0.0, top), "magma_r")
+    limits = (min(errors.values(), default=0.0), max(errors.values(), default=1.0))
+    scale = ScalarMappable(Normalize(*limits), "plasma")
     ratio = grid.mm_per_px_x / grid.mm_per_px_y
     for name, circle in zip(result.press_names, result.circles, strict=True):
-        color: Any = scale.to_rgba(errors[name]) if name in errors else GREY
+        color: Any = scale.to_rgba(np.array(errors[name])) if name in errors else GREY
         size = 2 * circle.radius_px
         axis.add_patch(
             Ellipse(

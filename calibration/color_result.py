@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -119,7 +118,7 @@ class ColorCalibration:
             for item in self.heldout
         ]
 
-    @cached_property
+    @property
     def remarks(self) -> tuple[Remark, ...]:
         """What a person has to know before the model is used."""
         return (*self.capture_remarks, *color_remarks(self))

@@ -73,6 +73,46 @@ def test_table_names_the_figures(folder: Path, capsys: pytest.CaptureFixture[str
     assert load_profile(out).color is not None
 
 
+def test_a_sensor_of_ones_own_is_a_flat_pad_and_the_report_says_so(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    manifest = folder / "captures.toml"
+    manifest.write_text(manifest.read_text().replace('"gelsight"', '"of_my_own"'))
+    out = folder.parent / "profile"
+    CalibrateColor(
+        folder, out, surface="hertz", steps=20, ensemble=0, drift="off", table=False
+    ).run()
+    profile = load_profile(out)
+    assert profile.sensor.family == "flat_pad" and profile.grid() == GRID
+    assert "the catalogue does not know 'of_my_own'" in capsys.readouterr().err.replace("\n", "")
+    report = json.loads((folder.parent / "profile_report" / "report.json").read_text())
+    assert "flat_pad" in [remark["code"] for remark in report["remarks"]]
+    assert report["verdict"] == "usable"
+    assert profile.color is not None and profile.color.provenance.verdict == "usable"
+
+
+def test_what_is_missing_is_refused_with_the_other_faults(folder: Path) -> None:
+    manifest = folder / "captures.toml"
+    text = (
+        manifest.read_text().replace("[indenter]", "").replace(f"radius_mm = {BALL_RADIUS_MM}", "")
+    )
+    manifest.write_text(text)
+    out = folder.parent / "profile"
+    with pytest.raises(
+        InputError, match=r"radius of the ball is missing(.|\n)*more faults"
+    ) as found:
+        CalibrateColor(folder, out, base=folder.parent / "base").run()
+    assert "presses" in str(found.value) and not out.exists()
+
+
+def test_dimensions_go_with_the_catalogue_only(folder: Path) -> None:
+    with pytest.raises(InputError, match="--set changes the catalogue's design"):
+        CalibrateColor(
+            folder, folder.parent / "profile", base=folder.parent / "base",
+            set=("thickness_mm=3",),
+        ).run()  # fmt: skip
+
+
 def test_an_empty_frame_stops_it(folder: Path) -> None:
     (folder / "p2.png").write_bytes((folder / "background.png").read_bytes())
     out = folder.parent / "profile"
