@@ -27,8 +27,13 @@ MIN_PIXELS = 200
 BIWEIGHT = 3.0
 """Residual, in robust standard deviations, beyond which a pixel has no say."""
 MIN_SCALE_LEVELS = 1.0
-PRIOR_SIGMA = np.array([0.3, 30.0, 10.0, 10.0])
+PRIOR_SIGMA = np.array([0.07, 30.0, 10.0, 10.0])
 """Prior spread of gain, offset and the gradient's two parts [1, levels, levels, levels]."""
+PRIOR_SAMPLES = 200.0
+"""Independent samples that a frame counts as against the prior: neighbours err alike."""
+SMOOTHING_SHARE = 1 / 160
+"""Smoothing before the fit, as a part of the shorter side. Noise of the background would draw the
+gain to 0 wherever the gradient can explain the background as well."""
 ITERATIONS = 12
 
 OUTLIER_LEVELS = 20.0
@@ -46,7 +51,8 @@ class Drift:
     gradient: np.ndarray = field(default_factory=lambda: np.zeros((3, 2)))
     """Change from the middle to the right and to the lower border [levels], shape [3, 2]."""
     noise_levels: float = 0.0
-    """Robust standard deviation of what is left, a channel [levels]; 0 when not estimated."""
+    """Robust standard deviation of what is left of the smoothed frame, a channel [levels]; 0 when
+    not estimated."""
 
     def apply(self, image: np.ndarray) -> np.ndarray:
         """The background (or a render on it) as the frame's light would show it.
@@ -96,8 +102,9 @@ def fit_robust_drift(
         )
     u, v = unit_position(height, width)
     plane = np.column_stack([u[0, columns], v[rows, 0]])
-    before = background[rows, columns].astype(np.float64)
-    after = frame[rows, columns].astype(np.float64)
+    sigma = max(min(height, width) * SMOOTHING_SHARE, 1.0)
+    before = smoothed(background, mask, sigma)[rows, columns].astype(np.float64)
+    after = smoothed(frame, mask, sigma)[rows, columns].astype(np.float64)
     size = 4 if gradient else 2
     designs = [np.column_stack([before[:, c], np.ones(len(plane)), plane]) for c in range(3)]
     designs = [design[:, :size] for design in designs]
@@ -133,10 +140,17 @@ def _with_prior(
     mean = np.average(design[:, 0], weights=weight) if weight.sum() > 0 else 0.0
     local = design.copy()
     local[:, 0] -= mean
-    prior = (scale / PRIOR_SIGMA[: len(none)]) ** 2
+    counted = max(float(weight.sum()) / PRIOR_SAMPLES, 1.0)
+    prior = counted * (scale / PRIOR_SIGMA[: len(none)]) ** 2
     normal = (local * weight[:, None]).T @ local + np.diag(prior)
     change = wanted - design @ none
-    step = np.linalg.solve(normal, (local * weight[:, None]).T @ change)
+    side = (local * weight[:, None]).T @ change
+    # Noise of the background itself, as large as the frame's, would draw the gain to 0 (regression
+    # dilution; W. A. Fuller, Measurement Error Models, 1987, section 1.2): half of what is left.
+    dilution = 0.5 * float(weight.sum()) * scale**2
+    normal[0, 0] -= dilution
+    side[0] += dilution
+    step = np.linalg.solve(normal, side)
     step[1] -= step[0] * mean
     return none + step
 

@@ -29,8 +29,10 @@ from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
 from taccel_lab.signals.color_model import ColorModelConfig
 
 MIN_FRAMES = 3
-MAX_RESPONSE_SIGMA = 0.12
-"""Largest standard deviation of the response that a refit may have."""
+MAX_RESPONSE_SIGMA = 0.25
+"""Largest relative standard deviation of the response that a refit may have."""
+ROUGH_RESPONSE_SIGMA = 0.1
+"""The same above which it is worth a warning."""
 FRAME_DRIFT_LEVELS = 3.0
 MIN_GAIN_LEVELS = 0.1
 CHANNELS = ("red", "green", "blue")
@@ -200,6 +202,18 @@ def refit_profile(
     return refit
 
 
+_PAIRS = (("before", "after"), ("whole_before", "whole_after"))
+
+
+def _sure_gain(errors: Sequence[FrameError], before: str, after: str) -> float:
+    """How much less left-out frames are off, less what may be chance [levels].
+
+    Two standard errors over the frames may be.
+    """
+    gain = np.array([getattr(error, before) - getattr(error, after) for error in errors])
+    return float(gain.mean() - max(MIN_GAIN_LEVELS, 2 * gain.std(ddof=1) / np.sqrt(len(gain))))
+
+
 def _refuse_chance(refit: Refit, has_color: bool) -> None:
     sigma = refit.fit.sigma.response / np.maximum(refit.fit.change.response, 1e-3)
     worst = int(np.argmax(sigma))
@@ -210,9 +224,8 @@ def _refuse_chance(refit: Refit, has_color: bool) -> None:
             f"deviation of {100 * sigma[worst]:.0f} %, at most {100 * MAX_RESPONSE_SIGMA:.0f} % "
             "is allowed. Give more presses, spread over the gel, in steady light"
         )
-    gain = refit.mean("before") - refit.mean("after")
-    whole = refit.mean("whole_before") - refit.mean("whole_after")
-    if max(gain, whole) < MIN_GAIN_LEVELS:
+    disc, whole = (_sure_gain(refit.errors, *names) for names in _PAIRS)
+    if max(disc, whole) <= 0:
         raise InputError(
             "no correction is worth it: on frames left out of the fit the error is "
             f"{refit.mean('before'):.2f} levels with the old profile and "
@@ -296,6 +309,17 @@ def _remarks(
             f"{after:.2f} levels instead of {before:.2f}",
         )
     ]
+    rough = sigma.response / np.maximum(change.response, 1e-3)
+    if rough.max() > ROUGH_RESPONSE_SIGMA:
+        name = CHANNELS[int(np.argmax(rough))]
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "rough_response",
+                f"the frames disagree by {100 * rough.max():.0f} % on the response of {name}: more "
+                "presses, in steadier light, would tell it better",
+            )
+        )
     if len(frames) < 5:
         remarks.append(
             Remark(

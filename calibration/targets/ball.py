@@ -14,14 +14,19 @@ A single press goes the same way with a smaller map.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calibration.background.drift import Drift
 from calibration.capture.captures import CaptureSet, ContactCircle
 from calibration.targets.change import ColorChange, color_change
-from calibration.targets.photometric import FittedContact, PhotometricFit, fit_contacts
+from calibration.targets.photometric import (
+    FittedContact,
+    MapTerms,
+    PhotometricFit,
+    fit_contacts,
+)
 from calibration.targets.polar import PolarSamples, sample_rings
 from calibration.targets.rough import (
     MIN_RADIUS_PX,
@@ -48,6 +53,8 @@ MIN_VISIBLE = 0.55
 """Share of the rings around a contact that has to lie in the image and outside the mask."""
 SAMPLING_BLUR_SHARE = 0.04
 """Guess of the blur of gel and lens together, in ball radii, besides our own smoothing."""
+MIN_SIGMA_PX = 0.05
+"""Resampling moves circles of perfect presses by that much."""
 ROUNDS = (8, 16)
 """Rounds of the fit on the first samples, and on those around the circles that it found."""
 USUAL_RATIO = 0.7
@@ -200,7 +207,7 @@ class _Start:
 def _start(change: ColorChange, background: np.ndarray, name: str) -> _Start:
     """First circle of a press; InputError when there is nothing to start from."""
     strength = change.strength()
-    center, radius = rough_circle(strength)
+    center, radius = rough_circle(change.change, strength)
     disc = _distance(strength.shape, center) <= radius
     contrast = float(np.percentile(strength[disc], 90)) if disc.any() else 0.0
     bright = float(np.percentile(background, 90))
@@ -234,6 +241,8 @@ def _refine(
     starts: Sequence[_Start], ball_px: Sequence[float]
 ) -> tuple[list[tuple[FittedContact, PolarSamples]], PhotometricFit]:
     circles = [start.circle for start in starts]
+    terms = MapTerms.for_presses(len(starts))
+    blur = float(np.hypot(starts[0].change.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
     fit, samples = None, []
     for rounds in ROUNDS:
         samples = [
@@ -243,13 +252,32 @@ def _refine(
         for start, sample in zip(starts, samples, strict=True):
             if sample.visible < 0.2:
                 raise InputError(f"{start.name}: no contact found inside the image; remove it")
-        blur = float(
-            np.hypot(starts[0].change.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px))
-        )
-        fit = fit_contacts(samples, circles, ball_px, blur_px=blur, iterations=rounds)
+        fit = fit_contacts(samples, circles, ball_px, blur_px=blur, terms=terms, iterations=rounds)
         circles = [contact.circle for contact in fit.contacts]
     assert fit is not None
-    return list(zip(fit.contacts, samples, strict=True)), fit
+    other = fit_contacts(
+        samples, circles, ball_px, blur_px=fit.blur_px, terms=terms.coarser(), iterations=ROUNDS[0]
+    )
+    doubt = _map_variance(fit, other)
+    contacts = [replace(c, covariance=c.covariance + doubt) for c in fit.contacts]
+    return list(zip(contacts, samples, strict=True)), fit
+
+
+def _map_variance(fit: PhotometricFit, other: PhotometricFit) -> np.ndarray:
+    """Covariance of circles [px^2] from the choice of the map: two maps, robust over the presses.
+
+    The residuals of one map are too small for it: what its terms cannot follow moves circles too.
+    """
+    moved = np.array(
+        [
+            (b.circle.u_px - a.circle.u_px, b.circle.v_px - a.circle.v_px,
+             b.circle.radius_px - a.circle.radius_px)
+            for a, b in zip(fit.contacts, other.contacts, strict=True)
+        ]
+    )  # fmt: skip
+    center = 1.4826 * float(np.median(np.abs(moved[:, :2])))
+    radius = 1.4826 * float(np.median(np.abs(moved[:, 2])))
+    return np.diag([center**2, center**2, radius**2]) + np.eye(3) * MIN_SIGMA_PX**2
 
 
 def _accept(

@@ -24,7 +24,7 @@ LOW_CONFIDENCE = 0.6
 SHIFT_PX = 1.5
 """Common shift of all labels against the found circles that is worth a remark."""
 OFF_SIGMAS = 4.0
-PICTURE_PX = 360
+PICTURE_PX = 480
 FOUND_RGB = (255, 255, 255)
 LABEL_RGB = (255, 190, 40)
 CHANGE_GAIN = 1.5
@@ -184,10 +184,10 @@ def _draw(
 ) -> None:
     at = (circle.u_px + 0.5) * zoom - 0.5, (circle.v_px + 0.5) * zoom * ratio - 0.5
     fixed = tuple(round(16 * float(x)) for x in at)
-    cv2.circle(
-        panel, (fixed[0], fixed[1]), round(16 * circle.radius_px * zoom), (0, 0, 0), 3, 16, 4
-    )
-    cv2.circle(panel, (fixed[0], fixed[1]), round(16 * circle.radius_px * zoom), rgb, 1, 16, 4)
+    for color, width in (((0, 0, 0), 4), (rgb, 2)):
+        cv2.circle(
+            panel, (fixed[0], fixed[1]), round(16 * circle.radius_px * zoom), color, width, 16, 4
+        )
 
 
 def _partial_agreement(captures: CaptureSet, found: FoundContacts) -> LabelAgreement | None:

@@ -10,15 +10,35 @@ from calibration.targets.circle_fit import CircleFit, fit_circle_ransac
 
 RAY_COUNT = 180
 MIN_RADIUS_PX = 4.0
+SPECK_SHARES = (1 / 75, 1 / 45)
+"""Half width of specks, dust and edges of dots, as a part of the image's shorter side."""
+GREY_SHARE = 0.1
+"""Weight of a change that is the same all round, the only one on a grey sensor."""
 SHADOW_LEVEL = 0.45
 """Colour change, as a part of the strongest, that shadows beside a contact stay below."""
 
 
-def rough_circle(strength: np.ndarray) -> tuple[np.ndarray, float]:
-    """Disc that stands out most from the ring of 1.4 times its radius: centre (u, v) and radius.
+def rough_circle(change: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, float]:
+    """Where a press is, roughly: centre (u, v) and radius [px].
 
-    ``strength`` is the size of the colour change, shape [height, width], pixels square.
+    ``change`` is the colour change, shape [height, width, 3], pixels square; ``strength`` its size.
+    Discs that stand out are looked for with and without specks; the one round which the colours
+    turn most is taken, since a speck changes the same way on all its sides.
     """
+    best = (-np.inf, np.zeros(2), 0.0)
+    for share in (0.0, *SPECK_SHARES):
+        center, radius = _standing_out(without_specks(strength, share) if share else strength)
+        rays = np.nan_to_num(sample_rays(change, center, 1.3 * radius + 4))
+        harmonics = np.abs(np.fft.fft(rays, axis=0)[:2] / RAY_COUNT) ** 2
+        power = (harmonics[1] + GREY_SHARE * harmonics[0]).sum(axis=-1)
+        score = float(power @ np.arange(len(power)))
+        if score > best[0]:
+            best = (score, center, radius)
+    return best[1], best[2]
+
+
+def _standing_out(strength: np.ndarray) -> tuple[np.ndarray, float]:
+    """Disc that stands out most from the ring of 1.4 times its radius."""
     factor = max(1, min(strength.shape) // 120)
     size = (strength.shape[1] // factor, strength.shape[0] // factor)
     # Shadows beside the contact are weaker than its rim; cutting low values off removes them.
@@ -44,6 +64,13 @@ def rough_circle(strength: np.ndarray) -> tuple[np.ndarray, float]:
     return best[1], best[2]
 
 
+def without_specks(strength: np.ndarray, share: float) -> np.ndarray:
+    """Grey opening that wipes out what is smaller, in half its width, than a part of the image."""
+    size = 2 * max(1, round(min(strength.shape) * share)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    return cv2.morphologyEx(np.asarray(strength, np.float32), cv2.MORPH_OPEN, kernel)
+
+
 def gathered_share(strength: np.ndarray, center: np.ndarray, radius: float) -> float:
     """Share of what changes strongly in and through a circle that lies within two radii of it.
 
@@ -55,7 +82,9 @@ def gathered_share(strength: np.ndarray, center: np.ndarray, radius: float) -> f
     disc = distance <= radius
     if not disc.any():
         return 0.0
-    strong = strength > 0.5 * np.percentile(strength[disc], 90)
+    # The opening also cuts threads of noise between the contact and other strong changes.
+    opened = without_specks(strength, SPECK_SHARES[0])
+    strong = opened > 0.5 * np.percentile(opened[disc], 90)
     _, parts = cv2.connectedComponents(strong.astype(np.uint8))
     touching = np.unique(parts[disc & strong])
     touched = strong & np.isin(parts, touching)
