@@ -47,7 +47,7 @@ def folder(tmp_path: Path) -> Path:
 def test_writes_a_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder.parent / "profile"
     CalibrateColor(
-        folder, out, base=folder.parent / "base", surface="hertz", steps=60, ensemble=2, json=True
+        folder, out, base=folder.parent / "base", surface="hertz", steps=60, ensemble=2, drift="off", json=True
     ).run()
     figures = json.loads(capsys.readouterr().out)
     assert figures["profile"] == str(out)
@@ -66,7 +66,7 @@ def test_writes_a_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
 def test_table_names_the_figures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder.parent / "profile"
     CalibrateColor(
-        folder, out, base=folder.parent / "base", surface="cap", steps=5, ensemble=0,
+        folder, out, base=folder.parent / "base", surface="cap", steps=5, ensemble=0, drift="off",
         holdout_every=0,
     ).run()  # fmt: skip
     assert "no press was held out" in capsys.readouterr().out
