@@ -100,6 +100,11 @@ def grey_captures(
                 f"({kind}). Calibrate the camera on a board (taccel-lab calibrate camera)",
             )
         )
+        grid = base.camera.grid()
+        captures = folder.ball_presses(scale)
+        if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
+            captures = replace(captures, grid=grid)
+        return captures, base, remarks
     return folder.ball_presses(scale), base, remarks
 
 

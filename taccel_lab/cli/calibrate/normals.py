@@ -14,7 +14,7 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from calibration.capture import CaptureSet, ContactCircle
+    from calibration.capture import CaptureFolder, CaptureSet, ContactCircle
     from calibration.inverse.normal_calibration import NormalCalibration
     from calibration.surfaces import PressSurface
     from taccel_lab.profile import SensorProfile
@@ -59,7 +59,7 @@ class CalibrateNormals:
     def run(self) -> None:
         from rich.console import Console
 
-        from calibration.capture import load_captures
+        from calibration.capture import load_capture_folder
         from calibration.inverse.fit import InverseFitOptions
         from calibration.inverse.normal_calibration import calibrate_normals
         from calibration.inverse.page import normals_page
@@ -70,7 +70,6 @@ class CalibrateNormals:
             require_outputs,
             write_results,
         )
-        from taccel_lab.cli.calibrate.color import with_camera_of
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
         from taccel_lab.signals.rest_surface import rest_surface
@@ -79,9 +78,9 @@ class CalibrateNormals:
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         options = InverseFitOptions(steps=self.steps, seed=self.seed)
-        captures = load_captures(self.captures)
+        folder = load_capture_folder(self.captures)
+        captures, base = _on_camera(folder, base_profile(self.base, folder.sensor))
         captures.split(self.holdout_every)
-        base = with_camera_of(base_profile(self.base, captures.sensor), captures)
         rest = rest_surface(base.mesh, captures.grid)
         circles = _contact_circles(captures, self.circles, console)
         surfaces = self._surfaces(captures, circles, base, console)
@@ -128,6 +127,21 @@ class CalibrateNormals:
         from calibration.inverse.skirt import hertz_skirts
 
         return hertz_skirts(captures, circles)
+
+
+def _on_camera(folder: CaptureFolder, base: SensorProfile) -> tuple[CaptureSet, SensorProfile]:
+    """Presses and profile on one pixel grid: the profile's where it was measured, else theirs."""
+    from dataclasses import replace
+
+    from taccel_lab.cli.calibrate.color import with_camera_of
+
+    if base.camera.provenance.kind in ("calibrated", "measured"):
+        grid = base.camera.grid()
+        captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
+        if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
+            return replace(captures, grid=grid), base
+    captures = folder.ball_presses()
+    return captures, with_camera_of(base, captures)
 
 
 def _contact_circles(
