@@ -130,7 +130,7 @@ def local_stretch(
     if weights.sum() < _LOCAL_POINTS or np.abs(residuals).max() < _EXACT_PX:
         return nothing
     design = np.column_stack([np.ones(len(points)), points])
-    normal = np.linalg.inv(design.T @ (design * weights[:, None]))
+    normal = np.linalg.pinv(design.T @ (design * weights[:, None]))
     slope = (normal @ (design.T @ (residuals * weights[:, None])))[1:].T
     left = residuals - design @ (normal @ (design.T @ (residuals * weights[:, None])))
     noise = np.sum(weights[:, None] * left**2, axis=0) / (weights.sum() * (1 - 3 / len(weights)))

@@ -71,11 +71,11 @@ class PlaneFit:
         xy = np.zeros(2)
         for _ in range(60):
             off = np.asarray(uv_px) - self.project(xy[None], theta)[0]
-            step = np.linalg.solve(self.jacobian(xy, theta), off)
+            step = np.linalg.pinv(np.nan_to_num(self.jacobian(xy, theta))) @ off
             xy = xy + step
             if np.linalg.norm(step) < 1e-12 * (1 + np.linalg.norm(xy)):
                 return xy
-        if np.linalg.norm(off) > 1e-6:
+        if not np.linalg.norm(off) <= 1e-6:
             raise InputError(f"the fitted plane is not seen at pixel {tuple(uv_px)}")
         return xy
 
@@ -172,7 +172,7 @@ def _fit(
         seen = [r[mask].ravel() for r, mask in zip(residuals(x), used, strict=True)]
         # The prior counts in standard deviations, points in pixels of standard deviation `scale`.
         values = np.concatenate([*seen, scale * model.prior(x[: model.count])])
-        return np.nan_to_num(values, nan=1e6)
+        return np.nan_to_num(values, nan=1e6, posinf=1e6, neginf=-1e6)
 
     x, scale = start, 1.0
     for _ in range(4):

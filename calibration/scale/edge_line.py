@@ -115,7 +115,7 @@ def find_edge(
     start, stop = _longest_run(jump, 0.4 * float(np.quantile(jump, 0.98)))
     level = float(np.median(jump[start:stop]))
     outside = np.concatenate([jump[: max(start - 10, 0)], jump[stop + 10 :]])
-    noise = float(np.median(outside)) if len(outside) > 10 else noise
+    noise = float(np.median(np.abs(outside))) if len(outside) > 10 else noise
     if (
         level < MIN_JUMP_LEVELS
         or level < MIN_JUMP_OVER_NOISE * noise
@@ -162,6 +162,7 @@ def _jumps(
         strength = np.where(near, strength, 0.0)
     strength[:2], strength[-2:], strength[:, :2], strength[:, -2:] = 0, 0, 0, 0
     order = np.argpartition(-strength.ravel(), min(_CANDIDATES, strength.size - 1))[:_CANDIDATES]
+    order = order[strength.ravel()[order] > 0]
     v, u = np.unravel_index(order, strength.shape)
     normals = np.column_stack([np.cos(angle[v, u]), np.sin(angle[v, u])])
     return np.column_stack([u, v]).astype(np.float64), strength[v, u].astype(np.float64), normals

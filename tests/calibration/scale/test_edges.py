@@ -82,6 +82,7 @@ def test_masked_pixels_have_no_effect() -> None:
     ("image", "reason"),
     [
         (quantise(add_noise(BACKGROUND, 2.0, np.random.default_rng(0))), "no edge"),
+        (BACKGROUND.astype(np.uint8), "nothing changes sharply"),
         (drawn_edge(np.array([[40.0, 120.0], [340.0, 125.0]])), "runs out|no end"),
         (np.zeros((100, 320, 3), np.uint8), "of one size"),
     ],
