@@ -47,7 +47,14 @@ def folder(tmp_path: Path) -> Path:
 def test_writes_a_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder.parent / "profile"
     CalibrateColor(
-        folder, out, base=folder.parent / "base", surface="hertz", steps=60, ensemble=2, drift="off", json=True
+        folder,
+        out,
+        base=folder.parent / "base",
+        surface="hertz",
+        steps=60,
+        ensemble=2,
+        drift="off",
+        json=True,
     ).run()
     figures = json.loads(capsys.readouterr().out)
     assert figures["profile"] == str(out)
