@@ -31,7 +31,7 @@ def dust_mask(image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
         inner = cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=1) > 0
         specks &= inner
     _, parts, stats, _ = cv2.connectedComponentsWithStats(specks.astype(np.uint8))
-    small = stats[:, cv2.CC_STAT_AREA] < (2 * sigma) ** 2
+    small = stats[:, cv2.CC_STAT_AREA] < (4 * sigma) ** 2
     small[0] = False
     specks = small[parts]
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))

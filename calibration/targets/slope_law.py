@@ -10,8 +10,8 @@ eq. 3.42a, differentiated):
 damped by ``exp(-(r - a) / l)``: a gel bonded to a plate, and all the more one pressed deeply, sinks
 over a shorter distance. ``l = sqrt(R^2 - a^2)`` follows our own finite-element presses (bonded pad
 of 2.5 R thickness, contact radii of 0.52, 0.74 and 0.91 R) to 0.01 to 0.03 in n out to 2.5 a, where
-the half-space is off by 0.04 to 0.22. It is taken a quarter longer (``SKIRT``): the colours of presses
-on three sensors all ask for more, up to twice as much.
+the half-space is off by 0.04 to 0.22. It is taken a quarter longer (``SKIRT``): the colours of
+presses on three sensors all ask for more, up to twice as much.
 """
 
 from __future__ import annotations

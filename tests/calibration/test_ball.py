@@ -93,8 +93,8 @@ def test_real_presses(taxim_captures: CaptureSet) -> None:
     # Labels are clicked by hand: even pixels, odd radii; 3 px are 0.09 mm.
     agreement = compare_with_labels(taxim_captures, resolve_contacts(taxim_captures))
     assert agreement is not None and agreement.count == 48
-    assert agreement.center_median_px < 3.5 and agreement.center_p90_px < 6.5
-    assert agreement.radius_median_px < 2.0 and agreement.radius_p90_px < 4.0
+    assert agreement.center_median_px < 2.2 and agreement.center_p90_px < 4.5
+    assert agreement.radius_median_px < 1.8 and agreement.radius_p90_px < 3.3
 
 
 def test_real_background_is_refused(taxim_captures: CaptureSet) -> None:
