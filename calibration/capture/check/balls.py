@@ -32,6 +32,8 @@ TRAVEL_SLACK = 1.35
 """Factor left to both bounds: contact radii are known to 5 %, first touch less well."""
 ODD_RATE = 1.45
 """Centre slopes differ by this factor between balls; presses of one ball by 1.25."""
+BALL_FACTOR = 4.0
+"""Two balls of one set hardly differ by more."""
 FIELD_SLACK = 1.05
 FITTED_PRESSES, MIN_PRESSES = 12, 4
 FEW_SHARE = 0.1
@@ -180,12 +182,15 @@ def _check_rates(frames: Sequence[FrameFigures], ball_radius_mm: float | None) -
         return []
     names = [frame.press.name for frame, is_odd in zip(frames, odd, strict=True) if is_odd]
     factor = middle / float(np.median(rates[odd]))
+    as_ball = f"as with a ball of {factor:.2g} times the radius, or a wrong circle"
+    if not 1 / BALL_FACTOR < factor < BALL_FACTOR:
+        as_ball = "a wrong circle, or hardly a contact"
     return [
         warning(
             "other_ball",
             f"in {name_some(names)} the colour changes {1 / factor:.2g} times as fast over the "
-            f"contact as in the other presses: as with a ball of {factor:.2g} times the radius, or "
-            "a wrong circle. State radius_mm of these presses, or remove them",
+            f"contact as in the other presses: {as_ball}. State radius_mm of these presses, or "
+            "remove them",
             "color",
             "normals",
             frames=names,

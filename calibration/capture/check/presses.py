@@ -17,6 +17,8 @@ LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3
 """A label is off when its centre lies this part of its radius (and ``LABEL_OFF_PX``) from the
 contact found, or its radius differs by that part. Careful labels: 0.05 to 0.1 on real sets."""
 LABEL_OFF_PX = 6.0
+SURE_OF_CONTACT = 0.4
+"""Confidence of a contact below which it says nothing against a label."""
 LABELS_BAD_SHARE = 0.25
 FEW_PRESSES, GOOD_PRESSES = 10, 30
 ONE_SPOT_RADII = 2.0
@@ -94,7 +96,10 @@ def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap
         # What the detector itself is unsure of is not held against the label.
         limit = max(LABEL_OFF_PX, LABEL_OFF_SHARE * label.radius_px)
         unsure = 2 * frame.contact.radius_sigma_px
-        off = center > limit or abs(radius) > LABEL_RADIUS_SHARE * label.radius_px + unsure
+        sure = frame.contact.confidence >= SURE_OF_CONTACT
+        off = sure and (
+            center > limit or abs(radius) > LABEL_RADIUS_SHARE * label.radius_px + unsure
+        )
         gaps.append(LabelGap(frame.press.name, center, radius, off))
     return gaps
 
