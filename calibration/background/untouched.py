@@ -18,7 +18,7 @@ TOUCHED_LEVELS = 3.0
 SMOOTHING_SHARE = 1 / 160
 MARGIN_SHARE = 1 / 24
 """Widening of the touched parts, both as parts of the image's shorter side."""
-SPECK_SHARE = 1 / 20
+SPECK_SHARE = 1 / 14
 """Parts smaller than this are specks, not contacts, as a part of the shorter side."""
 STEADY_LEVELS = 1.5
 STEADY_SIGMAS = 1.0
