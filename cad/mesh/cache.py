@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.cache import CACHE_VARIABLE, cache_folder, content_key
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.output import atomic_file
+from taccel_lab.output import CACHE_VARIABLE, atomic_file, cache_folder, content_key
 
 _ARRAYS = ("nodes_m", "tets", "faces", "face_regions", "tet_layers")
 

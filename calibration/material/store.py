@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.cache import CACHE_VARIABLE, cache_folder, content_key
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_file
+from taccel_lab.output import CACHE_VARIABLE, atomic_file, cache_folder, content_key
 
 VERSION = 1
 """Part of every key; raised when the solver or the way of simulating changes forces."""

@@ -16,9 +16,8 @@ import numpy as np
 
 from calibration.surfaces.press_batch import BatchOutcome, PressBatch
 from taccel_lab import __version__
-from taccel_lab.cache import CACHE_VARIABLE, cache_folder, content_key
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_file
+from taccel_lab.output import CACHE_VARIABLE, atomic_file, cache_folder, content_key
 
 RECIPE = 1
 """Raised whenever the same press comes out otherwise."""

@@ -21,10 +21,10 @@ from calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
 from calibration.surfaces.press_batch import BatchOutcome
 from sensors.press_mesh import PressMeshOptions
 from sensors.profile import catalogue_profile
-from taccel_lab.cache import CACHE_VARIABLE
 from taccel_lab.cli.calibrate.color import with_camera_of
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.output import CACHE_VARIABLE
 from taccel_lab.profile import SensorProfile
 
 BALL_MM = 2.0

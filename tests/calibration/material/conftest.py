@@ -10,7 +10,7 @@ import pytest
 
 from calibration.material import Gel
 from sensors.profile import catalogue_profile
-from taccel_lab.cache import CACHE_VARIABLE
+from taccel_lab.output import CACHE_VARIABLE
 from taccel_lab.profile import SensorProfile
 
 
