@@ -60,29 +60,24 @@ def gel_frame(
     middle = fit.locate(center)
     local, local_variance = local_stretch(fit, views, middle, _LOCAL_PITCHES * half_mm)
     origin, angle, scale, shear = _scale_at(fit, center, fit.theta, half_mm, local)
-    by_theta = np.zeros((2, len(fit.theta)))
-    sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    for k in range(len(fit.theta)):
-        # A step of the parameter's own uncertainty differentiates over the range that matters.
-        step = max(0.1 * sigma[k], _STEP * max(abs(fit.theta[k]), 1e-3))
-        theta = np.array(fit.theta)
-        theta[k] += step
-        up = _scale_at(fit, center, theta, half_mm, local)[2]
-        theta[k] -= 2 * step
-        by_theta[:, k] = (up - _scale_at(fit, center, theta, half_mm, local)[2]) / (2 * step)
-    covariance = by_theta @ fit.covariance @ by_theta.T
+    covariance = _model_covariance(fit, center, half_mm, local)
+    own = np.diag(covariance).copy()
     turn = plane_rotation(angle)
     spline = _spline_variance(fit, origin, half_mm)
     extra = np.diag(turn.T @ (local_variance + np.diag(spline)) @ turn)
     covariance += np.diag(extra * scale**4)
-    others = np.array([
-        _scale_at(other, center, other.theta, half_mm, local_stretch(
-            other, views, other.locate(center), _LOCAL_PITCHES * half_mm)[0])[2]
-        for other in near
-    ])  # fmt: skip
-    if len(others) > 1:
-        off = others - scale
-        covariance = covariance + off.T @ off / len(others)
+    systematic = np.zeros(2)
+    for other in near:
+        if other.model == fit.model:
+            continue
+        nearby = _LOCAL_PITCHES * half_mm
+        there = local_stretch(other, views, other.locate(center), nearby)[0]
+        off = _scale_at(other, center, other.theta, half_mm, there)[2] - scale
+        # A richer model is noisier: only what exceeds that is a difference of models (J. Hausman,
+        # Econometrica 46, 1978: the variance of the difference is that of the variances).
+        noise = np.diag(_model_covariance(other, center, half_mm, there)) - own
+        systematic += np.maximum(off**2 - np.maximum(noise, 0.0), 0.0)
+    covariance += np.diag(systematic / max(len(near), 1))
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     product = float(deviation[0] * deviation[1])
     return GelFrame(
@@ -93,6 +88,23 @@ def gel_frame(
         float(np.clip(covariance[0, 1] / product, -1, 1)) if product > 0 else 0.0,
         shear,
     )
+
+
+def _model_covariance(
+    fit: PlaneFit, center: np.ndarray, half_mm: float, local: np.ndarray
+) -> np.ndarray:
+    """Covariance of mm/px along x and y by that of the model's parameters, shape [2, 2]."""
+    by_theta = np.zeros((2, len(fit.theta)))
+    sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    for k in range(len(fit.theta)):
+        # A step of the parameter's own uncertainty differentiates over the range that matters.
+        step = max(0.1 * sigma[k], _STEP * max(abs(fit.theta[k]), 1e-3))
+        theta = np.array(fit.theta)
+        theta[k] += step
+        up = _scale_at(fit, center, theta, half_mm, local)[2]
+        theta[k] -= 2 * step
+        by_theta[:, k] = (up - _scale_at(fit, center, theta, half_mm, local)[2]) / (2 * step)
+    return by_theta @ fit.covariance @ by_theta.T
 
 
 def _scale_at(

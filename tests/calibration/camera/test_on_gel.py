@@ -63,7 +63,7 @@ def test_unequal_scales_come_back_exactly(sx: float, ratio: float, turn: float) 
 
 def test_noise_stays_within_the_predicted_uncertainty() -> None:
     scores = []
-    for seed in range(6):
+    for seed in range(10):
         view = flat_view((0.05, 0.052), 10.0, 0.3, seed)
         if seed % 2:  # Also with a third of the dots missing.
             view = view.take(np.random.default_rng(seed).permutation(63)[:42])
