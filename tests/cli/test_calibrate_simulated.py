@@ -35,7 +35,8 @@ def test_captures_become_a_profile_that_can_be_pressed(
 ) -> None:
     captures = write_captures(tmp_path / "captures")
     out = tmp_path / "calibrated" / "unit"
-    assert calibrate(captures, out, "--steps", "150", "--ensemble", "0", "--drift", "off", "--json") == 0
+    options = ("--steps", "150", "--ensemble", "0", "--drift", "off", "--json")
+    assert calibrate(captures, out, *options) == 0
     captured = capsys.readouterr()
     color = json.loads(captured.out)["color"]
     assert "found circles against 5 labels" in captured.err
