@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
-Exit codes: 0 done, 1 ``doctor`` or ``bench quick`` found something broken or no design of a
-``study`` keeps its constraints, 2 unusable input or usage, 3 a simulation that did not converge,
+Exit codes: 0 done, 1 ``doctor``, ``bench quick`` or ``capture check`` found something broken, a
+stage of ``calibrate all`` had unfit captures or no design of a ``study`` keeps its constraints, 2 unusable input or usage, 3 a simulation that did not converge,
 130 interrupted. Anything else that goes wrong is a bug and keeps its traceback. Command modules
 import heavy libraries inside ``run()`` only, so that help is fast.
 """
@@ -18,8 +18,8 @@ from taccel_lab.errors import InputError, SimulationError
 
 DESCRIPTION = """Design and calibrate vision-based tactile sensors.
 
-From a parametric gel pad to simulated presses, a colour model fitted to real captures, and an
-exported sensor profile."""
+From a parametric gel pad to simulated presses, a calibration to real captures block by block, and
+an exported sensor profile."""
 
 
 class Command(Protocol):
