@@ -256,7 +256,7 @@ def path_displacements(
         "nu": poisson_ratio,
         "ratio": mooney_ratio,
         "mu": mu,
-        "effort": effort.name,
+        "effort": effort.recipe(),
         "dhat_m": FRICTION_CONFIG.dhat_m,
     }
     return kept(recipe, simulate)

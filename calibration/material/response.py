@@ -253,7 +253,7 @@ def simulate_press(
         "nu": poisson_ratio,
         "ratio": mooney_ratio,
         "friction": friction,
-        "effort": effort.name,
+        "effort": effort.recipe(),
         "dhat_m": DHAT_M,
     }
     return kept(recipe, simulate)

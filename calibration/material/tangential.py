@@ -23,6 +23,8 @@ from taccel_lab.errors import InputError
 
 FLAT = 0.3
 """A curve whose last slope is below this part of its first one has slipped: friction is near."""
+ZERO = 0.02
+"""How well the force at the start of the motion is read, as a part of the largest one."""
 STEADY_DEPTH = 0.1
 """A held depth may vary by this part of itself."""
 
@@ -38,7 +40,8 @@ class TangentialFit:
     motion: Motion
     depth_mm: float
     solution: Solution
-    """Parameters ``ln_mu``, ``ln_e`` and ``start`` (motion at which the tool begins to move)."""
+    """Parameters ``ln_mu``, ``ln_e``, ``start`` (motion at which the tool begins to move) and
+    ``zero`` (force of the fit there)."""
     table: TangentialTable
     motions: np.ndarray
     """Shift [mm] or angle [deg] of the rows fitted."""
@@ -152,6 +155,11 @@ def fit_tangential(
     unit = 1.0 if motion == "shear" else math.degrees(1 / tool.contact_radius_mm(depth))
     step = TOUCH_SIGMA_MM * unit
     parameters.append(Parameter("start", 0.0, -5 * step, 5 * step, step, step))
+    # The force at the start is a reading like any other: what it is off by is common to all rows.
+    largest = float(np.abs(tangential).max())
+    parameters.append(
+        Parameter("zero", 0.0, -0.3 * largest, 0.3 * largest, 0.01 * largest, ZERO * largest)
+    )
     sigma = record_sigma(record, len(record.columns["depth_mm"]))
     known = sigma is not None and motion == "shear"
     scale_t = sigma[rows] if known else np.full(len(moved), np.abs(tangential).max())  # type: ignore[index]
@@ -162,13 +170,13 @@ def fit_tangential(
     def values(theta: np.ndarray) -> np.ndarray:
         mu, e = math.exp(theta[0]), math.exp(theta[1])
         along, pressed = table.forces(np.maximum(moved - theta[2], 0.0), mu)
-        parts = [(e * along - tangential) / scale_t]
+        parts = [(e * along + theta[3] - tangential) / scale_t]
         if normal is not None and scale_n is not None:
             parts.append((e * pressed - normal) / scale_n)
         return np.concatenate(parts)
 
     def residuals(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        steps = np.array([1e-5, 1e-5, 1e-5 * max(step, 1e-3)])
+        steps = np.array([1e-5, 1e-5, 1e-5 * max(step, 1e-3), 1e-5 * largest])
         columns = [
             (values(theta + d) - values(theta - d)) / (2 * h)
             for d, h in zip(np.diag(steps), steps, strict=True)
@@ -180,7 +188,7 @@ def fit_tangential(
     along = table.forces(
         np.maximum(moved - solution.value("start"), 0.0), math.exp(solution.value("ln_mu"))
     )[0]
-    fitted = math.exp(solution.value("ln_e")) * along
+    fitted = math.exp(solution.value("ln_e")) * along + solution.value("zero")
     residual = float(np.sqrt(np.mean((fitted - tangential) ** 2)) / np.abs(tangential).max())
     remarks = []
     profile = solution.profiles["ln_mu"]

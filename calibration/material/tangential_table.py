@@ -206,7 +206,7 @@ def simulate_motion(
         "mu": mu,
         "nu": poisson_ratio,
         "ratio": mooney_ratio,
-        "effort": effort.name,
+        "effort": effort.recipe(),
         "dhat_m": FRICTION_CONFIG.dhat_m,
     }
     return kept(recipe, simulate)

@@ -60,7 +60,7 @@ def viscous_gain(
         "deepest_mm": deepest_mm,
         "nu": poisson_ratio,
         "ratio": mooney_ratio,
-        "effort": effort.name,
+        "effort": effort.recipe(),
         "steps": STEPS,
     }
     found = kept(recipe, simulate)

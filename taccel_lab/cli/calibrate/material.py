@@ -45,7 +45,7 @@ class CalibrateMaterial:
     press_friction: float = 0.0
     """Coefficient of friction in the simulated indentations; the report says what it changes."""
     effort: Literal["draft", "quick", "standard", "fine"] = "standard"
-    """Mesh of the simulated presses, from 1,400 to 13,000 nodes; its error enters the intervals."""
+    """Mesh of the simulated presses, from 2,300 to 14,000 nodes; its error enters the intervals."""
     json: bool = False
     """Print the figures as JSON instead of a table."""
 
