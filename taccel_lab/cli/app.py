@@ -2,9 +2,10 @@
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
 Exit codes: 0 done, 1 ``doctor``, ``bench quick`` or ``capture check`` found something broken, a
-stage of ``calibrate all`` had unfit captures or no design of a ``study`` keeps its constraints, 2 unusable input or usage, 3 a simulation that did not converge,
-130 interrupted. Anything else that goes wrong is a bug and keeps its traceback. Command modules
-import heavy libraries inside ``run()`` only, so that help is fast.
+stage of ``calibrate all`` had unfit captures or no design of a ``study`` keeps its constraints,
+2 unusable input or usage, 3 a simulation that did not converge, 130 interrupted. Anything else that
+goes wrong is a bug and keeps its traceback. Command modules import heavy libraries inside ``run()``
+only, so that help is fast.
 """
 
 from __future__ import annotations
