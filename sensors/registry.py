@@ -86,7 +86,8 @@ def sensor_family(name: str) -> SensorFamily:
     if name in known.broken:
         found = known.broken[name]
         raise InputError(f"the sensor {name} of the package {found.package}: {found.reason}")
-    raise InputError(f"no sensor {name!r}; known: {', '.join(known.families)}")
+    also = "; flat_pad stands for any flat gel" if "flat_pad" in known.families else ""
+    raise InputError(f"no sensor {name!r}; known: {', '.join(known.families)}{also}")
 
 
 def _broken(entry: EntryPoint, reason: str) -> BrokenFamily:

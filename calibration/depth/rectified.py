@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from calibration.capture.captures import CaptureSet, Press
+from calibration.capture.folder import CaptureFolder
 from calibration.capture.load import load_capture_folder
 from calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
@@ -73,14 +74,14 @@ class Rectification:
 
 
 def grey_captures(
-    path: Path, base_of: Callable[[str], SensorProfile], maps: Path | None
+    path: Path, base_of: Callable[[CaptureFolder], SensorProfile], maps: Path | None
 ) -> tuple[CaptureSet, SensorProfile, list[Remark]]:
     """The presses, the profile to extend, and what had to be assumed.
 
     The scale is that of the maps, else that of the captures, else that of the profile.
     """
     folder = load_capture_folder(path)
-    base = base_of(folder.sensor)
+    base = base_of(folder)
     remarks: list[Remark] = []
     if maps is not None:
         rectification = Rectification.load(maps)

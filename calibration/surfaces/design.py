@@ -2,7 +2,7 @@
 """The catalogue's design that fits captures: turned as the camera is, or a pad made to measure.
 
 Captures may show a sensor upright that the catalogue has lying down; its pad is then turned by a
-quarter. A ``flat_pad``, which stands for any sensor that is not in the catalogue too, is made as
+quarter. A ``flat_pad``, which stands for any flat gel that is not in the catalogue, is made as
 large as the image shows and a margin.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from calibration.result import Remark, Severity
 from sensors.profile import catalogue_profile
-from sensors.registry import catalogue, sensor_family
+from sensors.registry import sensor_family
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 
@@ -49,11 +49,10 @@ def fitted_design(
         InputError: Parameters that cannot be built, or a sensor whose package cannot be loaded.
     """
     given = dict(overrides or {})
-    known = catalogue()
-    if sensor == FLAT_PAD or (sensor not in known.families and sensor not in known.broken):
+    if sensor == FLAT_PAD:
         found = {**_made_to_measure(grid), **given}
         profile = catalogue_profile(FLAT_PAD, found)
-        return FittedDesign(profile, found, [_assumed_pad(sensor, profile, given)])
+        return FittedDesign(profile, found, [_assumed_pad(profile, given)])
     turned = _turned(sensor, grid)
     found = {**turned, **given}
     remarks = []
@@ -86,8 +85,7 @@ def _made_to_measure(grid: PixelGrid) -> dict[str, Any]:
     }
 
 
-def _assumed_pad(sensor: str, profile: SensorProfile, given: Mapping[str, Any]) -> Remark:
-    who = "this sensor" if sensor == FLAT_PAD else repr(sensor)
+def _assumed_pad(profile: SensorProfile, given: Mapping[str, Any]) -> Remark:
     thickness = profile.gel.thickness_mm
     if "thickness_mm" in given:
         return Remark(
@@ -96,9 +94,10 @@ def _assumed_pad(sensor: str, profile: SensorProfile, given: Mapping[str, Any]) 
     return Remark(
         Severity.WARNING,
         "flat_pad",
-        f"the catalogue does not know {who}: its gel is taken as flat, bonded to a plate and "
-        f"{thickness:g} mm thick. The thickness shapes the sunk gel beside a contact only; give "
-        "yours with --set thickness_mm=... (docs/calibration_color.md has what it changes)",
+        f"flat_pad stands for a sensor that is not in the catalogue: its gel is taken as flat, "
+        f"bonded to a plate and {thickness:g} mm thick. The thickness shapes the sunk gel beside a "
+        "contact only; give yours with --set thickness_mm=... (docs/calibration_color.md has what "
+        "it changes)",
     )
 
 

@@ -89,7 +89,7 @@ def simulate_batch(batch: PressBatch) -> BatchOutcome:
     from taccel_lab.envs import Indenter, PressEnv, profile_material
     from taccel_lab.scene import Ball
 
-    wp.config.log_level = wp.LOG_WARNING
+    wp.config.log_level = wp.LOG_ERROR
     ball_mm, count = batch.ball_radius_mm, len(batch.at_mm)
     meshes = batch.meshes()
     env = PressEnv(

@@ -73,7 +73,7 @@ class Demo:
         from calibration.targets import choose_circles, resolve_contacts
         from sensors.design import design_sensor
         from sensors.registry import sensor_family
-        from taccel_lab.cli.calibrate.color import with_camera_of
+        from taccel_lab.cli.calibrate.base import on_grid
         from taccel_lab.cli.demo_report import DemoResults
         from taccel_lab.cli.press import check_depth, load_sensor
         from taccel_lab.cli.progress import count_progress, fit_progress
@@ -94,7 +94,7 @@ class Demo:
             )
         with clock.stage("designing the gel pad"):
             design = design_sensor(sensor_family(DEMO_SENSOR), None, folder / "design")
-            base = with_camera_of(design.profile, captures)
+            base = on_grid(design.profile, captures.grid, captures.provenance)
         with clock.stage("finding the contact circles"):
             contacts = resolve_contacts(captures)
             circles = choose_circles(captures, contacts)

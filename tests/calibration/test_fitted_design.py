@@ -31,10 +31,9 @@ def test_upright_images_turn_the_pad() -> None:
     assert after["marker_pitch_mm"] == before["marker_pitch_mm"]
 
 
-@pytest.mark.parametrize("sensor", ["flat_pad", "of_my_own"])
-def test_unknown_sensors_are_flat_pads_made_to_measure(sensor: str) -> None:
+def test_flat_pads_are_made_to_measure() -> None:
     grid = PixelGrid(400, 300, 0.07, 0.08)
-    found = fitted_design(sensor, grid)
+    found = fitted_design("flat_pad", grid)
     assert found.profile.sensor.family == "flat_pad"
     assert pad_size(found.profile) == pytest.approx(
         [400 * 0.07 + 2 * MARGIN_MM, 300 * 0.08 + 2 * MARGIN_MM], abs=1e-3
@@ -42,7 +41,7 @@ def test_unknown_sensors_are_flat_pads_made_to_measure(sensor: str) -> None:
     assert found.profile.camera.grid() == grid
     (remark,) = found.remarks
     assert remark.severity is Severity.WARNING and "thickness" in remark.message
-    known = fitted_design(sensor, grid, {"thickness_mm": 2.5})
+    known = fitted_design("flat_pad", grid, {"thickness_mm": 2.5})
     assert known.profile.gel.thickness_mm == 2.5
     assert [r.severity for r in known.remarks] == [Severity.INFO]
 
@@ -57,3 +56,8 @@ def test_dimensions_given_win_over_the_turn() -> None:
     found = fitted_design("gelsight_mini", grid, {"length_x_mm": 21.5})
     assert pad_size(found.profile) == pytest.approx([21.5, 25.25])
     assert found.profile.sensor.parameters["length_x_mm"] == 21.5
+
+
+def test_an_unknown_sensor_is_refused_with_what_may_stand_for_it() -> None:
+    with pytest.raises(InputError, match=r"no sensor 'gelsite'.*flat_pad stands for any flat gel"):
+        fitted_design("gelsite", PixelGrid(320, 240, 0.05, 0.05))

@@ -21,7 +21,7 @@ from calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
 from calibration.surfaces.press_batch import BatchOutcome
 from sensors.press_mesh import PressMeshOptions
 from sensors.profile import catalogue_profile
-from taccel_lab.cli.calibrate.color import with_camera_of
+from taccel_lab.cli.calibrate.base import on_grid
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.output import CACHE_VARIABLE
@@ -156,7 +156,7 @@ def captures() -> CaptureSet:
 
 @pytest.fixture(scope="module")
 def base(profile: SensorProfile, captures: CaptureSet) -> SensorProfile:
-    return with_camera_of(profile, captures)
+    return on_grid(profile, captures.grid, captures.provenance)
 
 
 @pytest.fixture(scope="module")

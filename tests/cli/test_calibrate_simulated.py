@@ -51,7 +51,7 @@ def test_captures_become_a_profile_that_can_be_pressed(
     assert profile.color is not None
     assert "finite elements, friction 0" in profile.color.provenance.method
     assert set(profile.color.provenance.inputs) >= {"background", "p0", "p1", "p2", "p4"}
-    assert os.listdir(out.parent) == ["unit"]
+    assert sorted(os.listdir(out.parent)) == ["unit", "unit_report"]
 
     pressed = tmp_path / "press"
     assert main(["press", str(out), "--out", str(pressed), "--depth-mm", "0.4"]) == 0
@@ -76,7 +76,7 @@ def test_base_profile_gives_the_design(tmp_path: Path) -> None:
     assert load_profile(out).material == load_profile(base).material
     # Again, in the place of the first.
     assert calibrate(captures, out, *options) == 0
-    assert sorted(os.listdir(tmp_path)) == ["base", "captures", "unit"]
+    assert sorted(os.listdir(tmp_path)) == ["base", "captures", "unit", "unit_report"]
 
 
 def test_interrupted_simulation_leaves_the_earlier_profile(

@@ -96,7 +96,7 @@ class CalibrateAll:
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         folder = load_capture_folder(self.captures)
-        profile = base_profile(self.base, folder.sensor)
+        profile = base_profile(self.base, folder)
         with count_progress(console, "checking the captures") as progress:
             states = stage_states(check_captures(folder, progress=progress))
         outcomes = []

@@ -51,7 +51,7 @@ class CalibrateBackground:
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder.sensor)
+        base = base_profile(self.base, folder)
         with count_progress(console, "comparing the frames") as progress:
             result = calibrate_background(folder, progress)
         write_results(result, background_page(result), base, self.out, report, console)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -14,24 +14,74 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from calibration.capture import CaptureFolder, CaptureSet
     from calibration.report import Page
     from calibration.result import CalibrationResult
+    from taccel_lab.geometry import PixelGrid
     from taccel_lab.profile import SensorProfile
 
 
-def base_profile(base: Path | None, sensor: str) -> SensorProfile:
-    """The profile in the folder ``base``, or the catalogue's design of ``sensor``."""
+MEASURED = ("calibrated", "measured")
+"""Kinds of blocks that say something about the unit at hand."""
+
+
+def base_profile(base: Path | None, folder: CaptureFolder) -> SensorProfile:
+    """The profile in the folder ``base``, or the catalogue's design that fits the captures."""
+    from calibration.surfaces.design import fitted_design
     from sensors.profile import catalogue_profile
     from taccel_lab.profile import load_profile
 
     if base is None:
-        return catalogue_profile(sensor)
+        if folder.mm_per_px is not None and folder.background is not None:
+            grid = folder.grid()
+            return on_grid(fitted_design(folder.sensor, grid).profile, grid, folder.provenance)
+        return catalogue_profile(folder.sensor)
     profile = load_profile(base)
-    if profile.sensor.family != sensor:
+    if profile.sensor.family != folder.sensor:
         raise InputError(
-            f"the captures are of a {sensor}, the profile {base} is of a {profile.sensor.family}"
+            f"the captures are of a {folder.sensor}, the profile {base} is of a "
+            f"{profile.sensor.family}"
         )
     return profile
+
+
+def presses_on_camera(
+    folder: CaptureFolder, base: SensorProfile
+) -> tuple[CaptureSet, SensorProfile]:
+    """Ball presses and profile on one pixel grid.
+
+    The grid is the profile's where its camera was measured on this unit and shows images of this
+    size; else the one that the captures state.
+    """
+    from dataclasses import replace
+
+    if base.camera.provenance.kind in MEASURED:
+        grid = base.camera.grid()
+        captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
+        if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
+            return replace(captures, grid=grid), base
+    captures = folder.ball_presses()
+    return captures, on_grid(base, captures.grid, captures.provenance)
+
+
+def on_grid(
+    profile: SensorProfile, grid: PixelGrid, provenance: Mapping[str, str]
+) -> SensorProfile:
+    """The profile with the captures' image size and scale; as it is where it has them."""
+    from taccel_lab.profile import CameraBlock, Provenance
+
+    if profile.camera.grid() == grid:
+        return profile
+    return profile.without("background", "color", "normals").with_block(
+        CameraBlock.from_grid(
+            grid,
+            Provenance(
+                kind="published",
+                method="image size and scale of the captures; the image centre lies over the apex",
+                source=provenance.get("source", "captures.toml"),
+            ),
+        )
+    )
 
 
 def report_folder(out: Path, report: Path | None) -> Path:

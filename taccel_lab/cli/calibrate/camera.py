@@ -72,7 +72,7 @@ class CalibrateCamera:
         if self.maps is not None:
             _require_file(self.maps)
         folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder.sensor)
+        base = base_profile(self.base, folder)
         with stage_progress(console) as progress:
             result = calibrate_camera(
                 folder,

@@ -80,6 +80,7 @@ class CalibrateColor:
     """Print the figures as JSON instead of a table."""
 
     def run(self) -> None:
+        import warp as wp
         from rich.console import Console
 
         from calibration.color_calibration import ColorPlan, calibrate_color
@@ -89,6 +90,7 @@ class CalibrateColor:
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
 
+        wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
         console = Console(stderr=True)
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
@@ -97,9 +99,8 @@ class CalibrateColor:
         options = ColorFitOptions(
             steps=self.steps, seed=self.seed, loss=self.loss, validation_every=self.validation_every
         )
-        captures, remarks = self._captures(console)
+        captures, base, remarks = self._captures(console)
         captures.split(self.holdout_every)
-        base, assumed = self._base(captures)
         circles = _contact_circles(captures, self.circles, console)
         surfaces = self._surfaces(captures, circles, base, console)
         with fit_progress(console, "fitting the colour model") as progress:
@@ -115,7 +116,7 @@ class CalibrateColor:
                     folds=min(self.ensemble, len(captures.presses)),
                     table=self.table,
                 ),
-                remarks=(*remarks, *assumed),
+                remarks=tuple(remarks),
                 progress=progress,
                 stage=lambda text: console.print(text, highlight=False),
             )
@@ -125,10 +126,15 @@ class CalibrateColor:
         else:
             _print_figures(Console(), result)
 
-    def _captures(self, console: Console) -> tuple[CaptureSet, list[Remark]]:
-        """The presses, and what is weak about them; what cannot be used is refused with reasons."""
+    def _captures(self, console: Console) -> tuple[CaptureSet, SensorProfile, list[Remark]]:
+        """The presses, the designed sensor with their camera, and what is weak or assumed; what
+        cannot be used is refused with all reasons."""
+        from cad.parameters import parse_overrides
         from calibration.capture import load_capture_folder
         from calibration.capture.check import check_captures
+        from calibration.surfaces.design import fitted_design
+        from sensors.registry import sensor_family
+        from taccel_lab.cli.calibrate.base import base_profile, on_grid, presses_on_camera
         from taccel_lab.cli.progress import count_progress
 
         folder = load_capture_folder(self.captures)
@@ -136,9 +142,17 @@ class CalibrateColor:
             raise InputError(
                 f"{folder.source} was captured with sensor {folder.sensor!r}, not {self.sensor!r}"
             )
+        if self.base is not None and self.set:
+            raise InputError("--set changes the catalogue's design and cannot go with --base")
+        overrides = parse_overrides(self.set)
+        sensor_family(folder.sensor)
+        base = None if self.base is None else base_profile(self.base, folder)
         fault, captures = None, None
         try:
-            captures = folder.ball_presses()
+            if base is None:
+                captures = folder.ball_presses()
+            else:
+                captures, base = presses_on_camera(folder, base)
         except InputError as error:
             fault = error
         with count_progress(console, "checking the captures") as progress:
@@ -151,20 +165,11 @@ class CalibrateColor:
             also = [f"- {finding.message}" for finding in findings]
             heading = ["the captures have more faults:"] if also else []
             raise InputError("\n".join([str(fault), *heading, *also]))
-        return captures, list(findings)
-
-    def _base(self, captures: CaptureSet) -> tuple[SensorProfile, list[Remark]]:
-        """The designed sensor with the captures' camera, and what was assumed of it."""
-        from cad.parameters import parse_overrides
-        from calibration.surfaces.design import fitted_design
-        from taccel_lab.cli.calibrate.base import base_profile
-
-        if self.base is not None:
-            if self.set:
-                raise InputError("--set changes the catalogue's design and cannot go with --base")
-            return with_camera_of(base_profile(self.base, captures.sensor), captures), []
-        design = fitted_design(captures.sensor, captures.grid, parse_overrides(self.set))
-        return with_camera_of(design.profile, captures), design.remarks
+        if base is not None:
+            return captures, base, list(findings)
+        design = fitted_design(captures.sensor, captures.grid, overrides)
+        base = on_grid(design.profile, captures.grid, captures.provenance)
+        return captures, base, [*findings, *design.remarks]
 
     def _surfaces(
         self,
@@ -192,24 +197,6 @@ class CalibrateColor:
             )
             for press, circle in zip(captures.presses, circles, strict=True)
         ]
-
-
-def with_camera_of(profile: SensorProfile, captures: CaptureSet) -> SensorProfile:
-    """The profile with the captures' image size and scale."""
-    from taccel_lab.profile import CameraBlock, Provenance
-
-    if profile.camera.grid() == captures.grid:
-        return profile
-    return profile.without("background", "color").with_block(
-        CameraBlock.from_grid(
-            captures.grid,
-            Provenance(
-                kind="published",
-                method="image size and scale of the captures; the image centre lies over the apex",
-                source=captures.provenance.get("source", captures.source),
-            ),
-        )
-    )
 
 
 def _contact_circles(

@@ -54,6 +54,7 @@ class CalibrateDepth:
     """Print the figures as JSON instead of a summary."""
 
     def run(self) -> None:
+        import warp as wp
         from rich.console import Console
 
         from calibration.depth.depth_calibration import calibrate_depth
@@ -61,20 +62,21 @@ class CalibrateDepth:
         from calibration.depth.rectified import grey_captures
         from taccel_lab.cli.calibrate.base import (
             base_profile,
+            on_grid,
             report_folder,
             require_outputs,
             write_results,
         )
-        from taccel_lab.cli.calibrate.color import with_camera_of
         from taccel_lab.cli.console import print_json
 
+        wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
         console = Console(stderr=True)
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         captures, base, remarks = grey_captures(
-            self.captures, lambda sensor: base_profile(self.base, sensor), self.maps
+            self.captures, lambda folder: base_profile(self.base, folder), self.maps
         )
-        base = with_camera_of(base, captures)
+        base = on_grid(base, captures.grid, captures.provenance)
         with console.status("finding contacts and fitting the curve"):
             result = calibrate_depth(
                 captures,

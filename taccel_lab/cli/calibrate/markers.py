@@ -62,7 +62,7 @@ class CalibrateMarkers:
         if self.tracks is not None:
             require_track_file(self.tracks)
         folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder.sensor)
+        base = base_profile(self.base, folder)
         if folder.markers is None or not folder.markers.videos:
             with console.status("finding the dots"):
                 result = calibrate_markers(folder, base)

@@ -81,7 +81,7 @@ class CalibrateMaterial:
             effort=EFFORTS[self.effort],
         )
         folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder.sensor)
+        base = base_profile(self.base, folder)
         with stage_progress(console) as progress:
             result = calibrate_material(folder, base, options, progress)
         write_results(result, material_page(result), base, self.out, report, console)

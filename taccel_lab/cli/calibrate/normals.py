@@ -14,7 +14,7 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from calibration.capture import CaptureFolder, CaptureSet, ContactCircle
+    from calibration.capture import CaptureSet, ContactCircle
     from calibration.inverse.normal_calibration import NormalCalibration
     from calibration.surfaces import PressSurface
     from taccel_lab.profile import SensorProfile
@@ -57,6 +57,7 @@ class CalibrateNormals:
     """Print the figures as JSON instead of a summary."""
 
     def run(self) -> None:
+        import warp as wp
         from rich.console import Console
 
         from calibration.capture import load_capture_folder
@@ -66,6 +67,7 @@ class CalibrateNormals:
         from calibration.inverse.samples import Scene
         from taccel_lab.cli.calibrate.base import (
             base_profile,
+            presses_on_camera,
             report_folder,
             require_outputs,
             write_results,
@@ -74,12 +76,13 @@ class CalibrateNormals:
         from taccel_lab.cli.progress import fit_progress
         from taccel_lab.signals.rest_surface import rest_surface
 
+        wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
         console = Console(stderr=True)
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         options = InverseFitOptions(steps=self.steps, seed=self.seed)
         folder = load_capture_folder(self.captures)
-        captures, base = _on_camera(folder, base_profile(self.base, folder.sensor))
+        captures, base = presses_on_camera(folder, base_profile(self.base, folder))
         captures.split(self.holdout_every)
         rest = rest_surface(base.mesh, captures.grid)
         circles = _contact_circles(captures, self.circles, console)
@@ -127,21 +130,6 @@ class CalibrateNormals:
         from calibration.inverse.skirt import hertz_skirts
 
         return hertz_skirts(captures, circles)
-
-
-def _on_camera(folder: CaptureFolder, base: SensorProfile) -> tuple[CaptureSet, SensorProfile]:
-    """Presses and profile on one pixel grid: the profile's where it was measured, else theirs."""
-    from dataclasses import replace
-
-    from taccel_lab.cli.calibrate.color import with_camera_of
-
-    if base.camera.provenance.kind in ("calibrated", "measured"):
-        grid = base.camera.grid()
-        captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
-        if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
-            return replace(captures, grid=grid), base
-    captures = folder.ball_presses()
-    return captures, with_camera_of(base, captures)
 
 
 def _contact_circles(

@@ -53,7 +53,7 @@ class CalibrateScale:
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder.sensor)
+        base = base_profile(self.base, folder)
         with stage_progress(console) as progress:
             result = calibrate_scale(folder, base, progress=progress)
         _ = result.scale  # Refuses captures that only limit the scale before anything is written.

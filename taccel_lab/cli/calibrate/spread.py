@@ -57,7 +57,7 @@ class CalibrateSpread:
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder.sensor)
+        base = base_profile(self.base, folder)
         units = None
         if self.units:
             others = [load_profile(path) for path in self.units]
