@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from calibration.background.drift import Drift
+from calibration.background.drift_report import drift_spread
 from calibration.result import Remark, Severity, judge
 from calibration.spread.units import UnitSpread
 from taccel_lab.errors import InputError
@@ -146,16 +147,13 @@ def calibrate_spread(
         background: RGB levels of the untouched sensor, shape [height_px, width_px, 3].
         inputs: SHA-256 of what was measured, by name.
         source: Where it comes from.
-        noise_levels: Standard deviation of a pixel between untouched frames [levels]; from the
-            residual of the light fits when missing.
+        noise_levels: Standard deviation of a pixel between frames in one light [levels].
     """
     if len(frame_drifts) < 2 and units is None:
         raise InputError(
             f"a spread needs at least 2 frames or 2 profiles of units, got {len(frame_drifts)} "
             "frames and no profiles"
         )
-    if noise_levels is None and frame_drifts:
-        noise_levels = float(np.median([drift.noise_levels for drift in frame_drifts]))
     pivot = background.astype(np.float64).mean(axis=(0, 1))
     return SpreadCalibration(tuple(frame_drifts), noise_levels, units, pivot, dict(inputs), source)
 
@@ -171,15 +169,14 @@ def light_spread(
     if len(lights) < 2:
         return {}
     gain = np.array([light.gain for light in lights]).std(axis=0, ddof=1)
-    at_pivot = [light.offset + (light.gain - 1) * pivot for light in lights]
-    offset = np.array(at_pivot).std(axis=0, ddof=1)
+    offset = drift_spread(lights, pivot[None, None]).shift_levels
     gradient = np.array([light.gradient for light in lights])
     # One figure for both directions: the root mean square of their standard deviations.
     plane = np.sqrt(gradient.var(axis=0, ddof=1).mean(axis=1))
     return {
         "gain_rgb": _triple(gain),
         "pivot_rgb": _triple(pivot),
-        "offset_rgb": _triple(offset),
+        "offset_rgb": offset,
         "gradient_rgb": _triple(plane),
     }
 

@@ -16,7 +16,11 @@ from pathlib import Path
 from typing import Any
 
 # Distributions whose import package is not their own name with underscores.
-IMPORT_NAMES = {"warp-lang": "warp", "opencv-contrib-python-headless": "cv2"}
+IMPORT_NAMES = {
+    "warp-lang": "warp",
+    "opencv-contrib-python-headless": "cv2",
+    "pyyaml": "yaml",
+}
 DISTRIBUTION = "taccel-lab"
 ROOT = Path(__file__).parents[2]
 

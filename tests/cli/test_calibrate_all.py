@@ -43,7 +43,7 @@ def test_stages_build_on_one_another(
     assert profile.background.provenance.kind == "calibrated"
     report = tmp_path / "unit_report"
     assert (report / "background" / "report.html").is_file()
-    html = (report / "report.html").read_text()
+    html = (report / "report.html").read_text(encoding="utf-8")
     assert "Stages" in html and "perturbation" in html
     assert not list(tmp_path.glob(".*"))
 
@@ -66,7 +66,7 @@ def test_a_refusing_stage_is_told_and_the_others_go_on(
     assert run(str(captures), "--out", str(out), *stages) == 1
     assert "the light is off" in "".join(capsys.readouterr())
     assert load_profile(out).perturbation is not None
-    data = json.loads((tmp_path / "unit_report" / "report.json").read_text())
+    data = json.loads((tmp_path / "unit_report" / "report.json").read_text(encoding="utf-8"))
     assert data["verdict"] == "weak" and data["stages"][0]["state"] == "refused"
 
 

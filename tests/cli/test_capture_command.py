@@ -33,7 +33,7 @@ def test_check_writes_a_page(here: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert figures["usable"] and len(figures["presses"]) == 5
     states = {block["command"].split()[-1]: block["readiness"] for block in figures["blocks"]}
     assert states["color"] == "weak"  # five presses
-    page = (here / "page" / "report.html").read_text()
+    page = (here / "page" / "report.html").read_text(encoding="utf-8")
     assert "Blocks of a profile" in page and "data:image/png" in page
     report = json.loads((here / "page" / "report.json").read_text())
     assert report["verdict"] == "usable"

@@ -111,7 +111,7 @@ def test_compare_tells_what_differs(
 
 def test_report_writes_a_page(folder: Path, tmp_path: Path) -> None:
     assert app.main(["profile", "report", str(folder), "--out", str(tmp_path / "page")]) == 0
-    html = (tmp_path / "page" / "report.html").read_text()
+    html = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
     assert "Sensor profile unit 3" in html and "made up [bold]for[/] a test" in html
 
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 if TYPE_CHECKING:
-    from calibration.background.drift import Drift
-    from calibration.capture import CaptureFolder
+    from calibration.background.calibrate import BackgroundCalibration, FrameLight
     from calibration.report import Page
     from calibration.spread import SpreadCalibration
 
@@ -42,6 +41,7 @@ class CalibrateSpread:
     def run(self) -> None:
         from rich.console import Console
 
+        from calibration.background.calibrate import calibrate_background
         from calibration.capture import load_capture_folder
         from calibration.spread import calibrate_spread, spread_of_units
         from taccel_lab.cli.calibrate.base import (
@@ -51,6 +51,7 @@ class CalibrateSpread:
             write_results,
         )
         from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.progress import count_progress
         from taccel_lab.profile import load_profile
 
         console = Console(stderr=True)
@@ -62,15 +63,15 @@ class CalibrateSpread:
         if self.units:
             others = [load_profile(path) for path in self.units]
             units = spread_of_units([base, *others] if self.base is not None else others)
-        background = folder.require_background()
-        with console.status("fitting the light of each frame"):
-            drifts, inputs = frame_drifts(folder)
+        with count_progress(console, "comparing the frames") as progress:
+            light = calibrate_background(folder, progress)
         result = calibrate_spread(
-            drifts,
+            [frame.drift for frame in compared_frames(light)],
             units,
-            background.image(),
-            inputs={"background": background.sha256, **inputs},
-            source=folder.provenance.get("source", folder.source),
+            light.image,
+            inputs=light.inputs,
+            source=light.source,
+            noise_levels=light.noise_levels,
         )
         page = spread_page(result, folder.sensor)
         write_results(result, page, base, self.out, report, console)
@@ -78,14 +79,11 @@ class CalibrateSpread:
             print_json({"profile": str(self.out), "spread": result.figures()})
 
 
-def frame_drifts(folder: CaptureFolder) -> tuple[list[Drift], dict[str, str]]:
-    """Light of the untouched frames, or of the presses where there are fewer than two."""
-    from calibration.background.drift import fit_robust_drift
-
-    background = folder.require_background().image()
-    frames = folder.untouched if len(folder.untouched) > 1 else folder.presses
-    drifts = [fit_robust_drift(frame.image(), background, folder.mask) for frame in frames]
-    return drifts, {frame.name: frame.sha256 for frame in frames}
+def compared_frames(light: BackgroundCalibration) -> list[FrameLight]:
+    """The untouched frames, or the presses where there are fewer than two of them."""
+    untouched = [frame for frame in light.frames if frame.kind == "untouched"]
+    presses = [frame for frame in light.frames if frame.kind == "press"]
+    return untouched if len(untouched) > 1 else presses
 
 
 def spread_page(result: SpreadCalibration, sensor: str) -> Page:

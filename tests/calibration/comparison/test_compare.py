@@ -105,6 +105,6 @@ def test_the_page_holds_the_figures(tmp_path: Path) -> None:
     write_page(found.page(), tmp_path / "out")
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"report.html", "report.json", "backgrounds.png", "color_responses.png"} <= names
-    data = json.loads((tmp_path / "out" / "report.json").read_text())
+    data = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
     assert data["responses"]["color_l1_levels"] > 0 and data["verdict"] == "usable"
-    assert "left against right" in (tmp_path / "out" / "report.html").read_text()
+    assert "left against right" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

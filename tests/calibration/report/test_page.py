@@ -28,10 +28,10 @@ def test_a_page_shows_its_verdict_and_escapes_text(tmp_path: Path) -> None:
         figures={"x": 1.5},
     )
     write_page(page, tmp_path / "out")
-    html = (tmp_path / "out" / "report.html").read_text()
+    html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Fit &lt;of&gt; things" in html and "Verdict: usable" in html and "1.235" in html
     assert "data:image/png;base64," in html and "http" not in html
-    data = json.loads((tmp_path / "out" / "report.json").read_text())
+    data = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
     assert data["x"] == 1.5 and data["remarks"][0]["code"] == "few"
 
 
@@ -43,7 +43,7 @@ def test_a_failing_picture_leaves_the_earlier_page(tmp_path: Path) -> None:
 
     with pytest.raises(RuntimeError):
         write_page(Page("second", "", pictures=[Picture("p", fail, "")]), tmp_path / "out")  # type: ignore[arg-type]
-    assert "first" in (tmp_path / "out" / "report.html").read_text()
+    assert "first" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
@@ -73,7 +73,7 @@ def test_the_page_of_a_profile_tells_each_block_and_its_evidence(tmp_path: Path)
     )
     page = profile_page(profile.with_block(material))
     write_page(page, tmp_path / "out")
-    html = (tmp_path / "out" / "report.html").read_text()
+    html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     for text in ("Verdict: weak", "0.0123", "0.4711 to 0.4899", "-0.87", "does not tell nu"):
         assert text in html
     for key in profile.blocks():

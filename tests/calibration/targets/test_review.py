@@ -60,7 +60,7 @@ def test_review_then_correct(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as stopped:
         CaptureReview(folder, out).run()
     assert stopped.value.code == 1
-    html = (out / "review.html").read_text()
+    html = (out / "review.html").read_text(encoding="utf-8")
     figures = json.loads((out / "review.json").read_text())
     rows = figures["presses"]
     assert rows[0]["name"] == "p2" and rows[0]["confidence"] == 0
