@@ -33,32 +33,22 @@ class CalibrateBackground:
     def run(self) -> None:
         import cv2
         import numpy as np
-        from rich.console import Console
 
         from calibration.background.calibrate import calibrate_background
         from calibration.background.page import background_page
-        from calibration.capture import load_capture_folder
-        from taccel_lab.cli.calibrate.base import (
-            base_profile,
-            report_folder,
-            require_outputs,
-            write_results,
-        )
+        from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import count_progress
 
-        console = Console(stderr=True)
-        report = report_folder(self.out, self.report)
-        require_outputs(self.out, report)
-        folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder)
-        with count_progress(console, "comparing the frames") as progress:
+        job = open_job(self.captures, self.out, self.base, self.report)
+        folder = job.folder
+        with count_progress(job.console, "comparing the frames") as progress:
             result = calibrate_background(folder, progress)
-        write_results(result, background_page(result), base, self.out, report, console)
+        job.write(result, background_page(result))
         usable = ~(result.dust | result.new_dust)
         if folder.mask is not None:
             usable &= folder.mask
-        if not cv2.imwrite(str(report / "dust.png"), usable.astype(np.uint8) * 255):
-            raise OSError(f"{report / 'dust.png'} could not be written")
+        if not cv2.imwrite(str(job.report / "dust.png"), usable.astype(np.uint8) * 255):
+            raise OSError(f"{job.report / 'dust.png'} could not be written")
         if self.json:
             print_json({"profile": str(self.out), "background": result.figures()})

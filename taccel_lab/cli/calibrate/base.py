@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -109,6 +110,34 @@ def stage_of_all() -> Iterator[None]:
         yield
     finally:
         _within_all.reset(token)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What one calibration command starts from, and where its results go."""
+
+    folder: CaptureFolder
+    base: SensorProfile
+    out: Path
+    report: Path
+    console: Console
+    """For people; standard output is for figures."""
+
+    def write(self, result: CalibrationResult, page: Page) -> None:
+        """Save the extended profile and the report."""
+        write_results(result, page, self.base, self.out, self.report, self.console)
+
+
+def open_job(captures: Path, out: Path, base: Path | None, report: Path | None) -> Job:
+    """Refuse unusable outputs, then load the captures and the profile to extend."""
+    from rich.console import Console
+
+    from calibration.capture import load_capture_folder
+
+    report = report_folder(out, report)
+    require_outputs(out, report)
+    folder = load_capture_folder(captures)
+    return Job(folder, base_profile(base, folder), out, report, Console(stderr=True))
 
 
 def write_results(

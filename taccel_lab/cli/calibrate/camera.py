@@ -56,36 +56,27 @@ class CalibrateCamera:
         from rich.console import Console
 
         from calibration.camera import calibrate_camera, camera_page
-        from calibration.capture.load import load_capture_folder
-        from taccel_lab.cli.calibrate.base import (
-            base_profile,
-            report_folder,
-            require_outputs,
-            write_results,
-        )
+        from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import stage_progress
 
-        console = Console(stderr=True)
-        report = report_folder(self.out, self.report)
-        require_outputs(self.out, report)
         if self.maps is not None:
             _require_file(self.maps)
-        folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder)
-        with stage_progress(console) as progress:
+        job = open_job(self.captures, self.out, self.base, self.report)
+        folder = job.folder
+        with stage_progress(job.console) as progress:
             result = calibrate_camera(
                 folder,
-                base,
+                job.base,
                 models=self.models,
                 folds=self.folds,
                 refraction=self.refraction,
                 progress=progress,
             )
-        write_results(result, camera_page(result, folder), base, self.out, report, console)
+        job.write(result, camera_page(result, folder))
         if self.maps is not None:
             result.maps().save(self.maps)
-            console.print(f"wrote {self.maps}", highlight=False)
+            job.console.print(f"wrote {self.maps}", highlight=False)
         if self.json:
             print_json({"profile": str(self.out), "camera": result.figures()})
         else:

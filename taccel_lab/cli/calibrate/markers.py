@@ -43,33 +43,24 @@ class CalibrateMarkers:
     def run(self) -> None:
         from rich.console import Console
 
-        from calibration.capture import load_capture_folder
         from calibration.markers import calibrate_markers
         from calibration.markers.page import marker_page
         from calibration.markers.track_files import require_track_file, write_tracks
-        from taccel_lab.cli.calibrate.base import (
-            base_profile,
-            report_folder,
-            require_outputs,
-            write_results,
-        )
+        from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import count_progress
 
-        console = Console(stderr=True)
-        report = report_folder(self.out, self.report)
-        require_outputs(self.out, report)
         if self.tracks is not None:
             require_track_file(self.tracks)
-        folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder)
+        job = open_job(self.captures, self.out, self.base, self.report)
+        folder = job.folder
         if folder.markers is None or not folder.markers.videos:
-            with console.status("finding the dots"):
-                result = calibrate_markers(folder, base)
+            with job.console.status("finding the dots"):
+                result = calibrate_markers(folder, job.base)
         else:
-            with count_progress(console, "following the dots") as bar:
+            with count_progress(job.console, "following the dots") as bar:
                 result = calibrate_markers(
-                    folder, base, progress=lambda name, done, total: bar(done, total)
+                    folder, job.base, progress=lambda name, done, total: bar(done, total)
                 )
         if self.tracks is not None:
             write_tracks(self.tracks, {v.name: v.tracks for v in result.videos}, result.flows())
@@ -77,9 +68,9 @@ class CalibrateMarkers:
             print_json({"profile": str(self.out), "markers": result.figures()})
         else:
             _print_figures(Console(), result)
-        write_results(result, marker_page(result), base, self.out, report, console)
+        job.write(result, marker_page(result))
         if self.tracks is not None:
-            console.print(f"wrote {self.tracks}", highlight=False)
+            job.console.print(f"wrote {self.tracks}", highlight=False)
 
 
 def _print_figures(console: Console, result: MarkerCalibration) -> None:

@@ -53,26 +53,17 @@ class CalibrateMaterial:
         import warp as wp
         from rich.console import Console
 
-        from calibration.capture import load_capture_folder
         from calibration.material import (
             EFFORTS,
             MaterialOptions,
             calibrate_material,
             material_page,
         )
-        from taccel_lab.cli.calibrate.base import (
-            base_profile,
-            report_folder,
-            require_outputs,
-            write_results,
-        )
+        from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import stage_progress
 
         wp.config.log_level = wp.LOG_WARNING
-        console = Console(stderr=True)
-        report = report_folder(self.out, self.report)
-        require_outputs(self.out, report)
         options = MaterialOptions(
             model=self.model,
             fixed=parse_fixed(self.fix),
@@ -80,11 +71,11 @@ class CalibrateMaterial:
             press_friction=self.press_friction,
             effort=EFFORTS[self.effort],
         )
-        folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder)
-        with stage_progress(console) as progress:
-            result = calibrate_material(folder, base, options, progress)
-        write_results(result, material_page(result), base, self.out, report, console)
+        job = open_job(self.captures, self.out, self.base, self.report)
+        folder = job.folder
+        with stage_progress(job.console) as progress:
+            result = calibrate_material(folder, job.base, options, progress)
+        job.write(result, material_page(result))
         if self.json:
             print_json({"profile": str(self.out), "material": result.figures()})
         else:

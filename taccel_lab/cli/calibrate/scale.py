@@ -38,26 +38,17 @@ class CalibrateScale:
     def run(self) -> None:
         from rich.console import Console
 
-        from calibration.capture.load import load_capture_folder
         from calibration.scale import calibrate_scale, scale_page
-        from taccel_lab.cli.calibrate.base import (
-            base_profile,
-            report_folder,
-            require_outputs,
-            write_results,
-        )
+        from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import stage_progress
 
-        console = Console(stderr=True)
-        report = report_folder(self.out, self.report)
-        require_outputs(self.out, report)
-        folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder)
-        with stage_progress(console) as progress:
-            result = calibrate_scale(folder, base, progress=progress)
+        job = open_job(self.captures, self.out, self.base, self.report)
+        folder = job.folder
+        with stage_progress(job.console) as progress:
+            result = calibrate_scale(folder, job.base, progress=progress)
         _ = result.scale  # Refuses captures that only limit the scale before anything is written.
-        write_results(result, scale_page(result, folder), base, self.out, report, console)
+        job.write(result, scale_page(result, folder))
         if self.json:
             print_json({"profile": str(self.out), "scale": result.figures()})
         else:

@@ -39,31 +39,20 @@ class CalibrateSpread:
     """Print the figures as JSON."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from calibration.background.calibrate import calibrate_background
-        from calibration.capture import load_capture_folder
         from calibration.spread import calibrate_spread, spread_of_units
-        from taccel_lab.cli.calibrate.base import (
-            base_profile,
-            report_folder,
-            require_outputs,
-            write_results,
-        )
+        from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import count_progress
         from taccel_lab.profile import load_profile
 
-        console = Console(stderr=True)
-        report = report_folder(self.out, self.report)
-        require_outputs(self.out, report)
-        folder = load_capture_folder(self.captures)
-        base = base_profile(self.base, folder)
+        job = open_job(self.captures, self.out, self.base, self.report)
+        folder = job.folder
         units = None
         if self.units:
             others = [load_profile(path) for path in self.units]
-            units = spread_of_units([base, *others] if self.base is not None else others)
-        with count_progress(console, "comparing the frames") as progress:
+            units = spread_of_units([job.base, *others] if self.base is not None else others)
+        with count_progress(job.console, "comparing the frames") as progress:
             light = calibrate_background(folder, progress)
         result = calibrate_spread(
             [frame.drift for frame in compared_frames(light)],
@@ -74,7 +63,7 @@ class CalibrateSpread:
             noise_levels=light.noise_levels,
         )
         page = spread_page(result, folder.sensor)
-        write_results(result, page, base, self.out, report, console)
+        job.write(result, page)
         if self.json:
             print_json({"profile": str(self.out), "spread": result.figures()})
 
