@@ -11,8 +11,10 @@ from calibration.targets.ball import (
     resolve_contacts,
 )
 from calibration.targets.fusion import choose_circles, fuse_circles
+from calibration.targets.selection import MAX_LOST_SHARE, usable_presses
 
 __all__ = [
+    "MAX_LOST_SHARE",
     "DetectedContact",
     "FoundContacts",
     "LabelAgreement",
@@ -23,4 +25,5 @@ __all__ = [
     "find_contacts",
     "fuse_circles",
     "resolve_contacts",
+    "usable_presses",
 ]

@@ -11,6 +11,7 @@ import numpy as np
 from calibration.capture.captures import ContactCircle
 from calibration.capture.check.findings import Finding, error, info, name_some, warning
 from calibration.capture.check.frames import FrameFigures
+from calibration.targets.selection import MAX_LOST_SHARE
 from taccel_lab.geometry import PixelGrid
 
 LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3
@@ -56,9 +57,8 @@ def _check_found(frames: Sequence[FrameFigures]) -> list[Finding]:
     if not lost:
         return []
     names = [frame.press.name for frame in lost]
-    labelled = [frame for frame in lost if frame.press.circle is not None]
     reason = lost[0].fault
-    make = error if len(lost) > 0.1 * len(frames) or not labelled else warning
+    make = error if len(lost) > MAX_LOST_SHARE * len(frames) else warning
     return [
         make(
             "no_contact",

@@ -87,6 +87,7 @@ class CalibrateColor:
         from calibration.color_report import color_page
         from calibration.estimators.color import ColorFitOptions
         from taccel_lab.cli.calibrate.base import report_folder, require_outputs, write_results
+        from taccel_lab.cli.calibrate.contacts import contact_circles
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
 
@@ -101,7 +102,7 @@ class CalibrateColor:
         )
         captures, base, remarks = self._captures(console)
         captures.split(self.holdout_every)
-        circles = _contact_circles(captures, self.circles, console)
+        captures, circles, left_out = contact_circles(captures, self.circles, console)
         surfaces = self._surfaces(captures, circles, base, console)
         with fit_progress(console, "fitting the colour model") as progress:
             result = calibrate_color(
@@ -116,7 +117,7 @@ class CalibrateColor:
                     folds=min(self.ensemble, len(captures.presses)),
                     table=self.table,
                 ),
-                remarks=tuple(remarks),
+                remarks=(*remarks, *left_out),
                 progress=progress,
                 stage=lambda text: console.print(text, highlight=False),
             )
@@ -197,25 +198,6 @@ class CalibrateColor:
             )
             for press, circle in zip(captures.presses, circles, strict=True)
         ]
-
-
-def _contact_circles(
-    captures: CaptureSet, which: Literal["fused", "labels", "detected"], console: Console
-) -> list[ContactCircle]:
-    """Circle of every press; detection runs on all of them, so that an empty frame is refused."""
-    from calibration.targets import choose_circles, compare_with_labels, resolve_contacts
-
-    with console.status("finding the contact circles"):
-        found = resolve_contacts(captures)
-    agreement = compare_with_labels(captures, found)
-    if agreement is not None:
-        console.print(
-            f"found circles against {agreement.count} labels, median and 90th percentile: centre "
-            f"{agreement.center_median_px:.1f} and {agreement.center_p90_px:.1f} px, radius "
-            f"{agreement.radius_median_px:.1f} and {agreement.radius_p90_px:.1f} px",
-            highlight=False,
-        )
-    return choose_circles(captures, found, which)
 
 
 def _print_figures(console: Console, result: ColorCalibration) -> None:

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from taccel_lab.errors import InputError
-
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -57,6 +55,8 @@ class CalibrateNormals:
     """Print the figures as JSON instead of a summary."""
 
     def run(self) -> None:
+        from dataclasses import replace
+
         import warp as wp
         from rich.console import Console
 
@@ -72,6 +72,7 @@ class CalibrateNormals:
             require_outputs,
             write_results,
         )
+        from taccel_lab.cli.calibrate.contacts import contact_circles
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
         from taccel_lab.signals.rest_surface import rest_surface
@@ -85,7 +86,7 @@ class CalibrateNormals:
         captures, base = presses_on_camera(folder, base_profile(self.base, folder))
         captures.split(self.holdout_every)
         rest = rest_surface(base.mesh, captures.grid)
-        circles = _contact_circles(captures, self.circles, console)
+        captures, circles, left_out = contact_circles(captures, self.circles, console)
         surfaces = self._surfaces(captures, circles, base, console)
         with fit_progress(console, "fitting the inverse model") as progress:
             result = calibrate_normals(
@@ -99,6 +100,7 @@ class CalibrateNormals:
                 circle_source=self.circles,
                 progress=progress,
             )
+        result = replace(result, remarks=(*left_out, *result.remarks))
         scene = Scene(
             captures.background,
             captures.grid,
@@ -130,24 +132,6 @@ class CalibrateNormals:
         from calibration.inverse.skirt import hertz_skirts
 
         return hertz_skirts(captures, circles)
-
-
-def _contact_circles(
-    captures: CaptureSet, which: Literal["fused", "labels", "detected"], console: Console
-) -> list[ContactCircle]:
-    from calibration.targets import choose_circles, resolve_contacts
-
-    given = [press.circle for press in captures.presses if press.circle is not None]
-    if which == "labels":
-        if len(given) != len(captures.presses):
-            raise InputError(
-                f"{captures.source}: {len(captures.presses) - len(given)} presses come without a "
-                "contact circle; --circles labels needs all of them, fused or detected does not"
-            )
-        return given
-    with console.status("finding the contact circles"):
-        found = resolve_contacts(captures)
-    return choose_circles(captures, found, which)
 
 
 def _print_summary(console: Console, result: NormalCalibration) -> None:

@@ -168,7 +168,11 @@ def test_frame_without_contact(tmp_path: Path) -> None:
     maker.images[8] = gel()
     found = check(maker, tmp_path)
     finding = by_code(found)["no_contact"]
-    assert finding.frames == ("p08",) and not found.usable
+    assert finding.frames == ("p08",) and finding.severity == Severity.WARNING and found.usable
+    for i in (1, 5, 9):
+        maker.images[i] = gel()
+    found = check(maker, tmp_path / "many")
+    assert by_code(found)["no_contact"].severity == Severity.ERROR and not found.usable
 
 
 def crop_and_enlarge(image: np.ndarray, left: int, top: int, wide: int, high: int) -> np.ndarray:

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which presses a fit may use: those with a contact; a few without one do not stop the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from calibration.capture.captures import CaptureSet
+from calibration.result import Remark, Severity
+from calibration.targets.ball import DetectedContact, Progress, find_contacts
+from taccel_lab.errors import InputError
+
+MAX_LOST_SHARE = 0.1
+"""Part of the presses that may show no contact; beyond, something is wrong with the whole set."""
+
+
+def usable_presses(
+    captures: CaptureSet, progress: Progress | None = None
+) -> tuple[CaptureSet, list[DetectedContact], list[Remark]]:
+    """The presses with a contact, their contacts in order, and a remark on those left out.
+
+    Raises:
+        InputError: More than a tenth of the presses show no contact, with every reason.
+    """
+    found = find_contacts(captures, progress)
+    refusals = [found.refusals[i] for i in sorted(found.refusals)]
+    if len(refusals) > MAX_LOST_SHARE * len(captures.presses):
+        raise InputError("\n".join(refusal.message for refusal in refusals))
+    contacts = [contact for contact in found.contacts if contact is not None]
+    if not refusals:
+        return captures, contacts, []
+    kept = tuple(
+        press
+        for press, contact in zip(captures.presses, found.contacts, strict=True)
+        if contact is not None
+    )
+    names = ", ".join(refusal.name for refusal in refusals)
+    remark = Remark(
+        Severity.WARNING,
+        "presses_left_out",
+        f"{len(refusals)} of {len(captures.presses)} presses were left out: {names}. "
+        + "; ".join(refusal.message for refusal in refusals),
+    )
+    provenance = {**captures.provenance, "left_out": names}
+    return replace(captures, presses=kept, provenance=provenance), contacts, [remark]
