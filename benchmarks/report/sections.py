@@ -373,7 +373,17 @@ def headline(results: Results) -> str:
     return table([*head, "MiB an environment"], rows) if rows else NOTHING
 
 
-HEADLINE: dict[str, Section] = {"speed": headline}
+def captures_headline(results: Results) -> str:
+    """The same without times, for the README."""
+    rows = [
+        [row["set"], row["command"], row["figure"], number(row["value"]), f"{row['goal']:g}"]
+        for document in results.get("captures", [])
+        for row in document["rows"]
+    ]
+    return table(["captures", "calibration", "figure", "value", "goal"], rows) if rows else NOTHING
+
+
+HEADLINE: dict[str, Section] = {"speed": headline, "captures": captures_headline}
 SECTIONS: dict[str, Section] = {
     "speed": speed,
     "speed picture": speed_pictures,
