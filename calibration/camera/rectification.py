@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from scipy.spatial import Delaunay
 
 from calibration.camera.intrinsics import Intrinsics
 from calibration.camera.on_gel import OnGel
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.output import atomic_file
 
@@ -32,9 +34,57 @@ class RectificationMaps:
     grid: PixelGrid | None
     """Pixels of the rectified image on the gel; None where the scale is not known."""
 
+    @classmethod
+    def load(cls, path: Path | str) -> RectificationMaps:
+        """Read what ``save`` wrote of a board on the gel; InputError says what it lacks."""
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                wanted = ("map_u_px", "map_v_px", "mm_per_px", "center_px")
+                missing = [key for key in wanted if key not in stored.files]
+                if missing:
+                    raise InputError(
+                        f"{path} lacks {', '.join(missing)}; maps with a scale are written by "
+                        "taccel-lab calibrate camera --maps from a board on the gel"
+                    )
+                u, v = (np.asarray(stored[key], dtype=np.float32) for key in wanted[:2])
+                known = stored["measured"] if "measured" in stored.files else np.ones(u.shape)
+                scale, center = (np.asarray(stored[key], dtype=float) for key in wanted[2:])
+        except (OSError, EOFError, zipfile.BadZipFile, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{path} is not a readable .npz of plain arrays: {error}") from error
+        if u.shape != v.shape or u.ndim != 2 or scale.shape != (2,) or center.shape != (2,):
+            raise InputError(
+                f"{path}: maps {u.shape} and {v.shape}, scale {scale.shape} and middle "
+                f"{center.shape}; two maps of one size and two numbers each are needed"
+            )
+        grid = PixelGrid(
+            u.shape[1],
+            u.shape[0],
+            float(scale[0]),
+            float(scale[1]),
+            float(center[0]),
+            float(center[1]),
+        )
+        return cls(u, v, np.asarray(known, dtype=bool), grid)
+
+    def require_grid(self) -> PixelGrid:
+        """The rectified image's pixel grid; InputError where the scale is not known."""
+        if self.grid is None:
+            raise InputError(
+                "these maps only remove the lens's distortion; a scale needs a board on the gel"
+            )
+        return self.grid
+
     def apply(self, image: np.ndarray) -> np.ndarray:
         """The rectified image; black where the raw one shows nothing."""
         return cv2.remap(image, self.map_u_px, self.map_v_px, cv2.INTER_LINEAR)
+
+    def inside(self, raw_size: tuple[int, int]) -> np.ndarray:
+        """Pixels that the raw image, of (height, width), shows, bool."""
+        height, width = raw_size
+        u, v = self.map_u_px, self.map_v_px
+        return (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
 
     def save(self, path: Path | str) -> None:
         """Write an npz: map_u_px, map_v_px, measured, and the grid's scale and middle."""

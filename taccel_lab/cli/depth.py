@@ -53,8 +53,8 @@ class Depth:
         import numpy as np
         from rich.console import Console
 
+        from calibration.camera.rectification import RectificationMaps
         from calibration.capture.images import decode, read_image
-        from calibration.depth.rectified import Rectification
         from calibration.inverse.read_surface import SurfaceReader
         from taccel_lab.cli.console import print_json
         from taccel_lab.output import atomic_directory, require_replaceable, write_json
@@ -64,7 +64,7 @@ class Depth:
         require_replaceable(self.out)
         self._check_names()
         profile = load_profile(self.profile)
-        maps = None if self.maps is None else Rectification.load(self.maps)
+        maps = None if self.maps is None else RectificationMaps.load(self.maps)
 
         def image_of(path: Path) -> np.ndarray:
             image = read_image(path)

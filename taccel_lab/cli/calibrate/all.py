@@ -23,6 +23,7 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from calibration.capture import CaptureFolder
     from calibration.capture.check.run import CaptureCheck
     from taccel_lab.cli.app import Command
 
@@ -57,8 +58,9 @@ class CalibrateAll:
 
     The captures are checked first (taccel-lab capture check). Then camera, scale, background,
     colour, normals, depth, markers, material and spread, in this order; blocks without captures are
-    skipped and named, with what would have to be captured. Exits with 1 when the captures of a
-    block were unfit.
+    skipped and named, with what would have to be captured. After a board on the gel the images are
+    rectified, as the profile's camera sees them; the maps lie in the report. Exits with 1 when the
+    captures of a block were unfit.
     """
 
     captures: Positional[Path]
@@ -99,25 +101,35 @@ class CalibrateAll:
         profile = base_profile(self.base, folder)
         with count_progress(console, "checking the captures") as progress:
             states = stage_states(check_captures(folder, progress=progress))
-        outcomes = []
+        outcomes: list[StageOutcome] = []
+        captures = self.captures
         with tempfile.TemporaryDirectory(prefix="taccel_lab_") as scratch:
             work = Path(scratch)
             current = work / "base"
             save_profile(profile, current)
             for stage in stages:
                 state, reason = states[stage.name]
+                if stage.name == "scale" and captures != self.captures:
+                    state, reason = "skipped", "the board on the gel gave the scale"
                 if state != "run":
                     outcomes.append(StageOutcome(stage.name, state, reason, 0.0))
                     continue
-                outcome = _run_stage(stage, self.captures, current, work, console)
+                on_gel = any(board.entry.on_gel for board in folder.boards)
+                maps = work / "maps.npz" if stage.name == "camera" and on_gel else None
+                outcome = _run_stage(stage, captures, current, work, console, maps)
                 outcomes.append(outcome)
                 if outcome.state == "done":
                     current = work / stage.name
+                    if maps is not None and folder.background is not None:
+                        captures = work / "captures"
+                        _rectify(folder, maps, captures, console)
             if not any(outcome.state == "done" for outcome in outcomes):
                 lines = "\n".join(f"  {o.name}: {o.message}" for o in outcomes)
                 raise InputError(f"{folder.source}: nothing could be calibrated\n{lines}")
             profile = load_profile(current)
             with atomic_directory(report) as staging:
+                if (work / "maps.npz").is_file():
+                    shutil.copyfile(work / "maps.npz", staging / "maps.npz")
                 for outcome in outcomes:
                     page = work / f"{outcome.name}_report"
                     if page.is_dir():
@@ -179,8 +191,19 @@ def stage_states(check: CaptureCheck) -> dict[str, tuple[str, str]]:
     return states
 
 
+def _rectify(folder: CaptureFolder, maps: Path, out: Path, console: Console) -> None:
+    """The stages after a board on the gel see the images that the profile's camera describes."""
+    from calibration.camera.rectification import RectificationMaps
+    from calibration.camera.rectify_captures import rectify_captures
+
+    with console.status("rectifying the images"):
+        notes = rectify_captures(folder, RectificationMaps.load(maps), out)
+    for note in notes:
+        console.print(f"note: {note}", highlight=False)
+
+
 def _run_stage(
-    stage: Stage, captures: Path, current: Path, work: Path, console: Console
+    stage: Stage, captures: Path, current: Path, work: Path, console: Console, maps: Path | None
 ) -> StageOutcome:
     from taccel_lab.cli.calibrate.base import stage_of_all
 
@@ -190,7 +213,8 @@ def _run_stage(
     try:
         out = work / stage.name
         with stage_of_all():
-            stage.command(captures=captures, out=out, base=current, report=report).run()
+            options = {} if maps is None else {"maps": maps}
+            stage.command(captures=captures, out=out, base=current, report=report, **options).run()
     except InputError as error:
         console.print(f"refused: {error}", highlight=False)
         return StageOutcome(stage.name, "refused", str(error), time.perf_counter() - started)

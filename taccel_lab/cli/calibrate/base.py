@@ -123,6 +123,11 @@ class Job:
     console: Console
     """For people; standard output is for figures."""
 
+    @property
+    def is_stage(self) -> bool:
+        """Whether this is a stage of ``calibrate all``, whose folders are scratch."""
+        return _within_all.get()
+
     def write(self, result: CalibrationResult, page: Page) -> None:
         """Save the extended profile and the report."""
         write_results(result, page, self.base, self.out, self.report, self.console)

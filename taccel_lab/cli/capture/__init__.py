@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab capture``: check, import and plan captures."""
+"""``taccel-lab capture``: everything before a fit."""
 
 from __future__ import annotations
 
 from typing import Any
 
-HELP = "Check, import and plan captures."
+HELP = "Plan, import, check, review and rectify captures."
 
 
 def capture_commands() -> Any:
@@ -15,6 +15,7 @@ def capture_commands() -> Any:
     from taccel_lab.cli.capture.check import CaptureCheckCommand
     from taccel_lab.cli.capture.guide import CaptureGuide
     from taccel_lab.cli.capture.import_ import CaptureImport
+    from taccel_lab.cli.capture.rectify import CaptureRectify
     from taccel_lab.cli.capture.review import CaptureReview
 
     app = SubcommandApp()
@@ -22,4 +23,5 @@ def capture_commands() -> Any:
     app.command(name="guide")(CaptureGuide)
     app.command(name="import")(CaptureImport)
     app.command(name="review")(CaptureReview)
+    app.command(name="rectify")(CaptureRectify)
     return app

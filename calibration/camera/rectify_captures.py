@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A capture folder whose images were rectified: one scale everywhere, boards done with."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.camera.rectification import RectificationMaps
+from calibration.capture.folder import CaptureFolder
+from calibration.capture.importers.draft import write_png
+from calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
+from taccel_lab.errors import InputError
+from taccel_lab.output import atomic_directory
+
+
+def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) -> list[str]:
+    """Write the captures of ``folder``, rectified, as the capture folder ``out``.
+
+    Images become PNG, videos numbered PNG; force records and paths are copied. Boards are left out,
+    since the maps were made of them, and so are contact circles, edge lines and landmarks, which
+    are places in raw images: contacts and edges are found again. Pixels that the raw image does not
+    show are masked.
+
+    Returns:
+        What was left out, in sentences.
+
+    Raises:
+        InputError: Maps without a scale, or of another image size than the captures.
+    """
+    grid = maps.require_grid()
+    _check_size(folder, maps)
+    document = tomllib.loads((folder.root / MANIFEST_NAME).read_text(encoding="utf-8"))
+    notes: list[str] = []
+    with atomic_directory(out) as target:
+        writer = _Writer(folder.root, target, maps)
+        document["schema_version"] = SCHEMA_VERSION
+        document["mm_per_px_x"], document["mm_per_px_y"] = grid.mm_per_px_x, grid.mm_per_px_y
+        if folder.background is not None:
+            document["background"] = writer.image("background", folder.background.image)
+            document["mask"] = writer.mask(folder)
+        if folder.untouched:
+            document["untouched"] = [
+                writer.image(f"untouched_{i}", frame.image)
+                for i, frame in enumerate(folder.untouched)
+            ]
+        for i, (entry, press) in enumerate(
+            zip(document.get("presses", []), folder.presses, strict=True)
+        ):
+            entry["image"] = writer.image(f"press_{i:03d}", press.image)
+            entry.setdefault("name", press.name)
+            if entry.pop("contact", None) is not None:
+                notes.append(f"the contact circle of {press.name} was left out")
+        for i, (entry, edge) in enumerate(
+            zip(document.get("edges", []), folder.edges, strict=True)
+        ):
+            entry["image"] = writer.image(f"edge_{i:03d}", edge.frame.image)
+            entry.pop("line", None)
+        for name in ("boards", "landmarks"):
+            if document.pop(name, None):
+                notes.append(f"{name} were left out")
+        if folder.markers is not None:
+            document["markers"] = _markers(document["markers"], folder, writer)
+        for entry in document.get("records", []):
+            writer.copy(entry["file"])
+        _write_manifest(document, target)
+    return notes
+
+
+def _check_size(folder: CaptureFolder, maps: RectificationMaps) -> None:
+    height, width = folder.require_background().image().shape[:2]
+    u, v = maps.map_u_px, maps.map_v_px
+    seen = (u >= 0) & (v >= 0)
+    if not seen.any() or u[seen].max() > width or v[seen].max() > height:
+        raise InputError(
+            f"{folder.source}: the maps were made for images of another size than "
+            f"{width}x{height} px"
+        )
+
+
+def _markers(entry: dict[str, Any], folder: CaptureFolder, writer: _Writer) -> dict[str, Any]:
+    markers = folder.markers
+    assert markers is not None
+    entry = {key: value for key, value in entry.items() if key != "labels"}
+    entry["rest"] = writer.image("markers_rest", markers.rest.image)
+    videos = []
+    for i, (table, video) in enumerate(zip(entry.get("videos", []), markers.videos, strict=True)):
+        frames = [
+            writer.image(f"video_{i}_{k:05d}", lambda frame=frame: frame)
+            for k, frame in enumerate(video.frames())
+        ]
+        kept = {key: value for key, value in table.items() if key not in ("file", "frames")}
+        if "poses" in kept:
+            writer.copy(kept["poses"])
+        videos.append({**kept, "frames": frames})
+    if videos:
+        entry["videos"] = videos
+    return entry
+
+
+class _Writer:
+    """Rectified images and copied files below one folder."""
+
+    def __init__(self, source: Path, target: Path, maps: RectificationMaps) -> None:
+        self._source, self._target, self._maps = source, target, maps
+
+    def image(self, name: str, read: Callable[[], np.ndarray]) -> str:
+        """Write a rectified image; returns its file name."""
+        write_png(self._target / f"{name}.png", self._maps.apply(read()))
+        return f"{name}.png"
+
+    def mask(self, folder: CaptureFolder) -> str:
+        """Pixels that the raw image shows and that were not masked in it."""
+        size = folder.require_background().image().shape[:2]
+        usable = self._maps.inside((size[0], size[1]))
+        if folder.mask is not None:
+            usable &= self._maps.apply(folder.mask.astype(np.uint8)) > 0
+        write_png(self._target / "mask.png", usable.astype(np.uint8) * 255)
+        return "mask.png"
+
+    def copy(self, name: str) -> None:
+        """Copy a file as it is."""
+        path = self._target / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(self._source / name, path)
+
+
+def _write_manifest(document: dict[str, Any], target: Path) -> None:
+    import tomli_w
+
+    (target / MANIFEST_NAME).write_text(tomli_w.dumps(document), encoding="utf-8")

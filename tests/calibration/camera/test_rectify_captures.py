@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rectified capture folders: images through the maps, what belongs to raw images left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.camera.rectification import RectificationMaps
+from calibration.camera.rectify_captures import rectify_captures
+from calibration.capture import load_capture_folder
+from taccel_lab.cli.app import main
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+
+RAW = (60, 80)
+LEFT, TOP = 12, 7
+GRID = PixelGrid(50, 40, 0.11, 0.12)
+
+
+def cropping_maps() -> RectificationMaps:
+    """A part of the raw image, two columns of which lie beyond its border."""
+    u, v = np.meshgrid(np.arange(50.0) + LEFT, np.arange(40.0) + TOP)
+    u[:, -2:] = -1e4
+    return RectificationMaps(
+        u.astype(np.float32), v.astype(np.float32), np.ones((40, 50), dtype=bool), GRID
+    )
+
+
+@pytest.fixture
+def captures(tmp_path: Path) -> Path:
+    folder = tmp_path / "raw"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    for name in ("bg", "p0", "p1", "board", "f0", "f1"):
+        cv2.imwrite(str(folder / f"{name}.png"), rng.integers(0, 255, (*RAW, 3), dtype=np.uint8))
+    mask = np.full(RAW, 255, dtype=np.uint8)
+    mask[TOP : TOP + 3] = 0
+    cv2.imwrite(str(folder / "mask.png"), mask)
+    (folder / "press.csv").write_text("depth_mm,force_n\n0.2,0.1\n0.5,0.4\n0.8,0.9\n")
+    (folder / "captures.toml").write_text("""
+schema_version = 2
+sensor = "flat_pad"
+background = "bg.png"
+mask = "mask.png"
+[indenter]
+radius_mm = 2.0
+[[presses]]
+image = "p0.png"
+[[presses]]
+image = "p1.png"
+name = "corner"
+contact = { u_px = 40.0, v_px = 30.0, radius_px = 9.0 }
+[[boards]]
+kind = "dots"
+columns = 5
+rows = 4
+pitch_mm = 1.0
+on_gel = true
+images = ["board.png"]
+[markers]
+[[markers.videos]]
+frames = ["f*.png"]
+[[records]]
+file = "press.csv"
+kind = "indentation"
+tool = { kind = "sphere", radius_mm = 4.0 }
+""")
+    return folder
+
+
+def test_a_folder_is_rectified(captures: Path, tmp_path: Path) -> None:
+    raw = load_capture_folder(captures)
+    notes = rectify_captures(raw, cropping_maps(), tmp_path / "even")
+    even = load_capture_folder(tmp_path / "even")
+    part = (slice(TOP, TOP + 40), slice(LEFT, LEFT + 48))
+    assert raw.background is not None and even.background is not None
+    assert np.array_equal(even.background.image()[:, :48], raw.background.image()[part])
+    for before, after in zip(raw.presses, even.presses, strict=True):
+        assert before.name == after.name and after.circle is None
+        assert np.array_equal(after.image()[:, :48], before.image()[part])
+    assert even.mm_per_px == (0.11, 0.12)
+    assert even.mask is not None
+    assert not even.mask[:, 48:].any() and not even.mask[:3].any() and even.mask[3:, :48].all()
+    assert even.boards == () and even.markers is not None
+    (video,) = even.markers.videos
+    assert video.frame_count == 2 and video.frames()[0].shape == (40, 50, 3)
+    assert np.array_equal(even.records[0].columns["force_n"], [0.1, 0.4, 0.9])
+    assert notes == ["the contact circle of corner was left out", "boards were left out"]
+
+
+def test_the_command_takes_saved_maps(
+    captures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cropping_maps().save(tmp_path / "maps.npz")
+    arguments = ["capture", "rectify", str(captures), str(tmp_path / "maps.npz")]
+    assert main([*arguments, str(tmp_path / "even")]) == 0
+    assert "50x40 px at 0.11 x 0.12 mm/px" in " ".join(capsys.readouterr().err.split())
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "x.txt").write_text("keep")
+    assert main([*arguments, str(tmp_path / "mine")]) == 2
+    assert "did not write" in capsys.readouterr().err
+    (tmp_path / "maps.npz").write_bytes(b"no archive")
+    assert main([*arguments, str(tmp_path / "other")]) == 2
+    assert "not a readable .npz" in capsys.readouterr().err
+
+
+def test_maps_that_do_not_go_with_the_captures_are_refused(captures: Path, tmp_path: Path) -> None:
+    raw = load_capture_folder(captures)
+    maps = cropping_maps()
+    wide = RectificationMaps(maps.map_u_px * 4, maps.map_v_px, maps.measured, GRID)
+    with pytest.raises(InputError, match="of another size than 80x60 px"):
+        rectify_captures(raw, wide, tmp_path / "even")
+    lens = RectificationMaps(maps.map_u_px, maps.map_v_px, maps.measured, None)
+    with pytest.raises(InputError, match="a scale needs a board on the gel"):
+        rectify_captures(raw, lens, tmp_path / "even")
+    assert not (tmp_path / "even").exists()
