@@ -120,12 +120,13 @@ def test_names_with_odd_characters_survive(tmp_path: Path) -> None:
     )
     captures = dataclasses.replace(captures, presses=odd)
     write_review(review_contacts(captures), tmp_path / "out")
-    text = (tmp_path / "out" / "contacts.toml").read_text()
+    text = (tmp_path / "out" / "contacts.toml").read_text(encoding="utf-8")
     edited = tmp_path / "contacts.toml"
     # The user takes away the # of every line with a value.
     body = text.split("\n\n", 1)[1]
     lines = [line.removeprefix("# ") for line in body.splitlines()]
-    edited.write_text("\n".join(line for line in lines if not line.startswith("confidence")))
+    kept = "\n".join(line for line in lines if not line.startswith("confidence"))
+    edited.write_text(kept, encoding="utf-8")
     back: CaptureSet = with_overrides(captures, edited)
     assert all(press.checked for press in back.presses)
     for press, circle in zip(back.presses, circles, strict=True):
