@@ -116,7 +116,7 @@ def check_captures(
     findings = [*check_content(folder), *check_targets(folder)]
     if facts is None:
         findings.append(
-            warning(
+            error(
                 "sensor_unknown",
                 f"the catalogue has no sensor {folder.sensor!r} (taccel-lab sensors list); "
                 "flat_pad stands for any flat gel",
