@@ -178,7 +178,7 @@ def friction_of(
         remarks += said
         found.append(("slides", mean, sigma))
     for fit in tangential:
-        if fit.told:
+        if fit.friction_told:
             found.append((fit.name, fit.friction, fit.friction * fit.relative_sigma))
     for fit in flows:
         if fit.friction_told:

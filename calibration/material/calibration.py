@@ -191,7 +191,7 @@ class MaterialCalibration:
                 "motion": item.motion,
                 "friction": item.friction,
                 "interval95": item.friction_interval,
-                "told": item.told,
+                "told": item.friction_told,
                 "relative_residual": item.relative_residual,
             }
             for item in self.tangential

@@ -17,6 +17,7 @@ import numpy as np
 
 from calibration.markers.flow import MarkerFlow
 from calibration.material.flow_table import FlowTable, ToolPath, flow_likelihood, flow_table
+from calibration.material.friction_fit import FrictionFit
 from calibration.material.likelihood import Solution
 from calibration.material.setup import QUICK, Effort, Gel, Tool
 from calibration.result import NORMAL_95, Estimate, Remark, Severity
@@ -27,7 +28,7 @@ MIN_MARKERS = 6
 
 
 @dataclass(frozen=True)
-class FlowFit:
+class FlowFit(FrictionFit):
     """What one marker flow tells."""
 
     name: str
@@ -51,30 +52,9 @@ class FlowFit:
     remarks: tuple[Remark, ...]
 
     @property
-    def friction(self) -> float:
-        return math.exp(self.solution.value("ln_mu"))
-
-    @property
-    def friction_interval(self) -> tuple[float, float]:
-        """95 % interval: the profile's, widened by the error of the table."""
-        value = self.solution.value("ln_mu")
-        low, high = self.solution.profiles["ln_mu"].interval
-        model = NORMAL_95 * self.table.relative_error
-        return (
-            math.exp(value - math.hypot(value - low, model)),
-            math.exp(value + math.hypot(high - value, model)),
-        )
-
-    @property
-    def relative_sigma(self) -> float:
-        """Standard deviation of friction as a part of it, the table included."""
-        return math.hypot(self.solution.sigma_of("ln_mu"), self.table.relative_error)
-
-    @property
-    def friction_told(self) -> bool:
-        """Whether the flow ends the interval of friction on both sides."""
-        profile = self.solution.profiles["ln_mu"]
-        return not (profile.open_low or profile.open_high)
+    def table_error(self) -> float:
+        """Relative error of the simulated table."""
+        return self.table.relative_error
 
     @property
     def nu_estimate(self) -> Estimate:

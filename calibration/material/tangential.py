@@ -13,12 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.capture import ForceRecord
+from calibration.material.friction_fit import FrictionFit
 from calibration.material.indentation import TOUCH_SIGMA_MM
 from calibration.material.likelihood import Group, Likelihood, Parameter, Solution
 from calibration.material.points import record_sigma
 from calibration.material.setup import QUICK, Effort, Gel, Tool
 from calibration.material.tangential_table import Motion, TangentialTable, tangential_table
-from calibration.result import NORMAL_95, Remark, Severity
+from calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 
 FLAT = 0.3
@@ -30,7 +31,7 @@ STEADY_DEPTH = 0.1
 
 
 @dataclass(frozen=True)
-class TangentialFit:
+class TangentialFit(FrictionFit):
     """Friction of one shear or twist record."""
 
     name: str
@@ -53,30 +54,9 @@ class TangentialFit:
     remarks: tuple[Remark, ...]
 
     @property
-    def friction(self) -> float:
-        return math.exp(self.solution.value("ln_mu"))
-
-    @property
-    def friction_interval(self) -> tuple[float, float]:
-        """95 % interval: the profile's, widened by the error of the table."""
-        value = self.solution.value("ln_mu")
-        low, high = self.solution.profiles["ln_mu"].interval
-        model = NORMAL_95 * self.table.error
-        return (
-            math.exp(value - math.hypot(value - low, model)),
-            math.exp(value + math.hypot(high - value, model)),
-        )
-
-    @property
-    def relative_sigma(self) -> float:
-        """Standard deviation of the coefficient as a part of it, tables included."""
-        return math.hypot(self.solution.sigma_of("ln_mu"), self.table.error)
-
-    @property
-    def told(self) -> bool:
-        """Whether the record ends the coefficient's interval on both sides."""
-        profile = self.solution.profiles["ln_mu"]
-        return not (profile.open_low or profile.open_high)
+    def table_error(self) -> float:
+        """Relative error of the simulated table."""
+        return self.table.error
 
 
 def fit_tangential(

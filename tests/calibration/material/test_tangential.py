@@ -59,7 +59,7 @@ def test_a_shear_tells_friction_and_stiffness(gel: Gel, tool: Tool, sheared: dic
     for seed in range(20):
         given = shear_record(sheared, 1.0, 0.01, seed)
         fit = fit_tangential(given, gel, tool, poisson_ratio=POISSON, effort=DRAFT)
-        assert fit.told
+        assert fit.friction_told
         assert fit.friction == pytest.approx(FRICTION, rel=0.05)
         low, high = fit.friction_interval
         hits += low <= FRICTION <= high
@@ -71,7 +71,7 @@ def test_a_shear_tells_friction_and_stiffness(gel: Gel, tool: Tool, sheared: dic
 def test_a_shear_that_sticks_gives_a_lower_bound(gel: Gel, tool: Tool, sheared: dict) -> None:
     given = shear_record(sheared, 0.08, 0.03)
     fit = fit_tangential(given, gel, tool, poisson_ratio=POISSON, effort=DRAFT)
-    assert not fit.told
+    assert not fit.friction_told
     assert [remark.code for remark in fit.remarks] == ["friction_untold"]
 
 
