@@ -14,12 +14,13 @@ stores; torch is imported when an image is rendered.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.signals.model_settings import reading_settings, settings_dict
 
 if TYPE_CHECKING:
     import torch
@@ -81,19 +82,12 @@ class ColorModelConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Flat dict of numbers, strings and lists, as a profile's ``architecture`` stores it."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return settings_dict(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> ColorModelConfig:
         """Inverse of ``to_dict``; unknown and missing keys raise InputError."""
-        fields = cls.__dataclass_fields__
-        unknown, missing = set(values) - set(fields), set(fields) - set(values)
-        if unknown or missing:
-            raise InputError(
-                f"color model settings: unknown {sorted(unknown)}, missing {sorted(missing)}; "
-                f"exactly {', '.join(fields)} are allowed"
-            )
-        try:
+        with reading_settings("color model", cls.__dataclass_fields__, values):
             return cls(
                 width_px=int(values["width_px"]),
                 height_px=int(values["height_px"]),
@@ -104,12 +98,6 @@ class ColorModelConfig:
                 input_scale=tuple(float(scale) for scale in values["input_scale"]),
                 output_scale=float(values["output_scale"]),
             )
-        except InputError:
-            raise
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"color model settings hold a value of a wrong type: {error}"
-            ) from None
 
 
 class ColorModel:

@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.signals.model_settings import reading_settings, settings_dict
 from taccel_lab.signals.normal_features import (
     color_change,
     feature_names,
@@ -113,19 +114,12 @@ class NormalModelConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Flat dict of numbers and lists, as a profile's ``architecture`` stores it."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return settings_dict(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> NormalModelConfig:
         """Inverse of ``to_dict``; unknown and missing keys raise InputError."""
-        fields = cls.__dataclass_fields__
-        unknown, missing = set(values) - set(fields), set(fields) - set(values)
-        if unknown or missing:
-            raise InputError(
-                f"normal model settings: unknown {sorted(unknown)}, missing {sorted(missing)}; "
-                f"exactly {', '.join(fields)} are allowed"
-            )
-        try:
+        with reading_settings("normal model", cls.__dataclass_fields__, values):
             return cls(
                 width_px=int(values["width_px"]),
                 height_px=int(values["height_px"]),
@@ -139,12 +133,6 @@ class NormalModelConfig:
                 input_scale=tuple(float(scale) for scale in values["input_scale"]),
                 error_factor=float(values["error_factor"]),
             )
-        except InputError:
-            raise
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"normal model settings hold a value of a wrong type: {error}"
-            ) from None
 
     def image_features(
         self,
