@@ -257,7 +257,8 @@ class _Training:
                     progress(step, options.steps, train_deg)
 
     def _keep_best(self, step: int) -> float:
-        """Keep the weights of each member that does better than ever on what it leaves out."""
+        """Keep the weights of each member that does better than ever on what it leaves out; the
+        mean error on that [degrees]."""
         angles = [self._angles(i)[0] for i in range(len(self.checks))]
         means = []
         for k in range(self.options.members):
@@ -269,7 +270,7 @@ class _Training:
                     for target, tensor in zip(kept, layer, strict=True):
                         target[k] = tensor.detach()[k]
             means += [error] if own else []
-        return float(np.mean(means)) if means else float("nan")
+        return float(np.degrees(np.mean(means))) if means else float("nan")
 
     def _outputs(self, fold: int, samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:
         """Tilt and expected error of one member; of all members for a negative ``fold``."""

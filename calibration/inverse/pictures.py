@@ -129,7 +129,7 @@ def draw_training(result: NormalCalibration) -> Figure:
     steps, train, left_out = np.array(result.fit.curve).T
     ax.plot(steps, train, color=GREY, label="training pixels")
     if np.isfinite(left_out).any():
-        ax.plot(steps, left_out, color=BLUE, label="left-out presses, best so far")
+        ax.plot(steps, left_out, color=BLUE, label="presses left out")
     ax.set_ylim(0, None)
     ax.set_xlabel("step")
     ax.set_ylabel("mean error [degrees]")

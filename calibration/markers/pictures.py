@@ -162,7 +162,7 @@ def draw_jitter(video: TrackedVideo) -> Figure:
         ax.hist(spread, bins=30, color=BLUE, alpha=0.85)
         ax.axvline(float(np.median(spread)), color=ORANGE, lw=1.4)
         ax.set_title(
-            f"{video.name}: scatter at rest over {video.figures.quiet_frames} frames, median "
+            f"{video.name}\nscatter at rest over {video.figures.quiet_frames} frames, median "
             f"{np.median(spread):.4f} px"
         )
     ax.set_xlabel("standard deviation of a dot along one axis [px]")

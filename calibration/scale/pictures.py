@@ -60,7 +60,7 @@ def draw_edges(measured: list[MeasuredEdge]) -> Figure:
     images = [edge.frame.image() for edge in measured[:shown]]
     height, width = images[0].shape[:2]
     figure, axes = new_figure(
-        2.5 * columns, (2.5 * height / width + 0.3) * rows, rows, columns, squeeze=False
+        2.5 * columns, (2.5 * height / width + 0.5) * rows, rows, columns, squeeze=False
     )
     for axis in axes.ravel():
         axis.set_axis_off()
@@ -70,7 +70,7 @@ def draw_edges(measured: list[MeasuredEdge]) -> Figure:
         axis.plot(ends[:, 0], ends[:, 1], "-", color="white", lw=0.8)
         axis.plot(ends[:, 0], ends[:, 1], "o", mfc="none", color="white", ms=6)
         axis.set_title(
-            f"{Path(edge.name).parent.name}/{edge.frame.name}: {edge.line.length_px:.1f} px",
+            f"{Path(edge.name).parent.name}/{edge.frame.name}\n{edge.line.length_px:.1f} px",
             fontsize=9,
             color=GREY,
         )

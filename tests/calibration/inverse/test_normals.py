@@ -92,6 +92,14 @@ def test_perfect_captures_are_read_to_the_networks_precision(
     assert judge(result.remarks) is not Verdict.WEAK
 
 
+def test_the_curve_holds_degrees(
+    clean: tuple[CaptureSet, list[PressSurface], NormalCalibration],
+) -> None:
+    fit = clean[2].fit
+    left_out = float(np.mean(list(fit.left_out_deg.values())))
+    assert 0.5 * left_out < fit.curve[-1][2] < 2 * left_out
+
+
 def test_noisy_captures_err_as_expected() -> None:
     captures, surfaces = synthetic_captures(16, noise=6.0)
     result = calibrated(captures, surfaces)
