@@ -14,9 +14,9 @@ from typing import Literal
 
 import numpy as np
 
+from calibration.background.drift import fit_drift
 from calibration.capture.captures import CaptureSet, ContactCircle
 from calibration.color_result import ColorCalibration, HeldoutRender, PressScore, Spread
-from calibration.estimators.background import fit_drift
 from calibration.estimators.color import (
     ColorFit,
     ColorFitOptions,

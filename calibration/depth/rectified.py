@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,27 +11,24 @@ import numpy as np
 from calibration.camera.rectification import RectificationMaps
 from calibration.capture.captures import CaptureSet, Press
 from calibration.capture.folder import CaptureFolder
-from calibration.capture.load import load_capture_folder
 from calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 
 
 def grey_captures(
-    path: Path, base_of: Callable[[CaptureFolder], SensorProfile], maps: Path | None
-) -> tuple[CaptureSet, SensorProfile, list[Remark]]:
-    """The presses, the profile to extend, and what had to be assumed.
+    folder: CaptureFolder, base: SensorProfile, maps: Path | None
+) -> tuple[CaptureSet, list[Remark]]:
+    """The presses, and what had to be assumed.
 
     The scale is that of the maps, else that of the captures, else that of the profile.
     """
-    folder = load_capture_folder(path)
-    base = base_of(folder)
     remarks: list[Remark] = []
     if maps is not None:
         rectification = RectificationMaps.load(maps)
         grid = rectification.require_grid()
         captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
-        return _rectified(captures, rectification), base, remarks
+        return _rectified(captures, rectification), remarks
     scale = folder.mm_per_px
     if scale is None:
         scale = (base.camera.mm_per_px_x, base.camera.mm_per_px_y)
@@ -49,8 +45,8 @@ def grey_captures(
         captures = folder.ball_presses(scale)
         if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
             captures = replace(captures, grid=grid)
-        return captures, base, remarks
-    return folder.ball_presses(scale), base, remarks
+        return captures, remarks
+    return folder.ball_presses(scale), remarks
 
 
 def _rectified(captures: CaptureSet, maps: RectificationMaps) -> CaptureSet:

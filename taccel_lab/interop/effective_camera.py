@@ -29,10 +29,6 @@ class EffectiveCamera:
     fy_px: float
 
     @property
-    def fov_x_rad(self) -> float:
-        return float(2 * np.arctan(self.width_px / (2 * self.fx_px)))
-
-    @property
     def fov_y_rad(self) -> float:
         return float(2 * np.arctan(self.height_px / (2 * self.fy_px)))
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from calibration.background.average import average_background
+from calibration.background.drift import Drift, fit_drift
 from calibration.capture import CaptureSet
 from calibration.color_calibration import calibrate_color
-from calibration.estimators.background import Drift, average_background, fit_drift
 from calibration.estimators.color import (
     ColorFitOptions,
     ColorFrame,

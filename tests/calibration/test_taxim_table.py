@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calibration import taxim_table
+from calibration.background.drift import Drift
 from calibration.capture import ContactCircle
-from calibration.estimators.background import Drift
 from calibration.estimators.color import ColorFit, ColorFitOptions, ColorFrame
 from calibration.surfaces import analytic_surface
 from calibration.taxim_table import fit_taxim_table, render_taxim_table

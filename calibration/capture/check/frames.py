@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from calibration.capture.captures import ContactCircle, Press
-from calibration.capture.check.framing import level_fit, median_thumb, thumb
+from calibration.capture.check.framing import level_fit, thumb
 from calibration.targets import DetectedContact, detect_contact
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -68,11 +68,6 @@ def measure_presses(
         if progress is not None:
             progress(i + 1, len(presses))
     return figures
-
-
-def median_press(presses: Sequence[Press]) -> np.ndarray:
-    """Small median of the presses: the untouched gel, where presses are spread."""
-    return median_thumb([thumb(press.image()) for press in presses])
 
 
 def _measure(

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calibration.estimators.background import Drift, average_background
+from calibration.background.average import average_background
+from calibration.background.drift import Drift
 from calibration.estimators.color.frames import (
     ColorFrame,
     draw_samples,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.background.drift import Drift, fit_drift
 from calibration.capture.captures import ContactCircle
-from calibration.estimators.background import Drift, fit_drift
 from calibration.estimators.color.options import ColorFitOptions
 from calibration.surfaces.types import PressSurface
 from taccel_lab.errors import InputError

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.background.drift import Drift
 from calibration.capture.captures import ContactCircle
-from calibration.estimators.background import Drift
 from calibration.estimators.color.fit import rest_background
 from calibration.estimators.color.frames import (
     ColorFrame,

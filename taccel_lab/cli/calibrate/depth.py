@@ -54,40 +54,32 @@ class CalibrateDepth:
     """Print the figures as JSON instead of a summary."""
 
     def run(self) -> None:
+        from dataclasses import replace
+
         import warp as wp
         from rich.console import Console
 
         from calibration.depth.depth_calibration import calibrate_depth
         from calibration.depth.page import depth_page
         from calibration.depth.rectified import grey_captures
-        from taccel_lab.cli.calibrate.base import (
-            base_profile,
-            on_grid,
-            report_folder,
-            require_outputs,
-            write_results,
-        )
+        from taccel_lab.cli.calibrate.base import on_grid, open_job
         from taccel_lab.cli.console import print_json
 
         wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
-        console = Console(stderr=True)
-        report = report_folder(self.out, self.report)
-        require_outputs(self.out, report)
-        captures, base, remarks = grey_captures(
-            self.captures, lambda folder: base_profile(self.base, folder), self.maps
-        )
-        base = on_grid(base, captures.grid, captures.provenance)
-        with console.status("finding contacts and fitting the curve"):
+        job = open_job(self.captures, self.out, self.base, self.report)
+        captures, remarks = grey_captures(job.folder, job.base, self.maps)
+        base = on_grid(job.base, captures.grid, captures.provenance)
+        with job.console.status("finding contacts and fitting the curve"):
             result = calibrate_depth(
                 captures,
                 channel=self.channel,
                 zero=self.zero,
-                surface_of=self._surface_of(captures, base, console),
+                surface_of=self._surface_of(captures, base, job.console),
                 circles=self.circles,
                 seed=self.seed,
                 remarks=remarks,
             )
-        write_results(result, depth_page(result, captures), base, self.out, report, console)
+        replace(job, base=base).write(result, depth_page(result, captures))
         if self.json:
             print_json({"profile": str(self.out), "depth": result.figures()})
             return

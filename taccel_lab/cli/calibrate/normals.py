@@ -60,35 +60,25 @@ class CalibrateNormals:
         import warp as wp
         from rich.console import Console
 
-        from calibration.capture import load_capture_folder
         from calibration.inverse.fit import InverseFitOptions
         from calibration.inverse.normal_calibration import calibrate_normals
         from calibration.inverse.page import normals_page
         from calibration.inverse.samples import Scene
-        from taccel_lab.cli.calibrate.base import (
-            base_profile,
-            presses_on_camera,
-            report_folder,
-            require_outputs,
-            write_results,
-        )
+        from taccel_lab.cli.calibrate.base import open_job, presses_on_camera
         from taccel_lab.cli.calibrate.contacts import contact_circles
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
         from taccel_lab.signals.rest_surface import rest_surface
 
         wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
-        console = Console(stderr=True)
-        report = report_folder(self.out, self.report)
-        require_outputs(self.out, report)
         options = InverseFitOptions(steps=self.steps, seed=self.seed)
-        folder = load_capture_folder(self.captures)
-        captures, base = presses_on_camera(folder, base_profile(self.base, folder))
+        job = open_job(self.captures, self.out, self.base, self.report)
+        captures, base = presses_on_camera(job.folder, job.base)
         captures.split(self.holdout_every)
         rest = rest_surface(base.mesh, captures.grid)
-        captures, circles, left_out = contact_circles(captures, self.circles, console)
-        surfaces = self._surfaces(captures, circles, base, console)
-        with fit_progress(console, "fitting the inverse model") as progress:
+        captures, circles, left_out = contact_circles(captures, self.circles, job.console)
+        surfaces = self._surfaces(captures, circles, base, job.console)
+        with fit_progress(job.console, "fitting the inverse model") as progress:
             result = calibrate_normals(
                 captures,
                 circles,
@@ -108,7 +98,7 @@ class CalibrateNormals:
             captures.mask,
             None if rest.is_flat else rest.normals,
         )
-        write_results(result, normals_page(result, scene), base, self.out, report, console)
+        replace(job, base=base).write(result, normals_page(result, scene))
         if self.json:
             print_json({"profile": str(self.out), "normals": result.figures()})
         else:
