@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import KDTree
 
-from calibration.markers.lattice_growth import Growth, grow, leave_one_out
+from calibration.markers.lattice_growth import Growth, grow, leave_one_out, places_within
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import lattice_steps
 
@@ -26,6 +26,9 @@ _SYMMETRIC = 0.25
 """Opposite neighbours are opposite within this share of their distance."""
 _MIN_SINE = 0.45
 _ENOUGH = 0.9
+"""Share of the points that a numbering explains for the search to end."""
+_FULL = 0.75
+"""Share of its own places that it fills for that; a lattice through cell centres fills half."""
 _LEAST = 6
 """Points that a lattice has at least."""
 _REGULAR = 0.12
@@ -110,13 +113,17 @@ def lattice_index(points: np.ndarray) -> Lattice:
     if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
         raise InputError(f"points must be finite, shape [point, 2], got {points.shape}")
     best: Growth | None = None
+    score = 0.0
     if len(points) >= _LEAST:
         tree = KDTree(points)
         for seed, a, b in _seeds(points, tree):
             found = grow(points, tree, seed, a, b)
-            if best is None or found.count > best.count:
-                best = found
-            if best.count >= _ENOUGH * len(points):
+            # A stray point amid four others seeds a lattice twice as fine, on which those four
+            # and the stray lie: more points are explained, but half of the places are empty.
+            filled = found.count / places_within(found)
+            if best is None or found.count * filled > score:
+                best, score = found, found.count * filled
+            if found.count >= _ENOUGH * len(points) and filled >= _FULL:
                 break
     if best is None:
         return _nothing(len(points))

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
+from scipy.spatial import ConvexHull, KDTree
 
 _CATCH = 0.27
 """A point is taken for a lattice point within this share of the shorter step from its place."""
@@ -126,6 +126,19 @@ def _sweep(
         taken[n] = True
         progress = True
     return progress
+
+
+def places_within(growth: Growth) -> int:
+    """Lattice places, numbered or empty, in the convex hull of the numbered ones."""
+    index = growth.index[growth.numbered]
+    low, high = index.min(axis=0), index.max(axis=0)
+    if np.linalg.matrix_rank(index - index[0]) < 2:
+        # One point or a line of them, in which primitive steps count.
+        return int(np.gcd(*(high - low))) + 1
+    hull = ConvexHull(index.astype(np.float64)).equations
+    span = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
+    places = np.stack(np.meshgrid(*span, indexing="ij"), axis=-1).reshape(-1, 2)
+    return int((places @ hull[:, :2].T + hull[:, 2] <= 1e-6).all(axis=1).sum())
 
 
 def leave_one_out(points: np.ndarray, growth: Growth) -> np.ndarray:

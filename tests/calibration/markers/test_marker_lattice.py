@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import KDTree
 
 from calibration.markers import fit_layout, lattice_index
 from calibration.markers.lattice import renumbered
+from calibration.markers.lattice_growth import Growth, places_within
 from taccel_lab.errors import InputError
 from taccel_lab.optics import MarkerGrid
 from tests.calibration.markers.drawn import grid_points
@@ -36,8 +38,10 @@ def one_shift(found: np.ndarray, true: np.ndarray) -> bool:
     rows=st.integers(5, 12),
     columns=st.integers(5, 14),
     ratio=st.floats(0.7, 1.4),
-    barrel=st.floats(-0.08, 0.12),
-    tilt=st.floats(-0.12, 0.12),
+    # Per pitch: what numbering by neighbours feels is how much one step differs from the next,
+    # and a lattice of few points would need a fisheye for the same share of its corner.
+    barrel=st.floats(-0.011, 0.016),
+    tilt=st.floats(-0.016, 0.016),
     skew=st.floats(-0.1, 0.1),
     turn=st.floats(-0.6, 0.6),
     seed=st.integers(0, 10_000),
@@ -53,11 +57,16 @@ def test_rectangular_lattices_are_numbered(
     seed: int,
 ) -> None:
     rng = np.random.default_rng(seed)
-    points = bent(grid_points(rows, columns, (30.0, 30.0 * ratio)), barrel, tilt, skew, turn)
+    reach = 0.5 * max(columns - 1, (rows - 1) * ratio) * min(ratio, 1 / ratio**2)
+    straight = grid_points(rows, columns, (30.0, 30.0 * ratio))
+    points = bent(straight, barrel * reach, tilt * reach, skew, turn)
     points += rng.normal(0, 0.5, points.shape)
-    keep = rng.random(len(points)) > 0.12
+    keep = np.ones(len(points), dtype=bool)
+    keep[rng.permutation(len(points))[: int(0.12 * len(points))]] = False
     astray = rng.uniform(points.min(axis=0), points.max(axis=0), (3, 2))
-    order = rng.permutation(keep.sum() + 3)
+    # What lies on a place of the lattice is no stray.
+    astray = astray[KDTree(points).query(astray)[0] > 0.35 * 30.0 * min(1.0, ratio)]
+    order = rng.permutation(keep.sum() + len(astray))
     lattice = lattice_index(np.concatenate([points[keep], astray])[order])
     back = np.argsort(order)[: keep.sum()]
     row, column = lattice.row[back], lattice.column[back]
@@ -111,6 +120,31 @@ def test_rows_run_right_and_down_from_zero() -> None:
     np.testing.assert_array_equal(lattice.row[::-1].reshape(3, 4)[:, 0], [0, 1, 2])
     np.testing.assert_array_equal(lattice.column[::-1].reshape(3, 4)[0], [0, 1, 2, 3])
     np.testing.assert_allclose(lattice.basis, [[30, 0], [0, 29]], atol=1e-9)
+
+
+@pytest.mark.parametrize("where", [(0.5, 0.5), (1.5, 0.5), (-0.5, 1.5)])
+def test_a_stray_point_amid_four_makes_no_finer_lattice(where: tuple[float, float]) -> None:
+    """Once in ten draws the lattice through the cells' centres explained more points."""
+    stray = grid_points(1, 1) + 30.0 * np.array(where)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        points = grid_points(5, 5, (30.0, 30.0))
+        points += rng.normal(0, 0.5, points.shape)
+        points = np.delete(points, rng.permutation(len(points))[:3], axis=0)
+        lattice = lattice_index(np.concatenate([points, stray]))
+        assert lattice.kind == "rectangular"
+        assert lattice.row[-1] == -1
+        assert lattice.numbered.sum() == len(points)
+        assert np.hypot(*lattice.basis.T).min() > 28
+
+
+def test_places_count_the_empty_ones() -> None:
+    index = np.array([[0, 0], [4, 0], [0, 4], [4, 4], [2, 2], [9, 9]])
+    numbered = np.array([True, True, True, True, True, False])
+    step = np.zeros(2)
+    assert places_within(Growth(index, numbered, step, step)) == 25
+    assert places_within(Growth(index, index[:, 1] == 0, step, step)) == 5
+    assert places_within(Growth(index, index[:, 0] == 9, step, step)) == 1
 
 
 def test_a_whole_missing_column_leaves_a_gap() -> None:
