@@ -59,7 +59,8 @@ class Axis:
             value = self.low * (self.high / self.low) ** unit
         else:
             value = self.low + unit * (self.high - self.low)
-        return significant(value)
+        # Bounds with more digits than that stay bounds.
+        return min(max(significant(value), self.low), self.high)
 
     def unit_of(self, value: float) -> float:
         """Where in [0, 1] a value of the range lies; inverse of ``at``."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from calibration.camera.board import BoardView
 from calibration.camera.lens import Lens
+from calibration.camera.planar_pose import planar_poses
 from taccel_lab.errors import InputError
 
 HUBER = 1.345
@@ -90,20 +90,13 @@ def fit_bundle(
 
 def initial_pose(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndarray:
     """camera_from_board of a view: the better of the two that a planar board allows, refined."""
-    rays = lens.directions(parameters, view.size_px, view.uv_px)
-    seen = np.isfinite(rays).all(axis=1) & (rays[:, 2] > 0.05)
     board = view.board_mm()
-    if seen.sum() < 4:
-        raise InputError(f"{view.source}: fewer than 4 points lie within the lens's field")
-    plane = (rays[seen, :2] / rays[seen, 2:]).reshape(-1, 1, 2)
-    count, rotations, translations, _ = cv2.solvePnPGeneric(
-        board[seen].reshape(-1, 1, 3), plane, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
-    )
+    try:
+        poses = planar_poses(lens, parameters, view.size_px, board[:, :2], view.uv_px)
+    except InputError as error:
+        raise InputError(f"{view.source}: {error}") from error
     best, cost = None, np.inf
-    for i in range(count):
-        pose = np.concatenate([np.ravel(rotations[i]), np.ravel(translations[i])])
-        if not np.isfinite(pose).all():
-            continue
+    for pose in poses:
         refined = fit_pose(view, lens, parameters, pose)
         error = rms(view.uv_px - lens.project(board, parameters, refined))
         if error < cost:

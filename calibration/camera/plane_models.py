@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from calibration.camera.lens import Lens
+from calibration.camera.planar_pose import planar_poses
 from taccel_lab.errors import InputError
 from taccel_lab.optics.refraction import FlatMedia
 
@@ -131,23 +132,13 @@ class CameraPose:
         return 6 + self.lens.parameter_count
 
     def start(self, xy_mm: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
-        rays = self.lens.directions(self.parameters, self.size_px, uv_px)
-        seen = np.isfinite(rays).all(axis=1) & (rays[:, 2] > 0.05)
-        if seen.sum() < 4:
-            raise InputError("fewer than 4 points of the board lie within the lens's field")
-        plane = (rays[seen, :2] / rays[seen, 2:]).reshape(-1, 1, 2)
-        points = np.column_stack([xy_mm[seen], np.zeros(seen.sum())]).reshape(-1, 1, 3)
-        count, rotations, translations, _ = cv2.solvePnPGeneric(
-            points, plane, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
-        )
-        poses = [
-            np.concatenate([np.ravel(rotations[i]), np.ravel(translations[i]), self.parameters])
-            for i in range(count)
-        ]
-        costs = [
-            np.nansum(np.abs(self._project_in_air(pose, xy_mm[seen]) - uv_px[seen]))
-            for pose in poses
-        ]
+        found = planar_poses(self.lens, self.parameters, self.size_px, xy_mm, uv_px)
+        if not found:
+            raise InputError(f"no pose of the plane explains its {len(xy_mm)} points")
+        poses = [np.concatenate([pose, self.parameters]) for pose in found]
+        missed = [self._project_in_air(pose, xy_mm) - uv_px for pose in poses]
+        # A point that a pose puts beyond the lens's field is missed by the whole image.
+        costs = [np.abs(np.nan_to_num(miss, nan=max(self.size_px))).sum() for miss in missed]
         return poses[int(np.argmin(costs))]
 
     def project(self, theta: np.ndarray, xy_mm: np.ndarray) -> np.ndarray:

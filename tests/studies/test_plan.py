@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cad.parameters import Parameter
@@ -127,6 +127,7 @@ WHOLE = Parameter("n", 1, "px", "", "", 1, 10_000)
 
 
 @settings(max_examples=60, deadline=None)
+@example(low=100.2265625, ratio=2.0, unit=1e-200, log=False)
 @given(
     low=st.floats(1e-3, 5e3), ratio=st.floats(1.01, 2.0), unit=st.floats(0, 1), log=st.booleans()
 )

@@ -17,12 +17,13 @@ from scipy.spatial.transform import Rotation
 from calibration.camera import calibrate_intrinsics, fit_on_gel, gel_maps
 from calibration.camera.board import BoardView
 from calibration.camera.dots import detect_dots
+from calibration.camera.lens import LENSES
 from calibration.camera.plane_models import CameraPose
 from calibration.capture.images import read_image
-from calibration.synthetic.boards import lattice_points
+from calibration.synthetic.boards import exact_view, lattice_points, pose_over
 from taccel_lab.errors import InputError
 from taccel_lab.optics.refraction import FlatMedia
-from tests.calibration.camera.views import SIZE, views_of
+from tests.calibration.camera.views import SIZE, TRUTHS, views_of
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
 NINE = DATA / "9dtact_official" / "shape_reconstruction" / "calibration"
@@ -131,6 +132,17 @@ def test_pose_of_the_gel_with_and_without_refraction() -> None:
     paraxial = 3.0 * (1 - 1 / 1.49) + 4.0 * (1 - 1 / 1.41)
     assert nearer == pytest.approx(paraxial, rel=0.35)
     assert found.pose_in_air.fit.heldout_px > 10 * found.pose.fit.heldout_px
+
+
+def test_a_pose_parallel_to_the_gel_is_where_the_search_starts() -> None:
+    """Exactly parallel planes make IPPE divide by zero; what it returned was taken."""
+    lens, truth = LENSES["fisheye"], TRUTHS["fisheye"]
+    for turn in (0.0, 3.25, 90.0):
+        pose = pose_over(8, 6, 3.0, distance_mm=25.0, tilt_deg=(0.0, 0.0), turn_deg=turn)
+        view = exact_view(lens, truth, pose, SIZE, 8, 6, 3.0)
+        model = CameraPose(lens, truth, np.zeros((len(truth), len(truth))), SIZE)
+        start = model.start(view.board_mm()[:, :2], view.uv_px)
+        np.testing.assert_allclose(start[3:6], pose[3:], atol=1e-4)
 
 
 def test_rectified_pictures_have_one_scale() -> None:
