@@ -161,6 +161,8 @@ def closest_on_pieces(
     candidates = np.stack([piece.closest(rz) for piece in pieces])
     nearest = np.linalg.norm(candidates - rz, axis=-1).argmin(axis=0)
     found = candidates[nearest, np.arange(len(rz))]
-    safe = np.where(radius > 0, radius, 1.0)
-    direction = np.where(radius > 0, points[:, :2].T / safe, np.array([[1.0], [0.0]]))
+    # On the axis every direction is as good; below the normal numbers quotients have no digits.
+    beside = radius > np.finfo(np.float64).tiny
+    safe = np.where(beside, radius, 1.0)
+    direction = np.where(beside, points[:, :2].T / safe, np.array([[1.0], [0.0]]))
     return np.concatenate([(direction * found[:, 0]).T, found[:, 1:]], axis=1), nearest

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cad.parts.meridian import Arc, Line, Meridian, Piece, closest_on_pieces
@@ -40,6 +40,7 @@ def test_torus() -> None:
     assert ring.volume_mm3() == pytest.approx(2 * np.pi**2 * 5)
 
 
+@example([5e-324, 5e-324, 0.0], (Line((1.0, 0.0), (3.0, 2.0), S),))
 @given(
     st.lists(st.floats(-8, 8), min_size=3, max_size=3),
     st.sampled_from([
