@@ -61,6 +61,8 @@ class InverseFitOptions:
     """Whether the variation of the change across the two wider windows is a feature."""
     background: bool = False
     """Whether the colour of the untouched pixel is a feature."""
+    position_bands: int = 0
+    """Bands of the positional encoding among the features; 0 for u and v alone."""
     members: int = 4
     hidden: tuple[int, ...] = (32, 32, 32)
     steps: int = 1000
@@ -161,6 +163,7 @@ def _train(
         light_drift=options.light_drift,
         members=options.members,
         hidden=options.hidden,
+        position_bands=options.position_bands,
     )
     rng = np.random.default_rng(options.seed)
     samples = [draw_samples(frame, scene, config, options.samples, rng) for frame in frames]

@@ -20,16 +20,19 @@ Network = tuple[ColorBlock | NormalsBlock, Mapping[str, np.ndarray]]
 COLOR_FORMULA = (
     "x = (inputs - input_mean) / input_scale, inputs in the order of `inputs`; u = 2 column / "
     "(width_px - 1) - 1, v = 2 row / (height_px - 1) - 1; normal: outward unit normal in the gel "
-    "frame; displacement_mm: rise of the face over rest. Each layer: x = activation(weight x + "
-    "bias), the last without activation. change [levels of 255, RGB] = output_scale (f(pressed) - "
-    "f(at rest)), at rest being the same pixel with its resting normal and displacement 0."
+    "frame; displacement_mm: rise of the face over rest. After them, for k = 0 .. position_bands - "
+    "1: sin(2^k pi u), sin(2^k pi v), cos(2^k pi u), cos(2^k pi v), as they are. Each layer: x = "
+    "activation(weight x + bias), the last without activation. change [levels of 255, RGB] = "
+    "output_scale (f(pressed) - f(at rest)), at rest being the same pixel with its resting normal "
+    "and displacement 0."
 )
 NORMAL_FORMULA = (
-    "x = (features - input_mean) / input_scale, features in the order of `features`; each member: "
-    "x = silu(weight x + bias), the last layer without. tilt [rad] = the mean over the members of "
-    "the first two outputs, minus the same for the pixel without change of colour; expected angle "
-    "of error [rad] = sqrt((error_factor mean(exp(clip(third output, -12, 2)) + 3.5e-4))^2 + "
-    "spread of the members' tilts^2). The tilt turns the resting normal, leaning towards it."
+    "x = (features - input_mean) / input_scale, features in the order of `features`, of which "
+    "sin_u_k is sin(2^k pi u); each member: x = silu(weight x + bias), the last layer without. "
+    "tilt [rad] = the mean over the members of the first two outputs, minus the same for the pixel "
+    "without change of colour; expected angle of error [rad] = sqrt((error_factor mean(exp(clip("
+    "third output, -12, 2)) + 3.5e-4))^2 + spread of the members' tilts^2). The tilt turns the "
+    "resting normal, leaning towards it."
 )
 
 

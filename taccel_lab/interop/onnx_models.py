@@ -136,6 +136,10 @@ def _color(profile: SensorProfile) -> Made:
         return graph.add("Reshape", graph.add("Sub", wide, graph.constant(1.0)), column)
 
     place = {"u": scaled("u_px", config.width_px), "v": scaled("v_px", config.height_px)}
+    encoded = []
+    for k in range(config.position_bands):
+        angles = [graph.add("Mul", p, graph.constant(2.0**k * np.pi)) for p in place.values()]
+        encoded += [graph.add(wave, angle) for wave in ("Sin", "Cos") for angle in angles]
     displacement = graph.add("Reshape", "displacement_mm", column)
     none = graph.add("Mul", displacement, graph.constant(0.0))
 
@@ -147,6 +151,8 @@ def _color(profile: SensorProfile) -> Made:
         x = graph.add("Concat", *(parts[name] for name in config.inputs), axis=1)
         x = graph.add("Sub", x, graph.constant(np.array(config.input_mean)))
         x = graph.add("Div", x, graph.constant(np.array(config.input_scale)))
+        if encoded:
+            x = graph.add("Concat", x, *encoded, axis=1)
         last = len(config.layer_sizes()) - 1
         for i in range(last + 1):
             weight, bias = model.weights[f"layer{i}.weight"], model.weights[f"layer{i}.bias"]

@@ -20,6 +20,9 @@ from taccel_lab.profile.units import deg_from_rad
 
 COLUMNS, ROWS = 8, 6
 """Pixels over the image at which each bin is asked."""
+ENCODED_COLUMNS, ENCODED_ROWS = 16, 12
+"""The same with a positional encoding, each anywhere in its cell: pixels in step with a band would
+show it as a constant."""
 SEED = 0
 CHECKED = 20_000
 
@@ -50,7 +53,7 @@ def distil_table(
     scale = float(np.sqrt(grid.mm_per_px_x * grid.mm_per_px_y))
     stretch = np.array([scale / grid.mm_per_px_x, scale / grid.mm_per_px_y])
 
-    pixels, solve = _image_fit(source)
+    pixels, solve = _image_fit(source, rng)
     tilts, displacements = source.profiles(rng, 400_000)
     order = np.argsort(tilts)
     tilts, displacements = tilts[order], displacements[order]
@@ -79,13 +82,19 @@ def distil_table(
     return DistilledTable(table, scale, _errors(table, source, stretch, rng))
 
 
-def _image_fit(source: ColorSource) -> tuple[np.ndarray, np.ndarray]:
+def _image_fit(source: ColorSource, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Flat indices of pixels spread over the image, and the matrix that fits the six terms to
     values there, [6, pixel]."""
     config = source.model.config
-    u = np.rint((np.arange(COLUMNS) + 0.5) / COLUMNS * config.width_px - 0.5).astype(np.int64)
-    v = np.rint((np.arange(ROWS) + 0.5) / ROWS * config.height_px - 0.5).astype(np.int64)
-    uu, vv = (grid.ravel() for grid in np.meshgrid(u, v, indexing="xy"))
+    columns, rows, within = COLUMNS, ROWS, np.float64(0.5)
+    if config.position_bands:
+        columns, rows = ENCODED_COLUMNS, ENCODED_ROWS
+        within = rng.uniform(0, 1, (2, rows, columns))
+    cell = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="xy")) + within
+    size = np.array([config.width_px, config.height_px])[:, None, None]
+    count = np.array([columns, rows])[:, None, None]
+    place = np.rint(cell / count * size - 0.5).astype(np.int64)
+    uu, vv = np.clip(place, 0, size - 1).reshape(2, -1)
     on_gel = source.rest.covered[vv, uu]
     if on_gel.sum() >= 2 * TERMS:
         uu, vv = uu[on_gel], vv[on_gel]

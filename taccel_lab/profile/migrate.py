@@ -30,7 +30,24 @@ def _add_responses(document: Document) -> Document:
     return {**document, "schema_version": 3}
 
 
-STEPS: Mapping[int, Step] = {1: _add_optics_and_layers, 2: _add_responses}
+def _add_position_bands(document: Document) -> Document:
+    """Version 4 gives the networks of colours and normals a positional encoding; those of version 3
+    take the position as it is."""
+    document = {**document, "schema_version": 4}
+    for key in ("color", "normals"):
+        block = document.get(key)
+        # What is no table with a table in it is refused by the schema, in its own words.
+        if isinstance(block, dict) and isinstance(block.get("architecture"), dict):
+            settings = {**block["architecture"], "position_bands": 0}
+            document[key] = {**block, "architecture": settings}
+    return document
+
+
+STEPS: Mapping[int, Step] = {
+    1: _add_optics_and_layers,
+    2: _add_responses,
+    3: _add_position_bands,
+}
 
 
 def migrate(

@@ -34,7 +34,7 @@ import taccel_lab
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]

@@ -10,6 +10,9 @@ are stored lane by lane and read as whole 16-byte words.
 The first layer takes the inputs as two halves each, ``x = hi + lo``, and so its weights, which
 leaves errors of 2^-22: positions and normals are too finely graded for one FP16 number. The hidden
 layers have FP16 weights and activations with FP32 sums.
+
+A positional encoding is a sum of a function of the column and one of the row, so what it adds to
+the first layer is tabulated once for each column and each row; the layer starts from there.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.signals.color_model import INPUT_NAMES, ColorModel, ColorModelConfig
+from taccel_lab.signals.position_encoding import encode_position
 
 TILE = 16
 """Widths of hidden layers are padded to multiples of this."""
@@ -73,10 +77,13 @@ class PackedNetwork:
     """For other devices: bias [out] and weights [in, out] of each layer in turn, float32."""
     normalization: np.ndarray
     """As ``normalization`` says, float32, shape [14]."""
+    place: np.ndarray
+    """As ``place_sums`` says; empty without a positional encoding."""
 
 
 def canonical_weights(model: ColorModel) -> list[np.ndarray]:
-    """Weights of each layer, float64; the first takes all of ``INPUT_NAMES`` in their order."""
+    """Weights of each layer, float64; the first takes all of ``INPUT_NAMES`` in their order, and
+    nothing of a positional encoding."""
     config = model.config
     weights = [
         model.weights[f"layer{i}.weight"].astype(np.float64)
@@ -101,6 +108,25 @@ def normalization(config: ColorModelConfig) -> np.ndarray:
         scale[INPUT_NAMES.index(name)] = width
     steps = [2.0 / (config.width_px - 1), 2.0 / (config.height_px - 1)]
     return np.concatenate([mean, 1.0 / scale, steps]).astype(np.float32)
+
+
+def place_sums(model: ColorModel) -> np.ndarray:
+    """What the positional encoding adds to the first layer's outputs [padded]: one row a column of
+    the image, then one row a row of it, float32, shape [width_px + height_px, padded]."""
+    config = model.config
+    padded = NetworkLayout.of(config.hidden).padded[0]
+    if not config.position_bands:
+        return np.empty((0, padded), dtype=np.float32)
+    weight = model.weights["layer0.weight"][:, len(config.inputs) :].astype(np.float64)
+    parts = []
+    for axis, size in enumerate((config.width_px, config.height_px)):
+        uv = np.zeros((size, 2))
+        uv[:, axis] = np.linspace(-1, 1, size)
+        # Columns 0, 2, ... are of u and 1, 3, ... of v.
+        own = slice(axis, None, 2)
+        sums = encode_position(uv, config.position_bands)[:, own] @ weight[:, own].T
+        parts.append(np.pad(sums, ((0, 0), (0, padded - sums.shape[1]))))
+    return np.concatenate(parts).astype(np.float32)
 
 
 def pack_network(model: ColorModel) -> PackedNetwork:
@@ -135,6 +161,7 @@ def pack_network(model: ColorModel) -> PackedNetwork:
         biases=packed_biases,
         plain=np.concatenate(plain).astype(np.float32),
         normalization=normalization(config),
+        place=place_sums(model),
     )
 
 

@@ -8,7 +8,8 @@ Mueller et al., "Real-time neural radiance caching for path tracing", ACM TOG 40
 shared memory). A warp without a moved pixel copies the background. Elsewhere (the CPU) a thread
 runs one pixel in FP32.
 
-The source is generated: loop bounds and layer offsets are constants of the architecture.
+The source is generated: loop bounds and layer offsets are constants of the architecture. With a
+positional encoding the first layer starts from tabulated sums of the pixel's column and row.
 """
 
 # Warp compiles the kernels from their source; its type stubs describe neither vectors' operators
@@ -92,8 +93,9 @@ def _activation(name: str, cuda: bool) -> str:
     return "return tanhf(x);" if name == "tanh" else "return x / (1.0f + expf(-x));"
 
 
-def _host_source(hidden: tuple[int, ...], activation: str) -> str:
+def _host_source(hidden: tuple[int, ...], activation: str, encoded: bool) -> str:
     """One pixel, layer by layer, in FP32."""
+    stride = NetworkLayout.of(hidden).padded[0]
     widest = max(*hidden, 8)
     source = [
         f"auto act = [](float x) {{ {_activation(activation, cuda=False)} }};",
@@ -106,6 +108,7 @@ def _host_source(hidden: tuple[int, ...], activation: str) -> str:
     for layer, outputs in enumerate((*hidden, 3)):
         source += [
             f"for (int o = 0; o < {outputs}; ++o) b[o] = w[o];",
+            *([_filled(_HOST_PLACE, OUT=outputs, STRIDE=stride)] if encoded and layer == 0 else []),
             f"w += {outputs};",
             f"for (int k = 0; k < {inputs}; ++k)",
             f"    for (int o = 0; o < {outputs}; ++o) b[o] += a[k] * w[k * {outputs} + o];",
@@ -117,6 +120,14 @@ def _host_source(hidden: tuple[int, ...], activation: str) -> str:
     source += ["for (int c = 0; c < 3; ++c) out[c] = b[c];", "}"]
     return "\n    ".join(source)
 
+
+_HOST_PLACE = """
+    {
+        const float* across = place.data + @STRIDE@ * (pixel % width);
+        const float* down = place.data + @STRIDE@ * (width + pixel / width);
+        for (int o = 0; o < @OUT@; ++o) b[o] += across[o] + down[o];
+    }
+"""
 
 _CUDA_BEGIN = """
     const int lane = i & 31;
@@ -189,6 +200,34 @@ _CUDA_ACCUMULATORS = """
         }
 """
 
+_CUDA_PLACE = """
+    // Rows of the table for the four pixels whose sums this lane holds: g and g + 8 of operand A.
+    const float* across[2][2];
+    const float* down[2][2];
+    #pragma unroll
+    for (int m = 0; m < 2; ++m)
+        #pragma unroll
+        for (int half = 0; half < 2; ++half) {
+            const int at = __shfl_sync(all, pixel, 16 * m + 8 * half + (lane >> 2));
+            across[m][half] = place.data + @STRIDE@ * (at % width) + column;
+            down[m][half] = place.data + @STRIDE@ * (width + at / width) + column;
+        }
+"""
+
+_CUDA_PLACE_SUMS = """
+        #pragma unroll
+        for (int m = 0; m < 2; ++m)
+            #pragma unroll
+            for (int n = 0; n < 2; ++n)
+                #pragma unroll
+                for (int half = 0; half < 2; ++half) {
+                    const float2 x = __ldg((const float2*)(across[m][half] + 16 * p + 8 * n));
+                    const float2 y = __ldg((const float2*)(down[m][half] + 16 * p + 8 * n));
+                    c[m][n][2 * half] = b[n][2 * half] + @SCALE@ * (x.x + y.x);
+                    c[m][n][2 * half + 1] = b[n][2 * half + 1] + @SCALE@ * (x.y + y.y);
+                }
+"""
+
 _CUDA_ACTIVATE = """
         #pragma unroll
         for (int m = 0; m < 2; ++m)
@@ -201,15 +240,17 @@ _CUDA_ACTIVATE = """
 
 _CUDA_FIRST = """
     unsigned a1[2][@OUT@][4];
+@PLACE@
     #pragma unroll
     for (int p = 0; p < @OUT@; ++p) {
 @ACCUMULATORS@
+@PLACE_SUMS@
         const uint4 w = __ldg((const uint4*)(fragments.data + @START@) + p * 32 + lane);
         #pragma unroll
         for (int m = 0; m < 2; ++m) {
             // x = hi + lo meets the weights' high half, hi their low half.
-            mma16(c[m][0], a0[m], w.x, w.x, b[0]);
-            mma16(c[m][1], a0[m], w.z, w.z, b[1]);
+            mma16(c[m][0], a0[m], w.x, w.x, @SUM0@);
+            mma16(c[m][1], a0[m], w.z, w.z, @SUM1@);
             mma8(c[m][0], a0[m], w.y, c[m][0]);
             mma8(c[m][1], a0[m], w.w, c[m][1]);
         }
@@ -265,14 +306,23 @@ def _filled(text: str, **values: Any) -> str:
     return text
 
 
-def _cuda_source(hidden: tuple[int, ...], activation: str) -> str:
+def _cuda_source(hidden: tuple[int, ...], activation: str, encoded: bool) -> str:
     """32 pixels a warp through the matrix units."""
     layout = NetworkLayout.of(hidden)
+    # The weights of silu are halved, see pack_network; its table is not.
+    scale = "0.5f" if activation == "silu" else "1.0f"
+    first = _filled(
+        _CUDA_FIRST,
+        PLACE=_filled(_CUDA_PLACE, STRIDE=layout.padded[0]) if encoded else "",
+        PLACE_SUMS=_filled(_CUDA_PLACE_SUMS, SCALE=scale) if encoded else "",
+        SUM0="c[m][0]" if encoded else "b[0]",
+        SUM1="c[m][1]" if encoded else "b[1]",
+    )
     tiles = [width // 16 for width in layout.padded]
     source = _filled(_CUDA_BEGIN, ACTIVATION=_activation(activation, cuda=True))
     for layer, out in enumerate(tiles):
         source += _filled(
-            _CUDA_FIRST if layer == 0 else _CUDA_HIDDEN,
+            first if layer == 0 else _CUDA_HIDDEN,
             ACCUMULATORS=_filled(_CUDA_ACCUMULATORS, BIAS=layout.bias_starts[layer]),
             ACTIVATE=_CUDA_ACTIVATE,
             START=layout.fragment_starts[layer],
@@ -287,14 +337,15 @@ def _cuda_source(hidden: tuple[int, ...], activation: str) -> str:
 
 
 @cache
-def color_kernel(hidden: tuple[int, ...], activation: str) -> Any:
-    """The kernel of an architecture; launched over the pixels, rounded up to whole warps."""
+def color_kernel(hidden: tuple[int, ...], activation: str, encoded: bool = False) -> Any:
+    """The kernel of an architecture, with or without a positional encoding; launched over the
+    pixels, rounded up to whole warps."""
     source = (
         _PIXEL
         + "#if defined(__CUDA_ARCH__)\n"
-        + _cuda_source(hidden, activation)
+        + _cuda_source(hidden, activation, encoded)
         + "#else\n    "
-        + _host_source(hidden, activation)
+        + _host_source(hidden, activation, encoded)
         + "\n#endif\n"
         + _FINISH
     )
@@ -310,6 +361,7 @@ def color_kernel(hidden: tuple[int, ...], activation: str) -> Any:
         fragments: wp.array(dtype=wp.uint32),
         biases: wp.array(dtype=wp.float32),
         plain: wp.array(dtype=wp.float32),
+        place: wp.array(dtype=wp.float32),
         image: wp.array(dtype=wp.uint8),
         levels: wp.array(dtype=wp.float32),
         i: int,
@@ -331,6 +383,7 @@ def color_kernel(hidden: tuple[int, ...], activation: str) -> Any:
         fragments: wp.array(dtype=wp.uint32),
         biases: wp.array(dtype=wp.float32),
         plain: wp.array(dtype=wp.float32),
+        place: wp.array(dtype=wp.float32),
         count: int,
         width: int,
         still_levels: float,
@@ -350,6 +403,7 @@ def color_kernel(hidden: tuple[int, ...], activation: str) -> Any:
             fragments,
             biases,
             plain,
+            place,
             image,
             levels,
             i,

@@ -5,7 +5,8 @@ The network maps pixel position, surface normal and the rise of the surface over
 to an RGB change; the change it gives for the undeformed surface at the same pixel is subtracted,
 so that untouched gel renders as the background, exactly. Position and normal are the inputs of
 Taxim (Si and Yuan, RA-L 2022) and FOTS (Zhao et al., RA-L 2024); the displacement tells the floor
-of a dent from untouched gel, which has the same normal but lies closer to the lamps.
+of a dent from untouched gel, which has the same normal but lies closer to the lamps. The position
+may be given as sines and cosines, too (``position_encoding``).
 
 The weights are plain numpy arrays and the settings a flat dict, which is what a sensor profile
 stores; torch is imported when an image is rendered.
@@ -21,6 +22,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.signals.model_settings import reading_settings, settings_dict
+from taccel_lab.signals.position_encoding import encode_position, require_bands
 
 if TYPE_CHECKING:
     import torch
@@ -47,6 +49,9 @@ class ColorModelConfig:
     """Divides each input after that."""
     output_scale: float = 32.0
     """Levels (of 255) per unit of network output."""
+    position_bands: int = 0
+    """Bands of the positional encoding, whose sines and cosines follow ``inputs`` as they are; 0
+    for u and v alone."""
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.inputs if name not in INPUT_NAMES]
@@ -74,10 +79,16 @@ class ColorModelConfig:
                 )
         if min(self.input_scale) <= 0 or not self.output_scale > 0:
             raise InputError("color model input_scale and output_scale must be positive")
+        require_bands("color model", self.position_bands)
+
+    @property
+    def input_count(self) -> int:
+        """Inputs of the network, those of the positional encoding among them."""
+        return len(self.inputs) + 4 * self.position_bands
 
     def layer_sizes(self) -> list[tuple[int, int]]:
         """(outputs, inputs) of each layer."""
-        widths = [len(self.inputs), *self.hidden, 3]
+        widths = [self.input_count, *self.hidden, 3]
         return [(widths[i + 1], widths[i]) for i in range(len(widths) - 1)]
 
     def to_dict(self) -> dict[str, Any]:
@@ -97,6 +108,7 @@ class ColorModelConfig:
                 input_mean=tuple(float(mean) for mean in values["input_mean"]),
                 input_scale=tuple(float(scale) for scale in values["input_scale"]),
                 output_scale=float(values["output_scale"]),
+                position_bands=int(values["position_bands"]),
             )
 
 
@@ -245,6 +257,8 @@ def stack_inputs(
     }
     stacked = np.stack([columns[name] for name in config.inputs], axis=-1)
     stacked = (stacked - np.array(config.input_mean)) / np.array(config.input_scale)
+    if config.position_bands:
+        stacked = np.concatenate([stacked, encode_position(uv, config.position_bands)], axis=-1)
     return stacked.astype(np.float32)
 
 

@@ -77,12 +77,15 @@ class DeviceColorModel:
         packed = pack_network(model)
         self._shape = shape
         self._device = device
-        self._kernel = color_kernel(config.hidden, config.activation)
+        self._kernel = color_kernel(
+            config.hidden, config.activation, encoded=config.position_bands > 0
+        )
         self._weights = [
             vec14f(*packed.normalization),
             wp.array(packed.fragments, dtype=wp.uint32, device=device),
             wp.array(packed.biases, dtype=wp.float32, device=device),
             wp.array(packed.plain, dtype=wp.float32, device=device),
+            wp.array(packed.place.ravel(), dtype=wp.float32, device=device),
         ]
         flat = np.asarray(background_rgb, dtype=np.float32).reshape(-1, 3)
         self._background = wp.array(flat, dtype=wp.vec3f, device=device)

@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.signals.position_encoding import band_names, encode_position
+
 LEVELS_PER_UNIT = 32.0
 """Levels of 255 that make one unit of a feature."""
 MIN_COVER = 1e-3
@@ -24,14 +26,17 @@ MIN_COVER = 1e-3
 
 
 def feature_names(
-    scales_px: Sequence[float], slope_scales_px: Sequence[float], background: bool
+    scales_px: Sequence[float],
+    slope_scales_px: Sequence[float],
+    background: bool,
+    position_bands: int = 0,
 ) -> tuple[str, ...]:
     """Names of the features in order."""
     names = [f"change_{c}_{s:g}px" for s in scales_px for c in "rgb"]
     names += [f"d{axis}_{c}_{s:g}px" for s in slope_scales_px for axis in "uv" for c in "rgb"]
     if background:
         names += [f"background_{c}" for c in "rgb"]
-    return (*names, "u", "v")
+    return (*names, "u", "v", *band_names(position_bands))
 
 
 def color_change(
@@ -62,7 +67,7 @@ def local_features(
         slope_scales_px: Windows across which the change's variation is taken [px].
         mask: Pixels that count, bool, shape [h, w]; all when None.
         background: Untouched picture [levels], shape [h, w, 3]; a feature when it is given.
-        place: Normalised (u, v) of each pixel, shape [h, w, 2].
+        place: What each pixel is told of its place (``pixel_place``), shape [h, w, n].
         zoom: Factor on all scales: the features of the picture shrunk by it.
     """
     cover: dict[float, np.ndarray] = {}
@@ -80,11 +85,15 @@ def local_features(
     return np.concatenate([stacked, place], axis=-1, dtype=np.float32)
 
 
-def pixel_place(width_px: int, height_px: int) -> np.ndarray:
-    """Normalised (u, v) of every pixel, -1 to 1 over the image, float32, shape [h, w, 2]."""
+def pixel_place(width_px: int, height_px: int, position_bands: int = 0) -> np.ndarray:
+    """Normalised (u, v) of every pixel, -1 to 1 over the image, and their positional encoding;
+    float32, shape [h, w, 2 + 4 * position_bands]."""
     u = np.linspace(-1, 1, width_px, dtype=np.float32)
     v = np.linspace(-1, 1, height_px, dtype=np.float32)
-    return np.stack(np.meshgrid(u, v), axis=-1)
+    uv = np.stack(np.meshgrid(u, v), axis=-1)
+    if not position_bands:
+        return uv
+    return np.concatenate([uv, encode_position(uv, position_bands)], axis=-1, dtype=np.float32)
 
 
 def _average(

@@ -30,6 +30,7 @@ from taccel_lab.signals.normal_features import (
     local_features,
     pixel_place,
 )
+from taccel_lab.signals.position_encoding import require_bands
 
 if TYPE_CHECKING:
     import torch
@@ -69,6 +70,8 @@ class NormalModelConfig:
     """Divides each feature after that; ones when empty."""
     error_factor: float = 1.0
     """Factor on the expected error, found on presses that the member did not see."""
+    position_bands: int = 0
+    """Bands of the positional encoding among the features; 0 for u and v alone."""
 
     def __post_init__(self) -> None:
         if self.width_px < 2 or self.height_px < 2:
@@ -87,6 +90,7 @@ class NormalModelConfig:
             )
         if any(s == 0 for s in self.slope_scales_px):
             raise InputError("normal model slope_scales_px must be above 0 px")
+        require_bands("normal model", self.position_bands)
         for name, default in (("input_mean", 0.0), ("input_scale", 1.0)):
             values = getattr(self, name) or (default,) * self.input_count
             if len(values) != self.input_count or not np.isfinite(values).all():
@@ -101,7 +105,9 @@ class NormalModelConfig:
     @property
     def features(self) -> tuple[str, ...]:
         """Names of the network inputs in order."""
-        return feature_names(self.scales_px, self.slope_scales_px, self.background)
+        return feature_names(
+            self.scales_px, self.slope_scales_px, self.background, self.position_bands
+        )
 
     @property
     def input_count(self) -> int:
@@ -132,6 +138,7 @@ class NormalModelConfig:
                 input_mean=tuple(float(mean) for mean in values["input_mean"]),
                 input_scale=tuple(float(scale) for scale in values["input_scale"]),
                 error_factor=float(values["error_factor"]),
+                position_bands=int(values["position_bands"]),
             )
 
     def image_features(
@@ -153,7 +160,7 @@ class NormalModelConfig:
             self.slope_scales_px,
             mask=None if mask is None else mask[window],
             background=background[window] if self.background else None,
-            place=pixel_place(self.width_px, self.height_px)[window],
+            place=pixel_place(self.width_px, self.height_px, self.position_bands)[window],
             zoom=zoom,
         )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from taccel_lab.profile import SCHEMA_VERSION
 from tests.cli.small_captures import GRID, never, refuse
 
 Change = Callable[[Path], None]
@@ -49,7 +50,7 @@ PROFILES: dict[str, tuple[Change, list[str]]] = {
     "no mesh": (remove("mesh.npz"), [r"profile/mesh\.npz: .*(missing|no such file)"]),
     "no TOML": (remove("profile.toml"), [r"profile\.toml: no such file"]),
     "newer schema": (
-        rewrite("schema_version = 3", "schema_version = 4"),
+        rewrite(f"schema_version = {SCHEMA_VERSION}", f"schema_version = {SCHEMA_VERSION + 1}"),
         [r"profile\.toml: schema_version", "newer version of taccel-lab"],
     ),
     "unknown key": (

@@ -8,12 +8,15 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile, save_profile, validate_profile
 from taccel_lab.profile.migrate import STEPS, migrate
 from taccel_lab.profile.schema import SCHEMA_VERSION
+from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.normal_model import NormalModel
 
 OLD = Path(__file__).parent / "old"
 
@@ -97,3 +100,40 @@ def test_version_2_is_read_as_it_was() -> None:
     assert profile.normals is None and profile.depth_response is None
     assert profile.perturbation is None
     assert profile.material.provenance.verdict is None
+
+
+def test_version_3_is_read_as_it_was() -> None:
+    """The stored folder adds a normals block; its networks answer as version 3 had them answer."""
+    assert "schema_version = 3\n" in (OLD / "v3" / "profile.toml").read_text()
+    assert validate_profile(OLD / "v3") == []
+    profile = load_profile(OLD / "v3")
+    assert profile.color is not None and profile.color_weights is not None
+    config = ColorModelConfig.from_dict(profile.color.architecture)
+    assert config.position_bands == 0
+    normal = np.array([[0.3, -0.2, np.sqrt(0.87)]])
+    change = ColorModel(config, profile.color_weights).predict_pixels(
+        np.array([config.width_px + 1]), normal, np.array([-0.3]), np.array([[0.0, 0.0, 1.0]])
+    )
+    assert change[0] == pytest.approx([-0.03986359, -0.8295059, -2.605404], abs=1e-5)
+    model = NormalModel.from_profile(profile)
+    features = np.linspace(-1, 1, model.config.input_count, dtype=np.float32)[None]
+    tilt, error = model.predict_pixels(features)
+    assert tilt[0] == pytest.approx([0.13469668, -0.13960093], abs=1e-6)
+    assert error[0] == pytest.approx(1.08504629)
+
+
+def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:
+    profile = load_profile(OLD / "v3")
+    assert profile.color is not None and profile.color_weights is not None
+    settings = {**profile.color.architecture, "position_bands": 2}
+    weights = dict(profile.color_weights)
+    first = weights["layer0.weight"]
+    weights["layer0.weight"] = np.concatenate([first, 0.1 * np.ones((len(first), 8))], axis=1)
+    block = profile.color.replace(architecture=settings)
+    save_profile(profile.with_block(block, weights), tmp_path / "p")
+    again = load_profile(tmp_path / "p")
+    assert again.color is not None and again.color_weights is not None
+    config = ColorModelConfig.from_dict(again.color.architecture)
+    assert config.position_bands == 2
+    assert np.array_equal(again.color_weights["layer0.weight"], weights["layer0.weight"])
+    ColorModel(config, again.color_weights)

@@ -9,7 +9,13 @@ import warp as wp
 
 from taccel_lab.signals.color_fragments import NetworkLayout, pack_network
 from taccel_lab.signals.color_kernel import color_kernel
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+from taccel_lab.signals.color_model import (
+    ColorModel,
+    ColorModelConfig,
+    expected_shapes,
+    pixel_uv,
+)
+from taccel_lab.signals.position_encoding import encode_position
 
 LANES = np.arange(32)
 GROUP, THREAD = LANES // 4, LANES % 4
@@ -39,9 +45,13 @@ def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([product[GROUP + 8 * (k // 2), 2 * THREAD + k % 2] for k in range(4)], axis=-1)
 
 
-def run(model: ColorModel, inputs: np.ndarray) -> np.ndarray:
-    """Output before the anchor for 16 pixels of normalised inputs [16, 6], from the fragments."""
+def run(model: ColorModel, inputs: np.ndarray, pixel: np.ndarray | None = None) -> np.ndarray:
+    """Output before the anchor for 16 pixels of normalised inputs [16, 6], from the fragments.
+
+    ``pixel`` are their places along rows [16], with a positional encoding."""
     packed, layout = pack_network(model), NetworkLayout.of(model.config.hidden)
+    columns = model.config.width_px
+    half = 0.5 if model.config.activation == "silu" else 1.0
     activation = {"silu": lambda h: h + h * np.tanh(h), "tanh": np.tanh}[model.config.activation]
     high = inputs.astype(np.float16).astype(np.float64)
     features = [np.pad(part, ((0, 0), (0, 2))) for part in (high, inputs - high)]
@@ -55,6 +65,12 @@ def run(model: ColorModel, inputs: np.ndarray) -> np.ndarray:
         for tile in range(width // 8):
             bias_at = layout.bias_starts[layer] + 8 * tile + 2 * THREAD
             bias = packed.biases[bias_at[:, None] + [0, 1, 0, 1]]
+            if layer == 0 and pixel is not None:
+                # Row g or g + 8 of each accumulator, as the kernel reads its pixel's table rows.
+                at = pixel[GROUP[:, None] + [0, 0, 8, 8]]
+                column = 8 * tile + 2 * THREAD[:, None] + [0, 1, 0, 1]
+                bias = bias + half * packed.place[at % columns, column]
+                bias = bias + half * packed.place[columns + at // columns, column]
             if layer == 0:
                 at = start + (tile // 2 * 32 + LANES) * 4 + 2 * (tile % 2)
                 whole, rest = packed.fragments[at], packed.fragments[at + 1]
@@ -111,6 +127,27 @@ def test_fragments_compute_the_network(hidden, activation):
         x = np.tanh(x) if activation == "tanh" else x / (1 + np.exp(-x))
     expected = x @ weights[f"layer{len(hidden)}.weight"].T * config.output_scale
     error = np.abs(run(model, inputs) - expected)
+    assert np.abs(expected).max() > 20
+    assert error.max() < 0.12 and error.mean() < 0.03
+
+
+@pytest.mark.parametrize("activation", ["silu", "tanh"])
+def test_the_table_of_places_is_the_positional_encoding(activation):
+    config = ColorModelConfig(20, 15, hidden=(20, 32), activation=activation, position_bands=3)
+    rng = np.random.default_rng(2)
+    weights = {
+        name: rng.normal(0, 1.5 / np.sqrt(shape[-1]) if len(shape) == 2 else 0.3, shape)
+        for name, shape in expected_shapes(config).items()
+    }
+    pixel = rng.integers(0, 20 * 15, 16)
+    uv = pixel_uv(config, pixel)
+    inputs = np.concatenate([uv, rng.normal(0, 1, (16, 4))], axis=1)
+    x = np.concatenate([inputs, encode_position(uv, 3)], axis=1)
+    for i in range(2):
+        x = x @ weights[f"layer{i}.weight"].T + weights[f"layer{i}.bias"]
+        x = np.tanh(x) if activation == "tanh" else x / (1 + np.exp(-x))
+    expected = x @ weights["layer2.weight"].T * config.output_scale
+    error = np.abs(run(ColorModel(config, weights), inputs, pixel) - expected)
     assert np.abs(expected).max() > 20
     assert error.max() < 0.12 and error.mean() < 0.03
 

@@ -23,6 +23,8 @@ class ColorFitOptions:
 
     inputs: tuple[str, ...] = INPUT_NAMES
     hidden: tuple[int, ...] = (64, 64, 64)
+    position_bands: int = 0
+    """Bands of the positional encoding; 0 gives the network u and v alone."""
     steps: int = 2000
     batch_pixels: int = 4096
     learning_rate: float = 4e-3

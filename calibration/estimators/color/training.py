@@ -184,6 +184,7 @@ def _scaled_config(samples: Samples, grid: PixelGrid, options: ColorFitOptions) 
         grid.height_px,
         inputs=options.inputs,
         hidden=options.hidden,
+        position_bands=options.position_bands,
         input_mean=(0.0,) * len(options.inputs),
         input_scale=(1.0,) * len(options.inputs),
     )
