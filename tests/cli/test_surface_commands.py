@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,10 @@ import pytest
 import torch
 
 from calibration.capture import ContactCircle
+from calibration.capture.check.findings import error, warning
+from calibration.result import Remark, Severity
 from taccel_lab.cli.app import main
+from taccel_lab.cli.calibrate.findings import joined
 from taccel_lab.profile import load_profile, save_profile
 from tests.calibration.synthetic import (
     BALL_RADIUS_MM,
@@ -125,3 +129,32 @@ def test_unusable_input_exits_with_2(presses: Path, capsys: pytest.CaptureFixtur
     arguments = ("--out", out, "--base", base, "--circles", "labels")
     assert "1 presses come without" in refused("calibrate", "normals", str(presses), *arguments)
     assert not Path(out).exists()
+
+
+def test_normals_of_captures_that_contradict_themselves_are_weak(
+    presses: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The fit believes its labels: the check of the captures holds them against the images."""
+    manifest = presses / "captures.toml"
+    moved = re.sub(
+        r"u_px = ([\d.]+)", lambda m: f"u_px = {float(m[1]) - 14.0}", manifest.read_text()
+    )
+    manifest.write_text(moved)
+    folder = presses.parent
+    profile, base = str(folder / "profile"), str(folder / "base")
+    options = ["--base", base, "--circles", "labels", "--steps", "10", "--json"]
+    assert main(["calibrate", "normals", str(presses), "--out", profile, *options]) == 0
+    figures = json.loads(capsys.readouterr().out)["normals"]
+    assert figures["verdict"] == "weak"
+    assert any("labelled circles disagree with the images" in r for r in figures["remarks"])
+
+
+def test_the_graver_of_two_remarks_on_one_thing_is_kept() -> None:
+    found = [warning("few", "check", "normals"), error("other", "check", "normals")]
+    fit = [Remark(Severity.ERROR, "few", "fit"), Remark(Severity.WARNING, "other", "fit")]
+    kept = joined(found, [*fit, Remark(Severity.INFO, "third", "fit")])
+    assert [(r.code, r.message) for r in kept] == [
+        ("other", "check"),
+        ("few", "fit"),
+        ("third", "fit"),
+    ]

@@ -269,6 +269,8 @@ def check_scale(
                 "scale is too large, or the image shows more than the gel",
                 "scale",
                 "color",
+                "normals",
+                "depth",
             )
         ]
     if usual_width_mm is not None and not (
@@ -281,6 +283,8 @@ def check_scale(
                 f"usually {usual_width_mm:.1f} mm: check the scale, or the crop of the images",
                 "scale",
                 "color",
+                "normals",
+                "depth",
             )
         ]
     return []

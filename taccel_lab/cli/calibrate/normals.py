@@ -66,6 +66,7 @@ class CalibrateNormals:
         from calibration.inverse.samples import Scene
         from taccel_lab.cli.calibrate.base import open_job, presses_on_camera
         from taccel_lab.cli.calibrate.contacts import contact_circles
+        from taccel_lab.cli.calibrate.findings import capture_findings, joined
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
         from taccel_lab.signals.rest_surface import rest_surface
@@ -75,6 +76,7 @@ class CalibrateNormals:
         job = open_job(self.captures, self.out, self.base, self.report)
         captures, base = presses_on_camera(job.folder, job.base)
         captures.split(self.holdout_every)
+        findings = capture_findings(job.folder, "normals", job.console)
         rest = rest_surface(base.mesh, captures.grid)
         captures, circles, left_out = contact_circles(captures, self.circles, job.console)
         surfaces = self._surfaces(captures, circles, base, job.console)
@@ -90,7 +92,7 @@ class CalibrateNormals:
                 circle_source=self.circles,
                 progress=progress,
             )
-        result = replace(result, remarks=(*left_out, *result.remarks))
+        result = replace(result, remarks=joined(findings, (*left_out, *result.remarks)))
         scene = Scene(
             captures.background,
             captures.grid,

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the check of the captures says of a command's block, for its report and its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from calibration.capture import CaptureFolder
+    from calibration.capture.check import Finding
+    from calibration.result import Remark
+
+
+def capture_findings(folder: CaptureFolder, command: str, console: Console) -> list[Finding]:
+    """Findings of ``taccel-lab capture check`` that name ``command``, worst first.
+
+    A fit to captures that contradict themselves can leave small residuals: the check holds them
+    against the ball, the sensor and each other.
+    """
+    from calibration.capture.check import check_captures
+    from taccel_lab.cli.progress import count_progress
+
+    with count_progress(console, "checking the captures") as progress:
+        # A grey sensor has no slopes by colour to hold the ball against.
+        found = check_captures(folder, progress=progress, fit_ball=command != "depth")
+    return [finding for finding in found.findings if command in finding.blocks]
+
+
+def joined(findings: Sequence[Finding], remarks: Sequence[Remark]) -> tuple[Remark, ...]:
+    """Findings, then remarks of the fit; where both have one thing to say, the graver one does."""
+    from calibration.result import Severity
+
+    rank = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
+    said = {finding.code: rank[finding.severity] for finding in findings}
+    graver = [remark for remark in remarks if rank[remark.severity] > said.get(remark.code, -1)]
+    codes = {remark.code for remark in graver}
+    return (*(finding for finding in findings if finding.code not in codes), *graver)
