@@ -39,7 +39,8 @@ class ProfileShow:
 
 @dataclass(frozen=True)
 class ProfileValidate:
-    """Check a sensor profile: schema, bounds, file hashes, arrays. Exits with 2 when unsound."""
+    """Check a sensor profile: schema, bounds, file hashes, arrays, networks. Exits with 2 when
+    unsound."""
 
     profile: Positional[Path]
     """Profile folder."""
@@ -51,9 +52,15 @@ class ProfileValidate:
         from rich.text import Text
 
         from taccel_lab.cli.console import print_json
-        from taccel_lab.profile import validate_profile
+        from taccel_lab.profile import Finding, load_profile, validate_profile
+        from taccel_lab.signals.network_faults import network_faults
 
         findings = validate_profile(self.profile)
+        if all(finding.severity != "error" for finding in findings):
+            findings += [
+                Finding("error", f"{self.profile}: {key}", fault)
+                for key, fault in network_faults(load_profile(self.profile)).items()
+            ]
         errors = sum(finding.severity == "error" for finding in findings)
         if self.json:
             print_json(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from taccel_lab.profile import (
     load_profile,
     save_profile,
 )
+from tests.cli.small_captures import write_profile
 
 
 @pytest.fixture
@@ -86,6 +88,35 @@ def test_validate_damaged(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     result = json.loads(capsys.readouterr().out)
     assert result["valid"] is False
     assert [finding["severity"] for finding in result["findings"]] == ["error", "warning"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "weights", "words"),
+    [
+        ({"foo": 3}, {}, "unknown \\['foo'\\]"),
+        ({"hidden": [1_000_000_000]}, {}, "weights have shapes"),
+        ({"hidden": "abc"}, {}, "wrong type"),
+        ({}, {"extra": np.zeros(3, dtype=np.float32)}, "weights have shapes"),
+        ({"width_px": 97}, {}, "97x72 px, the camera block says 96x72"),
+    ],
+)
+def test_validate_builds_the_networks(
+    changes: dict[str, object],
+    weights: dict[str, np.ndarray],
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = write_profile(tmp_path / "colored")
+    assert app.main(["profile", "validate", str(path)]) == 0
+    profile = load_profile(path)
+    assert profile.color is not None and profile.color_weights is not None
+    block = profile.color.replace(architecture={**profile.color.architecture, **changes})
+    save_profile(profile.with_block(block, {**profile.color_weights, **weights}), path)
+    capsys.readouterr()
+    assert app.main(["profile", "validate", str(path)]) == 2
+    shown = capsys.readouterr().out.replace("\n", " ")
+    assert re.search(words, shown) and "color" in shown
 
 
 def test_absent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
