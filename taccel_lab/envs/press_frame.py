@@ -27,10 +27,12 @@ def normal_frame(point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
     length = float(np.linalg.norm(n))
     if abs(length - 1) > 1e-6:
         raise InputError(f"the normal of a press frame must have unit length, got {length:g}")
-    if n[2] < -1 + 1e-12:
-        return np.concatenate([point, [0.0, 1.0, 0.0, 0.0]])
-    # Half way between z and n: the quaternion (z x n, 1 + z . n), normalised.
-    quaternion = np.array([-n[1], n[0], 0.0, 1 + n[2]])
+    # Half way between z and n: the quaternion (z x n, 1 + z . n), normalised; near -z the sum
+    # has lost the digits that the components across z still have.
+    across = float(n[0] ** 2 + n[1] ** 2)
+    quaternion = np.array([-n[1], n[0], 0.0, 1 + n[2] if n[2] > 0 else across / (1 - n[2])])
+    if across < np.finfo(np.float64).tiny and n[2] < 0:
+        quaternion = np.array([0.0, 1.0, 0.0, 0.0])
     return np.concatenate([point, quaternion / np.linalg.norm(quaternion)])
 
 

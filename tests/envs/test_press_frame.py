@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from taccel_lab.envs import PressEnv, PressPath, normal_frame, parse_indenter
@@ -27,7 +27,10 @@ def unit(x: float, y: float, z: float) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
-@given(x=angles, y=angles, z=st.floats(-0.99, 1.0))
+@example(x=0.0, y=1e-8, z=-0.5)
+@example(x=0.0, y=1e-170, z=-1.0)
+@example(x=1e-12, y=1e-9, z=-1.0)
+@given(x=angles, y=angles, z=st.floats(-1.0, 1.0))
 def test_normal_frame(x: float, y: float, z: float) -> None:
     if math.hypot(x, y, z) < 0.1:
         return
