@@ -17,6 +17,7 @@ from calibration.capture.check.framing import (
     misfit_levels,
     thumb,
 )
+from calibration.capture.check.pressed_background import find_pressed_background
 from calibration.capture.folder import CaptureFolder
 from taccel_lab.errors import InputError
 
@@ -25,6 +26,8 @@ CROP_GAIN = 2.0
 """A crop is believed when it fits this many times better than the whole image."""
 MIN_MEDIAN_PRESSES = 7
 FINE_THUMB_PX = 320
+MAX_COMPARED = 30
+"""Presses that are held against the background."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,11 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
     misfit = misfit_levels(median, small)
     own = float(np.median([misfit_levels(thumb(press.image()), median) for press in presses[:20]]))
     if misfit < OTHER_FRAMING_LEVELS or misfit < CROP_GAIN * own:
+        picked = presses[:: max(1, len(presses) // MAX_COMPARED)][:MAX_COMPARED]
+        pressed = find_pressed_background(image, [press.image() for press in picked])
+        if pressed is not None:
+            enough = len(presses) >= MIN_MEDIAN_PRESSES
+            return BackgroundCheck(median_image if enough else image, enough, (pressed,))
         return BackgroundCheck(image, False, tuple(_check_untouched(folder)))
     order, swapped, _ = best_channel_order(small, median)
     if order != (0, 1, 2) and swapped * CROP_GAIN < misfit:

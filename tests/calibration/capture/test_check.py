@@ -271,3 +271,14 @@ def test_radius_and_scale_that_nobody_states(tmp_path: Path) -> None:
 
 def test_unknown_sensor(tmp_path: Path) -> None:
     assert "sensor_unknown" in by_code(check(CaptureMaker(sensor="gelsite"), tmp_path))
+
+
+def test_a_pressed_frame_as_background(tmp_path: Path) -> None:
+    maker = CaptureMaker()
+    maker.background = press(ContactCircle(100.0, 70.0, 16.0))
+    found = by_code(check(maker, tmp_path))
+    assert found["background_pressed"].severity == Severity.ERROR
+    assert "(100, 7" in found["background_pressed"].message
+    # All presses at one place have one median, too, and yet the gel was untouched.
+    maker = CaptureMaker(circles=[ContactCircle(80.0, 60.0, 15.0)] * 8)
+    assert "background_pressed" not in by_code(check(maker, tmp_path / "one"))

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether something touched the gel when the background was taken.
+
+What only the background shows stands, negative, at one place of every press, also of those that
+touch the gel elsewhere. The median of the presses shows it as well, but so it does a place where
+nearly all presses were made; hence only presses whose own contact lies elsewhere have a say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from calibration.capture.check.findings import Finding, error
+from calibration.capture.check.framing import fit_levels, thumb
+
+MIN_PRESSES = 5
+MIN_GHOST_LEVELS = 12.0
+GHOST_SHARE = 0.3
+"""Strength of the ghost against that of the presses' own contacts."""
+GHOST_AREA = 0.25
+"""Its area against that of a contact: dust that settled later is smaller."""
+AGREE = 0.35
+"""Presses that see the ghost differ from each other there by this share of it at most."""
+MIN_WITNESSES = 3
+OPENING_SHARE = 1 / 40
+"""Half width of what is too small for a contact, as a part of the image's shorter side."""
+
+
+def find_pressed_background(
+    background: np.ndarray, presses: Sequence[np.ndarray]
+) -> Finding | None:
+    """An error when the background shows a contact that most of the presses do not.
+
+    ``background`` and ``presses`` are RGB levels of one size, shape [height_px, width_px, 3].
+    """
+    if len(presses) < MIN_PRESSES:
+        return None
+    small = thumb(background)
+    changes = [cv2.GaussianBlur(t - fit_levels(t, small), (0, 0), 1.0) for t in map(thumb, presses)]
+    stack = np.stack(changes)
+    common = np.median(stack, axis=0)
+    size = np.linalg.norm(common, axis=-1)
+    apart = np.linalg.norm(stack - common, axis=-1)
+    typical = float(np.median([np.percentile(own, 99) for own in apart]))
+    floor = max(MIN_GHOST_LEVELS, GHOST_SHARE * typical)
+    ghost = _largest_part(size > floor)
+    own = apart > floor
+    if ghost.sum() < GHOST_AREA * max(1.0, float(np.median(own.sum(axis=(1, 2))))):
+        return None
+    near = cv2.dilate(ghost.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    elsewhere = (own & ~near).sum(axis=(1, 2)) >= 0.5 * ghost.sum()
+    alike = np.median(apart[:, ghost], axis=1) < AGREE * float(np.median(size[ghost]))
+    if (elsewhere & alike).sum() < max(MIN_WITNESSES, 0.5 * elsewhere.sum()):
+        return None
+    rows, columns = np.nonzero(ghost)
+    scale = background.shape[1] / small.shape[1]
+    return error(
+        "background_pressed",
+        f"something touches the gel in the background, around ({columns.mean() * scale:.0f}, "
+        f"{rows.mean() * scale:.0f}) px: {int((elsewhere & alike).sum())} presses that lie elsewhere "
+        f"differ from it there alike, by {float(np.median(size[ghost])):.0f} levels. Take an image "
+        "of the untouched gel, or use capture import --background median",
+        "background",
+        "color",
+        "normals",
+    )
+
+
+def _largest_part(found: np.ndarray) -> np.ndarray:
+    """The largest connected area that is left by an opening, bool."""
+    width = 2 * max(1, round(min(found.shape) * OPENING_SHARE)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    opened = cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, kernel)
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(opened)
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    return parts == 1 + int(np.argmax(areas)) if len(areas) else np.zeros(found.shape, dtype=bool)
