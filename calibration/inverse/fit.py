@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from calibration.estimators.one_thread import one_thread
+from calibration.inverse.cross_conformal import radius_factor
 from calibration.inverse.label_shift import MIN_PRESSES, LabelShift, label_shifts
 from calibration.inverse.samples import (
     InverseFrame,
@@ -31,6 +32,8 @@ from calibration.inverse.samples import (
 from taccel_lab.errors import InputError
 from taccel_lab.signals.normal_model import (
     MAX_TILT_RAD,
+    RAYLEIGH_95,
+    RAYLEIGH_MEAN,
     NormalModel,
     NormalModelConfig,
     expected_shapes,
@@ -322,9 +325,14 @@ class _Training:
                 seen.append(angle)
                 expected.append(own)
                 spreads.append(spread2.numpy())
-        factor = 1.0
+        factor, radius = 1.0, RAYLEIGH_95
         if seen:
             factor = _error_factor(*(np.concatenate(x) for x in (seen, expected, spreads)))
+            scores = [
+                RAYLEIGH_MEAN * angle / np.sqrt((factor * own) ** 2 + spread2)
+                for angle, own, spread2 in zip(seen, expected, spreads, strict=True)
+            ]
+            radius = radius_factor(scores, 0.95, RAYLEIGH_95)
         arrays = {
             name: tensor.detach().numpy()
             for name, tensor in zip(
@@ -333,7 +341,8 @@ class _Training:
                 strict=True,
             )
         }
-        return NormalModel(replace(self.config, error_factor=factor), arrays), left_out
+        config = replace(self.config, error_factor=factor, radius95_sigmas=radius)
+        return NormalModel(config, arrays), left_out
 
 
 def _error_factor(seen: np.ndarray, expected: np.ndarray, spread2: np.ndarray) -> float:

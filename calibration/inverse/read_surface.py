@@ -44,6 +44,8 @@ class SurfaceReading:
     """Outward unit normals, shape [height_px, width_px, 3]."""
     sigma_deg: np.ndarray | None
     """Standard deviation of each component of the tilt [degrees]; None of a grey sensor."""
+    radius95_deg: np.ndarray | None
+    """Angle within which 95 % of the true normals lie [degrees]; None of a grey sensor."""
     saturated: np.ndarray | None
     """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
     method: Literal["normals", "depth"]
@@ -71,6 +73,9 @@ class SurfaceReading:
         if self.sigma_deg is not None:
             inside = touched if touched.any() else np.ones_like(touched)
             found["sigma_deg"] = float(self.sigma_deg[inside].mean())
+        if self.radius95_deg is not None:
+            inside = touched if touched.any() else np.ones_like(touched)
+            found["radius95_deg"] = float(self.radius95_deg[inside].mean())
         if self.saturated is not None:
             found["saturated_share"] = float(self.saturated.mean())
         return found
@@ -159,6 +164,7 @@ class SurfaceReader:
             rise_m=found.height_m,
             normals=normals_from_height(height, self.profile.grid()),
             sigma_deg=None,
+            radius95_deg=None,
             saturated=found.saturated,
             method="depth",
             drift_removed=self.drift,
@@ -184,6 +190,7 @@ class SurfaceReader:
             rise_m=rise,
             normals=found.normals,
             sigma_deg=found.sigma_deg,
+            radius95_deg=found.radius95_deg,
             saturated=None,
             method="normals",
             drift_removed=self.drift,

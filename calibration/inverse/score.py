@@ -17,9 +17,8 @@ from taccel_lab.signals.poisson import height_from_slopes
 RIM_BAND = 0.04
 """Depths are aligned on the circle: over the pixels within this share of the radius of it."""
 WITHIN_68 = 1.5096
-WITHIN_95 = 2.4477
-"""Lengths, in standard deviations of a component, that 68 % and 95 % of two-component normal
-vectors stay below: sqrt(-2 ln(1 - p))."""
+"""Length, in standard deviations of a component, that 68 % of two-component normal vectors stay
+below: sqrt(-2 ln(1 - p))."""
 BIN_COUNT = 8
 
 
@@ -154,19 +153,20 @@ def ball_depth_mm(circle: ContactCircle, scene: Scene) -> np.ndarray:
 
 def reliability_of(items: Sequence[HeldoutNormals]) -> Reliability:
     """Pool the held-out pixels of all presses."""
-    errors, sigmas = [], []
+    errors, sigmas, radii = [], [], []
     for item in items:
         inside = np.isfinite(item.error_deg)
         errors.append(item.error_deg[inside])
         sigmas.append(item.predicted.sigma_deg[inside])
-    error, sigma = np.concatenate(errors), np.concatenate(sigmas)
+        radii.append(item.predicted.radius95_deg[inside])
+    error, sigma, radius95 = (np.concatenate(x) for x in (errors, sigmas, radii))
     order = np.argsort(sigma, kind="stable")
     parts = np.array_split(order, BIN_COUNT)
     return Reliability(
         expected_deg=tuple(float(sigma[p].mean() * RAYLEIGH_MEAN) for p in parts if len(p)),
         observed_deg=tuple(float(error[p].mean()) for p in parts if len(p)),
         within_68=float((error <= WITHIN_68 * sigma).mean()),
-        within_95=float((error <= WITHIN_95 * sigma).mean()),
+        within_95=float((error <= radius95).mean()),
     )
 
 

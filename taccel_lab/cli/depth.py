@@ -95,6 +95,8 @@ class Depth:
                 arrays["normals"] = found.normals
                 if found.sigma_deg is not None:
                     arrays["sigma_deg"] = found.sigma_deg
+                if found.radius95_deg is not None:
+                    arrays["radius95_deg"] = found.radius95_deg
                 if found.saturated is not None:
                     arrays["saturated"] = found.saturated
                 stored: dict[str, Any] = {

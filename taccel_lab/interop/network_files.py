@@ -31,8 +31,9 @@ NORMAL_FORMULA = (
     "sin_u_k is sin(2^k pi u); each member: x = silu(weight x + bias), the last layer without. "
     "tilt [rad] = the mean over the members of the first two outputs, minus the same for the pixel "
     "without change of colour; expected angle of error [rad] = sqrt((error_factor mean(exp(clip("
-    "third output, -12, 2)) + 3.5e-4))^2 + spread of the members' tilts^2). The tilt turns the "
-    "resting normal, leaning towards it."
+    "third output, -12, 2)) + 3.5e-4))^2 + spread of the members' tilts^2); 95 % of the errors lie "
+    "below radius95_sigmas / sqrt(pi / 2) times that. The tilt turns the resting normal, leaning "
+    "towards it."
 )
 
 

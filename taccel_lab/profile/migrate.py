@@ -8,6 +8,7 @@ old version in ``tests/profile/old``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -31,14 +32,17 @@ def _add_responses(document: Document) -> Document:
 
 
 def _add_position_bands(document: Document) -> Document:
-    """Version 4 gives the networks of colours and normals a positional encoding; those of version 3
-    take the position as it is."""
+    """Version 4 gives the networks of colours and normals a positional encoding, and those of
+    normals a radius that 95 % of errors were found in; those of version 3 take the position as it
+    is, and errors as normal deviates."""
     document = {**document, "schema_version": 4}
     for key in ("color", "normals"):
         block = document.get(key)
         # What is no table with a table in it is refused by the schema, in its own words.
         if isinstance(block, dict) and isinstance(block.get("architecture"), dict):
             settings = {**block["architecture"], "position_bands": 0}
+            if key == "normals":
+                settings["radius95_sigmas"] = math.sqrt(-2.0 * math.log(0.05))
             document[key] = {**block, "architecture": settings}
     return document
 

@@ -43,6 +43,8 @@ MAX_TILT_RAD = math.radians(85.0)
 MIN_ERROR_RAD = math.radians(0.02)
 RAYLEIGH_MEAN = math.sqrt(math.pi / 2)
 """Mean length of a vector of two independent normal deviates of unit standard deviation."""
+RAYLEIGH_95 = math.sqrt(-2.0 * math.log(0.05))
+"""Length that 95 % of such vectors stay below."""
 CHUNK_PIXELS = 32_768
 
 
@@ -70,6 +72,9 @@ class NormalModelConfig:
     """Divides each feature after that; ones when empty."""
     error_factor: float = 1.0
     """Factor on the expected error, found on presses that the member did not see."""
+    radius95_sigmas: float = RAYLEIGH_95
+    """Standard deviations within which 95 % of the normals lie, found on such presses too: errors
+    have longer tails than normal ones."""
     position_bands: int = 0
     """Bands of the positional encoding among the features; 0 for u and v alone."""
 
@@ -99,8 +104,11 @@ class NormalModelConfig:
                     f"feature, got {list(values)}"
                 )
             object.__setattr__(self, name, tuple(values))
-        if min(self.input_scale) <= 0 or not 0 < self.error_factor < 1e3:
-            raise InputError("normal model input_scale and error_factor must be positive")
+        factors = (self.error_factor, self.radius95_sigmas)
+        if min(self.input_scale) <= 0 or not all(0 < factor < 1e3 for factor in factors):
+            raise InputError(
+                "normal model input_scale, error_factor and radius95_sigmas must be positive"
+            )
 
     @property
     def features(self) -> tuple[str, ...]:
@@ -138,6 +146,7 @@ class NormalModelConfig:
                 input_mean=tuple(float(mean) for mean in values["input_mean"]),
                 input_scale=tuple(float(scale) for scale in values["input_scale"]),
                 error_factor=float(values["error_factor"]),
+                radius95_sigmas=float(values["radius95_sigmas"]),
                 position_bands=int(values["position_bands"]),
             )
 
@@ -188,6 +197,8 @@ class NormalMap:
     sigma_deg: np.ndarray
     """Standard deviation of each component of the tilt [degrees], shape [h, w]. The angle between
     the given and the true normal is expected to be 1.25 times this."""
+    radius95_deg: np.ndarray
+    """Angle within which the true normal lies in 95 % of a press's pixels [degrees], [h, w]."""
 
     def slopes(self) -> np.ndarray:
         """dh/dx and dh/dy of the surface, shape [height_px, width_px, 2]."""
@@ -263,7 +274,8 @@ class NormalModel:
         normals = relative_normals(tilt)
         if rest_normals is not None:
             normals = rotate_from_z(normals, rest_normals)
-        return NormalMap(normals, tilt, np.degrees(error) / RAYLEIGH_MEAN)
+        sigma_deg = np.degrees(error) / RAYLEIGH_MEAN
+        return NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
 
     @cached_property
     def _tilts_at_rest(self) -> torch.Tensor:

@@ -83,7 +83,7 @@ def test_normals_then_depth(presses: Path, capsys: pytest.CaptureFixture[str]) -
     with np.load(folder / "depths" / "p3.npz") as stored:
         assert stored["height_m"].shape == (GRID.height_px, GRID.width_px)
         assert -1e3 * stored["rise_m"].min() == pytest.approx(found["max_depth_mm"], rel=1e-5)
-        assert {"normals", "sigma_deg"} <= set(stored.files)
+        assert {"normals", "sigma_deg", "radius95_deg"} <= set(stored.files)
     assert (folder / "depths" / "p3.png").stat().st_size > 5000
     assert json.loads((folder / "depths" / "p3.json").read_text())["image"] == image
 

@@ -120,6 +120,7 @@ def test_version_3_is_read_as_it_was() -> None:
     tilt, error = model.predict_pixels(features)
     assert tilt[0] == pytest.approx([0.13469668, -0.13960093], abs=1e-6)
     assert error[0] == pytest.approx(1.08504629)
+    assert model.config.radius95_sigmas == pytest.approx(2.4477468)
 
 
 def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:
