@@ -164,7 +164,7 @@ class _Job:
             else [
                 self._scored(
                     i,
-                    render_taxim_table(table, self.frames[i].surface.normals, fit.background),
+                    render_taxim_table(table, self.frames[i].surface, fit.background),
                     fit,
                 )[1]
                 for i in self.held

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import numpy as np
 from calibration.color_result import ColorCalibration, HeldoutRender
 from calibration.evaluate import ImageScore, crop_slices, mean_score
 from calibration.report import Page, Picture, Table
+from taccel_lab.interop.taxim_table_file import TABLE_FILE, TableFile, write_table
 from taccel_lab.report.style import BLUE, GREY, INK, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:
@@ -60,7 +63,21 @@ def color_page(result: ColorCalibration) -> Page:
         tables=_tables(result),
         pictures=pictures,
         figures={"color": result.figures()},
+        files=_files(result),
     )
+
+
+def _files(result: ColorCalibration) -> dict[str, Callable[[Path], None]]:
+    """The table beside the report, for ``taccel-lab export --table``."""
+    if result.table is None:
+        return {}
+    figures: dict[str, float] = {}
+    if result.table_scores:
+        scores = mean_score([result.counted(item) for item in result.table_scores])
+        figures = {f"heldout_{key}": scores[key] for key, _ in FIGURES}
+        figures["heldout_presses"] = float(len(result.table_scores))
+    size = (result.grid.width_px, result.grid.height_px)
+    return {TABLE_FILE: partial(write_table, TableFile(result.table, size, figures))}
 
 
 def figure_columns(result: ColorCalibration) -> dict[str, dict[str, float]]:

@@ -249,7 +249,9 @@ class ColorCalibration:
     def _method(self) -> str:
         options = self.fit.options
         parts = [
-            f"MLP {list(options.hidden)} on {', '.join(options.inputs)}; {options.steps} Adam "
+            f"MLP {list(options.hidden)} on {', '.join(options.inputs)}"
+            + f" and {options.position_bands} bands of position" * (options.position_bands > 0)
+            + f"; {options.steps} Adam "
             f"steps of {options.batch_pixels} pixels, {options.loss.capitalize()} loss, seed "
             f"{options.seed}; surfaces: {self.surface_provider}"
         ]

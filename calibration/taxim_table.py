@@ -5,6 +5,11 @@ Z. Si and W. Yuan, "Taxim: An Example-Based Simulation Model for GelSight Tactil
 2022. Pixels inside the contact discs are sorted into bins of tilt and direction of their normal;
 in each bin a quadratic over the image is fitted to each colour's change by least squares. Bins
 without enough pixels take over the coefficients of the nearest bin that has them.
+
+Two things differ from Taxim's own fit. Slopes count over the gel at rest, as in tables that are
+made from a colour model, so that one table serves leaning gels. And the first bin of tilt, in which
+untouched gel lies beside the floor of a dent, holds no change: a table that shows the floor's
+colour there shows it all over the image.
 """
 
 from __future__ import annotations
@@ -14,9 +19,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration.estimators.color import ColorFit, ColorFrame
+from calibration.surfaces.types import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms
+from taccel_lab.signals.normals import normals_from_slopes
 
 BINS = 125
 """Bins of tilt and of direction, as in Taxim's own tables."""
@@ -57,7 +64,7 @@ def fit_taxim_table(
             disc &= mask
         v, u = np.nonzero(disc)
         image = fit.drifts[frame.name].remove(frame.image[disc].astype(np.float64))
-        tilt, direction = bin_indices(frame.surface.normals[disc], bins)
+        tilt, direction = bin_indices(normals_over_rest(frame.surface)[disc], bins)
         terms = pixel_terms(u / half[0] - 1, v / half[1] - 1)
         place = tilt * bins + direction
         np.add.at(gram, place, terms[:, :, None] * terms[:, None, :])
@@ -73,17 +80,22 @@ def fit_taxim_table(
     slot = np.full(bins * bins, -1)
     slot[filled] = np.arange(len(filled))
     table = coefficients[slot[nearest]].reshape(bins, bins, TERMS, 3)
+    table[0] = 0.0
     return TaximTable(bins, np.moveaxis(table, -1, 0))
 
 
 def render_taxim_table(
-    table: TaximTable, normals: np.ndarray, background: np.ndarray
+    table: TaximTable, surface: PressSurface, background: np.ndarray
 ) -> np.ndarray:
-    """Tactile image of a surface by the table: RGB levels, float32, [height_px, width_px, 3].
+    """Tactile image from a table, float32 levels in 0..255, shape [height_px, width_px, 3]."""
+    change = table.change(normals_over_rest(surface))
+    return np.clip(background + change, 0.0, 255.0).astype(np.float32)
 
-    ``normals`` are outward unit normals in the gel frame, shape [height_px, width_px, 3].
-    """
-    return np.clip(background + table.change(normals), 0.0, 255.0).astype(np.float32)
+
+def normals_over_rest(surface: PressSurface) -> np.ndarray:
+    """Normals of a flat gel with the slopes that the surface has over its rest, shape [h, w, 3]."""
+    pressed, rest = surface.normals, surface.rest_normals
+    return normals_from_slopes(rest[..., :2] / rest[..., 2:] - pressed[..., :2] / pressed[..., 2:])
 
 
 def _to_pixels(half: np.ndarray) -> np.ndarray:

@@ -52,6 +52,8 @@ class Page:
     pictures: Sequence[Picture] = ()
     figures: dict[str, Any] = field(default_factory=dict)
     """Everything measured, written as JSON beside the page."""
+    files: dict[str, Callable[[Path], None]] = field(default_factory=dict)
+    """Other files beside the page: name, and what writes it."""
 
 
 def write_page(page: Page, folder: Path | str) -> None:
@@ -67,6 +69,8 @@ def write_page(page: Page, folder: Path | str) -> None:
             path = staging / f"{picture.name}.png"
             save_figure(picture.draw(), path)
             images[picture.name] = data_url(path)
+        for name, write in page.files.items():
+            write(staging / name)
         html = (
             report_environment("calibration.report")
             .get_template("page.html.j2")

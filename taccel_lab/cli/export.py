@@ -43,6 +43,9 @@ class Export:
     urdf: A URDF with meshes, inertias and the frames of gel and camera."""
     out: Path
     """Folder to write; an earlier export there is replaced when everything is done."""
+    table: Path | None = None
+    """Table fitted to captures, written instead of one distilled from the colour model: taxim only.
+    calibrate color leaves it in its report folder as polycalib.npz."""
     json: bool = False
     """Print export.json instead of a summary."""
 
@@ -62,7 +65,7 @@ class Export:
 
         wp.config.log_level = wp.LOG_WARNING
         with Console(stderr=True).status(f"exporting {profile.sensor.name} to {self.to}"):
-            document = export_profile(profile, self.to, self.out)
+            document = export_profile(profile, self.to, self.out, table=self.table)
         if self.json:
             print_json(document)
         else:

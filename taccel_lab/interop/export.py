@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,18 +51,28 @@ EXPORTERS = {
 }
 
 
-def export_profile(profile: SensorProfile, to: str, out: Path | str) -> dict[str, Any]:
+def export_profile(
+    profile: SensorProfile, to: str, out: Path | str, *, table: Path | str | None = None
+) -> dict[str, Any]:
     """Write ``profile`` in the format ``to`` as the folder ``out``; returns ``export.json``.
+
+    ``table`` is the file of a table fitted to captures, which ``taxim`` then gets instead of one
+    distilled from the colour model.
 
     Raises InputError when the format is unknown, when the profile lacks a block that it cannot do
     without, or when ``out`` holds files of somebody else.
     """
     if to not in EXPORTERS:
         raise InputError(f"no format {to!r}; known: {', '.join(FORMATS)}")
+    if table is not None and to != "taxim":
+        raise InputError(f"a table fitted to captures goes to the format taxim only, not to {to}")
     require_replaceable(out)
     exporter = EXPORTERS[to]
+    write = exporter.write
+    if table is not None:
+        write = partial(taxim_folder.export_taxim, table=Path(table))
     with atomic_directory(out) as folder:
-        record = exporter.write(profile, folder)
+        record = write(profile, folder)
         files = sorted(
             str(path.relative_to(folder))
             for path in folder.rglob("*")

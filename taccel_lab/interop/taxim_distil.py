@@ -13,6 +13,7 @@ from taccel_lab.interop.taxim_table import (
     Direction,
     TaximTable,
     bin_steps,
+    one_scale,
     pixel_terms,
 )
 from taccel_lab.profile import SensorProfile
@@ -49,10 +50,7 @@ def distil_table(
     """
     source = ColorSource(profile)
     rng = np.random.default_rng(SEED)
-    grid = profile.grid()
-    scale = float(np.sqrt(grid.mm_per_px_x * grid.mm_per_px_y))
-    stretch = np.array([scale / grid.mm_per_px_x, scale / grid.mm_per_px_y])
-
+    scale, stretch = one_scale(profile.grid())
     pixels, solve = _image_fit(source, rng)
     tilts, displacements = source.profiles(rng, 400_000)
     order = np.argsort(tilts)

@@ -11,9 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from taccel_lab.errors import InputError
 from taccel_lab.interop.image_files import eight_bit
 from taccel_lab.interop.record import ExportRecord, required
-from taccel_lab.interop.taxim_distil import distil_table
+from taccel_lab.interop.taxim_distil import DistilledTable, distil_table
+from taccel_lab.interop.taxim_table import one_scale
+from taccel_lab.interop.taxim_table_file import TABLE_FILE, for_one_scale, read_table
 from taccel_lab.output import write_json
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.rest_surface import rest_surface
@@ -47,26 +50,34 @@ _RELATIVE = {
 }
 
 
-def export_taxim(profile: SensorProfile, folder: Path) -> ExportRecord:
-    """Write the folder; needs the blocks color and background."""
-    required(profile, "color", "a Taxim folder", profile.color)
+def export_taxim(profile: SensorProfile, folder: Path, table: Path | None = None) -> ExportRecord:
+    """Write the folder; needs the block background and, without a ``table``, color.
+
+    ``table`` is a file of a table that was fitted to captures (``taxim_table_file``); without one,
+    the table is distilled from the colour model.
+    """
     background = required(profile, "background", "a Taxim folder", profile.background_rgb)
-    made = distil_table(profile, BINS)
+    if table is None:
+        required(profile, "color", "a Taxim folder", profile.color)
+        made, origin = distil_table(profile, BINS), "distilled from the network"
+    else:
+        made, origin = _fitted(profile, table), f"fitted to captures, from {table.name}"
+    bins = made.table.bins
     grid = profile.grid()
     thickness_px = profile.gel.thickness_mm / made.mm_per_px
 
-    np.savez(folder / "polycalib.npz", **made.table.arrays("bgr"))  # type: ignore[arg-type]
+    np.savez(folder / TABLE_FILE, **made.table.arrays("bgr"))  # type: ignore[arg-type]
     shape = (grid.height_px, grid.width_px)
     np.save(folder / "gelmap.npy", np.full(shape, thickness_px, dtype=np.float64))
     bgr = eight_bit(background)[..., ::-1]
     np.savez_compressed(folder / "dataPack.npz", f0=bgr, img_size=np.array(bgr.shape))
     _write_shadows(folder / "shadowTable.npz")
-    write_json(folder / "params.json", _params(profile, made.mm_per_px))
+    write_json(folder / "params.json", _params(profile, made.mm_per_px, bins))
 
     rest = rest_surface(profile.mesh, grid)
     record = ExportRecord(
         carries={
-            "color": f"as Taxim's table of {BINS} x {BINS} bins, distilled from the network",
+            "color": f"as Taxim's table of {bins} x {bins} bins, {origin}",
             "background": "as f0 of dataPack.npz, 8 bit",
             "camera": "image size and scale",
             "gel": "thickness, as a flat gelmap",
@@ -89,7 +100,9 @@ def export_taxim(profile: SensorProfile, folder: Path) -> ExportRecord:
         "shadowTable.npz is neutral: the colour model holds no shadows cast beyond the pixel"
     )
     record.left_out["color.displacement"] = (
-        "the table knows only normals; it holds the mean over the displacements of ball presses"
+        "the table knows only normals; it holds "
+        + ("the mean over the displacements" if table is None else "the insides of the contacts")
+        + " of ball presses"
     )
     record.left_out["gel.shape"] = (
         "slopes are those over the rest surface, so gelmap is flat and the sag of the gel is not "
@@ -97,6 +110,20 @@ def export_taxim(profile: SensorProfile, folder: Path) -> ExportRecord:
     )
     record.no_place_for(profile, "material", "optics", "lights", "markers")
     return record
+
+
+def _fitted(profile: SensorProfile, path: Path) -> DistilledTable:
+    """The table of a file, for the reader's one scale; refused when made for other images."""
+    file, grid = read_table(path), profile.grid()
+    size = (grid.width_px, grid.height_px)
+    if file.image_size_px is not None and file.image_size_px != size:
+        raise InputError(
+            f"{path}: the table counts over images of {file.image_size_px[0]}x"
+            f"{file.image_size_px[1]} px, the profile's are {size[0]}x{size[1]} px"
+        )
+    scale, stretch = one_scale(grid)
+    errors = {f"table_{name}": value for name, value in file.figures.items()}
+    return DistilledTable(for_one_scale(file.table, stretch), scale, errors)
 
 
 def _write_shadows(path: Path) -> None:
@@ -108,7 +135,7 @@ def _write_shadows(path: Path) -> None:
     np.savez(path, shadowDirections=directions, shadowTable=table)
 
 
-def _params(profile: SensorProfile, mm_per_px: float) -> dict[str, dict[str, object]]:
+def _params(profile: SensorProfile, mm_per_px: float, bins: int) -> dict[str, dict[str, object]]:
     grid = profile.grid()
     return {
         "simulator": {
@@ -123,7 +150,7 @@ def _params(profile: SensorProfile, mm_per_px: float) -> dict[str, dict[str, obj
         },
         "sensor": {
             "pixmm": mm_per_px,
-            "num_bins": BINS,
+            "num_bins": bins,
             "w": grid.width_px,
             "h": grid.height_px,
         },

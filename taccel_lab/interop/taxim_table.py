@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
 
 TERMS = 6
 ChannelOrder = Literal["rgb", "bgr"]
@@ -74,11 +75,18 @@ class TaximTable:
         order: ChannelOrder,
         direction: Direction = "normal",
     ) -> TaximTable:
-        """Inverse of ``arrays``."""
+        """Inverse of ``arrays``; InputError when they are not those of a table."""
         missing = {"grad_r", "grad_g", "grad_b"} - set(arrays)
         if missing:
             raise InputError(f"the Taxim table lacks {', '.join(sorted(missing))}")
-        grad = np.stack([np.asarray(arrays[f"grad_{channel}"]) for channel in "rgb"])
+        parts = [np.asarray(arrays[f"grad_{channel}"]) for channel in "rgb"]
+        for channel, part in zip("rgb", parts, strict=True):
+            if part.ndim != 3 or part.shape != parts[0].shape or part.dtype.kind not in "fiu":
+                raise InputError(
+                    f"grad_{channel} of the Taxim table has shape {part.shape} and type "
+                    f"{part.dtype}; all three need [bins, bins, {TERMS}] and numbers"
+                )
+        grad = np.stack(parts)
         return cls(grad.shape[1], grad if order == "rgb" else grad[::-1], direction)
 
 
@@ -103,6 +111,27 @@ def bin_indices(
 def bin_steps(bins: int) -> tuple[float, float]:
     """Widths of a bin of tilt and of direction [rad]; the last bin of each holds its end only."""
     return 0.5 * np.pi / (bins - 1), 2 * np.pi / (bins - 1)
+
+
+def bin_middles(bins: int) -> np.ndarray:
+    """Unit normals in the middle of each bin of tilt and direction, shape [bins, bins, 3].
+
+    The last bins of tilt, which reach over 90 degrees, are asked for right below it.
+    """
+    step_tilt, step_angle = bin_steps(bins)
+    tilt = np.minimum((np.arange(bins)[:, None] + 0.5) * step_tilt, np.pi / 2 - 1e-6)
+    angle = (np.arange(bins)[None, :] + 0.5) * step_angle - np.pi
+    across = np.sin(tilt)
+    return np.stack(
+        np.broadcast_arrays(across * np.cos(angle), across * np.sin(angle), np.cos(tilt)), axis=-1
+    )
+
+
+def one_scale(grid: PixelGrid) -> tuple[float, np.ndarray]:
+    """The one mm/px for a reader that knows no two, and by how much the slopes along x and y that
+    it then measures are too small, shape [2]."""
+    scale = float(np.sqrt(grid.mm_per_px_x * grid.mm_per_px_y))
+    return scale, np.array([scale / grid.mm_per_px_x, scale / grid.mm_per_px_y])
 
 
 def pixel_terms(u: np.ndarray, v: np.ndarray) -> np.ndarray:

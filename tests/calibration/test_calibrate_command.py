@@ -4,15 +4,25 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from taccel_lab.cli.calibrate.color import CalibrateColor
+from taccel_lab.cli.export import Export
 from taccel_lab.errors import InputError
+from taccel_lab.interop.taxim_table_file import read_table
 from taccel_lab.profile import load_profile, save_profile
-from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, synthetic_captures, tiny_profile
+from tests.calibration.synthetic import (
+    BALL_RADIUS_MM,
+    GRID,
+    flat_profile,
+    synthetic_captures,
+    tiny_profile,
+)
 
 
 @pytest.fixture
@@ -68,6 +78,35 @@ def test_writes_a_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert profile.color.provenance.residuals["heldout_disc_l1"] == pytest.approx(
         heldout["disc_l1"]
     )
+
+
+def test_the_fitted_table_lies_beside_the_report_and_is_exported(folder: Path) -> None:
+    out, base = folder.parent / "profile", folder.parent / "flat"
+    save_profile(flat_profile(GRID), base)
+    CalibrateColor(
+        folder, out, base=base, surface="hertz", steps=5, ensemble=0, drift="off", register=False
+    ).run()
+    path = folder.parent / "profile_report" / "polycalib.npz"
+    file = read_table(path)
+    assert file.image_size_px == (GRID.width_px, GRID.height_px)
+    assert file.figures["heldout_presses"] == 2 and file.figures["heldout_disc_l1"] < 12
+    Export(out, "taxim", folder.parent / "taxim", table=path).run()
+    exported = read_table(folder.parent / "taxim" / "polycalib.npz").table
+    assert np.array_equal(exported.grad_rgb, file.table.grad_rgb)
+
+
+def test_bands_of_the_positional_encoding_are_asked_for(folder: Path) -> None:
+    out, base = folder.parent / "profile", folder.parent / "base"
+    command = CalibrateColor(
+        folder, out, base=base, surface="hertz", steps=5, ensemble=0, drift="off", register=False,
+        position_bands=2,
+    )  # fmt: skip
+    command.run()
+    profile = load_profile(out)
+    assert profile.color is not None and profile.color.architecture["position_bands"] == 2
+    assert "2 bands of position" in profile.color.provenance.method
+    with pytest.raises(InputError, match=r"position_bands must lie in 0\.\.8, got 9"):
+        replace(command, position_bands=9).run()
 
 
 def test_table_names_the_figures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

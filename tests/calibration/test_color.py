@@ -205,3 +205,32 @@ def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
     )
     assert "cross_validated_disc_l1_levels" in loaded.color.provenance.spread
     assert set(loaded.color.provenance.inputs) == {"background", "p0", "p1", "p2", "p4", "p5", "p6"}
+
+
+def test_light_that_changes_within_the_image_asks_for_bands() -> None:
+    """Lamps in stripes of a fifth of the image: the plain network smooths them away."""
+    captures, surfaces = synthetic_captures(20, noise=1.0, seed=3)
+    stripes = 1 + np.sin(2 * np.pi * 5 * np.arange(GRID.width_px) / GRID.width_px)[None, :, None]
+    truth = [flat_background() + known_change(surface) * stripes for surface in surfaces]
+    rng = np.random.default_rng(0)
+    noisy = [np.clip(x + rng.normal(0, 1, x.shape), 0, 255) for x in truth]
+    frames = [
+        dataclasses.replace(frame, image=image)
+        for frame, image in zip(frames_of(captures, surfaces), noisy, strict=True)
+    ]
+    error = {}
+    for bands in (0, 4):
+        fit = fit_color_model(
+            frames[5:], captures.background, GRID,
+            dataclasses.replace(QUICK, position_bands=bands),
+        )  # fmt: skip
+        off = []
+        for frame, wanted in zip(frames[:5], truth[:5], strict=True):
+            surface = frame.surface
+            rendered = fit.model.render(
+                surface.normals, surface.displacement_mm(), surface.rest_normals, fit.background
+            )
+            disc = frame.circle.distance_px(GRID) <= frame.circle.radius_px
+            off.append(np.abs(rendered - wanted)[disc].mean())
+        error[bands] = np.mean(off)
+    assert error[4] < 0.6 * error[0], error

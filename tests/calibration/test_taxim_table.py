@@ -18,6 +18,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TaximTable, bin_indices
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+from taccel_lab.signals.normals import normals_from_slopes
 
 GRID = PixelGrid(120, 90, 0.1, 0.1)
 BINS = 12
@@ -30,7 +31,9 @@ def true_table(rng: np.random.Generator) -> TaximTable:
     """Random quadratics of which no term outweighs the others within the image."""
     scale = np.array([GRID.width_px**2, GRID.height_px**2, GRID.width_px * GRID.height_px,
                       GRID.width_px, GRID.height_px, 1.0])  # fmt: skip
-    return TaximTable(BINS, rng.uniform(-15, 15, (3, BINS, BINS, 6)) / scale)
+    grad = rng.uniform(-15, 15, (3, BINS, BINS, 6)) / scale
+    grad[:, 0] = 0.0  # untouched gel lies there
+    return TaximTable(BINS, grad)
 
 
 def frames_of(table: TaximTable, drift: Drift = STILL) -> list[ColorFrame]:
@@ -62,7 +65,7 @@ def test_the_table_that_made_the_images_comes_back(monkeypatch: pytest.MonkeyPat
     surface = analytic_surface(circle, GRID, 2.0, decay_mm=1.0)
     disc = circle.distance_px(GRID) <= circle.radius_px
     wanted = 120.0 + truth.change(surface.normals)
-    rendered = render_taxim_table(found, surface.normals, fit_of(frames).background)
+    rendered = render_taxim_table(found, surface, fit_of(frames).background)
     assert np.abs(rendered - wanted)[disc].mean() < 0.05
 
 
@@ -111,6 +114,39 @@ def test_empty_bins_take_over_their_nearest_even_around_the_circle() -> None:
     assert nearest[3, 0] == 3 * 8 + 7 and nearest[7, 3] == 6 * 8 + 2
 
 
-def test_flat_gel_lies_in_the_first_bin_of_tilt() -> None:
+def test_untouched_gel_shows_the_background() -> None:
     tilt, _ = bin_indices(np.array([[0.0, 0.0, 1.0]]), BINS)
     assert tilt[0] == 0
+    # Captures whose dents are darker at the floor, too: it must not end up on untouched gel.
+    frames = frames_of(true_table(np.random.default_rng(5)))
+    darker = [
+        replace(f, image=f.image - 30.0 * (f.circle.distance_px(GRID) < 10)[..., None])
+        for f in frames
+    ]
+    found = fit_taxim_table(darker, fit_of(darker), GRID, bins=BINS)
+    surface = frames[0].surface
+    still = replace(surface, normals=surface.rest_normals, height_m=surface.rest_height_m)
+    background = fit_of(frames).background
+    assert np.array_equal(render_taxim_table(found, still, background), background)
+
+
+def test_slopes_count_over_a_leaning_rest() -> None:
+    """The same slopes over rest, on flat and on leaning gel, give the same table and image."""
+    frames = frames_of(true_table(np.random.default_rng(6)))
+    lean = normals_from_slopes(np.array([0.15, -0.1]))
+    leaning = []
+    for frame in frames:
+        slope = -frame.surface.normals[..., :2] / frame.surface.normals[..., 2:] + [0.15, -0.1]
+        surface = replace(
+            frame.surface,
+            normals=normals_from_slopes(slope),
+            rest_normals=np.broadcast_to(lean, frame.surface.normals.shape),
+        )
+        leaning.append(replace(frame, surface=surface))
+    one = fit_taxim_table(frames, fit_of(frames), GRID, bins=BINS)
+    two = fit_taxim_table(leaning, fit_of(frames), GRID, bins=BINS)
+    background = fit_of(frames).background
+    flat = render_taxim_table(one, frames[0].surface, background)
+    tilted = render_taxim_table(two, leaning[0].surface, background)
+    # Rounding moves a few pixels to the neighbouring bin.
+    assert (np.abs(flat - tilted) > 0.1).mean() < 0.01

@@ -9,6 +9,7 @@ from typing import Literal
 
 from taccel_lab.errors import InputError
 from taccel_lab.signals.color_model import INPUT_NAMES
+from taccel_lab.signals.position_encoding import require_bands
 
 Progress = Callable[[int, int, float], None]
 """Called with (steps done, steps in all, loss)."""
@@ -67,6 +68,7 @@ class ColorFitOptions:
         for name in ("learning_rate", "huber_levels", "ssim_weight"):
             if not 0 < getattr(self, name) < 1e3:
                 raise InputError(f"{name} must be positive, got {getattr(self, name)}")
+        require_bands("color model", self.position_bands)
         if self.loss not in ("huber", "l1", "ssim"):
             raise InputError(f"loss {self.loss!r} is not allowed; use huber, l1 or ssim")
         if self.validation_every < 0 or self.validation_every == 1:

@@ -184,7 +184,6 @@ def _scaled_config(samples: Samples, grid: PixelGrid, options: ColorFitOptions) 
         grid.height_px,
         inputs=options.inputs,
         hidden=options.hidden,
-        position_bands=options.position_bands,
         input_mean=(0.0,) * len(options.inputs),
         input_scale=(1.0,) * len(options.inputs),
     )
@@ -193,6 +192,7 @@ def _scaled_config(samples: Samples, grid: PixelGrid, options: ColorFitOptions) 
         plain,
         input_mean=tuple(float(x) for x in raw.mean(axis=0)),
         input_scale=tuple(float(x) for x in np.maximum(raw.std(axis=0), 1e-3)),
+        position_bands=options.position_bands,
     )
 
 

@@ -65,6 +65,9 @@ class CalibrateColor:
     auto compares both on left-out presses."""
     loss: Literal["huber", "l1", "ssim"] = "huber"
     """Loss of the fit: nearly L1 and smooth, L1, or the first with structural similarity."""
+    position_bands: int = 0
+    """Bands of the positional encoding: sines and cosines of the pixel's place for light that
+    changes within parts of the image. 0 to 8; 0 gives the network the place alone."""
     steps: int = 1500
     """Optimiser steps of the fit."""
     validation_every: int = 0
@@ -73,7 +76,8 @@ class CalibrateColor:
     """Fits that each leave some presses out: they cross-validate all presses, and their spread says
     how sure the model is; 0 skips them."""
     table: bool = True
-    """Fit Taxim's table too, for comparison."""
+    """Fit Taxim's table too: its figures stand in the report, and the table itself beside it, as
+    polycalib.npz, for `taccel-lab export --to taxim --table`."""
     seed: int = 0
     """Seed of the pixel draw, the initial weights and the batches."""
     json: bool = False
@@ -98,7 +102,11 @@ class CalibrateColor:
         if self.ensemble == 1 or self.ensemble < 0:
             raise InputError(f"ensemble must be 0 or at least 2, got {self.ensemble}")
         options = ColorFitOptions(
-            steps=self.steps, seed=self.seed, loss=self.loss, validation_every=self.validation_every
+            steps=self.steps,
+            seed=self.seed,
+            loss=self.loss,
+            validation_every=self.validation_every,
+            position_bands=self.position_bands,
         )
         captures, base, remarks = self._captures(console)
         captures.split(self.holdout_every)
