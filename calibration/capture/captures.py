@@ -106,10 +106,11 @@ class CaptureSet:
             raise InputError(f"holdout_every must be 0 or at least 2, got {holdout_every}")
         held = list(range(holdout_every - 1, len(self.presses), holdout_every))
         if not held:
+            count = len(self.presses)
+            or_fewer = f" or 2 to {count}" if count > 2 else " or 2" if count == 2 else ""
             raise InputError(
-                f"{self.source} holds {len(self.presses)} presses, too few to hold out every "
-                f"{holdout_every}th; give more captures or holdout_every of 0 or "
-                f"2 to {len(self.presses)}"
+                f"{self.source} holds {count} press{'es' if count != 1 else ''}, too few to hold "
+                f"out every {holdout_every}th; give more captures, or holdout_every of 0{or_fewer}"
             )
         return [i for i in range(len(self.presses)) if i not in held], held
 

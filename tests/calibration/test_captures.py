@@ -244,6 +244,22 @@ def test_split_is_a_partition(count: int, every: int) -> None:
     assert held == [i for i in range(count) if every and i % every == every - 1]
 
 
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [
+        (1, "holds 1 press, .* holdout_every of 0$"),
+        (2, "holds 2 presses, .* holdout_every of 0 or 2$"),
+        (3, "holdout_every of 0 or 2 to 3$"),
+    ],
+)
+def test_too_few_to_hold_out_says_what_is_allowed(count: int, words: str) -> None:
+    captures = object.__new__(CaptureSet)
+    object.__setattr__(captures, "presses", tuple(range(count)))
+    object.__setattr__(captures, "source", "somewhere")
+    with pytest.raises(InputError, match=words):
+        captures.split(4)
+
+
 def test_taxim_presses(taxim_captures: CaptureSet) -> None:
     assert len(taxim_captures.presses) == 48
     assert taxim_captures.grid == PixelGrid(640, 480, 0.0295, 0.0295)

@@ -13,10 +13,11 @@ import pytest
 import torch
 
 from calibration.capture import ContactCircle
-from calibration.capture.check.findings import error, warning
+from calibration.capture.check.findings import error, info, warning
 from calibration.result import Remark, Severity
 from taccel_lab.cli.app import main
-from taccel_lab.cli.calibrate.findings import joined
+from taccel_lab.cli.calibrate.findings import joined, refusing_with
+from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile, save_profile
 from tests.calibration.synthetic import (
     BALL_RADIUS_MM,
@@ -147,6 +148,21 @@ def test_normals_of_captures_that_contradict_themselves_are_weak(
     figures = json.loads(capsys.readouterr().out)["normals"]
     assert figures["verdict"] == "weak"
     assert any("labelled circles disagree with the images" in r for r in figures["remarks"])
+
+
+def test_a_refusal_names_what_else_was_found() -> None:
+    found = [
+        error("channels_swapped", "p3 has red and blue exchanged", "normals"),
+        error("no_contact", "again", "normals"),
+        info("some", "told elsewhere", "normals"),
+    ]
+    with pytest.raises(InputError) as refusal, refusing_with(found):
+        raise InputError("p3: no contact found")
+    assert str(refusal.value).splitlines() == [
+        "p3: no contact found",
+        "the captures have more faults:",
+        "- p3 has red and blue exchanged",
+    ]
 
 
 def test_the_graver_of_two_remarks_on_one_thing_is_kept() -> None:

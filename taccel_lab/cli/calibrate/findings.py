@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
+
+from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,6 +30,23 @@ def capture_findings(folder: CaptureFolder, command: str, console: Console) -> l
         # A grey sensor has no slopes by colour to hold the ball against.
         found = check_captures(folder, progress=progress, fit_ball=command != "depth")
     return [finding for finding in found.findings if command in finding.blocks]
+
+
+@contextmanager
+def refusing_with(findings: Sequence[Finding]) -> Iterator[None]:
+    """A refusal inside names what the check found as well: the cause may be among it."""
+    from calibration.result import Severity
+
+    try:
+        yield
+    except InputError as fault:
+        also = [
+            f"- {finding.message}"
+            for finding in findings
+            if finding.severity != Severity.INFO and finding.code != "no_contact"
+        ]
+        heading = ["the captures have more faults:"] if also else []
+        raise InputError("\n".join([str(fault), *heading, *also])) from None
 
 
 def joined(findings: Sequence[Finding], remarks: Sequence[Remark]) -> tuple[Remark, ...]:

@@ -66,7 +66,7 @@ class CalibrateNormals:
         from calibration.inverse.samples import Scene
         from taccel_lab.cli.calibrate.base import open_job, presses_on_camera
         from taccel_lab.cli.calibrate.contacts import contact_circles
-        from taccel_lab.cli.calibrate.findings import capture_findings, joined
+        from taccel_lab.cli.calibrate.findings import capture_findings, joined, refusing_with
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
         from taccel_lab.signals.rest_surface import rest_surface
@@ -78,7 +78,8 @@ class CalibrateNormals:
         captures.split(self.holdout_every)
         findings = capture_findings(job.folder, "normals", job.console)
         rest = rest_surface(base.mesh, captures.grid)
-        captures, circles, left_out = contact_circles(captures, self.circles, job.console)
+        with refusing_with(findings):
+            captures, circles, left_out = contact_circles(captures, self.circles, job.console)
         surfaces = self._surfaces(captures, circles, base, job.console)
         with fit_progress(job.console, "fitting the inverse model") as progress:
             result = calibrate_normals(
