@@ -59,7 +59,7 @@ def calibrate_material(
     """
     options = options or MaterialOptions()
     require_nlopt()
-    gel = Gel.of_profile(base, options.model)
+    gel = Gel.of_profile(base, options.model, options.device)
     if gel.material.model != "mooney_rivlin" and "mooney_ratio" in options.fixed:
         raise InputError("mooney_ratio belongs to the law mooney_rivlin: add --model mooney_rivlin")
     records = {kind: [r for r in folder.records if r.entry.kind == kind] for kind in _KINDS}
@@ -153,7 +153,7 @@ class _Job:
 
         found = fit(free_nu, free_ratio)
         self.profiled = found
-        tells_nu = free_nu and self._tells(found.solution.profiles["nu"], "nu", NU_RANGE)
+        tells_nu = free_nu and self._tells(found.solution.profiles["nu"], "nu", tables[0].nu_range)
         tells_ratio = free_ratio and self._tells(
             found.solution.profiles["mooney_ratio"], "mooney_ratio", (0.0, 1.0)
         )

@@ -7,7 +7,7 @@ Displacements do not depend on Young's modulus: the gel is one of 1 MPa.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +15,11 @@ from numpy.polynomial import chebyshev
 from scipy.interpolate import CubicSpline
 from scipy.spatial import Delaunay
 
+from calibration.material.candidates import Candidate, Reader, prepare, simulate
+from calibration.material.gel_presses import Stop
 from calibration.material.likelihood import Group, Likelihood, Parameter
 from calibration.material.response import NU_RANGE
 from calibration.material.setup import FRICTION_CONFIG, QUICK, REFEREE, Effort, Gel, Tool
-from calibration.material.store import kept
 from taccel_lab.envs import PressEnv
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region
@@ -161,6 +162,16 @@ def flow_table(
         seconds += float(found["seconds"])
         return found["displacement_mm"]
 
+    depth = float(path.depth_mm[frames].max())
+    prepare(
+        gel.bench(tool, depth, effort),
+        [
+            path_candidate(gel, tool, path, frames, points_mm, float(nu), mooney_ratio, mu, effort)
+            for nu in nus
+            for mu in MU_NODES
+        ],
+        progress,
+    )
     for nu in nus:
         row = []
         for mu in MU_NODES[:mus]:
@@ -219,39 +230,32 @@ def path_displacements(
     effort: Effort,
 ) -> dict[str, np.ndarray]:
     """Motion of points of the contact face [mm], [frame, point, 2]; NaN if it did not converge."""
+    candidate = path_candidate(
+        gel, tool, path, frames, points_mm, poisson_ratio, mooney_ratio, mu, effort
+    )
+    return simulate(gel.bench(tool, float(path.depth_mm[frames].max()), effort), candidate)
+
+
+def path_candidate(
+    gel: Gel,
+    tool: Tool,
+    path: ToolPath,
+    frames: np.ndarray,
+    points_mm: np.ndarray,
+    poisson_ratio: float,
+    mooney_ratio: float,
+    mu: float,
+    effort: Effort,
+) -> Candidate:
+    """The press of ``path_displacements``."""
     depth, shift, angle = path.depth_mm[frames], path.shift_mm[frames], path.angle_deg[frames]
-
-    def simulate() -> dict[str, np.ndarray]:
-        mesh = gel.mesh(tool, float(depth.max()), effort)
-        env = gel.environment(tool, mesh, poisson_ratio, mooney_ratio, mu)
-        nodes, corners, weights = face_weights(env, points_mm)
-        rest = env.mesh.nodes_m[nodes, :2]
-        moved = np.full((len(frames), len(points_mm), 2), np.nan)
-        seconds, before = 0.0, np.zeros(4)
-        for k in range(len(frames)):
-            goal = np.array([depth[k], *shift[k], angle[k]])
-            largest = max(
-                np.abs(goal - before)[:3].max() / LARGEST_STEP_MM,
-                abs(goal[3] - before[3]) / LARGEST_STEP_DEG,
-            )
-            steps = max(1, math.ceil(largest - 1e-9))
-            for i in range(1, steps + 1):
-                at = before + (goal - before) * (i / steps)
-                report = env.try_to(float(at[0]), at[1:3], float(at[3]))
-                seconds += report.seconds
-                if not report.converged[0]:
-                    return {"displacement_mm": moved, "seconds": np.array(seconds)}
-            change = (env.positions[0][nodes, :2] - rest) * 1e3
-            moved[k] = np.einsum("pc,pcx->px", weights, change[corners])
-            before = goal
-        return {"displacement_mm": moved, "seconds": np.array(seconds)}
-
+    way = np.column_stack([depth, shift, angle])
     recipe = {
         "what": "flow",
         "gel": gel.recipe(),
         "tool": tool.description,
         "at_mm": list(tool.at_mm),
-        "path": np.column_stack([depth, shift, angle]),
+        "path": way,
         "points_mm": points_mm,
         "nu": poisson_ratio,
         "ratio": mooney_ratio,
@@ -259,7 +263,42 @@ def path_displacements(
         "effort": effort.recipe(),
         "dhat_m": FRICTION_CONFIG.dhat_m,
     }
-    return kept(recipe, simulate)
+
+    def reader(env: PressEnv, _: Sequence[Candidate]) -> Reader:
+        nodes, corners, weights = face_weights(env, points_mm)
+        rest = env.mesh.nodes_m[nodes, :2]
+
+        def read() -> np.ndarray:
+            change = (env.positions[:, nodes, :2] - rest) * 1e3
+            return np.einsum("pc,epcx->epx", weights, change[:, corners])
+
+        return read
+
+    return Candidate(
+        recipe,
+        poisson_ratio,
+        mooney_ratio,
+        mu,
+        path_stops(way),
+        reader,
+        arrays=lambda rows: {"displacement_mm": rows},
+    )
+
+
+def path_stops(way: np.ndarray) -> list[Stop]:
+    """Stops on a path of rows depth [mm], shift x and y [mm], angle [deg]; the rows are read."""
+    stops, before = [], np.zeros(4)
+    for goal in way:
+        largest = max(
+            np.abs(goal - before)[:3].max() / LARGEST_STEP_MM,
+            abs(goal[3] - before[3]) / LARGEST_STEP_DEG,
+        )
+        count = max(1, math.ceil(largest - 1e-9))
+        for i in range(1, count + 1):
+            depth, x, y, angle = (before + (goal - before) * (i / count)).tolist()
+            stops.append(Stop(depth, (x, y), angle, read=i == count))
+        before = goal
+    return stops
 
 
 def face_weights(env: PressEnv, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from calibration.material.likelihood import Group, Likelihood, Parameter, Solution
 from calibration.material.points import IndentationPoints
-from calibration.material.response import NU_RANGE, ForceTable
+from calibration.material.response import ForceTable
 from calibration.result import NORMAL_95
 
 TOUCH_SIGMA_MM = 0.02
@@ -121,8 +121,10 @@ def fit_indentation(
     touch = [_touch_sigma(item, touch_sigma_mm) for item in points]
     parameters = [Parameter("ln_e", math.log(start_pa), math.log(1e3), math.log(1e9), 0.1)]
     if free_nu:
-        start = min(max(poisson_ratio, NU_RANGE[0] + 0.01), NU_RANGE[1] - 0.003)
-        parameters.append(Parameter("nu", start, *NU_RANGE, 0.02))
+        low = max(table.nu_range[0] for table in tables)
+        high = min(table.nu_range[1] for table in tables)
+        start = min(max(poisson_ratio, low + 0.01), high - 0.003)
+        parameters.append(Parameter("nu", start, low, high, 0.02))
     if free_ratio:
         start = min(max(mooney_ratio, 0.05), 0.95)
         parameters.append(Parameter("mooney_ratio", start, 0.0, 1.0, 0.2))

@@ -16,9 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.material.bonded_layer import layer_force_n
+from calibration.material.candidates import prepare
 from calibration.material.likelihood import root_between
 from calibration.material.setup import QUICK, Effort, Gel, Tool
-from calibration.material.tangential_table import FULL_SLIP_DEPTHS, GRID, simulate_motion
+from calibration.material.tangential_table import (
+    FULL_SLIP_DEPTHS,
+    GRID,
+    motion_candidate,
+    simulate_motion,
+)
 
 STEPS = 6
 LARGEST_RATIO = 1.0
@@ -76,6 +82,11 @@ def leaning(
     first, last = (math.floor(math.log(0.8 * ratio, GRID)), math.ceil(math.log(ratio, GRID)))
     mus, ratios = [GRID**k for k in range(first, last + 1)], []
     scaled = FULL_SLIP_DEPTHS * depth * np.linspace(0, 1, STEPS + 1)
+    slides = [
+        motion_candidate(gel, tool, "shear", depth, scaled, mu, poisson_ratio, mooney_ratio, effort)
+        for mu in mus
+    ]
+    prepare(gel.bench(tool, depth, effort), slides, progress)
     for done, mu in enumerate(mus):
         if progress is not None:
             progress(done, len(mus))

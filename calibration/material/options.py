@@ -26,6 +26,8 @@ class MaterialOptions:
     """Coefficient of friction in the simulated indentations."""
     effort: Effort = STANDARD
     """Mesh of indentations; presses with friction take ``QUICK`` at most."""
+    device: str = "cpu"
+    """Warp device of the simulations; a GPU takes the presses of a table together."""
 
     def __post_init__(self) -> None:
         limits = {"e": (1e2, 1e9), "nu": (0.0, 0.4999), "mooney_ratio": (0, 1), "friction": (0, 5)}

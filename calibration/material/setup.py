@@ -9,20 +9,23 @@ layers over a gel keep their ratio to it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from calibration.capture.schema import ToolEntry
 from calibration.material.bonded_layer import ToolKind
+from calibration.material.candidates import Candidate
+from calibration.material.gel_presses import GelPresses
 from sensors.press_mesh import PressMeshOptions, press_mesh
 from sensors.registry import sensor_family
-from taccel_lab.envs import Indenter, PressEnv, parse_indenter, profile_material
+from taccel_lab.envs import Indenter, parse_indenter, profile_material
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import MaterialBlock, SensorProfile
-from taccel_lab.scene import Element
 from taccel_lab.solvers import SolverConfig
 
 UNIT_MODULUS_PA = 1e6
@@ -100,9 +103,13 @@ class Gel:
     parameters: dict[str, Any]
     material: MaterialBlock
     thickness_mm: float
+    device: str = "cpu"
+    """Warp device of its simulations."""
 
     @classmethod
-    def of_profile(cls, profile: SensorProfile, model: str | None = None) -> Gel:
+    def of_profile(
+        cls, profile: SensorProfile, model: str | None = None, device: str = "cpu"
+    ) -> Gel:
         """The gel of ``profile``, with another law where one is asked for."""
         material = profile.material
         if model is not None and model != material.model:
@@ -115,6 +122,7 @@ class Gel:
             dict(profile.sensor.parameters),
             material,
             profile.gel.thickness_mm,
+            device,
         )
 
     def unit_material(self, poisson_ratio: float, mooney_ratio: float) -> MaterialBlock:
@@ -177,21 +185,38 @@ class Gel:
             radius *= 0.45  # the whole pad is loaded: an even mesh
         return press_mesh(self.family, self.parameters, tool.at_mm, radius, effort.options())
 
-    def environment(
-        self,
-        tool: Tool,
-        mesh: TetMesh,
-        poisson_ratio: float,
-        mooney_ratio: float = 0.0,
-        friction: float = 0.0,
-    ) -> PressEnv:
-        """One press of a gel of 1 MPa, of ten-node tets: linear ones lock near nu = 0.5."""
-        return PressEnv(
-            mesh,
-            profile_material(self.unit_material(poisson_ratio, mooney_ratio), mesh),
-            tool.indenter(),
-            np.array([tool.at_mm]),
-            friction_coefficient=friction,
-            element=Element.QUADRATIC,
-            config=FRICTION_CONFIG if friction else SolverConfig(dhat_m=DHAT_M),
+    def bench(self, tool: Tool, deepest_mm: float, effort: Effort) -> GelBench:
+        """Where presses of ``tool`` down to ``deepest_mm`` are simulated."""
+        return GelBench(self, tool, deepest_mm, effort)
+
+
+@dataclass(frozen=True)
+class GelBench:
+    """A gel and a tool, on the mesh of one depth."""
+
+    gel: Gel
+    tool: Tool
+    deepest_mm: float
+    effort: Effort
+
+    @property
+    def device(self) -> str:
+        return self.gel.device
+
+    @cached_property
+    def mesh(self) -> TetMesh:
+        return self.gel.mesh(self.tool, self.deepest_mm, self.effort)
+
+    def presses(self, candidates: Sequence[Candidate]) -> GelPresses:
+        """Gels of 1 MPa at rest, of ten-node tets: linear ones lock near nu = 0.5."""
+        blocks = [self.gel.unit_material(c.poisson_ratio, c.mooney_ratio) for c in candidates]
+        rubs = any(candidate.friction for candidate in candidates)
+        return GelPresses(
+            self.mesh,
+            [profile_material(block, self.mesh) for block in blocks],
+            self.tool.indenter(),
+            self.tool.at_mm,
+            [candidate.friction for candidate in candidates],
+            config=FRICTION_CONFIG if rubs else SolverConfig(dhat_m=DHAT_M),
+            device=self.gel.device,
         )

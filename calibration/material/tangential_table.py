@@ -12,12 +12,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.interpolate import CubicSpline
 
+from calibration.material.candidates import Candidate, prepare, simulate
+from calibration.material.gel_presses import Stop
 from calibration.material.setup import (
     FRICTION_CONFIG,
     QUICK,
@@ -27,7 +30,6 @@ from calibration.material.setup import (
     Gel,
     Tool,
 )
-from calibration.material.store import kept
 from taccel_lab.envs import PressEnv
 from taccel_lab.errors import SimulationError
 
@@ -117,6 +119,13 @@ def tangential_table(
     longest = min(full, GRID ** math.ceil(math.log(1.02 * wanted, GRID)))
     scaled = longest * np.linspace(0, 1, STEPS + 1) ** 1.3
     tangential, normal, seconds = [], [], 0.0
+    nodes = [
+        motion_candidate(
+            gel, tool, motion, depth_mm, scaled, float(mu), poisson_ratio, mooney_ratio, effort
+        )
+        for mu in mus[:NODES]
+    ]
+    prepare(gel.bench(tool, depth_mm, effort), nodes, progress)
     for done, mu in enumerate(mus):
         if progress is not None:
             progress(done, len(mus))
@@ -162,40 +171,27 @@ def simulate_motion(
     effort: Effort,
 ) -> dict[str, np.ndarray]:
     """Forces of one press of 1 MPa that is sheared or turned in steps."""
+    candidate = motion_candidate(
+        gel, tool, motion, depth_mm, scaled, mu, poisson_ratio, mooney_ratio, effort
+    )
+    return simulate(gel.bench(tool, depth_mm, effort), candidate)
 
-    def simulate() -> dict[str, np.ndarray]:
-        mesh = gel.mesh(tool, depth_mm, effort)
-        env = gel.environment(tool, mesh, poisson_ratio, mooney_ratio, mu)
-        seconds = 0.0
-        for i in range(PRESS_STEPS):
-            seconds += env.move_to(depth_mm * (i + 1) / PRESS_STEPS).seconds
-        rows = [tangential_and_normal(env, motion)]
-        step = LARGEST_STEP_MM
-        if motion == "twist":
-            step = math.degrees(step / tool.contact_radius_mm(depth_mm))
-        before = 0.0
-        for value in scaled[1:] * mu:
-            count = math.ceil((value - before) / step)
-            for part in np.linspace(before, value, count + 1)[1:]:
-                shear = (float(part), 0.0) if motion == "shear" else (0.0, 0.0)
-                report = env.try_to(depth_mm, shear, float(part) if motion == "twist" else 0.0)
-                seconds += report.seconds
-                if not report.converged[0]:
-                    break
-            else:
-                rows.append(tangential_and_normal(env, motion))
-                before = value
-                continue
-            # With much friction the gel folds up behind the tool; no equilibrium is near then.
-            break
-        rows += [(math.nan, math.nan)] * (len(scaled) - len(rows))
-        found = np.array(rows)
-        return {
-            "tangential": found[:, 0] - found[0, 0],
-            "normal_n": found[:, 1],
-            "seconds": np.array(seconds),
-        }
 
+def motion_candidate(
+    gel: Gel,
+    tool: Tool,
+    motion: Motion,
+    depth_mm: float,
+    scaled: np.ndarray,
+    mu: float,
+    poisson_ratio: float,
+    mooney_ratio: float,
+    effort: Effort,
+) -> Candidate:
+    """The press of ``simulate_motion``.
+
+    With much friction the gel folds up behind the tool; what follows is NaN.
+    """
     recipe = {
         "what": motion,
         "gel": gel.recipe(),
@@ -209,15 +205,44 @@ def simulate_motion(
         "effort": effort.recipe(),
         "dhat_m": FRICTION_CONFIG.dhat_m,
     }
-    return kept(recipe, simulate)
+    return Candidate(
+        recipe,
+        poisson_ratio,
+        mooney_ratio,
+        mu,
+        motion_stops(tool, motion, depth_mm, scaled * mu),
+        reader=lambda env, _: lambda: tangential_and_normal(env, motion),
+        arrays=lambda rows: {"tangential": rows[:, 0] - rows[0, 0], "normal_n": rows[:, 1]},
+        must_reach=1,
+    )
 
 
-def tangential_and_normal(env: PressEnv, motion: Motion) -> tuple[float, float]:
-    """Resistance to the motion ([N], or [N mm] about the tool's axis) and normal force [N]."""
-    force = env.press_force[0]
+def motion_stops(tool: Tool, motion: Motion, depth_mm: float, way: np.ndarray) -> list[Stop]:
+    """Down to a depth, then sideways [mm] or about the axis [deg] to the values of ``way``, of
+    which the first is 0; each is read."""
+    stops = [
+        Stop(depth_mm * (i + 1) / PRESS_STEPS, read=i + 1 == PRESS_STEPS)
+        for i in range(PRESS_STEPS)
+    ]
+    step = LARGEST_STEP_MM
+    if motion == "twist":
+        step = math.degrees(step / tool.contact_radius_mm(depth_mm))
+    for before, value in pairwise(way.tolist()):
+        count = math.ceil((value - before) / step)
+        for i, part in enumerate(np.linspace(before, value, count + 1)[1:].tolist()):
+            shift = (part, 0.0) if motion == "shear" else (0.0, 0.0)
+            angle = part if motion == "twist" else 0.0
+            stops.append(Stop(depth_mm, shift, angle, read=i + 1 == count))
+    return stops
+
+
+def tangential_and_normal(env: PressEnv, motion: Motion) -> np.ndarray:
+    """Resistance to the motion ([N], or [N mm] about the tool's axis) and normal force [N], shape
+    [env, 2]."""
+    force = env.press_force
     if motion == "shear":
-        return -float(force[0]), float(force[2])
-    x, y = env.poses[0, 0, :2]
-    wrench = env.wrench[0]
-    about = wrench[5] - (x * wrench[1] - y * wrench[0])
-    return -float(about) * 1e3, float(force[2])
+        return np.column_stack([-force[:, 0], force[:, 2]])
+    x, y = env.poses[:, 0, :2].T
+    wrench = env.wrench
+    about = wrench[:, 5] - (x * wrench[:, 1] - y * wrench[:, 0])
+    return np.column_stack([-about * 1e3, force[:, 2]])

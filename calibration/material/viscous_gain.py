@@ -93,7 +93,7 @@ def damped_forces(
     soft = SoftBody(mesh, profile_material(block, mesh), element=Element.QUADRATIC)
     body = KinematicBody(tool.indenter().shape, 0.0, name="tool")
     time = TimeStepping(quasi_static=damping_s == 0, dt_s=STEP_S)
-    model = Scene(soft, (body,), 1, time).finalize("cpu")
+    model = Scene(soft, (body,), 1, time).finalize(gel.device)
     solver = SolverIPC(model, SolverConfig(dhat_m=DHAT_M))
     nodal = soft.nodal_mesh
     at = np.array(tool.at_mm) * 1e-3

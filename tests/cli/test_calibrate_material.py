@@ -127,6 +127,7 @@ def test_wrong_units_and_signs_are_refused(
         (("--fix", "stiffness=3"), "cannot be held"),
         (("--fix", "mooney_ratio=0.2"), "--model mooney_rivlin"),
         (("--press-friction", "7"), "press_friction"),
+        (("--device", "cuda:99"), "is not there"),
     ],
 )
 def test_bad_options_are_refused(

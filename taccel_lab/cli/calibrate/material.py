@@ -46,6 +46,8 @@ class CalibrateMaterial:
     """Coefficient of friction in the simulated indentations; the report says what it changes."""
     effort: Literal["draft", "quick", "standard", "fine"] = "standard"
     """Mesh of the simulated presses, from 2,300 to 14,000 nodes; its error enters the intervals."""
+    device: str = "cpu"
+    """Device of the presses: cpu, or cuda:0, which takes those of a table together."""
     json: bool = False
     """Print the figures as JSON instead of a table."""
 
@@ -61,15 +63,18 @@ class CalibrateMaterial:
         )
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.press import require_device
         from taccel_lab.cli.progress import stage_progress
 
         wp.config.log_level = wp.LOG_WARNING
+        require_device(self.device)
         options = MaterialOptions(
             model=self.model,
             fixed=parse_fixed(self.fix),
             touch_sigma_mm=self.touch_sigma_mm,
             press_friction=self.press_friction,
             effort=EFFORTS[self.effort],
+            device=self.device,
         )
         job = open_job(self.captures, self.out, self.base, self.report)
         folder = job.folder

@@ -10,9 +10,11 @@ import pytest
 
 from calibration.capture.schema import ToolEntry
 from calibration.material import ForceTable, Gel, IndentationPoints, fit_indentation, force_table
+from calibration.material.candidates import Candidate
 from calibration.material.response import simulate_press
-from calibration.material.setup import DRAFT, QUICK, STANDARD, Tool
+from calibration.material.setup import DRAFT, QUICK, STANDARD, Effort, GelBench, Tool
 from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
 
 DEPTH = np.linspace(0.15, 1.4, 12)
 MODULUS, POISSON = 2.4e5, 0.47
@@ -52,6 +54,60 @@ def test_tables_interpolate_and_differentiate(table: ForceTable) -> None:
     np.testing.assert_allclose((up - down) / (2 * h), by_nu, rtol=1e-5)
     assert (np.diff(value) > 0).all() and (by_nu > 0).all()
     np.testing.assert_allclose(table.force_n(np.array([-1.0, 0.0]), 1e5, 0.47), 0.0)
+
+
+COARSE = Effort("draft", 1.5, 4, 4, 2)
+
+
+def test_both_parameters_of_mooney_and_rivlin(
+    mini: SensorProfile, tool: Tool, press_cache: Path
+) -> None:
+    """Six presses with slopes over both, against presses elsewhere."""
+    gel = Gel.of_profile(mini, "mooney_rivlin")
+    table = force_table(gel, tool, (0.2, 1.0), effort=COARSE, checked=False)
+    assert table.press_count == 7
+    assert table.error.interpolation < 2e-3
+    assert table.nu_range[0] > 1 / 3  # softer volumes do not go with a ratio of 1
+    for nu, ratio in ((0.485, 0.7), (0.36, 0.15)):
+        force = simulate_press(gel, tool, table.depths_mm, nu, ratio, 0.0, COARSE)["force_n"]
+        found = table.force_n(table.depths_mm, 1e6, nu, ratio)
+        np.testing.assert_allclose(found, force, rtol=3e-3)
+    h = 1e-5
+    _, _, by_nu, by_ratio = table.log_force(DEPTH[:4], 0.45, 0.5)
+    for i, slope in enumerate((by_nu, by_ratio)):
+        up, down = (
+            table.log_force(DEPTH[:4], 0.45 + s * h * (i == 0), 0.5 + s * h * (i == 1))[0]
+            for s in (1, -1)
+        )
+        np.testing.assert_allclose((up - down) / (2 * h), slope, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("friction", "count"), [(0.0, 4), (0.3, 6)])
+def test_slopes_replace_presses(
+    gel: Gel, tool: Tool, monkeypatch: pytest.MonkeyPatch, friction: float, count: int
+) -> None:
+    """Three presses with slopes, and with friction, where there are none, five of values."""
+
+    def simulated(bench: GelBench, candidate: Candidate) -> dict[str, np.ndarray]:
+        nu, depth = candidate.poisson_ratio, np.array([stop.depth_mm for stop in candidate.stops])
+        s = np.sqrt(1 - 2 * nu)
+        force = 1e6 * depth**1.5 * np.exp(1.3 - 2 * s + 0.7 * s**4 * depth)
+        found = {"force_n": force, "seconds": np.array(0.5)}
+        if friction == 0:
+            found["by_nu_n"] = force * (2 - 2.8 * s**3 * depth) / s
+        return found
+
+    monkeypatch.setattr("calibration.material.response.simulate", simulated)
+    table = force_table(gel, tool, (0.2, 1.0), checked=False, friction=friction)
+    assert (table.press_count, table.seconds) == (count, 0.5 * count)
+    assert table.error.interpolation < 1e-9
+    depth = table.depths_mm
+    for nu in (0.31, 0.45, 0.498):
+        s = np.sqrt(1 - 2 * nu)
+        value, _, by_nu, _ = table.log_force(depth, nu)
+        expected = 1.5 * np.log(depth) + 1.3 - 2 * s + 0.7 * s**4 * depth
+        np.testing.assert_allclose(value, expected, atol=1e-9)
+        np.testing.assert_allclose(by_nu, (2 - 2.8 * s**3 * depth) / s, rtol=1e-8)
 
 
 def test_forces_scale_with_the_modulus(gel: Gel, tool: Tool, table: ForceTable) -> None:

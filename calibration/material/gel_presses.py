@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Presses of gels that differ in moduli and in friction, as environments of one scene.
+
+Environments of a scene share their moduli, but not the rest volumes of their elements. All energies
+are linear in the shear modulus and in lambda (``ipc.elasticity.dilatation``; of Mooney and Rivlin's
+law in both of its constants): two or three groups of elements on the same nodes, each with one
+modulus of 1 Pa and with volumes scaled by what that modulus is in an environment, are a gel of its
+own in each. That is one evaluation of the elements more (of Mooney and Rivlin's law two); the rest
+of a step, the linear solves above all, costs as much as ever.
+
+Friction is frozen with the scene's coefficient of 1, and then scaled in each environment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.envs import Indenter, PressEnv
+from taccel_lab.geometry import TetMesh
+from taccel_lab.ipc.potentials.friction import FrictionPotential, FrozenContacts
+from taccel_lab.model import Model
+from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.scene import Element, Material, MaterialField, MaterialModel
+from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
+from taccel_lab.solvers.sensitivity import elastic_power, groups_of, node_rates
+
+wp.set_module_options({"enable_backward": False})
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Where a tool goes next."""
+
+    depth_mm: float
+    """Past first touch."""
+    shift_mm: tuple[float, float] = (0.0, 0.0)
+    """From the place of first touch, gel x and y."""
+    angle_deg: float = 0.0
+    """Turn about +z."""
+    read: bool = True
+    """Whether something is read there; otherwise it only keeps the steps short."""
+
+
+class GelPresses(PressEnv):
+    """One tool on gels of one mesh, an environment each."""
+
+    def __init__(
+        self,
+        mesh: TetMesh,
+        materials: Sequence[Material | MaterialField],
+        indenter: Indenter,
+        at_mm: tuple[float, float],
+        frictions: Sequence[float],
+        *,
+        config: SolverConfig | None = None,
+        device: str = "cpu",
+    ) -> None:
+        """
+        Args:
+            mesh: Gel pad in the gel frame; its tets become ten-node ones.
+            materials: Of each environment, of one law and one largest Young's modulus, on which
+                the contact stiffness depends.
+            indenter: The tool.
+            at_mm: xy of its axis [mm].
+            frictions: Coefficient of friction of each environment.
+            config: Tolerances of the solver.
+            device: Warp device.
+
+        Raises:
+            ValueError: Materials that cannot share a scene.
+            InputError: As ``PressEnv``.
+        """
+        count = len(materials)
+        if len(frictions) != count:
+            raise ValueError(f"{count} materials, but {len(frictions)} coefficients of friction")
+        if len({(m.model, m.largest_young_modulus_pa) for m in materials}) != 1:
+            raise ValueError("environments must share the law and the largest Young's modulus")
+        alike = all(_same(material, materials[0]) for material in materials[1:])
+        one_friction = len(set(frictions)) == 1
+        super().__init__(
+            mesh,
+            materials[0],
+            indenter,
+            np.tile(at_mm, (count, 1)),
+            friction_coefficient=frictions[0] if one_friction else 1.0,
+            # Volumes are to differ by environment.
+            rest_positions_m=None if alike else np.tile(mesh.nodes_m, (count, 1, 1)),
+            element=Element.QUADRATIC,
+            config=config,
+            device=device,
+        )
+        self._whole = self.model.elastic
+        self._split = not alike
+        if self._split:
+            self.model.elastic = self._groups(materials)
+            self.solver = SolverIPC(self.model, self.solver.config)
+        if not one_friction:
+            self.solver.friction = _ScaledFriction(self.solver, frictions)
+
+    def go(self, stops: Sequence[Stop], stay: np.ndarray | None = None) -> StepReport:
+        """Take the tool of each environment to its stop, but for those of ``stay`` (bool, [env]).
+
+        An environment that does not converge is left where it was, for the caller to see.
+        """
+        depth = self.checked_depth_m(np.array([stop.depth_mm for stop in stops]))
+        shift = np.array([stop.shift_mm for stop in stops]) * 1e-3
+        half = 0.5 * np.radians([stop.angle_deg for stop in stops])
+        target = self._poses(depth, shift, 0.0)
+        target[:, 0, 5], target[:, 0, 6] = np.sin(half), np.cos(half)
+        if stay is not None:
+            target[stay] = self.poses[stay]
+        return self.solver.step(self.state, target)
+
+    def force_slopes(self, steps: Sequence[MaterialStep]) -> np.ndarray:
+        """How the force against the motion downwards [N] changes with parameters of the material at
+        the depth where the tools are, shape [env, step]. Without friction only.
+
+        One linear solve serves all parameters, see ``taccel_lab.solvers.sensitivity``.
+        """
+        down = np.tile([0.0, 0.0, -1.0], (len(self.at_m), 1, 1))
+        rates = node_rates(self.solver, self.state, down)
+
+        def power(materials: Sequence[Material | MaterialField]) -> np.ndarray:
+            return elastic_power(self.solver, self.state, rates, self._groups(materials))
+
+        slopes = [(power(s.after) - power(s.before)) / np.array(s.difference) for s in steps]
+        return np.stack(slopes, axis=1)
+
+    def _groups(self, materials: Sequence[Material | MaterialField]) -> list[ElementArrays]:
+        """The elements of this scene with other moduli, one material an environment."""
+        if not self._split:
+            return groups_of(self._whole, materials[:1])
+        return [part for group in self._whole for part in split_by_modulus(group, materials)]
+
+
+@dataclass(frozen=True)
+class MaterialStep:
+    """Materials of the environments on both sides of their own, along one parameter."""
+
+    before: Sequence[Material | MaterialField]
+    after: Sequence[Material | MaterialField]
+    difference: Sequence[float]
+    """Of the parameter in each environment."""
+
+
+def split_by_modulus(
+    group: ElementArrays, materials: Sequence[Material | MaterialField]
+) -> list[ElementArrays]:
+    """Groups of the same elements, one a modulus, whose volumes carry the moduli of environments.
+
+    The energy is sum_q V/4 psi(F_q; mu) + V l u(mean dilatation) and psi is linear in mu, for
+    Mooney and Rivlin's law in mu (1 - r) and mu r, with l = lambda - 2 r mu there.
+    """
+    shape = (len(materials), group.element_count)
+    mu = np.array([np.broadcast_to(m.shear_modulus_pa, shape[1:]) for m in materials])
+    lam = np.array([np.broadcast_to(m.lame_lambda_pa, shape[1:]) for m in materials])
+    volumes = np.broadcast_to(group.volumes.numpy(), shape)
+    if group.law is not MaterialModel.MOONEY_RIVLIN:
+        terms = [((1.0, 0.0, 0.0), mu), ((0.0, 1.0, 0.0), lam)]
+    else:
+        r = np.array([np.broadcast_to(m.mooney_ratio, shape[1:]) for m in materials])
+        # With r = 1 a lambda of 2 mu leaves l = 0.
+        terms = [
+            ((1.0, 0.0, 0.0), mu * (1 - r)),
+            ((1.0, 2.0, 1.0), mu * r),
+            ((0.0, 1.0, 0.0), lam - 2 * r * mu),
+        ]
+    device = group.volumes.device
+
+    def put(values: np.ndarray) -> wp.array:
+        return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=device)
+
+    def filled(value: float) -> wp.array:
+        return put(np.full(shape[1], value))
+
+    return [
+        replace(
+            group,
+            mu=filled(one_mu),
+            lam=filled(one_lam),
+            mooney_ratio=filled(ratio) if len(group.mooney_ratio) else group.mooney_ratio,
+            volumes=put(volumes * scale),
+        )
+        for (one_mu, one_lam, ratio), scale in terms
+    ]
+
+
+def _same(first: Material | MaterialField, second: Material | MaterialField) -> bool:
+    names = ("shear_modulus_pa", "lame_lambda_pa", "mooney_ratio")
+    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in names)
+
+
+@wp.kernel
+def _scale_frozen_kernel(
+    active: wp.array(dtype=wp.int32),
+    coefficients: wp.array(dtype=wp.float64),
+    frozen: FrozenContacts,
+):
+    env, slot = wp.tid()
+    if active[env] == 0 or slot >= frozen.counts[env]:
+        return
+    frozen.mu_lambdas[env, slot] = coefficients[env] * frozen.mu_lambdas[env, slot]
+
+
+class _ScaledFriction(FrictionPotential):
+    """Friction of a scene whose coefficient is 1, times one of each environment."""
+
+    def __init__(self, solver: SolverIPC, coefficients: Sequence[float]) -> None:
+        model: Model = solver.model
+        super().__init__(model, solver.collisions, solver.config.friction_eps_m)
+        self._coefficients = wp.array(coefficients, dtype=wp.float64, device=model.device)
+
+    def lag(self, active: wp.array, positions: wp.array) -> None:
+        """Freeze the current collisions of the active environments at ``positions``."""
+        super().lag(active, positions)
+        wp.launch(
+            _scale_frozen_kernel,
+            dim=self.frozen.mu_lambdas.shape,
+            inputs=[active, self._coefficients, self.frozen],
+            device=self.model.device,
+        )

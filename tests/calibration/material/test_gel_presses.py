@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gels that differ in moduli and friction, pressed as environments of one scene and one by one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.material.candidates import Candidate, follow, prepare, simulate
+from calibration.material.gel_presses import (
+    GelPresses,
+    MaterialStep,
+    Stop,
+    split_by_modulus,
+)
+from calibration.material.store import is_kept
+from calibration.material.tangential_table import tangential_and_normal
+from taccel_lab.envs import parse_indenter
+from taccel_lab.errors import SimulationError
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.scene import Material, MaterialField, MaterialModel
+from taccel_lab.solvers import SolverConfig, SolverIPC
+
+MESH = block_mesh((5, 5, 2), (10e-3, 10e-3, 3e-3))
+BALL = parse_indenter("sphere:6")
+TIGHT = SolverConfig(relative_tolerance=1e-8, dhat_m=2e-5)
+RUBBING = SolverConfig(relative_tolerance=1e-6, dhat_m=2e-5, friction_eps_m=5e-6)
+
+
+def press(
+    materials: Sequence[Material | MaterialField],
+    frictions: Sequence[float],
+    config: SolverConfig = TIGHT,
+) -> GelPresses:
+    return GelPresses(MESH, materials, BALL, (0.0, 0.0), frictions, config=config)
+
+
+def moved(env: GelPresses, stops: Sequence[Stop]) -> np.ndarray:
+    """Force [N] on the tool and moment about its axis [N mm], [env, 4]."""
+    report = env.go(stops)
+    assert report.converged.all()
+    return np.column_stack([env.press_force, env.wrench[:, 5] * 1e3])
+
+
+@pytest.mark.parametrize("model", list(MaterialModel))
+def test_gels_of_unlike_moduli_in_one_scene_are_those_of_scenes_of_their_own(
+    model: MaterialModel,
+) -> None:
+    ratios = (0.1, 0.9) if model is MaterialModel.MOONEY_RIVLIN else (0.0, 0.0)
+    layered = np.where(MESH.nodes_m[MESH.tets].mean(axis=1)[:, 2] > -1e-3, 1e6, 4e5)
+    materials = [
+        Material(1e6, 0.49, model=model, mooney_ratio=ratios[0]),
+        MaterialField(layered, 0.42, model=model, mooney_ratio=ratios[1]),
+    ]
+    together = moved(press(materials, (0.0, 0.0)), [Stop(0.3), Stop(0.5)])
+    for i, depth in enumerate((0.3, 0.5)):
+        alone = moved(press(materials[i : i + 1], (0.0,)), [Stop(depth)])
+        np.testing.assert_allclose(together[i, 2], alone[0, 2], rtol=1e-7)
+    # With the moduli of the other they are another gel.
+    assert abs(moved(press(materials[1:], (0.0,)), [Stop(0.3)])[0, 2] / together[0, 2] - 1) > 0.05
+
+
+def test_slopes_of_gels_in_one_scene_are_those_of_scenes_of_their_own() -> None:
+    gels = [Material(1e6, nu) for nu in (0.49, 0.42)]
+
+    def step(nus: Sequence[float]) -> MaterialStep:
+        sides = [[Material(1e6, nu + s * 1e-6) for nu in nus] for s in (-1, 1)]
+        return MaterialStep(sides[0], sides[1], [2e-6] * len(nus))
+
+    env = press(gels, (0.0, 0.0))
+    moved(env, [Stop(0.4)] * 2)
+    together = env.force_slopes([step((0.49, 0.42))])
+    assert together.shape == (2, 1)
+    for i, nu in enumerate((0.49, 0.42)):
+        single = press(gels[i : i + 1], (0.0,))
+        moved(single, [Stop(0.4)])
+        np.testing.assert_allclose(single.force_slopes([step((nu,))])[0], together[i], rtol=1e-5)
+    assert together[0, 0] > 2 * together[1, 0] > 0
+
+
+def test_the_split_energy_is_that_of_the_law() -> None:
+    materials = [
+        Material(1e6, nu, model=MaterialModel.MOONEY_RIVLIN, mooney_ratio=0.3) for nu in (0.49, 0.4)
+    ]
+    env = press(materials, (0.0, 0.0))
+    assert len(env.model.elastic) == 3
+    own = [press([material], (0.0,)) for material in materials]
+    rng = np.random.default_rng(3)
+    positions = env.state.positions.numpy()
+    positions += 2e-5 * rng.standard_normal(positions.shape)
+    env.state.positions.assign(positions)
+    solver = _woken(env)
+    energies = np.sum(
+        [part.energy(solver.active, env.state.positions) for part in solver.elastic], 0
+    )
+    for i, single in enumerate(own):
+        single.state.positions.assign(positions[i : i + 1])
+        solver = _woken(single)
+        expected = solver.elastic[0].energy(solver.active, single.state.positions)[0]
+        assert energies[i] == pytest.approx(expected, rel=1e-12)
+        assert expected > 0
+
+
+def _woken(env: GelPresses) -> SolverIPC:
+    env.solver.active.fill_(1)
+    return env.solver
+
+
+def test_coefficients_of_friction_and_ways_differ_by_environment() -> None:
+    gels = [Material(1e6, 0.47)] * 3
+    frictions = (0.0, 0.2, 0.5)
+    env = press(gels, frictions, RUBBING)
+    moved(env, [Stop(0.4)] * 3)
+    ways = [Stop(0.4, (0.1, 0.0)), Stop(0.45, (0.05, 0.0)), Stop(0.4, angle_deg=4.0)]
+    together = moved(env, ways)
+    for i, way in enumerate(ways):
+        single = press(gels[:1], frictions[i : i + 1], RUBBING)
+        moved(single, [Stop(0.4)])
+        alone = moved(single, [way])
+        np.testing.assert_allclose(together[i], alone[0], atol=1e-4 * alone[0, 2])
+    assert abs(together[1, 0]) > 5 * abs(together[0, 0])
+    assert abs(together[2, 3]) > 0.1
+
+
+def test_scenes_that_cannot_be_shared_are_refused() -> None:
+    soft, stiff = Material(1e5, 0.47), Material(1e6, 0.47)
+    other = Material(1e6, 0.47, model=MaterialModel.STABLE_NEO_HOOKEAN)
+    for pair in ((soft, stiff), (stiff, other)):
+        with pytest.raises(ValueError, match="must share"):
+            press(pair, (0.0, 0.0))
+    with pytest.raises(ValueError, match="2 materials, but 1"):
+        press((stiff, stiff), (0.1,))
+
+
+class Bench:
+    """Gels of one block; ``device`` only decides how many go together."""
+
+    def __init__(self, device: str, config: SolverConfig = TIGHT) -> None:
+        self.device, self.config = device, config
+        self.built: list[int] = []
+
+    def presses(self, candidates: Sequence[Candidate]) -> GelPresses:
+        self.built.append(len(candidates))
+        gels = [Material(1e6, candidate.poisson_ratio) for candidate in candidates]
+        return press(gels, [candidate.friction for candidate in candidates], self.config)
+
+
+def candidate(
+    nu: float, depths: Sequence[float], friction: float = 0.0, must: int = 0
+) -> Candidate:
+    return Candidate(
+        {"what": "test", "nu": nu, "depths": list(depths), "mu": friction},
+        nu,
+        0.0,
+        friction,
+        [Stop(depth) for depth in depths],
+        reader=lambda env, _: lambda: tangential_and_normal(env, "shear"),
+        arrays=lambda rows: {"force_n": rows[:, 1]},
+        must_reach=must,
+    )
+
+
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TACCEL_LAB_CACHE", str(tmp_path))
+
+
+def test_a_table_of_candidates_comes_out_of_one_scene(own_cache: None) -> None:
+    wanted = [candidate(nu, depths) for nu, depths in ((0.4, (0.2, 0.4)), (0.48, (0.1, 0.3, 0.5)))]
+    bench, told = Bench("cuda:0"), []
+    prepare(bench, wanted, lambda done, count: told.append((done, count)))
+    assert bench.built == [2]
+    assert told[0] == (0, 2)
+    found = [simulate(bench, item) for item in wanted]
+    assert bench.built == [2]  # each was kept for itself
+    for item, result in zip(wanted, found, strict=True):
+        alone = follow(bench.presses([item]), [item])
+        np.testing.assert_allclose(result["force_n"], alone.rows[0][:, 1], rtol=1e-7)
+        assert len(result["force_n"]) == len(item.stops)
+    # One core takes them one by one.
+    slow = Bench("cpu")
+    prepare(slow, [candidate(0.41, (0.2,)), candidate(0.42, (0.2,))])
+    assert slow.built == []
+
+
+def test_an_environment_that_fails_is_tried_again_alone(own_cache: None) -> None:
+    """Too few Newton iterations for the deep step, enough for the shallow ones."""
+    hasty = SolverConfig(relative_tolerance=1e-8, max_newton_iterations=14, max_substep_halvings=0)
+    good, bad = candidate(0.4, (0.02, 0.03)), candidate(0.499, (0.02, 1.8), must=2)
+    bench = Bench("cuda:0", hasty)
+    prepare(bench, [good, bad])
+    assert is_kept(good.recipe) and not is_kept(bad.recipe)
+    assert np.isfinite(simulate(bench, good)["force_n"]).all()
+    with pytest.raises(SimulationError, match="did not converge"):
+        simulate(bench, bad)
+    assert bench.built == [2, 1]
+    tolerated = candidate(0.499, (0.02, 1.8), must=1)
+    forces = simulate(bench, tolerated)["force_n"]
+    assert np.isfinite(forces[0]) and np.isnan(forces[1])
+
+
+def test_volumes_carry_the_moduli() -> None:
+    env = press([Material(1e6, 0.47)], (0.0,))
+    (group,) = env.model.elastic
+    parts = split_by_modulus(group, [Material(1e6, 0.3), Material(1e6, 0.45)])
+    assert [part.mu.numpy()[0] for part in parts] == [1.0, 0.0]
+    total = group.volumes.numpy().sum()
+    for part, name in zip(parts, ("shear_modulus_pa", "lame_lambda_pa"), strict=True):
+        for i, nu in enumerate((0.3, 0.45)):
+            modulus = getattr(Material(1e6, nu), name)
+            assert part.volumes.numpy()[i].sum() == pytest.approx(total * modulus)
+
+
+def test_presses_need_no_optimiser_and_no_reader_of_files() -> None:
+    """Machines that only simulate have neither."""
+    absent = ("pydantic", "rich", "tyro", "matplotlib", "cv2", "nlopt", "torch")
+    code = (
+        f"import sys; sys.modules.update(dict.fromkeys({absent!r}))\n"
+        "import calibration.material.candidates, taccel_lab.geometry.block"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
