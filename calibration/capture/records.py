@@ -42,7 +42,7 @@ def load_record(folder: Path, entry: RecordEntry) -> ForceRecord:
 
 def kind_of_record(path: Path) -> str | None:
     """Kind whose columns a CSV has, the one with most columns; None when it is no record."""
-    with path.open(encoding="utf-8", errors="replace", newline="") as stream:
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
         header = {name.strip() for name in next(csv.reader(stream), [])}
     fitting = [kind for kind, names in COLUMNS.items() if header.issuperset(names)]
     return max(fitting, key=lambda kind: len(COLUMNS[kind]), default=None)
@@ -52,7 +52,8 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
     """Columns of a CSV by name, float64, shape [row]; at least two rows of finite numbers."""
     if not path.is_file():
         raise InputError(f"{path} does not exist; the manifest names it")
-    with path.open(encoding="utf-8", newline="") as stream:
+    # Spreadsheets put a byte order mark first; other bytes than UTF-8 are no numbers anyway.
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
         rows = [row for row in csv.reader(stream) if row and not row[0].startswith("#")]
     if len(rows) < 3:
         raise InputError(f"{path} holds {max(len(rows) - 1, 0)} rows; a header and at least 2")

@@ -115,7 +115,9 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
             f"the background is framed differently: the {who} show{'s' * (who[-1] != 's')} a part "
             f"of the framing of the {whom}, enlarged: {wide} x {high} px of it from ({left}, "
             f"{top}) px (misfit {crop.misfit_levels:.1f} levels there, {misfit:.1f} as it is). "
-            f"Record both alike, or crop the {whom} so.{advice}",
+            f"Record both alike, or crop the {whom} so: capture import --crop "
+            + (f"{left},{top},{wide}x{high}." if of_presses else "auto.")
+            + advice,
             "background",
             "color",
             "normals",

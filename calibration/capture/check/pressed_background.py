@@ -60,9 +60,9 @@ def find_pressed_background(
     return error(
         "background_pressed",
         f"something touches the gel in the background, around ({columns.mean() * scale:.0f}, "
-        f"{rows.mean() * scale:.0f}) px: {int((elsewhere & alike).sum())} presses that lie elsewhere "
-        f"differ from it there alike, by {float(np.median(size[ghost])):.0f} levels. Take an image "
-        "of the untouched gel, or use capture import --background median",
+        f"{rows.mean() * scale:.0f}) px: {int((elsewhere & alike).sum())} presses that lie "
+        f"elsewhere differ from it there alike, by {float(np.median(size[ghost])):.0f} levels. "
+        "Take an image of the untouched gel, or use capture import --background median",
         "background",
         "color",
         "normals",

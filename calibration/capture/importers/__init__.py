@@ -20,6 +20,7 @@ from calibration.capture.importers import (
     rvsathu,
     taxim,
 )
+from calibration.capture.importers.crop import crop_draft
 from calibration.capture.importers.draft import Draft, ImportOptions
 from calibration.capture.importers.layout import Layout
 from calibration.capture.load import load_capture_folder
@@ -86,6 +87,8 @@ def read_drafts(
     drafts = chosen.read(source, options)
     for draft in drafts:
         draft.apply(options, source if source.is_dir() else source.parent)
+        if options.crop is not None:
+            crop_draft(draft, options.crop)
     return chosen, drafts
 
 

@@ -20,6 +20,8 @@ BACKGROUND_NAME = re.compile(
 )
 FIRST_FRAME_NAME = re.compile(r"^(frame|img|image|calib|sample)?[_\-]?0+$", re.IGNORECASE)
 """Frame 0 is the background in several layouts; it counts less than a name that says so."""
+MIN_CONTACT_LEVELS = 5.0
+"""Strongest change below which a small picture shows no contact."""
 MAX_STACK = 61
 """Frames that a median is taken over: more do not make it quieter than the camera's levels."""
 
@@ -60,6 +62,11 @@ def guess_background(paths: Sequence[Path]) -> tuple[Path | None, str]:
     spread = np.array([_contact_strength(image - median) for image in small])
     best = int(np.argmin(spread))
     typical = float(np.median(spread))
+    if typical < MIN_CONTACT_LEVELS:
+        return None, (
+            f"the images differ by {typical:.1f} levels at their strongest: no contact shows in "
+            "most of them"
+        )
     if spread[best] < 0.25 * typical:
         path = paths[int(pick[best])]
         return path, (

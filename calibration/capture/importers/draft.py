@@ -19,7 +19,7 @@ from calibration.capture.load import load_capture_folder
 from calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 COPIED_SUFFIXES = (".png", ".jpg", ".jpeg")
 """Image files whose bytes are kept; others become PNG, which loses nothing."""
 MEDIAN = "median"
@@ -41,6 +41,9 @@ class ImportOptions:
     board: str | None = None
     """``chessboard:6x6:2.5``: the images of a plain folder are views of this board (inner corners
     or dots along a row x rows, and the pitch in mm where it is known)."""
+    crop: str | None = None
+    """``LEFT,TOP,WIDTHxHEIGHT`` [px], the part of the presses that the background shows, or
+    ``auto``."""
 
 
 @dataclass

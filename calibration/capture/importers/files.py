@@ -6,11 +6,13 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from calibration.capture.importers.draft import IMAGE_SUFFIXES
+from calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
 
 _FILE_COLUMNS = ("file", "image", "img_name", "img_names", "filename", "name", "frame")
@@ -60,9 +62,14 @@ def read_labels(path: Path) -> dict[str, dict[str, float]] | None:
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (UnicodeDecodeError, OSError):
+    except UnicodeDecodeError:
+        # Any bytes are Latin-1: names of columns are ASCII, those of files are then compared.
+        text = path.read_text(encoding="latin-1")
+    except OSError:
         return None
-    lines = [line for line in text.splitlines() if line.strip()]
+    if "\0" in text:
+        return None
+    lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
     found = [_TUPLE_LINE.match(line) for line in lines]
     if lines and all(found):
         return {
@@ -70,7 +77,10 @@ def read_labels(path: Path) -> dict[str, dict[str, float]] | None:
             for match in found
             if match is not None
         }
-    rows = list(csv.DictReader(lines))
+    delimiter = max(",;\t", key=lines[0].count) if lines else ","
+    if delimiter != ",":  # Spreadsheets of many countries write 3,5 for 3.5.
+        lines = [line.replace(",", ".") for line in lines]
+    rows = list(csv.DictReader(lines, delimiter=delimiter))
     if not rows:
         return None
     header = {(name or "").strip().lower(): name for name in rows[0] if name is not None}
@@ -104,6 +114,24 @@ def labels_of(folder: Path) -> dict[str, dict[str, float]]:
             for table in sorted([*place.glob("*.txt"), *place.glob("*.csv")]):
                 circles |= read_labels(table) or {}
     return circles
+
+
+def label_notes(
+    folder: Path, circles: dict[str, dict[str, float]], images: Sequence[Path]
+) -> list[str]:
+    """What of the tables in a folder has no effect, in sentences."""
+    notes = [
+        f"{table.name} was not used: it has no columns for file, centre and radius of circles"
+        for table in sorted(folder.glob("*.csv"))
+        if read_labels(table) is None and kind_of_record(table) is None
+    ]
+    used = {image.name for image in images} | {image.stem for image in images}
+    used |= {image.relative_to(folder).as_posix() for image in images}
+    lost = sorted(name for name in circles if name not in used)
+    if lost:
+        shown = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
+        notes.append(f"circles of images that are not there, or no presses: {shown}")
+    return notes
 
 
 def label_for(

@@ -13,7 +13,7 @@ import cv2
 from calibration.capture.images import image_size
 from calibration.capture.importers.background_guess import BACKGROUND_NAME, guess_background
 from calibration.capture.importers.draft import MEDIAN, Draft, ImportOptions
-from calibration.capture.importers.files import images_in, label_for, labels_of
+from calibration.capture.importers.files import images_in, label_for, label_notes, labels_of
 from calibration.capture.importers.layout import Layout
 from calibration.capture.importers.markers import VIDEO_SUFFIXES
 from calibration.capture.records import kind_of_record
@@ -52,13 +52,15 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     ]
     images = _of_one_size(images, draft)
     if not images:
-        raise InputError(f"{path} holds no images; PNG or JPEG is allowed")
+        reasons = "".join(f". {note}" for note in draft.notes if note.startswith("left out"))
+        raise InputError(f"{path} holds no images; PNG or JPEG is allowed{reasons}")
     if options.board is not None:
         draft.manifest["boards"] = [_board(options.board, images, draft)]
         return [draft]
     images = _take_mask(images, draft)
     images = _take_background(images, draft, options)
     labels = labels_of(path)
+    draft.notes += label_notes(path, labels, images)
     for image in images:
         name = "_".join(image.relative_to(path).with_suffix("").parts)
         draft.add_press(image, name, contact=label_for(image, path, labels))
@@ -73,18 +75,26 @@ def _guess_sensor(path: Path) -> str:
 
 
 def _of_one_size(images: list[Path], draft: Draft) -> list[Path]:
-    """The images of the commonest size; the others are named in a note."""
-    sizes = {image: image_size(image) for image in images}
+    """The images of the commonest size; those and unreadable ones left out are named in notes."""
+    sizes, broken = {}, []
+    for image in images:
+        try:
+            sizes[image] = image_size(image)
+        except InputError as error:
+            broken.append(str(error))
+    if broken:
+        shown = "; ".join(broken[:3]) + (f"; and {len(broken) - 3} more" if broken[3:] else "")
+        draft.notes.append(f"left out, {len(broken)} of {len(images)} files: {shown}")
     if not sizes:
         return []
     common = Counter(sizes.values()).most_common(1)[0][0]
-    others = [image.name for image in images if sizes[image] != common]
+    others = [image.name for image, size in sizes.items() if size != common]
     if others:
         shown = ", ".join(others[:5]) + (f" and {len(others) - 5} more" if len(others) > 5 else "")
         draft.notes.append(
             f"left out, since not {common[0]}x{common[1]} px as most images: {shown}"
         )
-    return [image for image in images if sizes[image] == common]
+    return [image for image, size in sizes.items() if size == common]
 
 
 def _take_mask(images: list[Path], draft: Draft) -> list[Path]:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from calibration.capture.importers.background_guess import BACKGROUND_NAME
 from calibration.capture.importers.draft import Draft, ImportOptions
 from calibration.capture.importers.files import first_existing, images_in, label_for, labels_of
 from calibration.capture.importers.layout import Layout
-from taccel_lab.errors import InputError
 
 SOURCE = "GelSight-Sim2Real (RVSATHU), depth_reconstruction"
 BALL_RADIUS_MM = 2.92
@@ -25,11 +25,15 @@ def _recognises(path: Path) -> bool:
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
     draft = Draft("", "flat_pad", SOURCE)
-    background = first_existing(*sorted(path.glob("background_real.*")))
-    if background is None and options.background is None:
-        raise InputError(f"{path}: background_real.png is missing")
+    named = [image for image in images_in(path) if BACKGROUND_NAME.search(image.stem)]
+    background = first_existing(*sorted(path.glob("background_real.*")), *named)
     if background is not None:
         draft.set_background(background)
+    elif options.background is None:
+        draft.notes.append(
+            "no background: background_real.png is missing; give one with --background, or "
+            "--background median for that of the presses"
+        )
     draft.set_ball(BALL_RADIUS_MM)
     draft.set_scale(MM_PER_PX)
     labels = labels_of(path)

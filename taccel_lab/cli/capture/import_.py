@@ -44,6 +44,10 @@ class CaptureImport:
     """The images of a plain folder are views of this board, such as chessboard:6x6:2.5 (inner
     corners or dots along a row x rows, and their pitch in mm where it is known; kinds chessboard,
     charuco, dots, pins)."""
+    crop: str | None = None
+    """Background and presses are framed differently: the part of the presses that the background
+    shows, as LEFT,TOP,WIDTHxHEIGHT in pixels, or auto to find which part of one the other shows.
+    Both are cut to it; pixels of the presses keep their size."""
     json: bool = False
     """Print what was written as JSON."""
 
@@ -75,6 +79,7 @@ class CaptureImport:
             background=self.background,
             edge_mm=self.edge_mm,
             board=self.board,
+            crop=self.crop,
         )
         console = Console(stderr=self.json)
         with console.status(f"importing {self.source} as {layout}"):

@@ -36,7 +36,6 @@ from tests.calibration.capture.made_up_layouts import (
     plain,
     py3dcal,
     ruihangao,
-    rvsathu,
 )
 
 
@@ -279,7 +278,6 @@ Break = Callable[[Path], object]
         (gs_sdk, lambda f: (f / "4.760mm/0/label.npz").write_text("x"), "label.npz is not a"),
         (feats, lambda f: (f / "force_indentation.json").write_text("{"), "not valid JSON"),
         (feats, lambda f: (f / "force_indentation.json").write_text("{}"), "indentation_mm has to"),
-        (rvsathu, lambda f: (f / "background_real.png").unlink(), "background_real.png is missing"),
         (fots, lambda f: (f / "mlp_calib/0000.png").unlink(), "no background"),
         (fots, lambda f: (f / "mlp_calib/gelsight/0001.png").write_text("x"), "is not an image"),
         (py3dcal, lambda f: (f / "probe_images/0.png").unlink(), r"0\.png does not exist"),

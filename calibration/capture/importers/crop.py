@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Captures whose background is framed otherwise than the presses: both cut to what both show.
+
+Pixels of the presses keep their size, and with it the scale in mm per pixel: the image of the wider
+framing is cut, and where that is the presses', the background is made smaller to fit.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calibration.capture.images import read_image
+from calibration.capture.importers.draft import Draft
+from taccel_lab.errors import InputError
+
+AUTO_CROP = "auto"
+MIN_PRESSES = 3
+FINE_PX = 320
+MIN_SIZE_PX = 32
+_PART = re.compile(r"^(\d+),(\d+),(\d+)x(\d+)$")
+
+Part = tuple[int, int, int, int]
+"""Left, top, width and height [px]."""
+
+
+def crop_draft(draft: Draft, text: str) -> None:
+    """Cut the presses, or the background, of ``draft`` to the part that the other shows.
+
+    ``text`` is ``LEFT,TOP,WIDTHxHEIGHT``, the part of the presses that the background shows, or
+    ``auto``: the part is found by comparing the background with the median of the presses. Contact
+    circles move along; those that are cut are left out, with their presses.
+
+    Raises:
+        InputError: No background or presses, a part that is not one, or none that fits.
+    """
+    name = draft.manifest.get("background")
+    presses = draft.manifest.get("presses", [])
+    if name is None or not presses:
+        raise InputError(f"{draft.source}: crop needs a background and presses")
+    background = _levels(draft.files[name])
+    height, width = _levels(draft.files[presses[0]["image"]]).shape[:2]
+    if text == AUTO_CROP:
+        part, of_presses = _find(draft, background)
+    else:
+        part, of_presses = _parse(text, width, height), True
+    left, top, wide, high = part
+    if not of_presses:
+        cut = background[top : top + high, left : left + wide]
+        draft.files[name] = cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA)
+        draft.notes.append(
+            f"the background is the part {wide}x{high} px of it from ({left}, {top}) px, which the "
+            "presses show"
+        )
+        return
+    draft.files[name] = cv2.resize(background, (wide, high), interpolation=cv2.INTER_AREA)
+    for image in draft.manifest.get("untouched", []):
+        small = cv2.resize(_levels(draft.files[image]), (wide, high), interpolation=cv2.INTER_AREA)
+        draft.files[image] = small
+    lost = [press["image"] for press in presses if not _shift_circle(press, part)]
+    draft.manifest["presses"] = [press for press in presses if press["image"] not in lost]
+    for image in {press["image"] for press in presses}:
+        cut = _levels(draft.files[image])[top : top + high, left : left + wide]
+        draft.files[image] = np.ascontiguousarray(cut)
+    for image in lost:
+        del draft.files[image]
+    draft.notes.append(
+        f"the presses are cut to the part {wide}x{high} px from ({left}, {top}) px, which the "
+        "background shows; the background is made smaller to fit, mm per pixel are as before"
+    )
+    if lost:
+        draft.notes.append(f"left out, since the contact is cut: {', '.join(lost)}")
+
+
+def _levels(content: Path | np.ndarray | str) -> np.ndarray:
+    return content if isinstance(content, np.ndarray) else read_image(Path(content))
+
+
+def _parse(text: str, width: int, height: int) -> Part:
+    match = _PART.match(text.replace(" ", ""))
+    if match is None:
+        raise InputError(f"crop {text!r}; LEFT,TOP,WIDTHxHEIGHT in pixels or auto is allowed")
+    left, top, wide, high = (int(group) for group in match.groups())
+    if left + wide > width or top + high > height or min(wide, high) < MIN_SIZE_PX:
+        raise InputError(
+            f"crop {text!r} is no part of the presses of {width}x{height} px, or smaller than "
+            f"{MIN_SIZE_PX}x{MIN_SIZE_PX} px"
+        )
+    return left, top, wide, high
+
+
+def _find(draft: Draft, background: np.ndarray) -> tuple[Part, bool]:
+    """The part that one framing shows of the other, and whether it is one of the presses."""
+    # Loaded here: the check of captures itself opens drafts.
+    from calibration.capture.check.background import CROP_GAIN, OTHER_FRAMING_LEVELS
+    from calibration.capture.check.framing import find_crop, misfit_levels, thumb
+
+    if len(draft.manifest["presses"]) < MIN_PRESSES:
+        raise InputError(
+            f"{draft.source}: crop auto needs {MIN_PRESSES} presses for their median; give the "
+            "part as LEFT,TOP,WIDTHxHEIGHT"
+        )
+    median = draft.median_of_presses()
+    height, width = median.shape[:2]
+    own = background.shape[1], background.shape[0]
+    small = cv2.resize(background, (width, height), interpolation=cv2.INTER_AREA)
+    fine = thumb(small, FINE_PX), thumb(median, FINE_PX)
+    misfit = misfit_levels(fine[0], fine[1])
+    inner, outer = find_crop(*fine), find_crop(*fine[::-1])
+    best = min(inner, outer, key=lambda crop: crop.misfit_levels)
+    if misfit < OTHER_FRAMING_LEVELS or best.misfit_levels * CROP_GAIN > misfit:
+        raise InputError(
+            f"{draft.source}: crop auto found no part that fits {CROP_GAIN:g} times better than "
+            f"the whole, which is {misfit:.1f} levels apart (the part {best.misfit_levels:.1f}); "
+            "leave --crop away, or give the part as LEFT,TOP,WIDTHxHEIGHT"
+        )
+    return best.in_pixels(*((width, height) if best is inner else own)), best is inner
+
+
+def _shift_circle(press: dict[str, object], part: Part) -> bool:
+    """Move the circle of a press into the part; False when it is cut there."""
+    circle = press.get("contact")
+    if not isinstance(circle, dict):
+        return True
+    left, top, wide, high = part
+    circle["u_px"], circle["v_px"] = circle["u_px"] - left, circle["v_px"] - top
+    u, v, radius = circle["u_px"], circle["v_px"], circle["radius_px"]
+    return u - radius >= 0 and v - radius >= 0 and u + radius < wide and v + radius < high
