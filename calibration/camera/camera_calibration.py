@@ -14,7 +14,12 @@ import numpy as np
 from calibration.camera.blocks import camera_block, optics_block, tactile_size, with_camera_block
 from calibration.camera.board import BoardView
 from calibration.camera.detect import Detections, detect_views
-from calibration.camera.intrinsics import Intrinsics, calibrate_intrinsics
+from calibration.camera.intrinsics import (
+    MIN_VIEWS,
+    Intrinsics,
+    calibrate_intrinsics,
+    require_choices,
+)
 from calibration.camera.lens import LENSES
 from calibration.camera.media import profile_media
 from calibration.camera.on_gel import OnGel, fit_on_gel
@@ -92,6 +97,7 @@ def calibrate_camera(
     Raises:
         InputError: No boards, none found, or too few views; says what to add.
     """
+    require_choices(models, folds)
     air = [board for board in folder.boards if not board.entry.on_gel]
     gel = [board for board in folder.boards if board.entry.on_gel]
     if not folder.boards:
@@ -107,6 +113,7 @@ def calibrate_camera(
     laid = detect_views(gel, progress=stage("finding boards on the gel")) if gel else Detections(())
     intrinsics = None
     if air:
+        _require_views(shown)
         intrinsics = calibrate_intrinsics(
             shown.views, models=models, folds=folds, progress=stage("fitting the lens")
         )
@@ -136,6 +143,17 @@ def calibrate_camera(
         _hashes(detections.views),
         folder.provenance,
         tuple(_remarks(detections, intrinsics, on_gel, folder)),
+    )
+
+
+def _require_views(shown: Detections) -> None:
+    """Refuse fewer views than a lens needs, with what was wrong with the others."""
+    if len(shown.views) >= MIN_VIEWS or not shown.refused:
+        return
+    reasons = "\n".join(shown.refused[:5])
+    raise InputError(
+        f"{len(shown.views)} views of the board are left, at least {MIN_VIEWS} are needed, better "
+        f"20, from different sides and tilted by 20 to 45 degrees; not used:\n{reasons}"
     )
 
 

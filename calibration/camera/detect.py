@@ -62,17 +62,23 @@ def detect_views(
 ) -> Detections:
     """Detect every view of some boards.
 
-    Views in which the board is not found, or is mirrored, are refused with the reason. Raises
+    Views in which the board is not found, or is mirrored, or that are one image twice, are refused
+    with the reason. Raises
     InputError when none is left.
     """
     views: list[BoardView] = []
     refused: list[str] = []
+    seen: dict[str, str] = {}
     total = sum(len(board.frames) for board in boards)
     for board in boards:
         reference = None
         if board.reference is not None and (board.entry.on_gel or board.entry.kind == "pins"):
             reference = board.reference.image()
         for frame in board.frames:
+            if frame.sha256 in seen:
+                refused.append(f"{frame.source}: the same image as {seen[frame.sha256]}")
+                continue
+            seen[frame.sha256] = frame.source
             try:
                 view = detect_board(
                     frame.image(), board.entry, reference=reference, name=frame.source

@@ -35,8 +35,13 @@ _FIRST_STEPS = 25
 MIN_COVERAGE = 0.35
 MIN_TILT_DEG = 10.0
 MAX_FOCAL_SIGMA = 0.02
+LOST_FOCAL_SIGMA = 0.1
+"""Standard deviation of the focal length, relative, above which it is as good as unknown."""
 MAX_RMS_SHARE = 2e-3
 """Error of reprojection that is still usual, in image widths: 1.3 px of 640."""
+WRONG_RMS = 3.0
+"""Errors this many times as large are no lens: the points are not those of the board."""
+MAX_OUTLIER_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -95,6 +100,13 @@ class Intrinsics:
         return self.views[0].size_px
 
 
+def require_choices(models: Sequence[str], folds: int) -> list[Lens]:
+    """The lenses of these names; InputError for an unknown one, or fewer than two folds."""
+    if folds < 2:
+        raise InputError(f"folds must be at least 2, got {folds}")
+    return chosen_lenses(list(models))
+
+
 def calibrate_intrinsics(
     views: Sequence[BoardView],
     *,
@@ -112,9 +124,7 @@ def calibrate_intrinsics(
     Raises:
         InputError: Too few views, or none that a lens explains.
     """
-    lenses = chosen_lenses(list(models))
-    if folds < 2:
-        raise InputError(f"folds must be at least 2, got {folds}")
+    lenses = require_choices(models, folds)
     if len(views) < MIN_VIEWS:
         raise InputError(
             f"{len(views)} views of the board are too few for intrinsics; at least {MIN_VIEWS}, "
@@ -285,12 +295,22 @@ def _coverage(views: list[BoardView]) -> float:
     return float(ConvexHull(points).volume / (width * height))
 
 
-def _tilts(fit: BundleFit) -> tuple[float, float]:
+def _normals(fit: BundleFit) -> np.ndarray:
+    """Unit normals of the boards in the camera's frame, shape [view, 3]."""
     import cv2
 
-    normals = [abs(cv2.Rodrigues(pose[:3])[0][2, 2]) for pose in fit.poses]
-    tilts = np.degrees(np.arccos(np.clip(normals, 0, 1)))
+    return np.array([cv2.Rodrigues(pose[:3])[0][:, 2] for pose in fit.poses])
+
+
+def _tilts(fit: BundleFit) -> tuple[float, float]:
+    tilts = np.degrees(np.arccos(np.clip(np.abs(_normals(fit)[:, 2]), 0, 1)))
     return float(tilts.min()), float(tilts.max())
+
+
+def _spread_deg(fit: BundleFit) -> float:
+    """Largest angle between the planes of two views [deg]."""
+    normals = _normals(fit)
+    return float(np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1))).max())
 
 
 def _remarks(
@@ -303,10 +323,13 @@ def _remarks(
     remarks = []
     width = views[0].size_px[0]
     focal, sigma = chosen.fit.parameters[:2], chosen.fit.sigma[:2]
+    spread = _spread_deg(chosen.fit)
     if outliers:
         remarks.append(
             Remark(
-                Severity.INFO,
+                Severity.WARNING
+                if len(outliers) > MAX_OUTLIER_SHARE * (len(outliers) + len(views))
+                else Severity.INFO,
                 "outlier_views",
                 f"{len(outliers)} of {len(outliers) + len(views)} views were left out: "
                 + "; ".join(outliers[:3]),
@@ -343,22 +366,39 @@ def _remarks(
                 "cannot be told from the distance; tilt the board by 20 to 45 degrees",
             )
         )
-    if (sigma > MAX_FOCAL_SIGMA * focal).any():
+    elif spread < MIN_TILT_DEG:
         remarks.append(
             Remark(
-                Severity.WARNING,
+                Severity.ERROR,
+                "views_alike",
+                f"all views show the board from one side, within {spread:.1f} degrees, so that "
+                "the focal length cannot be told from the distance; tilt it to all sides",
+            )
+        )
+    if (sigma > MAX_FOCAL_SIGMA * focal).any():
+        unknown = (sigma > LOST_FOCAL_SIGMA * focal).any()
+        remarks.append(
+            Remark(
+                Severity.ERROR if unknown else Severity.WARNING,
                 "focal_uncertain",
                 f"the focal length is known to {100 * float((sigma / focal).max()):.1f} % only; "
                 "take more views with more tilt",
             )
         )
-    if chosen.heldout_all_px > MAX_RMS_SHARE * width:
+    usual = MAX_RMS_SHARE * width
+    if chosen.heldout_all_px > usual:
+        wrong = chosen.heldout_all_px > WRONG_RMS * usual
         remarks.append(
             Remark(
-                Severity.WARNING,
+                Severity.ERROR if wrong else Severity.WARNING,
                 "large_error",
                 f"held-out views are {chosen.heldout_all_px:.2f} px off, usual are less than "
-                f"{MAX_RMS_SHARE * width:.1f} px; the board is bent, or no model fits the lens",
+                f"{usual:.1f} px; "
+                + (
+                    "the points are not those of the board: check its kind, columns and rows"
+                    if wrong
+                    else "the board is bent, or no model fits the lens"
+                ),
             )
         )
     return remarks

@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
+from calibration.camera import calibrate_camera
 from calibration.camera.charuco import charuco_board, detect_charuco
 from calibration.camera.chessboard import detect_chessboard
 from calibration.camera.detect import detect_views
 from calibration.camera.dots import detect_dots
 from calibration.camera.lens import LENSES
 from calibration.camera.pins import detect_pins
-from calibration.capture.folder import BoardCaptures, Frame
+from calibration.capture.folder import BoardCaptures, CaptureFolder, Frame
 from calibration.capture.schema import BoardEntry
 from calibration.synthetic import add_gradient, add_noise, blur, quantise, vignette
 from calibration.synthetic.boards import (
@@ -24,6 +27,7 @@ from calibration.synthetic.boards import (
     pose_over,
     render_board,
 )
+from sensors.profile import catalogue_profile
 from taccel_lab.errors import InputError
 
 SIZE = (320, 240)
@@ -97,7 +101,7 @@ def test_mirrored_view_among_others_is_refused() -> None:
     views[2] = np.ascontiguousarray(views[2][:, ::-1])
     entry = BoardEntry(kind="chessboard", columns=7, rows=5, images=["x"] * 4)
     frames = tuple(
-        Frame(f"v{i}", f"v{i}.png", "0" * 64, lambda image=image: image)
+        Frame(f"v{i}", f"v{i}.png", f"{i:064x}", lambda image=image: image)
         for i, image in enumerate(views)
     )
     found = detect_views([BoardCaptures(entry, frames, None)])
@@ -188,8 +192,23 @@ def test_boards_of_two_cameras_are_not_mixed() -> None:
     larger = cv2.resize(image, (640, 480), interpolation=cv2.INTER_CUBIC)
     entry = BoardEntry(kind="chessboard", columns=7, rows=5, images=["a", "b"])
     frames = tuple(
-        Frame(f"v{i}", f"v{i}.png", "0" * 64, lambda image=image: image)
+        Frame(f"v{i}", f"v{i}.png", f"{i:064x}", lambda image=image: image)
         for i, image in enumerate((image, larger))
     )
     with pytest.raises(InputError, match="of one size"):
         detect_views([BoardCaptures(entry, frames, None)])
+
+
+def test_an_image_twice_counts_once() -> None:
+    image = picture(chess_pattern(7, 5), pose_of(7, 5))
+    entry = BoardEntry(kind="chessboard", columns=7, rows=5, images=["a", "b", "c"])
+    frames = tuple(Frame(f"v{i}", f"v{i}.png", "0" * 64, lambda: image) for i in range(3))
+    board = BoardCaptures(entry, frames, None)
+    found = detect_views([board])
+    assert len(found.views) == 1
+    assert found.refused[0] == "v1.png: the same image as v0.png"
+    folder = CaptureFolder(
+        "memory", Path(), "flat_pad", None, None, (), None, None, None, (), boards=(board,)
+    )
+    with pytest.raises(InputError, match=r"1 views of the board are left.*\n.*the same image as"):
+        calibrate_camera(folder, catalogue_profile("flat_pad"))

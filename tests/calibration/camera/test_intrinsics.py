@@ -130,6 +130,32 @@ def test_views_without_tilt_are_called_weak() -> None:
     assert "few_views" in codes
 
 
+def test_views_from_one_side_are_called_weak() -> None:
+    rng = np.random.default_rng(2)
+    views = [
+        exact_view(
+            LENSES["pinhole"], TRUTHS["pinhole"],
+            pose_over(COLUMNS, ROWS, PITCH, distance_mm=30.0 + k, tilt_deg=(25.0 + 0.2 * k, 10.0)),
+            SIZE, COLUMNS, ROWS, PITCH, noise_px=0.05, rng=rng, name=f"v{k}",
+        )
+        for k in range(8)
+    ]  # fmt: skip
+    codes = {r.code: r.severity for r in calibrate_intrinsics(views, models=["pinhole"]).remarks}
+    assert codes["views_alike"] is Severity.ERROR and "no_tilt" not in codes
+
+
+def test_points_of_another_board_are_called_weak() -> None:
+    """As when a chessboard is searched for dots: regular points, but not those of the board."""
+    rng = np.random.default_rng(3)
+    views = [
+        replace(view, uv_px=view.uv_px + rng.normal(0, 8, view.uv_px.shape))
+        for view in views_of("pinhole", 6)
+    ]
+    found = calibrate_intrinsics(views, models=["pinhole"])
+    codes = {r.code: r.severity for r in found.remarks}
+    assert codes["large_error"] is Severity.ERROR and judge(found.remarks) == "weak"
+
+
 def test_too_few_views_and_unknown_lenses_are_refused() -> None:
     with pytest.raises(InputError, match="at least 3"):
         calibrate_intrinsics(views_of("k1", 2))
