@@ -8,6 +8,7 @@ large as the image shows and a margin.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +20,7 @@ from sensors.profile import catalogue_profile
 from sensors.registry import sensor_family
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
+from taccel_lab.profile.quarter_turn import quarter_turned
 
 FLAT_PAD = "flat_pad"
 MARGIN_MM = 3.0
@@ -62,10 +64,21 @@ def fitted_design(
                 Severity.INFO,
                 "pad_turned",
                 f"the images are upright, the catalogue's {sensor} lies down: its pad was turned "
-                "by a quarter",
+                "by a quarter, and its camera, lights and housing with it (which way round, the "
+                "catalogue cannot know)",
             )
         )
+        return FittedDesign(_upright(sensor, found), found, remarks)
     return FittedDesign(catalogue_profile(sensor, found), found, remarks)
+
+
+def _upright(sensor: str, overrides: Mapping[str, Any]) -> SensorProfile:
+    """The design of ``overrides``, meshed as the catalogue has it lie, and turned as a whole."""
+    family = sensor_family(sensor)
+    lying = {_across(name, family.parameters().values()): v for name, v in overrides.items()}
+    turned = quarter_turned(catalogue_profile(sensor, lying))
+    values = family.parameters(overrides).values()
+    return dataclasses.replace(turned, sensor=turned.sensor.replace(parameters=values))
 
 
 def _made_to_measure(grid: PixelGrid) -> dict[str, Any]:
@@ -112,18 +125,17 @@ def _turned(sensor: str, grid: PixelGrid) -> dict[str, Any]:
         view > TURN_ASPECT and pad < 1 / TURN_ASPECT
     )):  # fmt: skip
         return {}
-    described = parameters.describe()
-    values = parameters.values()
+    described, values = parameters.describe(), parameters.values()
     return {
-        name: values[name.replace("_x_", "_y_")]
+        name: values[_across(name, values)]
         for name, item in described.items()
-        if (item["group"] or "gel") == "gel"
-        and "_x_" in name
-        and name.replace("_x_", "_y_") in values
-    } | {
-        name: values[name.replace("_y_", "_x_")]
-        for name, item in described.items()
-        if (item["group"] or "gel") == "gel"
-        and "_y_" in name
-        and name.replace("_y_", "_x_") in values
+        if (item["group"] or "gel") == "gel" and _across(name, values) != name
     }
+
+
+def _across(name: str, values: Mapping[str, Any]) -> str:
+    """The parameter that is along y what ``name`` is along x, or the other way; itself if none."""
+    for one, other in (("_x_", "_y_"), ("_y_", "_x_")):
+        if one in name and name.replace(one, other) in values:
+            return name.replace(one, other)
+    return name

@@ -31,6 +31,19 @@ def test_upright_images_turn_the_pad() -> None:
     assert after["marker_pitch_mm"] == before["marker_pitch_mm"]
 
 
+@pytest.mark.parametrize("sensor", ["gelsight", "gelsight_mini", "9dtact"])
+def test_the_whole_sensor_is_turned(sensor: str) -> None:
+    """Pads meshed across the catalogue's way were unfit to be simulated."""
+    lying = fitted_design(sensor, PixelGrid(320, 240, 0.05, 0.05)).profile
+    upright = fitted_design(sensor, PixelGrid(240, 320, 0.05, 0.05)).profile
+    size = np.ptp(upright.mesh.nodes_m[:, :2], axis=0) * 1e3
+    assert size == pytest.approx(pad_size(upright))
+    assert upright.gel == lying.gel.replace(provenance=upright.gel.provenance)
+    assert lying.optics is not None and upright.optics is not None
+    assert upright.optics.width_px == lying.optics.height_px
+    assert upright.camera.width_px == lying.camera.height_px
+
+
 def test_flat_pads_are_made_to_measure() -> None:
     grid = PixelGrid(400, 300, 0.07, 0.08)
     found = fitted_design("flat_pad", grid)
