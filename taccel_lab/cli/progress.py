@@ -1,14 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress bars of long commands."""
+"""Progress bars of long commands; lines now and then where no terminal draws bars."""
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+BEAT_S = 20.0
+"""Time between two lines of a long step in a log [s]."""
+
+
+@contextmanager
+def _beats(console: Console, title: str) -> Iterator[dict[str, str]]:
+    """Lines in a log that say what goes on, as rich draws a bar there at the end only.
+
+    Yields a table of what to say: step by step, how far it is.
+    """
+    state: dict[str, str] = {}
+    if console.is_terminal:
+        yield state
+        return
+    stop, started = threading.Event(), time.monotonic()
+
+    def beat() -> None:
+        while not stop.wait(BEAT_S):
+            where = ", ".join(" ".join(item).strip() for item in tuple(state.items())[-1:])
+            seconds = time.monotonic() - started
+            console.print(f"{where or title} ({seconds:.0f} s)", highlight=False, markup=False)
+
+    console.print(f"{title} ...", highlight=False, markup=False)
+    thread = threading.Thread(target=beat, daemon=True)
+    thread.start()
+    try:
+        yield state
+    finally:
+        stop.set()
+        thread.join()
 
 
 @contextmanager
@@ -22,10 +55,11 @@ def fit_progress(console: Console, title: str) -> Iterator[Callable[[int, int, f
         TextColumn("{task.completed}/{task.total} loss {task.fields[loss]:.2f}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console) as bar:
+    with _beats(console, title) as said, Progress(*columns, console=console) as bar:
         task = bar.add_task(title, total=None, loss=float("nan"))
 
         def update(done: int, total: int, loss: float) -> None:
+            said[title] = f"{done}/{total} loss {loss:.2f}"
             bar.update(task, completed=done, total=total, loss=loss)
 
         yield update
@@ -42,10 +76,11 @@ def count_progress(console: Console, title: str) -> Iterator[Callable[[int, int]
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console) as bar:
+    with _beats(console, title) as said, Progress(*columns, console=console) as bar:
         task = bar.add_task(title, total=None)
 
         def update(done: int, total: int) -> None:
+            said[title] = f"{done}/{total}"
             bar.update(task, completed=done, total=total)
 
         yield update
@@ -62,10 +97,12 @@ def stage_progress(console: Console) -> Iterator[Callable[[str, int, int], None]
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console) as bar:
+    with _beats(console, "reading") as said, Progress(*columns, console=console) as bar:
         tasks: dict[str, Any] = {}
 
         def update(stage: str, done: int, total: int) -> None:
+            said.pop(stage, None)
+            said[stage] = f"{done}/{total}"
             if stage not in tasks:
                 tasks[stage] = bar.add_task(stage, total=None)
             bar.update(tasks[stage], completed=done, total=total)

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Long steps say that they are alive also where no terminal draws a bar."""
+
+from __future__ import annotations
+
+import io
+import threading
+import time
+
+import pytest
+from rich.console import Console
+
+from taccel_lab.cli import progress
+
+
+def test_a_log_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "BEAT_S", 0.05)
+    log = Console(file=io.StringIO(), width=100)
+    threads = threading.active_count()
+    with progress.count_progress(log, "looking at the presses") as update:
+        assert "looking at the presses ...\n" in log.file.getvalue()  # type: ignore[attr-defined]
+        update(3, 7)
+        time.sleep(0.3)
+    assert "looking at the presses 3/7 (" in log.file.getvalue()  # type: ignore[attr-defined]
+    with progress.stage_progress(log) as stage:
+        stage("finding boards", 1, 2)
+        stage("fitting the lens", 4, 5)
+        time.sleep(0.3)
+    assert "fitting the lens 4/5 (" in log.file.getvalue()  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match="x"), progress.fit_progress(log, "colours"):
+        raise ValueError("x")
+    assert threading.active_count() == threads
+
+
+def test_a_terminal_gets_bars_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "BEAT_S", 0.05)
+    screen = Console(file=io.StringIO(), width=100, force_terminal=True)
+    with progress.count_progress(screen, "looking") as update:
+        update(3, 7)
+        time.sleep(0.2)
+    text = screen.file.getvalue()  # type: ignore[attr-defined]
+    assert "looking ...\n" not in text and "3/7 (" not in text and "looking" in text
