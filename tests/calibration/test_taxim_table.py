@@ -130,6 +130,23 @@ def test_untouched_gel_shows_the_background() -> None:
     assert np.array_equal(render_taxim_table(found, still, background), background)
 
 
+def test_the_surroundings_keep_their_own_colour() -> None:
+    """Dents whose floors are darker than gel of the same slope around them leave no halo."""
+    frames = frames_of(true_table(np.random.default_rng(7)))
+    darker = []
+    for f in frames:
+        inside = (f.circle.distance_px(GRID) <= f.circle.radius_px)[..., None]
+        darker.append(replace(f, image=np.where(inside, f.image - 25.0, f.image)))
+    around = frames[0].circle.distance_px(GRID) / frames[0].circle.radius_px
+    ring = (around > 1.1) & (around < 2.0)
+    error = []
+    for reach in (1.0, 2.5):
+        found = fit_taxim_table(darker, fit_of(darker), GRID, bins=BINS, reach_radii=reach)
+        shown = render_taxim_table(found, frames[0].surface, fit_of(darker).background)
+        error.append(np.abs(shown - frames[0].image)[ring].mean())
+    assert error[1] < 0.6 * error[0], error
+
+
 def test_slopes_count_over_a_leaning_rest() -> None:
     """The same slopes over rest, on flat and on leaning gel, give the same table and image."""
     frames = frames_of(true_table(np.random.default_rng(6)))
