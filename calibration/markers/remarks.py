@@ -19,6 +19,8 @@ _SHAKY_PX = 0.1
 _LOST = 0.2
 _FAST = 0.4
 """Motion between frames, in pitches, from which on identities may swap."""
+_ALIASES = 0.45
+"""Motion between frames of most dots, in pitches, that a lattice cannot tell from one backwards."""
 _NOT_BACK_PX = 1.0
 
 
@@ -105,7 +107,18 @@ def track_remarks(figures: TrackFigures) -> list[Remark]:
                 f"{name}: fewer than 5 frames at rest at its start, so that the jitter is unknown",
             )
         )
-    if figures.step_in_pitches > _FAST:
+    if figures.common_step_in_pitches > _ALIASES:
+        remarks.append(
+            Remark(
+                Severity.ERROR,
+                "motion_aliases",
+                f"{name}: most dots move by {figures.common_step_in_pitches:.2f} pitches between "
+                "two frames: a lattice that moves by more than half a pitch looks as if it moved "
+                "back, so that displacements may be wrong by whole pitches. Record slower motion "
+                "or more frames a second",
+            )
+        )
+    elif figures.step_in_pitches > _FAST:
         remarks.append(
             Remark(
                 Severity.WARNING,
@@ -113,6 +126,17 @@ def track_remarks(figures: TrackFigures) -> list[Remark]:
                 f"{name}: dots move up to {figures.step_in_pitches:.2f} pitches between two "
                 "frames; beyond 0.4 they may be taken for their neighbours: record slower motion "
                 "or more frames a second",
+            )
+        )
+    if figures.unseen_frames:
+        shown = ", ".join(str(frame) for frame in figures.unseen_frames[:5])
+        more = f" and {len(figures.unseen_frames) - 5} more" * (len(figures.unseen_frames) > 5)
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "frames_unseen",
+                f"{name}: fewer than half of the dots are seen in frame {shown}{more} (counted "
+                "from 0): dark, blurred or covered; places there are predictions",
             )
         )
     if figures.lost_share > _LOST:

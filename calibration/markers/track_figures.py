@@ -18,6 +18,7 @@ _QUIET_NOISE = 4.0
 _QUIET_MOST_PX = 0.3
 _QUIET_FRAMES = 5
 _MOVED_PX = 1.0
+_HALF = 0.5
 _BACK = 0.25
 """A gel has been released when its median distance falls below this share of what it was."""
 
@@ -43,6 +44,10 @@ class TrackFigures:
     """Largest way of a marker between two frames."""
     step_in_pitches: float
     """The same over the pitch; near 0.5 a dot cannot be told from its neighbour."""
+    common_step_in_pitches: float
+    """Largest median way of all markers between two frames, over the pitch."""
+    unseen_frames: tuple[int, ...]
+    """Frames in which fewer than half of the markers are seen."""
     seen_share: float
     """Share of all markers and frames that is seen."""
     lost_share: float
@@ -69,6 +74,7 @@ def track_figures(name: str, tracks: MarkerTracks) -> TrackFigures:
         0.0,
     )
     largest_step = float(step.max(initial=0.0))
+    pitch_px = Neighbourhood.of(tracks.rest_px).pitch_px
     back = _return_frame(median)
     return TrackFigures(
         name=name,
@@ -80,7 +86,9 @@ def track_figures(name: str, tracks: MarkerTracks) -> TrackFigures:
         largest_px=float(np.nanmax(distance)) if tracks.seen.any() else 0.0,
         largest_median_px=float(np.nanmax(median)) if np.isfinite(median).any() else 0.0,
         largest_step_px=largest_step,
-        step_in_pitches=largest_step / Neighbourhood.of(tracks.rest_px).pitch_px,
+        step_in_pitches=largest_step / pitch_px,
+        common_step_in_pitches=float(np.median(step, axis=1).max(initial=0.0)) / pitch_px,
+        unseen_frames=tuple(np.flatnonzero(tracks.seen.mean(axis=1) < _HALF).tolist()),
         seen_share=float(tracks.seen.mean()),
         lost_share=float((tracks.status == Status.LOST).mean()),
         return_frame=back,

@@ -10,6 +10,8 @@ import pytest
 
 from calibration.markers import MarkerTracks, Status, find_markers, track_figures, track_markers
 from calibration.markers.neighbourhood import Neighbourhood
+from calibration.markers.remarks import track_remarks
+from calibration.result import Severity
 from taccel_lab.errors import InputError
 from tests.calibration.markers.drawn import HEIGHT, WIDTH, grid_points, picture
 
@@ -121,6 +123,18 @@ def test_figures_of_a_video_say_what_happened() -> None:
     still = track_figures("still", replace(tracks, **first))
     assert still.return_frame is None
     assert still.quiet_frames == 8
+
+
+def test_what_tracks_cannot_tell_is_said() -> None:
+    true = np.repeat(REST[None], 6, axis=0)
+    true[3:] += (0.48 * PITCH, 0.0)
+    codes = {r.code: r.severity for r in track_remarks(track_figures("jump", follow(true)))}
+    assert codes["motion_aliases"] is Severity.ERROR
+    slow = there_and_back(shear, 12, 0.8)
+    slow[5] -= 5000.0
+    remarks = {r.code: r.message for r in track_remarks(track_figures("dark", follow(slow)))}
+    assert "are seen in frame 5 (counted" in remarks["frames_unseen"]
+    assert "motion_aliases" not in remarks
 
 
 def test_a_marker_that_leaves_for_long_is_lost() -> None:
