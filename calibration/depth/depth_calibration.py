@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calibration.capture.captures import CaptureSet, ContactCircle
+from calibration.depth.contradictions import error_remarks, label_remarks, repeat_remarks
 from calibration.depth.depth_fit import (
     ContactPixels,
     contact_pixels,
@@ -37,8 +38,6 @@ Zero = Literal["untouched", "rim", "hertz", "simulated"]
 BOOTSTRAPS = 40
 COLOR_LEVELS = 8.0
 SATURATED_LEVEL = 3.0
-FLAT_GAIN_MM = 0.004
-"""Level slope [levels per mm] beyond which a curve hardly rises: one level is then 0.25 mm."""
 CLEAR_R2 = 0.25
 
 
@@ -173,14 +172,19 @@ def calibrate_depth(
     """
     background = channel_of(captures.background, channel)
     mask = None if captures.mask.all() else captures.mask
-    drops, contacts, given = [], [], []
+    drops, contacts, given, seen = [], [], [], []
     for press in captures.presses:
         drop = background - channel_of(press.image(), channel)
         found = find_grey_contact(drop, captures.grid, mask=mask, name=press.source)
         drops.append(drop)
+        seen.append(found.circle)
         given.append(press.circle is not None and circles == "auto")
         contacts.append((press.circle if given[-1] else found.circle, found.radius_sigma_px))
     chosen = [circle for circle, _ in contacts if circle is not None]
+    labels = [
+        press.circle if flag else None for press, flag in zip(captures.presses, given, strict=True)
+    ]
+    off = label_remarks(captures, labels, seen)
     radii = [press.radius_mm or captures.ball_radius_mm for press in captures.presses]
     for press, circle, radius in zip(captures.presses, chosen, radii, strict=True):
         if circle.radius_px * captures.grid.mm_per_px_x >= radius:
@@ -211,7 +215,10 @@ def calibrate_depth(
         # Each press by itself: its rim is known no better than that of the others.
         sunk = [-depth_at_no_drop(part) for part in parts]
         parts = pixels()
-    response = fit_response(parts, channel)
+    try:
+        response = fit_response(parts, channel)
+    except InputError as fault:
+        raise InputError("\n".join([str(fault), *(remark.message for remark in off)])) from None
     errors, left_out = left_out_errors(parts)
     spread = curve_spread_mm(parts, response, np.random.default_rng(seed), BOOTSTRAPS)
     level = float(np.median(background))
@@ -238,7 +245,13 @@ def calibrate_depth(
         inputs=captures.hashes(),
         source=captures.provenance.get("source", captures.source),
     )
-    found_remarks = (*remarks, *_remarks(result, captures, drops))
+    found_remarks = (
+        *remarks,
+        *off,
+        *repeat_remarks(captures, chosen),
+        *error_remarks(errors, np.concatenate([part.depth_mm for part in parts]), left_out),
+        *_remarks(result, captures, drops),
+    )
     return DepthCalibration(**{**vars(result), "remarks": found_remarks})
 
 

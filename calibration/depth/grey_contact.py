@@ -94,7 +94,8 @@ def _rough(smooth: np.ndarray, peak: float, name: str) -> tuple[np.ndarray, floa
             f"{name}: no round contact found; the dark patch has a radius of {radius:.0f} px, axes "
             f"{axes[0]:.0f} and {axes[1]:.0f} px"
             + (" and touches the image's border" if touches else "")
-            + f"; a ball leaves a round one of at least {MIN_RADIUS_PX:g} px inside the image"
+            + f"; a ball leaves a round one of at least {MIN_RADIUS_PX:g} px inside the image. "
+            "Remove the frame, or is this a colour sensor (taccel-lab calibrate color, normals)?"
         )
     return np.array([columns.mean(), rows.mean()]), radius
 

@@ -112,6 +112,46 @@ def test_one_press_is_judged_by_its_eighths() -> None:
     assert any(remark.code == "few_presses" for remark in result.remarks)
 
 
+def codes(result: DepthCalibration) -> dict[str, str]:
+    return {remark.code: str(remark.severity) for remark in result.remarks}
+
+
+def test_labels_off_the_dark_patch_are_weak() -> None:
+    captures = captures_of(CIRCLES, noise=0.5)
+    assert (
+        not {"labels_off", "duplicates", "one_spot", "large_error"}
+        & codes(calibrate_depth(captures)).keys()
+    )
+    moved = tuple(
+        replace(p, circle=replace(p.circle, u_px=p.circle.u_px - 9))
+        for p in captures.presses
+        if p.circle is not None
+    )
+    result = calibrate_depth(replace(captures, presses=moved))
+    assert codes(result)["labels_off"] == "error"
+    far = replace(CIRCLES[0], u_px=160.0, v_px=110.0)
+    lost = replace(captures, presses=(replace(captures.presses[0], circle=far),))
+    with pytest.raises(InputError, match="given circles lie away from the dark patch"):
+        calibrate_depth(lost)
+
+
+def test_repeats_are_one_press() -> None:
+    captures = captures_of([CIRCLES[0]] * 3, noise=0.5)
+    assert codes(calibrate_depth(captures))["one_spot"] == "warning"
+    same = tuple(replace(press, sha256="1" * 64) for press in captures.presses)
+    assert codes(calibrate_depth(replace(captures, presses=same)))["duplicates"] == "warning"
+
+
+def test_presses_that_answer_differently_are_told() -> None:
+    """One press under a third of the light of the others: no curve fits both."""
+    captures = captures_of(CIRCLES)
+    dim = captures.presses[1].image()
+    dim = captures.background - 0.35 * (captures.background - dim)
+    presses = (captures.presses[0], replace(captures.presses[1], read=partial(np.copy, dim)))
+    result = calibrate_depth(replace(captures, presses=presses))
+    assert codes(result)["large_error"] in ("warning", "error")
+
+
 def test_sunk_rim_adds_to_every_depth() -> None:
     captures = captures_of(CIRCLES)
     surfaces = [analytic_surface(c, GRID, BALL_MM, decay_mm=1.0) for c in CIRCLES]
