@@ -16,6 +16,8 @@ from taccel_lab.interop.record import ExportRecord, required
 from taccel_lab.profile import OpticsBlock, SensorProfile
 
 PEER = "OpenCV 4 and 5, cv2.FileStorage"
+MEASURED = ("calibrated", "measured")
+"""Kinds of blocks that say something about the unit at hand."""
 
 
 def rectified_matrix(optics: OpticsBlock, profile: SensorProfile) -> np.ndarray:
@@ -99,6 +101,15 @@ def export_opencv(profile: SensorProfile, folder: Path) -> ExportRecord:
             else "distortion_coefficients in the order k1 k2 p1 p2 k3 [k4 k5 k6]",
         ],
     )
+    for what, kind in (
+        (
+            "mm_per_px, and with it pixel_from_gel and rectification_P",
+            profile.camera.provenance.kind,
+        ),
+        ("camera_matrix, R and t", block.provenance.kind),
+    ):
+        if kind not in MEASURED:
+            record.notes.append(f"{what}: {kind}, not measured on this unit")
     if profile.window is not None:
         record.left_out["window"] = "OpenCV's models know no refraction"
     if camera.focus_mm or camera.aperture_mm:

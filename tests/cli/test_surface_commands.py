@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,9 +17,10 @@ from calibration.capture import ContactCircle
 from calibration.capture.check.findings import error, info, warning
 from calibration.result import Remark, Severity
 from taccel_lab.cli.app import main
-from taccel_lab.cli.calibrate.findings import joined, refusing_with
+from taccel_lab.cli.calibrate.base import on_grid
+from taccel_lab.cli.calibrate.findings import joined, lost_blocks, refusing_with
 from taccel_lab.errors import InputError
-from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.profile import BackgroundBlock, load_profile, save_profile
 from tests.calibration.synthetic import (
     BALL_RADIUS_MM,
     GRID,
@@ -148,6 +150,17 @@ def test_normals_of_captures_that_contradict_themselves_are_weak(
     figures = json.loads(capsys.readouterr().out)["normals"]
     assert figures["verdict"] == "weak"
     assert any("labelled circles disagree with the images" in r for r in figures["remarks"])
+
+
+def test_blocks_that_do_not_go_with_the_captures_are_named() -> None:
+    before = flat_profile(GRID)
+    image = np.zeros((GRID.height_px, GRID.width_px, 3), dtype=np.uint8)
+    before = before.with_block(BackgroundBlock(provenance=before.camera.provenance), image)
+    other = replace(GRID, mm_per_px_x=0.11)
+    (remark,) = lost_blocks(before, on_grid(before, other, {}))
+    assert remark.severity is Severity.WARNING
+    assert "background went" in remark.message and "0.11" in remark.message
+    assert lost_blocks(before, on_grid(before, GRID, {})) == []
 
 
 def test_a_refusal_names_what_else_was_found() -> None:

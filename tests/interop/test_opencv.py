@@ -108,3 +108,13 @@ def test_rectified_pixels_are_those_of_the_grid(
     wanted = CameraModel(profile.optics.camera()).project(gel)
     source = np.stack([part[uv[:, 1], uv[:, 0]] for part in maps], axis=-1)
     np.testing.assert_allclose(source, wanted, atol=1e-3)
+
+
+def test_what_was_not_measured_is_said(digit: SensorProfile, tmp_path: Path) -> None:
+    document = export_profile(digit, "opencv", tmp_path / "designed")
+    said = [note for note in document["notes"] if "not measured on this unit" in note]
+    assert len(said) == 2 and said[0].startswith("mm_per_px")
+    measured = digit.camera.provenance.replace(kind="measured")
+    profile = digit.with_block(digit.camera.replace(provenance=measured))
+    again = export_profile(profile, "opencv", tmp_path / "measured")
+    assert [n for n in again["notes"] if "not measured on this unit" in n] == said[1:]

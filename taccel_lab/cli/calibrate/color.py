@@ -144,6 +144,7 @@ class CalibrateColor:
         from calibration.surfaces.design import fitted_design
         from sensors.registry import sensor_family
         from taccel_lab.cli.calibrate.base import base_profile, on_grid, presses_on_camera
+        from taccel_lab.cli.calibrate.findings import lost_blocks
         from taccel_lab.cli.progress import count_progress
 
         folder = load_capture_folder(self.captures)
@@ -156,12 +157,14 @@ class CalibrateColor:
         overrides = parse_overrides(self.set)
         sensor_family(folder.sensor)
         base = None if self.base is None else base_profile(self.base, folder)
-        fault, captures = None, None
+        fault, captures, lost = None, None, []
         try:
             if base is None:
                 captures = folder.ball_presses()
             else:
-                captures, base = presses_on_camera(folder, base)
+                given = base
+                captures, base = presses_on_camera(folder, given)
+                lost = lost_blocks(given, base)
         except InputError as error:
             fault = error
         with count_progress(console, "checking the captures") as progress:
@@ -175,7 +178,7 @@ class CalibrateColor:
             heading = ["the captures have more faults:"] if also else []
             raise InputError("\n".join([str(fault), *heading, *also]))
         if base is not None:
-            return captures, base, list(findings)
+            return captures, base, [*lost, *findings]
         design = fitted_design(captures.sensor, captures.grid, overrides)
         base = on_grid(design.profile, captures.grid, captures.provenance)
         return captures, base, [*findings, *design.remarks]

@@ -63,13 +63,19 @@ class CalibrateDepth:
         from calibration.depth.page import depth_page
         from calibration.depth.rectified import grey_captures
         from taccel_lab.cli.calibrate.base import on_grid, open_job
-        from taccel_lab.cli.calibrate.findings import capture_findings, joined, refusing_with
+        from taccel_lab.cli.calibrate.findings import (
+            capture_findings,
+            joined,
+            lost_blocks,
+            refusing_with,
+        )
         from taccel_lab.cli.console import print_json
 
         wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
         job = open_job(self.captures, self.out, self.base, self.report)
         captures, remarks = grey_captures(job.folder, job.base, self.maps)
         base = on_grid(job.base, captures.grid, captures.provenance)
+        lost = lost_blocks(job.base, base)
         findings = capture_findings(job.folder, "depth", job.console)
         with refusing_with(findings), job.console.status("finding contacts and fitting the curve"):
             result = calibrate_depth(
@@ -81,7 +87,7 @@ class CalibrateDepth:
                 seed=self.seed,
                 remarks=remarks,
             )
-        result = replace(result, remarks=joined(findings, result.remarks))
+        result = replace(result, remarks=(*lost, *joined(findings, result.remarks)))
         replace(job, base=base).write(result, depth_page(result, captures))
         if self.json:
             print_json({"profile": str(self.out), "depth": result.figures()})

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from calibration.capture import CaptureFolder
     from calibration.capture.check import Finding
     from calibration.result import Remark
+    from taccel_lab.profile import SensorProfile
 
 
 def capture_findings(folder: CaptureFolder, command: str, console: Console) -> list[Finding]:
@@ -30,6 +31,26 @@ def capture_findings(folder: CaptureFolder, command: str, console: Console) -> l
         # A grey sensor has no slopes by colour to hold the ball against.
         found = check_captures(folder, progress=progress, fit_ball=command != "depth")
     return [finding for finding in found.findings if command in finding.blocks]
+
+
+def lost_blocks(before: SensorProfile, after: SensorProfile) -> list[Remark]:
+    """Blocks of the profile to extend that do not go with the captures' image size and scale."""
+    from calibration.result import Remark, Severity
+
+    lost = [key for key in before.blocks() if key not in after.blocks()]
+    if not lost:
+        return []
+    old, new = before.grid(), after.grid()
+    return [
+        Remark(
+            Severity.WARNING,
+            "blocks_dropped",
+            f"the base profile's {', '.join(lost)} went: they are of {old.width_px}x{old.height_px}"
+            f" px at {old.mm_per_px_x:.4g} x {old.mm_per_px_y:.4g} mm/px, these captures of "
+            f"{new.width_px}x{new.height_px} px at {new.mm_per_px_x:.4g} x {new.mm_per_px_y:.4g}. "
+            "State the same scale, or calibrate these blocks again",
+        )
+    ]
 
 
 @contextmanager

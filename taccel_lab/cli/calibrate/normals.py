@@ -66,7 +66,12 @@ class CalibrateNormals:
         from calibration.inverse.samples import Scene
         from taccel_lab.cli.calibrate.base import open_job, presses_on_camera
         from taccel_lab.cli.calibrate.contacts import contact_circles
-        from taccel_lab.cli.calibrate.findings import capture_findings, joined, refusing_with
+        from taccel_lab.cli.calibrate.findings import (
+            capture_findings,
+            joined,
+            lost_blocks,
+            refusing_with,
+        )
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
         from taccel_lab.signals.rest_surface import rest_surface
@@ -76,6 +81,7 @@ class CalibrateNormals:
         job = open_job(self.captures, self.out, self.base, self.report)
         captures, base = presses_on_camera(job.folder, job.base)
         captures.split(self.holdout_every)
+        lost = lost_blocks(job.base, base)
         findings = capture_findings(job.folder, "normals", job.console)
         rest = rest_surface(base.mesh, captures.grid)
         with refusing_with(findings):
@@ -93,7 +99,7 @@ class CalibrateNormals:
                 circle_source=self.circles,
                 progress=progress,
             )
-        result = replace(result, remarks=joined(findings, (*left_out, *result.remarks)))
+        result = replace(result, remarks=(*lost, *joined(findings, (*left_out, *result.remarks))))
         scene = Scene(
             captures.background,
             captures.grid,
