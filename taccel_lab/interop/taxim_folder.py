@@ -90,6 +90,8 @@ def export_taxim(profile: SensorProfile, folder: Path, table: Path | None = None
         notes=[
             "height maps are z of the gel frame in mm over the flat gel, negative in a dent; row "
             "and column are those of the profile's image",
+            "taxim cuts what rises over the gel: subtract the largest value from the map of a "
+            "surface that bulges beside the contact",
             "grad_r is blue and grad_b red, as the loader expects; f0 is BGR",
             "frame_mixing_percentage is 0: the background is shown as it is, not blurred",
             "contact_scale and the blurs are Taxim's model of the gel, with the defaults of its "

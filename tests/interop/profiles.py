@@ -80,6 +80,17 @@ def mini_profile() -> SensorProfile:
     )
 
 
+def with_encoding(profile: SensorProfile, bands: int = 3) -> SensorProfile:
+    """The profile with lamps whose strength waves over the image: a positional encoding."""
+    assert profile.color is not None and profile.color_weights is not None
+    settings = {**profile.color.architecture, "position_bands": bands}
+    weights = dict(profile.color_weights)
+    first = weights["layer0.weight"]
+    waves = np.random.default_rng(4).normal(0, 0.15, (len(first), 4 * bands))
+    weights["layer0.weight"] = np.concatenate([first, waves.astype(np.float32)], axis=1)
+    return profile.with_block(profile.color.replace(architecture=settings), weights)
+
+
 def with_normals(profile: SensorProfile) -> SensorProfile:
     """The profile with a normals block of random weights."""
     config = NormalModelConfig(profile.camera.width_px, profile.camera.height_px)

@@ -18,7 +18,7 @@ from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.rest_surface import rest_surface
 from tests.interop.presses import our_image, press_over_rest
-from tests.interop.profiles import with_normals
+from tests.interop.profiles import with_encoding, with_normals
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,10 @@ def both(mini: SensorProfile) -> SensorProfile:
     return with_normals(mini)
 
 
-def test_onnx_runs_to_the_same_image(both: SensorProfile, tmp_path: Path) -> None:
+@pytest.mark.parametrize("bands", [0, 3])
+def test_onnx_runs_to_the_same_image(both: SensorProfile, tmp_path: Path, bands: int) -> None:
+    if bands:
+        both = with_encoding(both, bands)
     onnxruntime = pytest.importorskip("onnxruntime")
     export_profile(both, "onnx", tmp_path / "out")
     session = onnxruntime.InferenceSession(str(tmp_path / "out" / "color_model.onnx"))
@@ -87,7 +90,10 @@ def test_without_the_package_it_says_how_to_get_it(
         export_profile(both, "onnx", tmp_path / "out")
 
 
-def test_safetensors_rebuild_the_models(both: SensorProfile, tmp_path: Path) -> None:
+@pytest.mark.parametrize("bands", [0, 2])
+def test_safetensors_rebuild_the_models(both: SensorProfile, tmp_path: Path, bands: int) -> None:
+    if bands:
+        both = with_encoding(both, bands)
     export_profile(both, "safetensors", tmp_path / "out")
     with safe_open(tmp_path / "out" / "color_model.safetensors", "numpy") as file:
         settings = json.loads(file.metadata()["architecture"])

@@ -9,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.interop.taxim_distil import distil_table
+from taccel_lab.interop.press_samples import ColorSource
+from taccel_lab.interop.taxim_distil import _image_fit, distil_table
 from taccel_lab.interop.taxim_table import TaximTable, bin_indices, bin_steps, pixel_terms
 from taccel_lab.profile import SensorProfile
 from tests.interop.presses import our_image, press_over_rest, psnr
+from tests.interop.profiles import with_encoding
 
 SLOPE = st.floats(-5, 5)
 
@@ -82,6 +84,26 @@ def test_a_distilled_table_shows_what_the_model_shows(mini: SensorProfile) -> No
     off = np.sqrt(((shown - truth) ** 2).mean())
     assert off < made.errors["table_rms_levels"] * 1.5
     assert not made.table.grad_rgb[:, 0].any()
+
+
+def test_bands_do_not_fall_in_step_with_the_pixels_that_are_asked(mini: SensorProfile) -> None:
+    """A band of eight periods, on eight evenly spaced columns, would look like a constant."""
+    encoded = with_encoding(mini, 4)
+    weights = dict(encoded.color_weights or {})
+    first = weights["layer0.weight"].copy()
+    first[:, 6:] = 0.0
+    first[:, 6 + 4 * 3 + 2] = 1.0  # cos(8 pi u): one on every asked pixel of the plain grid
+    assert encoded.color is not None
+    waves = encoded.with_block(encoded.color, {**weights, "layer0.weight": first})
+    source, rng = ColorSource(waves), np.random.default_rng(0)
+    pixels, solve = _image_fit(source, rng)
+    columns = pixels % 320
+    wave = np.cos(8 * np.pi * (2 * columns / 319 - 1))
+    assert abs(wave.mean()) < 0.2 and np.ptp(wave) > 1.5
+    # Still the least squares of the six terms, over pixels that span the image.
+    terms = pixel_terms(columns, pixels // 320)
+    assert solve @ (terms @ np.arange(1.0, 7.0)) == pytest.approx(np.arange(1.0, 7.0), rel=1e-6)
+    assert np.ptp(columns) > 280 and np.ptp(pixels // 320) > 200
 
 
 @pytest.mark.parametrize(

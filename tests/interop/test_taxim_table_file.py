@@ -22,8 +22,8 @@ from taccel_lab.interop.taxim_table_file import (
     write_table,
 )
 from taccel_lab.profile import SensorProfile
-from taccel_lab.signals.normals import normals_from_slopes
-from tests.interop.presses import press_over_rest, require_upright
+from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
+from tests.interop.presses import press_over_rest, psnr, require_upright
 from tests.interop.test_taxim_folder import peer, render
 
 BINS = 125
@@ -112,6 +112,28 @@ def test_taxim_renders_the_fitted_table(mini: SensorProfile, tmp_path: Path) -> 
     require_upright(image, truth, 48)
     at_rest = render(simulator, np.ones((240, 320)), with_shadow=False)
     assert np.abs(at_rest - mini.background_rgb).max() < 0.51
+
+
+def test_gel_that_bulges_is_shown_from_a_map_below_the_gel(
+    mini: SensorProfile, tmp_path: Path
+) -> None:
+    """taxim cuts what rises over the gel, with an edge; export.json says how to give it."""
+    path = tmp_path / TABLE_FILE
+    write_table(TableFile(lamp_table()), path)
+    document = export_profile(mini, "taxim", tmp_path / "calib", table=path)
+    assert any("rises over the gel" in note for note in document["notes"])
+    simulator = peer(tmp_path / "calib", contact_scale=0.0)
+    u, v = np.meshgrid(np.arange(320), np.arange(240))
+    bulge_mm = 0.6 * np.exp(-((u - 150) ** 2 + (v - 120) ** 2) / (2 * 25.0**2)) - 0.1
+    normals = normals_from_slopes(slopes_from_height(1e-3 * bulge_mm, mini.grid()))
+    truth = np.clip(mini.background_rgb + lamp_table().change(normals), 0, 255)
+    below = render(simulator, bulge_mm - bulge_mm.max(), with_shadow=False)
+    assert psnr(below, truth) > 45
+    cut = render(simulator, bulge_mm, with_shadow=False)
+    assert psnr(cut, truth) < psnr(below, truth) - 6
+    # The cut bulge shows the background.
+    assert np.abs(cut[120, 165] - mini.background_rgb[120, 165]).max() < 1
+    assert np.abs(below[120, 165] - mini.background_rgb[120, 165]).max() > 8
 
 
 def test_other_bins_reach_the_reader(mini: SensorProfile, tmp_path: Path) -> None:
