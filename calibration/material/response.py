@@ -3,11 +3,11 @@
 
 Presses are simulated at Chebyshev nodes of s = sqrt(1 - 2 nu) (and of the Mooney ratio), in which
 forces are nearly polynomial up to incompressibility: with five nodes over nu 0.30 to 0.499 they are
-met to 0.04 %, with six nodes of nu itself to 0.06 %, of log(1 - 2 nu) to 0.08 %. Each press also
-gives the slope of its force over nu and over the Mooney ratio by the implicit function theorem, for
-a tenth of its time; three nodes with slopes are as good as five of values. With friction there are
-no such slopes. One press between the nodes measures the error, and one on a finer mesh that of the
-mesh, which is corrected.
+met to 0.04 %, with six nodes of nu itself to 0.06 %, of log(1 - 2 nu) to 0.08 %. The press of a
+ball also gives the slope of its force over nu and over the Mooney ratio by the implicit function
+theorem, for a tenth of its time; three nodes with slopes are as good as five of values. With
+friction there are no such slopes, and for tools with edges they are not used. One press between the
+nodes measures the error, and one on a finer mesh that of the mesh, which is corrected.
 """
 
 from __future__ import annotations
@@ -194,7 +194,39 @@ def force_table(
     _require_depth(gel, depths[-1], depth_range_mm[1])
     if gel.material.model != "mooney_rivlin":
         fixed_ratio = 0.0
-    sloped = friction == 0
+    # Over an edge nodes slip by jumps: slopes at one nu are not those of the curve.
+    if friction == 0 and tool.kind == "sphere":
+        grid = _Grid(fixed_nu, fixed_ratio, sloped=True)
+        table = _table(gel, tool, depths, grid, friction, effort, checked, progress)
+        if table is not None:
+            return table
+    grid = _Grid(fixed_nu, fixed_ratio, sloped=False)
+    table = _table(gel, tool, depths, grid, friction, effort, checked, progress)
+    assert table is not None
+    return table
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Where presses are simulated."""
+
+    fixed_nu: float | None
+    fixed_ratio: float | None
+    sloped: bool
+
+
+def _table(
+    gel: Gel,
+    tool: Tool,
+    depths: np.ndarray,
+    grid: _Grid,
+    friction: float,
+    effort: Effort,
+    checked: bool,
+    progress: Callable[[int, int], None] | None,
+) -> ForceTable | None:
+    """The table of a grid; None where slopes are wanted that a press does not have."""
+    fixed_nu, fixed_ratio, sloped = grid.fixed_nu, grid.fixed_ratio, grid.sloped
     nu_count, ratio_count = (NU_NODES, RATIO_NODES) if sloped else (NU_VALUES, RATIO_VALUES)
     free = {"nu": fixed_nu is None, "ratio": fixed_ratio is None}
     slopes = tuple(name for name, is_free in free.items() if is_free and sloped)
@@ -221,6 +253,8 @@ def force_table(
             progress(done, len(jobs))
         found.append(simulate(gel.bench(tool, deepest, job[3]), press))
         seconds += float(found[-1]["seconds"])
+        if not all(np.isfinite(found[-1][f"by_{name}_n"]).all() for name in job[2]):
+            return None
     if progress is not None:
         progress(len(jobs), len(jobs))
     exponent = 1.5 if tool.kind == "sphere" else 1.0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.envs import PressEnv, parse_indenter
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import Element, Material, MaterialField, MaterialModel
 from taccel_lab.solvers import SolverConfig
@@ -118,5 +118,6 @@ def test_what_has_no_slopes_is_refused() -> None:
         node_rates(rubbing.solver, rubbing.state, DOWN)
     hasty = press(gel, 0.5)
     hasty.solver.config = replace(hasty.solver.config, max_cg_iterations=2)
-    with pytest.raises(SimulationError, match="no sensitivity"):
-        node_rates(hasty.solver, hasty.state, DOWN)
+    rates = node_rates(hasty.solver, hasty.state, DOWN)
+    assert not rates.solved[0]
+    assert np.isnan(elastic_power(hasty.solver, hasty.state, rates)[0])

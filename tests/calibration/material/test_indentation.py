@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -82,19 +83,31 @@ def test_both_parameters_of_mooney_and_rivlin(
         np.testing.assert_allclose((up - down) / (2 * h), slope, rtol=1e-5)
 
 
-@pytest.mark.parametrize(("friction", "count"), [(0.0, 4), (0.3, 6)])
+@pytest.mark.parametrize(
+    ("kind", "friction", "missing", "count"),
+    [("sphere", 0.0, False, 4), ("sphere", 0.3, False, 6), ("cylinder", 0.0, False, 6),
+     ("sphere", 0.0, True, 6)],
+)  # fmt: skip
 def test_slopes_replace_presses(
-    gel: Gel, tool: Tool, monkeypatch: pytest.MonkeyPatch, friction: float, count: int
+    gel: Gel,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: Literal["sphere", "cylinder"],
+    friction: float,
+    missing: bool,
+    count: int,
 ) -> None:
-    """Three presses with slopes, and with friction, where there are none, five of values."""
+    """Three presses with slopes; five of values with friction, edges or a missing slope."""
+    tool = gel.tool(ToolEntry(kind=kind, radius_mm=2.0))
+    exponent = 1.5 if kind == "sphere" else 1.0
 
     def simulated(bench: GelBench, candidate: Candidate) -> dict[str, np.ndarray]:
         nu, depth = candidate.poisson_ratio, np.array([stop.depth_mm for stop in candidate.stops])
         s = np.sqrt(1 - 2 * nu)
-        force = 1e6 * depth**1.5 * np.exp(1.3 - 2 * s + 0.7 * s**4 * depth)
+        force = 1e6 * depth**exponent * np.exp(1.3 - 2 * s + 0.7 * s**4 * depth)
         found = {"force_n": force, "seconds": np.array(0.5)}
-        if friction == 0:
+        if "slopes" in candidate.recipe:
             found["by_nu_n"] = force * (2 - 2.8 * s**3 * depth) / s
+            found["by_nu_n"][3] = np.nan if missing else found["by_nu_n"][3]
         return found
 
     monkeypatch.setattr("calibration.material.response.simulate", simulated)
@@ -105,7 +118,7 @@ def test_slopes_replace_presses(
     for nu in (0.31, 0.45, 0.498):
         s = np.sqrt(1 - 2 * nu)
         value, _, by_nu, _ = table.log_force(depth, nu)
-        expected = 1.5 * np.log(depth) + 1.3 - 2 * s + 0.7 * s**4 * depth
+        expected = exponent * np.log(depth) + 1.3 - 2 * s + 0.7 * s**4 * depth
         np.testing.assert_allclose(value, expected, atol=1e-9)
         np.testing.assert_allclose(by_nu, (2 - 2.8 * s**3 * depth) / s, rtol=1e-8)
 
