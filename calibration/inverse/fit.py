@@ -40,6 +40,7 @@ from taccel_lab.signals.normal_model import (
     layer_tensors,
     tilt_and_error,
 )
+from taccel_lab.signals.position_encoding import require_bands
 
 Progress = Callable[[int, int, float], None]
 """Called with (steps done, steps in all, loss in degrees)."""
@@ -80,6 +81,7 @@ class InverseFitOptions:
         for name in ("members", "steps", "batch_pixels"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+        require_bands("normal model", self.position_bands)
         if not 0 < self.learning_rate < 1:
             raise InputError(f"learning_rate must lie in 0..1, got {self.learning_rate}")
 

@@ -134,8 +134,10 @@ class NormalCalibration:
             kind="calibrated",
             method=(
                 f"{config.members} networks {list(config.hidden)} on colour change over windows "
-                f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position; "
-                f"{options.steps} Adam steps, stopped on left-out presses; circles: "
+                f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position"
+                + f" in {config.position_bands} bands"
+                * (config.position_bands > 0)
+                + f"; {options.steps} Adam steps, stopped on left-out presses; circles: "
                 f"{self.circles}; skirt: {self.surfaces}; light drift "
                 + ("taken off" if config.light_drift else "left in")
             ),

@@ -47,6 +47,9 @@ class CalibrateNormals:
     drift: Literal["auto", "on", "off"] = "auto"
     """Bring the light of each frame to the background's first; auto does it where that takes away
     at least a quarter of the difference between untouched gel and background."""
+    position_bands: int = 0
+    """Bands of the positional encoding among the features: sines and cosines of the pixel's place.
+    0 to 8; 0 gives the networks the place alone."""
     steps: int = 1000
     """Optimiser steps; each network keeps its best ones."""
     seed: int = 0
@@ -77,7 +80,9 @@ class CalibrateNormals:
         from taccel_lab.signals.rest_surface import rest_surface
 
         wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
-        options = InverseFitOptions(steps=self.steps, seed=self.seed)
+        options = InverseFitOptions(
+            steps=self.steps, seed=self.seed, position_bands=self.position_bands
+        )
         job = open_job(self.captures, self.out, self.base, self.report)
         captures, base = presses_on_camera(job.folder, job.base)
         captures.split(self.holdout_every)

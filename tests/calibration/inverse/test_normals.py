@@ -177,6 +177,23 @@ def test_fit_is_deterministic() -> None:
     assert not np.array_equal(weights[0], weights[2])
 
 
+def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> None:
+    """Lamps in stripes of a quarter of the image: the same colour means another tilt beside."""
+    captures, surfaces = synthetic_captures(16, noise=0.0, seed=3)
+    stripes = 1 + 0.6 * np.sin(2 * np.pi * 4 * np.arange(GRID.width_px) / GRID.width_px)
+    images = [flat_background() + known_change(s) * stripes[None, :, None] for s in surfaces]
+    striped = with_images(captures, lambda _, i: np.clip(images[i], 0, 255))
+    results = [
+        calibrated(striped, surfaces, options=replace(QUICK, position_bands=bands), drift="off")
+        for bands in (0, 3)
+    ]
+    off = [np.mean([item.used.mean_deg for item in result.heldout]) for result in results]
+    assert off[1] < 0.7 * off[0], off
+    save_profile(results[1].apply_to(flat_profile(GRID)), tmp_path / "profile")
+    found = SurfaceReader(load_profile(tmp_path / "profile")).read(striped.presses[3].image())
+    assert found.normals == pytest.approx(results[1].heldout[0].predicted.normals, abs=1e-6)
+
+
 def test_profile_reads_what_the_calibration_read(
     clean: tuple[CaptureSet, list[PressSurface], NormalCalibration], tmp_path: Path
 ) -> None:
@@ -278,6 +295,8 @@ def test_bad_fits_are_refused() -> None:
         calibrate_normals(captures, [], surfaces)
     with pytest.raises(InputError, match="members must be at least 1"):
         InverseFitOptions(members=0)
+    with pytest.raises(InputError, match=r"position_bands must lie in 0\.\.8, got 9"):
+        InverseFitOptions(position_bands=9)
     with pytest.raises(InputError, match=r"max_zoom must lie in 1\.\.8"):
         SampleOptions(max_zoom=0.5)
     nothing = replace(captures, mask=np.zeros((120, 160), dtype=bool))
