@@ -57,9 +57,8 @@ def fitted_design(
         return FittedDesign(profile, found, [_assumed_pad(profile, given)])
     turned = _turned(sensor, grid)
     found = {**turned, **given}
-    remarks = []
     if turned:
-        remarks.append(
+        remarks = [
             Remark(
                 Severity.INFO,
                 "pad_turned",
@@ -67,8 +66,10 @@ def fitted_design(
                 "by a quarter, and its camera, lights and housing with it (which way round, the "
                 "catalogue cannot know)",
             )
-        )
+        ]
         return FittedDesign(_upright(sensor, found), found, remarks)
+    across = turn_remark(sensor, grid)
+    remarks = [] if across is None else [across]
     return FittedDesign(catalogue_profile(sensor, found), found, remarks)
 
 
@@ -114,17 +115,37 @@ def _assumed_pad(profile: SensorProfile, given: Mapping[str, Any]) -> Remark:
     )
 
 
-def _turned(sensor: str, grid: PixelGrid) -> dict[str, Any]:
-    """Overrides that exchange x and y of the pad, where images and pad lie across each other."""
+def lies_across(sensor: str, grid: PixelGrid) -> bool:
+    """Whether images and the catalogue's pad lie across each other: one upright, one not."""
     family = sensor_family(sensor)
-    parameters = family.parameters()
-    size = np.ptp(family.pad(parameters).bounds_mm(), axis=0)
+    size = np.ptp(family.pad(family.parameters()).bounds_mm(), axis=0)
     pad = float(size[0] / size[1])
     view = grid.width_px * grid.mm_per_px_x / (grid.height_px * grid.mm_per_px_y)
-    if not ((view < 1 / TURN_ASPECT and pad > TURN_ASPECT) or (
+    return (view < 1 / TURN_ASPECT and pad > TURN_ASPECT) or (
         view > TURN_ASPECT and pad < 1 / TURN_ASPECT
-    )):  # fmt: skip
+    )
+
+
+def turn_remark(sensor: str, grid: PixelGrid) -> Remark | None:
+    """What a user has to know where the design cannot be turned as the images are."""
+    if not lies_across(sensor, grid) or _turned(sensor, grid):
+        return None
+    width, height = grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y
+    lie = "lie down" if width > height else "stand upright"
+    return Remark(
+        Severity.WARNING,
+        "images_across",
+        f"the images {lie} ({width:.1f} x {height:.1f} mm), the pad of a {sensor} lies across them "
+        "and is curved: its shape at rest is then wrong. Turn all images by a quarter, unless they "
+        "are a crop",
+    )
+
+
+def _turned(sensor: str, grid: PixelGrid) -> dict[str, Any]:
+    """Overrides that exchange x and y of the pad, where images and pad lie across each other."""
+    if not lies_across(sensor, grid):
         return {}
+    parameters = sensor_family(sensor).parameters()
     described, values = parameters.describe(), parameters.values()
     return {
         name: values[_across(name, values)]

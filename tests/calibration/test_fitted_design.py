@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.result import Severity
-from calibration.surfaces.design import MARGIN_MM, fitted_design
+from calibration.surfaces.design import MARGIN_MM, fitted_design, turn_remark
 from sensors.registry import sensor_family
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -42,6 +42,15 @@ def test_the_whole_sensor_is_turned(sensor: str) -> None:
     assert lying.optics is not None and upright.optics is not None
     assert upright.optics.width_px == lying.optics.height_px
     assert upright.camera.width_px == lying.camera.height_px
+
+
+def test_a_pad_that_cannot_be_turned_is_told() -> None:
+    """A DIGIT's gel is curved along one axis; its parameters have no x and y to exchange."""
+    lying, upright = PixelGrid(320, 240, 0.05, 0.05), PixelGrid(240, 320, 0.05, 0.05)
+    assert fitted_design("digit", upright).remarks == []
+    (remark,) = fitted_design("digit", lying).remarks
+    assert remark.code == "images_across" and remark.severity is Severity.WARNING
+    assert turn_remark("gelsight_mini", upright) is None  # its pad is turned instead
 
 
 def test_flat_pads_are_made_to_measure() -> None:

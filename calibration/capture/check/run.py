@@ -21,6 +21,7 @@ from calibration.capture.check.sensor_facts import SensorFacts, sensor_facts
 from calibration.capture.check.targets import check_targets
 from calibration.capture.folder import CaptureFolder
 from calibration.result import Severity
+from calibration.surfaces.design import FLAT_PAD, turn_remark
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -188,6 +189,9 @@ def _check_presses(
     if folder.mm_per_px is not None:
         size = (grid.width_px, grid.height_px)
         findings += check_scale(folder.mm_per_px, size, facts.pad_mm, facts.view_mm, facts.family)
+        across = None if facts.family == FLAT_PAD else turn_remark(facts.family, grid)
+        if across is not None:
+            findings.append(warning(across.code, across.message, "color", "normals", "depth"))
     grey = is_grey(frames)
     if grey != facts.is_grey and facts.family != "flat_pad":
         have, want = ("grey", "coloured") if grey else ("coloured", "grey")
