@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from calibration.camera.rectification import RectificationMaps
-from calibration.capture.folder import CaptureFolder
+from calibration.capture.captures import Press
+from calibration.capture.folder import CaptureFolder, Frame
 from calibration.capture.importers.draft import write_png
 from calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
@@ -35,6 +36,11 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
     """
     grid = maps.require_grid()
     _check_size(folder, maps)
+    if not (folder.root / MANIFEST_NAME).is_file():
+        raise InputError(
+            f"{folder.source} has no {MANIFEST_NAME}; make a capture folder of it first "
+            "(taccel-lab capture import)"
+        )
     document = tomllib.loads((folder.root / MANIFEST_NAME).read_text(encoding="utf-8"))
     notes: list[str] = []
     with atomic_directory(out) as target:
@@ -49,13 +55,8 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
                 writer.image(f"untouched_{i}", frame.image)
                 for i, frame in enumerate(folder.untouched)
             ]
-        for i, (entry, press) in enumerate(
-            zip(document.get("presses", []), folder.presses, strict=True)
-        ):
-            entry["image"] = writer.image(f"press_{i:03d}", press.image)
-            entry.setdefault("name", press.name)
-            if entry.pop("contact", None) is not None:
-                notes.append(f"the contact circle of {press.name} was left out")
+        if document.get("presses"):
+            document["presses"] = _presses(document["presses"], folder, writer, notes)
         for i, (entry, edge) in enumerate(
             zip(document.get("edges", []), folder.edges, strict=True)
         ):
@@ -68,8 +69,36 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
             document["markers"] = _markers(document["markers"], folder, writer)
         for entry in document.get("records", []):
             writer.copy(entry["file"])
+        # What the rectified images were made of: their own hashes say nothing about that.
+        document["raw_sha256"] = {"captures.toml": folder.provenance["manifest_sha256"]} | {
+            Path(frame.source).name: frame.sha256 for frame in _raw_frames(folder)
+        }
         _write_manifest(document, target)
     return notes
+
+
+def _raw_frames(folder: CaptureFolder) -> list[Frame | Press]:
+    frames: list[Frame | Press] = [*folder.untouched, *folder.presses]
+    frames += [edge.frame for edge in folder.edges]
+    return frames if folder.background is None else [folder.background, *frames]
+
+
+def _presses(
+    entries: list[dict[str, Any]], folder: CaptureFolder, writer: _Writer, notes: list[str]
+) -> list[dict[str, Any]]:
+    """Entries of the presses that contacts.toml does not skip."""
+    named = {entry.get("name") or Path(entry["image"]).stem: entry for entry in entries}
+    kept = []
+    for i, press in enumerate(folder.presses):
+        entry = named.pop(press.name)
+        entry["image"] = writer.image(f"press_{i:03d}", press.image)
+        entry.setdefault("name", press.name)
+        if entry.pop("contact", None) is not None or press.checked:
+            notes.append(f"the contact circle of {press.name} was left out")
+        kept.append(entry)
+    if named:
+        notes.append(f"presses that contacts.toml skips were left out: {', '.join(named)}")
+    return kept
 
 
 def _check_size(folder: CaptureFolder, maps: RectificationMaps) -> None:

@@ -124,6 +124,8 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
     if contacts.is_file():
         presses = list(override_presses(presses, contacts))
         provenance["contacts_sha256"] = file_sha256(contacts)
+    if "captures.toml" in manifest.raw_sha256:
+        provenance["raw_manifest_sha256"] = manifest.raw_sha256["captures.toml"]
     if manifest.source is not None:
         provenance["source"] = manifest.source
     if manifest.license is not None:

@@ -196,6 +196,8 @@ class CaptureManifest(_Strict):
     """Where the captures come from, free text kept as provenance."""
     license: str | None = None
     """Licence of the captures, free text kept as provenance."""
+    raw_sha256: dict[str, str] = Field(default_factory=dict)
+    """SHA-256 of the files that these were made of, by name (taccel-lab capture rectify)."""
     indenter: SphereIndenter | None = None
     presses: list[SpherePress] = Field(default_factory=list)
     boards: list[BoardEntry] = Field(default_factory=list)

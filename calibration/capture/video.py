@@ -16,6 +16,9 @@ from calibration.capture.records import read_columns
 from calibration.capture.schema import MarkersEntry, VideoEntry
 from taccel_lab.errors import InputError
 
+LOST_SHARE = 0.95
+"""Share of the frames that a file states, of which as many have to decode."""
+
 
 def load_markers(folder: Path, entry: MarkersEntry, background: Frame | None) -> MarkerCaptures:
     """The dots at rest and their videos; InputError when neither rest nor background is there."""
@@ -73,6 +76,21 @@ def read_video(path: Path) -> list[np.ndarray]:
             "(H.264) is allowed, or give the frames as images"
         )
     return frames
+
+
+def cut_short(video: Video) -> str | None:
+    """Says so when clearly fewer frames decode than the file states; None when all do."""
+    if video.entry.file is None:
+        return None
+    capture = cv2.VideoCapture(video.source)
+    stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    capture.release()
+    if video.frame_count >= LOST_SHARE * stated:
+        return None
+    return (
+        f"{video.source}: {video.frame_count} of the {stated} frames that it states can be read: "
+        "the file is damaged or was not closed"
+    )
 
 
 def _expand(folder: Path, name: str) -> list[Path]:

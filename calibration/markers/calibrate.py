@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.capture import CaptureFolder
 from calibration.capture.folder import Frame, Video
+from calibration.capture.video import cut_short
 from calibration.markers.choose_view import choose_view
 from calibration.markers.dots import Dots
 from calibration.markers.finding import MarkerPicture, find_markers
@@ -19,6 +20,7 @@ from calibration.markers.remarks import layout_remarks, track_remarks
 from calibration.markers.result import MarkerCalibration, TrackedVideo
 from calibration.markers.track_figures import track_figures
 from calibration.markers.tracking import track_markers
+from calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 
@@ -62,6 +64,11 @@ def calibrate_markers(
         *layout_remarks(picture, layout_mm),
         *chosen.remarks,
         *(remark for video in videos for remark in track_remarks(video.figures)),
+        *(
+            Remark(Severity.WARNING, "video_cut_short", fault)
+            for video in videos
+            if (fault := cut_short(video.video)) is not None
+        ),
     )
     return MarkerCalibration(
         source=rest.source,

@@ -6,7 +6,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
 from calibration.camera.detect import detect_views
@@ -21,6 +20,7 @@ from calibration.capture.folder import (
     Video,
 )
 from calibration.capture.record_checks import LIKELY_MPA, apparent_modulus_mpa
+from calibration.capture.video import cut_short
 from calibration.markers import find_markers
 from taccel_lab.errors import InputError
 
@@ -29,7 +29,6 @@ BOARD_COVERAGE = 0.5
 STILL_LEVELS = 0.05
 """Frames that differ less, at their strongest, are one frame stored twice."""
 MAX_STILL_SHARE = 0.3
-LOST_SHARE = 0.95
 GOOD_POINTS = 5
 LABEL_DOT_PX = 3.0
 
@@ -149,7 +148,7 @@ def _check_markers(markers: MarkerCaptures) -> list[Finding]:
 
 def _check_video(video: Video, rest: np.ndarray) -> list[Finding]:
     frames = video.frames()
-    findings = _check_whole(video, len(frames))
+    findings = _check_whole(video)
     sizes = {frame.shape for frame in frames}
     if sizes != {rest.shape}:
         return [
@@ -182,23 +181,10 @@ def _check_video(video: Video, rest: np.ndarray) -> list[Finding]:
     return findings
 
 
-def _check_whole(video: Video, decoded: int) -> list[Finding]:
+def _check_whole(video: Video) -> list[Finding]:
     """Whether as many frames decode as the file says it has."""
-    if video.entry.file is None:
-        return []
-    capture = cv2.VideoCapture(video.source)
-    stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    capture.release()
-    if decoded >= LOST_SHARE * stated:
-        return []
-    return [
-        warning(
-            "video_cut_short",
-            f"{video.source}: {decoded} of the {stated} frames that it states can be read: the "
-            "file is damaged or was not closed",
-            "markers",
-        )
-    ]
+    fault = cut_short(video)
+    return [] if fault is None else [warning("video_cut_short", fault, "markers")]
 
 
 def _check_edges(edges: Sequence[EdgeCapture]) -> list[Finding]:

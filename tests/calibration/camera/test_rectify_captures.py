@@ -12,6 +12,8 @@ import pytest
 from calibration.camera.rectification import RectificationMaps
 from calibration.camera.rectify_captures import rectify_captures
 from calibration.capture import load_capture_folder
+from calibration.capture.images import file_sha256
+from calibration.capture.load import read_manifest
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -90,6 +92,23 @@ def test_a_folder_is_rectified(captures: Path, tmp_path: Path) -> None:
     assert video.frame_count == 2 and video.frames()[0].shape == (40, 50, 3)
     assert np.array_equal(even.records[0].columns["force_n"], [0.1, 0.4, 0.9])
     assert notes == ["the contact circle of corner was left out", "boards were left out"]
+
+
+def test_what_was_rectified_is_recorded(captures: Path, tmp_path: Path) -> None:
+    rectify_captures(load_capture_folder(captures), cropping_maps(), tmp_path / "even")
+    manifest = read_manifest(tmp_path / "even" / "captures.toml")
+    for name in ("bg.png", "p0.png", "p1.png", "captures.toml"):
+        assert manifest.raw_sha256[name] == file_sha256(captures / name)
+    even = load_capture_folder(tmp_path / "even")
+    assert even.provenance["raw_manifest_sha256"] == file_sha256(captures / "captures.toml")
+
+
+def test_presses_that_a_person_skipped_stay_out(captures: Path, tmp_path: Path) -> None:
+    (captures / "contacts.toml").write_text('[[contact]]\npress = "p0"\nskip = true\n')
+    notes = rectify_captures(load_capture_folder(captures), cropping_maps(), tmp_path / "even")
+    even = load_capture_folder(tmp_path / "even")
+    assert [press.name for press in even.presses] == ["corner"]
+    assert "presses that contacts.toml skips were left out: p0" in notes
 
 
 def test_the_command_takes_saved_maps(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import pytest
 from calibration.capture import CaptureFolder, load_capture_folder
 from calibration.capture.guide import capture_plan
 from calibration.capture.schema import CaptureManifest
+from calibration.capture.video import cut_short
 from sensors import sensor_families
 from taccel_lab.errors import InputError
 from tests.calibration.capture.capture_sets import write_image
@@ -167,6 +169,9 @@ def test_a_video_file(folder: Path) -> None:
     assert markers is not None
     levels = [int(frame.mean()) for frame in markers.videos[0].frames()]
     assert levels == pytest.approx([60, 120, 180], abs=3)
+    assert cut_short(markers.videos[0]) is None
+    fewer = replace(markers.videos[0], frame_count=2)
+    assert "2 of the 3 frames that it states can be read" in str(cut_short(fewer))
     data = (folder / "v.avi").read_bytes()
     (folder / "v.avi").write_bytes(data[:64])
     with pytest.raises(InputError, match=r"v\.avi does not decode as a video \(0 frames read\)"):
