@@ -13,6 +13,8 @@ from calibration.result import Remark, Severity
 if TYPE_CHECKING:
     from calibration.color_result import ColorCalibration
 
+LEAST_PRESSES = 4
+"""With fewer presses a model knows a few places and depths, and nothing tells of the others."""
 LEAST_GAIN_DB = 6.0
 """A colour model that beats the bare background by less, in the crop, explains little."""
 OUTLIER_FACTOR = 2.5
@@ -32,11 +34,26 @@ UNSURE_SHARE = 0.5
 def color_remarks(result: ColorCalibration) -> list[Remark]:
     """Remarks on a fit and its figures."""
     return [
+        *_few(result),
         *_against_background(result),
         *_outliers(result),
         *_circles(result),
         *_light(result),
         *_spread(result),
+    ]
+
+
+def _few(result: ColorCalibration) -> list[Remark]:
+    count = len(result.train_names)
+    if count >= LEAST_PRESSES:
+        return []
+    return [
+        Remark(
+            Severity.ERROR,
+            "few_presses",
+            f"the model was fitted to {count} press{'es' if count != 1 else ''}: it holds at those "
+            "places and depths at best. Give 30 to 50, spread over the gel",
+        )
     ]
 
 

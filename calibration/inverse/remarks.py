@@ -15,7 +15,8 @@ from calibration.result import Remark, Severity
 if TYPE_CHECKING:
     from calibration.inverse.normal_calibration import NormalCalibration
 
-FEW_PRESSES = 8
+FEW_PRESSES, LEAST_PRESSES = 8, 4
+"""Fitted presses below which a model is only usable, or weak: it knows a few places and slopes."""
 GOOD_OVER_FLAT = 0.25
 WEAK_OVER_FLAT = 0.5
 """Error over that of guessing a flat surface, above which a model is only usable, or weak."""
@@ -39,10 +40,12 @@ def remarks_of(
         found.append(Remark(severity, code, message))
 
     if len(training) < FEW_PRESSES:
+        count = len(training)
         remark(
-            Severity.WARNING,
+            Severity.ERROR if count < LEAST_PRESSES else Severity.WARNING,
             "few_presses",
-            f"only {len(training)} presses were fitted; give 30 to 50, spread over the image",
+            f"only {count} press{'es were' if count != 1 else ' was'} fitted; give 30 to 50, "
+            "spread over the image",
         )
     if not result.heldout:
         remark(

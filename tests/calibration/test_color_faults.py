@@ -187,6 +187,15 @@ def test_without_held_out_presses_it_says_so(
     assert remark.code == "nothing_held_out" and remark.severity is Severity.WARNING
 
 
+def test_a_model_of_three_presses_is_weak(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, surfaces = sound
+    few = replace(captures, presses=captures.presses[:3])
+    result = calibrate(few, surfaces[:3], replace(PLAN, holdout_every=0), steps=20)
+    assert {r.code: r.severity for r in result.remarks}["few_presses"] is Severity.ERROR
+
+
 def test_the_page_shows_every_press(
     sound: tuple[CaptureSet, list[PressSurface]], tmp_path: Path
 ) -> None:

@@ -201,8 +201,8 @@ def _check_count(frames: Sequence[FrameFigures]) -> list[Finding]:
     return [
         make(
             "few_presses",
-            f"{len(frames)} presses; {GOOD_PRESSES} to 50 leave enough to hold some out and still "
-            "cover the gel",
+            f"{len(frames)} press{'es' if len(frames) != 1 else ''}; {GOOD_PRESSES} to 50 leave "
+            "enough to hold some out and still cover the gel",
             "color",
             "normals",
         )

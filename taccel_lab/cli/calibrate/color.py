@@ -92,6 +92,7 @@ class CalibrateColor:
         from calibration.estimators.color import ColorFitOptions
         from taccel_lab.cli.calibrate.base import report_folder, require_outputs, write_results
         from taccel_lab.cli.calibrate.contacts import contact_circles
+        from taccel_lab.cli.calibrate.findings import refusing_with
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import fit_progress
 
@@ -110,7 +111,8 @@ class CalibrateColor:
         )
         captures, base, remarks = self._captures(console)
         captures.split(self.holdout_every)
-        captures, circles, left_out = contact_circles(captures, self.circles, console)
+        with refusing_with(remarks):
+            captures, circles, left_out = contact_circles(captures, self.circles, console)
         surfaces = self._surfaces(captures, circles, base, console)
         with fit_progress(console, "fitting the colour model") as progress:
             result = calibrate_color(

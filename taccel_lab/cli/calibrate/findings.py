@@ -54,8 +54,10 @@ def lost_blocks(before: SensorProfile, after: SensorProfile) -> list[Remark]:
 
 
 @contextmanager
-def refusing_with(findings: Sequence[Finding]) -> Iterator[None]:
-    """A refusal inside names what the check found as well: the cause may be among it."""
+def refusing_with(findings: Sequence[Remark]) -> Iterator[None]:
+    """A refusal inside names what the check found as well: the cause may be among it. Remarks that
+    are no findings say nothing of the captures and are passed over."""
+    from calibration.capture.check import Finding
     from calibration.result import Severity
 
     try:
@@ -64,7 +66,9 @@ def refusing_with(findings: Sequence[Finding]) -> Iterator[None]:
         also = [
             f"- {finding.message}"
             for finding in findings
-            if finding.severity != Severity.INFO and finding.code != "no_contact"
+            if isinstance(finding, Finding)
+            and finding.severity != Severity.INFO
+            and finding.code != "no_contact"
         ]
         heading = ["the captures have more faults:"] if also else []
         raise InputError("\n".join([str(fault), *heading, *also])) from None

@@ -114,6 +114,20 @@ def test_noisy_captures_err_as_expected() -> None:
     assert errors == sorted(errors, reverse=True)
 
 
+@pytest.mark.parametrize(("count", "verdict"), [(3, Verdict.WEAK), (5, Verdict.USABLE)])
+def test_a_few_presses_do_not_make_a_good_model(count: int, verdict: Verdict) -> None:
+    captures, surfaces = synthetic_captures(count, noise=1.0)
+    result = calibrate_normals(
+        captures,
+        circles_of(captures),
+        surfaces,
+        options=replace(QUICK, steps=20),
+        baseline=False,
+        holdout_every=0,
+    )
+    assert judge(r for r in result.remarks if r.code == "few_presses") is verdict
+
+
 def test_wrong_circles_show_in_the_shifts() -> None:
     captures, surfaces = synthetic_captures(12, noise=1.0)
     circles = circles_of(captures)
