@@ -21,6 +21,7 @@ import numpy as np
 from calibration.background.drift import Drift
 from calibration.capture.captures import CaptureSet, ContactCircle
 from calibration.targets.change import ColorChange, color_change
+from calibration.targets.doubt import circle_covariances
 from calibration.targets.photometric import (
     FittedContact,
     MapTerms,
@@ -53,8 +54,6 @@ MIN_VISIBLE = 0.55
 """Share of the rings around a contact that has to lie in the image and outside the mask."""
 SAMPLING_BLUR_SHARE = 0.04
 """Guess of the blur of gel and lens together, in ball radii, besides our own smoothing."""
-MIN_SIGMA_PX = 0.05
-"""Resampling moves circles of perfect presses by that much."""
 ROUNDS = (8, 16)
 """Rounds of the fit on the first samples, and on those around the circles that it found."""
 USUAL_RATIO = 0.7
@@ -255,29 +254,13 @@ def _refine(
         fit = fit_contacts(samples, circles, ball_px, blur_px=blur, terms=terms, iterations=rounds)
         circles = [contact.circle for contact in fit.contacts]
     assert fit is not None
-    other = fit_contacts(
-        samples, circles, ball_px, blur_px=fit.blur_px, terms=terms.coarser(), iterations=ROUNDS[0]
-    )
-    doubt = _map_variance(fit, other)
-    contacts = [replace(c, covariance=c.covariance + doubt) for c in fit.contacts]
+    contacts = [
+        replace(contact, covariance=covariance)
+        for contact, covariance in zip(
+            fit.contacts, circle_covariances(samples, ball_px, fit, terms), strict=True
+        )
+    ]
     return list(zip(contacts, samples, strict=True)), fit
-
-
-def _map_variance(fit: PhotometricFit, other: PhotometricFit) -> np.ndarray:
-    """Covariance of circles [px^2] from the choice of the map: two maps, robust over the presses.
-
-    The residuals of one map are too small for it: what its terms cannot follow moves circles too.
-    """
-    moved = np.array(
-        [
-            (b.circle.u_px - a.circle.u_px, b.circle.v_px - a.circle.v_px,
-             b.circle.radius_px - a.circle.radius_px)
-            for a, b in zip(fit.contacts, other.contacts, strict=True)
-        ]
-    )  # fmt: skip
-    center = 1.4826 * float(np.median(np.abs(moved[:, :2])))
-    radius = 1.4826 * float(np.median(np.abs(moved[:, 2])))
-    return np.diag([center**2, center**2, radius**2]) + np.eye(3) * MIN_SIGMA_PX**2
 
 
 def _accept(

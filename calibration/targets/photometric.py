@@ -23,7 +23,7 @@ import numpy as np
 
 from calibration.capture.captures import ContactCircle
 from calibration.targets.polar import PolarSamples
-from calibration.targets.slope_law import MAX_CONTACT_RATIO, slope_law
+from calibration.targets.slope_law import MAX_CONTACT_RATIO, SKIRT, slope_law
 
 ITERATIONS = 14
 STEP_PX = 0.2
@@ -134,13 +134,16 @@ def fit_contacts(
     blur_px: float,
     terms: MapTerms | None = None,
     iterations: int = ITERATIONS,
+    skirt: float | None = None,
 ) -> PhotometricFit:
     """Refine the circles of presses of one sensor.
 
     ``samples`` are colour changes around the starting ``circles``; ``ball_px`` is the radius of
-    each press's ball in pixels. ``blur_px`` is the guess of the picture's blur.
+    each press's ball in pixels. ``blur_px`` is the guess of the picture's blur, ``skirt`` another
+    damping length of the slope's law than its own.
     """
-    fit = _JointFit(samples, circles, ball_px, blur_px, terms or MapTerms.for_presses(len(samples)))
+    terms = terms or MapTerms.for_presses(len(samples))
+    fit = _JointFit(samples, circles, ball_px, blur_px, terms, SKIRT if skirt is None else skirt)
     done = 0
     for done in range(1, iterations + 1):
         if fit.round(done) < CONVERGED_PX and done > 4:
@@ -156,7 +159,9 @@ class _JointFit:
         ball_px: Sequence[float],
         blur_px: float,
         terms: MapTerms,
+        skirt: float,
     ) -> None:
+        self.skirt = skirt
         self.blur_px = self.blur_guess = blur_px
         self.terms = terms
         self.presses = [
@@ -177,7 +182,7 @@ class _JointFit:
         s = press.samples
         du, dv = s.u_px - shape[0], s.v_px - shape[1]
         distance = np.hypot(du, dv) + 1e-9
-        law = slope_law(shape[2], press.ball_px, blur_px, 1.5 * s.reach_px)
+        law = slope_law(shape[2], press.ball_px, blur_px, 1.5 * s.reach_px, self.skirt)
         normal, drop = law.at(distance)
         return self.terms.values(
             normal * du / distance, normal * dv / distance, drop, s.unit_u, s.unit_v

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from calibration.capture import CaptureSet, ContactCircle, Press
-from calibration.targets.slope_law import slope_law
+from calibration.targets.slope_law import SKIRT, slope_law
 from taccel_lab.geometry import PixelGrid
 
 GRID = PixelGrid(200, 150, 0.08, 0.08)
@@ -29,13 +29,14 @@ def pressed(
     ball_px: float = BALL_PX,
     blur_px: float = 1.0,
     falloff: float = 0.3,
+    skirt: float = SKIRT,
 ) -> np.ndarray:
     """Levels of a press without noise: three lamps, falling off over the image."""
     ratio = grid.mm_per_px_y / grid.mm_per_px_x
     du = np.arange(grid.width_px)[None, :] - circle.u_px
     dv = (np.arange(grid.height_px)[:, None] - circle.v_px) * ratio
     distance = np.hypot(du, dv) + 1e-12
-    law = slope_law(circle.radius_px, ball_px, blur_px, float(distance.max()) + 1)
+    law = slope_law(circle.radius_px, ball_px, blur_px, float(distance.max()) + 1, skirt)
     normal, drop = law.at(distance)
     up = np.sqrt(1 - normal**2)
     light = np.linspace(1 - falloff, 1 + falloff, grid.width_px)[None, :]

@@ -23,7 +23,7 @@ from calibration.synthetic import (
 )
 from calibration.targets import compare_with_labels, detect_contact, find_contacts, resolve_contacts
 from calibration.targets.ball_check import check_ball
-from calibration.targets.slope_law import hertz_slope, slope_law
+from calibration.targets.slope_law import SKIRT, hertz_slope, slope_law
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.targets.presses import BALL_MM, GRID, gel, press_set, pressed, scattered
@@ -54,9 +54,9 @@ def test_pixels_that_are_not_square() -> None:
     assert np.abs(offsets(captures)).max() < 0.25
 
 
-def faulty(circle: ContactCircle, rng: np.random.Generator) -> np.ndarray:
+def faulty(circle: ContactCircle, rng: np.random.Generator, skirt: float = SKIRT) -> np.ndarray:
     """Blurred, unevenly lit, drifted, dusty, noisy, in whole levels."""
-    image = blur(pressed(circle), 1.0)
+    image = blur(pressed(circle, skirt=skirt), 1.0)
     image = vignette(image, 0.1)
     image = drift(image, 1 + rng.normal(0, 0.04, 3), rng.normal(0, 4, 3))
     image = add_gradient(image, float(rng.normal(0, 2)), float(rng.normal(0, 2)))
@@ -76,6 +76,21 @@ def test_faulty_presses_within_their_own_sigma() -> None:
     # Robust spread of the normalised errors: 1 when the predicted sigma is right.
     assert 0.4 < 1.4826 * np.median(np.abs(centers)) < 2.0
     assert 0.3 < 1.4826 * np.median(np.abs(radii)) < 2.5
+
+
+def test_sigma_holds_what_the_law_of_the_gel_may_be_wrong_by() -> None:
+    """Gels that sink over shorter and longer ways than the law says: radii are off together."""
+    centers, radii = [], []
+    for seed, skirt in enumerate((0.9, 1.6, 2.0)):
+        rng = np.random.default_rng(seed)
+        circles = scattered(12, seed=20 + seed)
+        captures = press_set(circles, [faulty(c, rng, skirt) for c in circles])
+        contacts = resolve_contacts(captures)
+        off = offsets(captures)
+        centers.append(off[:, :2] / np.array([[c.center_sigma_px] for c in contacts]))
+        radii.append(off[:, 2] / np.array([c.radius_sigma_px for c in contacts]))
+    for standardised in (np.concatenate(centers), np.concatenate(radii)):
+        assert 0.4 < np.sqrt(np.mean(standardised**2)) < 1.5
 
 
 @settings(max_examples=4, deadline=None)
