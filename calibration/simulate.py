@@ -18,6 +18,8 @@ import numpy as np
 
 from calibration.capture import CaptureSet, ContactCircle
 from calibration.capture.captures import check_radius
+from calibration.surfaces.between import MIN_OTHERS, SPANNING, SharedLaw, spanning_presses
+from calibration.surfaces.depth_search import EQUATOR_SHARE
 from calibration.surfaces.outcome_cache import keep_outcome, kept_outcome
 from calibration.surfaces.press_batch import (
     RADIUS_TOLERANCE_PX,
@@ -34,6 +36,8 @@ from taccel_lab.profile import SensorProfile
 
 BATCH = 6
 """Presses simulated together in one process."""
+SPANNING_BATCH = 3
+"""The same for those that span others: two processes then share the work."""
 
 
 def simulate_presses(
@@ -45,9 +49,10 @@ def simulate_presses(
     friction_coefficient: float = 0.0,
     processes: int | None = None,
     cache: bool = False,
+    share: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[PressSurface]:
-    """Simulate all presses of ``captures`` and return their surfaces in order.
+    """Simulate the presses of ``captures`` and return their surfaces in order.
 
     Args:
         captures: Ball radius, pixel grid and names.
@@ -59,6 +64,8 @@ def simulate_presses(
             without friction (docs/captures.md).
         processes: Worker processes; the number of cores, at most 8, when None.
         cache: Keep the outcomes in the user's cache folder, and take what is there.
+        share: Simulate the presses of a ball that span the others only, and read the others off
+            them, where one law explains those that were simulated (``surfaces.between``).
         progress: Told how many presses are done, and of how many.
 
     Raises:
@@ -71,42 +78,103 @@ def simulate_presses(
         ball_mm = press.radius_mm or captures.ball_radius_mm
         check_radius(circle, captures.grid, ball_mm, f"{captures.source}: {press.name}")
     _require_view_on_pad(captures, profile)
-    batches = press_batches(captures, circles, profile, mesh, friction_coefficient)
-    surfaces: list[PressSurface | None] = [None] * len(circles)
+    job = _Job(captures, circles, profile, mesh, friction_coefficient, processes, cache, progress)
+    if share:
+        for chosen in _of_ball(captures).values():
+            job.share(chosen)
+    job.simulate(range(len(circles)))
+    return [surface for surface in job.surfaces if surface is not None]
 
-    def place(batch: PressBatch, outcome: BatchOutcome) -> None:
-        found = surfaces_of(batch, outcome, captures.grid)
-        for i, surface in zip(batch.presses, found, strict=True):
-            surfaces[i] = surface
-        if progress is not None:
-            progress(sum(s is not None for s in surfaces), len(surfaces))
 
-    def keep(batch: PressBatch, outcome: BatchOutcome) -> None:
-        if cache:
-            keep_outcome(batch, outcome)
-        place(batch, outcome)
+class _Job:
+    """Surfaces of the presses, as far as they are known."""
 
-    left = []
-    for batch in batches:
-        kept = kept_outcome(batch) if cache else None
-        if kept is None:
-            left.append(batch)
-        else:
-            place(batch, kept)
-    workers = min(processes or min(os.cpu_count() or 1, 8), len(left))
-    if workers <= 1:
-        for batch in left:
-            keep(batch, simulate_batch(batch))
-    else:
+    def __init__(
+        self,
+        captures: CaptureSet,
+        circles: Sequence[ContactCircle],
+        profile: SensorProfile,
+        mesh: PressMeshOptions | None,
+        friction_coefficient: float,
+        processes: int | None,
+        cache: bool,
+        progress: Callable[[int, int], None] | None,
+    ) -> None:
+        self.captures, self.circles, self.profile = captures, circles, profile
+        self.mesh, self.friction_coefficient = mesh, friction_coefficient
+        self.processes, self.cache, self.progress = processes, cache, progress
+        self.surfaces: list[PressSurface | None] = [None] * len(circles)
+
+    def share(self, presses: Sequence[int]) -> None:
+        """Simulate those that span presses of one ball; the others too where one law holds."""
+        if len(presses) < SPANNING + MIN_OTHERS:
+            return
+        circles = [self.circles[i] for i in presses]
+        spanning = [presses[k] for k in spanning_presses(circles)]
+        self.simulate(spanning, SPANNING_BATCH)
+        grid = self.captures.grid
+        known = [surface for i in spanning if (surface := self.surfaces[i]) is not None]
+        law = SharedLaw.of(known, [self.circles[i] for i in spanning], grid)
+        if not law.holds:
+            return
+        press = self.captures.presses[presses[0]]
+        ball_px = (press.radius_mm or self.captures.ball_radius_mm) / grid.mm_per_px_x
+        for i, circle in zip(presses, circles, strict=True):
+            if self.surfaces[i] is None:
+                radius_px = min(circle.radius_px, EQUATOR_SHARE * ball_px)
+                self.surfaces[i] = law.surface(circle, radius_px)
+        self._tell()
+
+    def simulate(self, presses: Sequence[int], size: int | None = None) -> None:
+        """Simulate those of ``presses`` that have no surface yet, in batches."""
+        wanted = [i for i in presses if self.surfaces[i] is None]
+        batches = press_batches(
+            self.captures, self.circles, self.profile, self.mesh, self.friction_coefficient,
+            wanted, size,
+        )  # fmt: skip
+        left = []
+        for batch in batches:
+            kept = kept_outcome(batch) if self.cache else None
+            if kept is None:
+                left.append(batch)
+            else:
+                self._place_batch(batch, kept)
+        workers = min(self.processes or min(os.cpu_count() or 1, 8), len(left))
+        if workers <= 1:
+            for batch in left:
+                self._keep(batch, simulate_batch(batch))
+            return
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
             futures = {pool.submit(simulate_batch, batch): batch for batch in left}
             try:
                 for future in as_completed(futures):
-                    keep(futures[future], future.result())
+                    self._keep(futures[future], future.result())
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
-    return [surface for surface in surfaces if surface is not None]
+
+    def _keep(self, batch: PressBatch, outcome: BatchOutcome) -> None:
+        if self.cache:
+            keep_outcome(batch, outcome)
+        self._place_batch(batch, outcome)
+
+    def _place_batch(self, batch: PressBatch, outcome: BatchOutcome) -> None:
+        found = surfaces_of(batch, outcome, self.captures.grid)
+        for i, surface in zip(batch.presses, found, strict=True):
+            self.surfaces[i] = surface
+        self._tell()
+
+    def _tell(self) -> None:
+        if self.progress is not None:
+            self.progress(sum(s is not None for s in self.surfaces), len(self.surfaces))
+
+
+def _of_ball(captures: CaptureSet) -> dict[float, list[int]]:
+    """Indices of the presses of each ball, by its radius [mm]."""
+    found: dict[float, list[int]] = {}
+    for i, press in enumerate(captures.presses):
+        found.setdefault(press.radius_mm or captures.ball_radius_mm, []).append(i)
+    return found
 
 
 def press_batches(
@@ -115,14 +183,20 @@ def press_batches(
     profile: SensorProfile,
     mesh: PressMeshOptions | None,
     friction_coefficient: float,
+    wanted: Sequence[int] | None = None,
+    size: int | None = None,
 ) -> list[PressBatch]:
-    """The presses in batches of ``BATCH``, each of one ball, in order."""
+    """The presses, or those ``wanted``, in batches of ``size`` or ``BATCH``, each of one ball, in
+    order."""
+    size = size or BATCH
     grid = captures.grid
     at_mm = grid.gel_from_pixel(np.array([[c.u_px, c.v_px] for c in circles]))
     target_mm = np.array([c.radius_px for c in circles]) * grid.mm_per_px_x
-    of_ball: dict[float, list[int]] = {}
-    for i, press in enumerate(captures.presses):
-        of_ball.setdefault(press.radius_mm or captures.ball_radius_mm, []).append(i)
+    chosen_presses = set(range(len(circles)) if wanted is None else wanted)
+    of_ball = {
+        ball_mm: [i for i in indices if i in chosen_presses]
+        for ball_mm, indices in _of_ball(captures).items()
+    }
     return [
         PressBatch(
             presses=tuple(chosen),
@@ -137,7 +211,7 @@ def press_batches(
             mesh=mesh or PressMeshOptions(),
         )
         for ball_mm, indices in of_ball.items()
-        for chosen in (indices[k : k + BATCH] for k in range(0, len(indices), BATCH))
+        for chosen in (indices[k : k + size] for k in range(0, len(indices), size))
     ]
 
 

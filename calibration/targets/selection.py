@@ -8,6 +8,7 @@ from dataclasses import replace
 from calibration.capture.captures import CaptureSet
 from calibration.result import Remark, Severity
 from calibration.targets.ball import DetectedContact, Progress, find_contacts
+from calibration.targets.kept import kept_contacts
 from taccel_lab.errors import InputError
 
 MAX_LOST_SHARE = 0.1
@@ -15,14 +16,16 @@ MAX_LOST_SHARE = 0.1
 
 
 def usable_presses(
-    captures: CaptureSet, progress: Progress | None = None
+    captures: CaptureSet, progress: Progress | None = None, *, cache: bool = False
 ) -> tuple[CaptureSet, list[DetectedContact], list[Remark]]:
     """The presses with a contact, their contacts in order, and a remark on those left out.
+
+    With ``cache``, contacts are kept in the user's cache folder, and taken from it.
 
     Raises:
         InputError: More than a tenth of the presses show no contact, with every reason.
     """
-    found = find_contacts(captures, progress)
+    found = (kept_contacts if cache else find_contacts)(captures, progress)
     refusals = [found.refusals[i] for i in sorted(found.refusals)]
     if len(refusals) > MAX_LOST_SHARE * len(captures.presses):
         raise InputError("\n".join(refusal.message for refusal in refusals))

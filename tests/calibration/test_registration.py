@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +18,11 @@ from calibration.estimators.color import (
     register_presses,
     registration,
 )
-from calibration.estimators.color.frames import NO_DRIFT
+from calibration.estimators.color.frames import NO_DRIFT, Samples
 from calibration.surfaces import PressSurface, analytic_surface
 from calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
 from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, synthetic_captures
 
 COUNT = 12
@@ -120,6 +122,29 @@ def test_masked_pixels_have_no_effect_and_runs_agree(
     clean = register_presses(frames, captures.background, GRID, mask=mask, fit=QUICK)
     dirty = register_presses(poisoned, captures.background, GRID, mask=mask, fit=QUICK)
     assert clean.circles == dirty.circles
+
+
+def test_fits_go_on_from_the_first_of_their_fold(
+    captures: CaptureSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Later fits are short, and none has seen the presses that it is asked about."""
+    started: list[tuple[int, bool, int]] = []
+    real = registration.train
+
+    def counted(samples: Samples, grid: PixelGrid, options: ColorFitOptions, **more: Any) -> Any:
+        started.append((options.steps, more.get("start") is None, len(samples.change)))
+        return real(samples, grid, options, **more)
+
+    monkeypatch.setattr(registration, "train", counted)
+    monkeypatch.setattr(registration, "SCALES", (0.95, 1.0, 1.05))
+    frames = clicked_frames(captures, np.random.default_rng(7), off_px=1.0, scale=1.0)
+    register_presses(frames, captures.background, GRID, fit=QUICK)
+    whole = [steps for steps, fresh, _ in started if fresh]
+    assert whole == [QUICK.steps] * registration.FOLDS
+    again = {steps for steps, fresh, _ in started if not fresh}
+    assert again == {QUICK.steps * registration.AGAIN_STEPS // 100}
+    pixels = sorted({count for _, _, count in started})
+    assert pixels[-1] < 0.6 * COUNT * 1400
 
 
 def test_too_few_presses_are_refused(captures: CaptureSet) -> None:

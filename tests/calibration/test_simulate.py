@@ -17,8 +17,9 @@ import calibration.simulate as simulate
 from calibration.capture import CaptureSet, ContactCircle, Press
 from calibration.simulate import simulate_presses
 from calibration.surfaces import PressSurface
+from calibration.surfaces.between import SPANNING, spanning_presses
 from calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
-from calibration.surfaces.press_batch import BatchOutcome
+from calibration.surfaces.press_batch import BatchOutcome, PressBatch
 from sensors.press_mesh import PressMeshOptions
 from sensors.profile import catalogue_profile
 from taccel_lab.cli.calibrate.base import on_grid
@@ -307,6 +308,61 @@ def test_kept_presses_are_bitwise_those_that_were_simulated(
         pytest.raises(SimulationError, match="made up"),
     ):
         simulate_presses(captures, CIRCLES, base, mesh=MESH, processes=1, cache=True)
+
+
+def many_presses(captures: CaptureSet, count: int) -> tuple[CaptureSet, list[ContactCircle]]:
+    """Presses of 0.8 to 1.25 mm near the middle of the pad."""
+    circles = [
+        ContactCircle(40.0 + 2.0 * (i % 5), 31.0 + 3.0 * (i % 4), 8.0 + 0.5 * i)
+        for i in range(count)
+    ]
+    presses = tuple(replace(captures.presses[0], name=f"m{i}") for i in range(count))
+    return replace(captures, presses=presses), circles
+
+
+def test_presses_that_are_spanned_are_not_simulated(
+    captures: CaptureSet, base: SensorProfile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    many, circles = many_presses(captures, 10)
+    simulated: list[int] = []
+    real = simulate.simulate_batch
+
+    def counted(batch: PressBatch) -> BatchOutcome:
+        simulated.extend(batch.presses)
+        return real(batch)
+
+    monkeypatch.setattr(simulate, "simulate_batch", counted)
+    told: list[tuple[int, int]] = []
+    shared = simulate_presses(
+        many, circles, base, mesh=MESH, processes=1, share=True,
+        progress=lambda done, total: told.append((done, total)),
+    )  # fmt: skip
+    assert sorted(simulated) == spanning_presses(circles) and len(simulated) == SPANNING
+    assert told == [(3, 10), (6, 10), (10, 10)]
+    chosen = [i for i in range(10) if i not in simulated][:3]
+    few = replace(many, presses=tuple(many.presses[i] for i in chosen))
+    each = simulate_presses(few, [circles[i] for i in chosen], base, mesh=MESH, processes=1)
+    for i, surface in zip(chosen, each, strict=True):
+        near = circles[i].distance_px(GRID) <= 2.5 * circles[i].radius_px
+        cosine = (shared[i].normals * surface.normals).sum(axis=-1)
+        # The mesh of these tests is coarse: its facets alone make 0.8 degrees.
+        assert np.degrees(np.arccos(np.clip(cosine, -1, 1)))[near].mean() < 1.5
+        assert shared[i].depth_mm == pytest.approx(surface.depth_mm, rel=0.06)
+        assert shared[i].provider.startswith("between 6 presses by finite elements")
+
+
+def test_presses_that_follow_no_common_law_are_all_simulated(
+    captures: CaptureSet, base: SensorProfile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    many, circles = many_presses(captures, 9)
+    monkeypatch.setattr(simulate.SharedLaw, "holds", property(lambda self: False))
+    found = simulate_presses(many, circles, base, mesh=MESH, processes=1, share=True)
+    assert {surface.provider for surface in found} == {"finite elements, friction 0"}
+
+
+def test_few_presses_are_all_simulated(captures: CaptureSet, base: SensorProfile) -> None:
+    found = simulate_presses(captures, CIRCLES, base, mesh=MESH, processes=1, share=True)
+    assert all(surface.provider == "finite elements, friction 0" for surface in found)
 
 
 def test_a_cache_that_cannot_be_written_is_named(

@@ -20,14 +20,14 @@ error; ``ssim``: Huber's, and the structural dissimilarity of crops around the c
 
 @dataclass(frozen=True)
 class ColorFitOptions:
-    """Settings of the fit; the defaults take under a minute on one CPU thread."""
+    """Settings of the fit; the defaults take some seconds on one CPU thread."""
 
     inputs: tuple[str, ...] = INPUT_NAMES
     hidden: tuple[int, ...] = (64, 64, 64)
     position_bands: int = 0
     """Bands of the positional encoding; 0 gives the network u and v alone."""
     steps: int = 2000
-    batch_pixels: int = 4096
+    batch_pixels: int = 2048
     learning_rate: float = 4e-3
     loss: Loss = "huber"
     huber_levels: float = 2.0
@@ -78,7 +78,7 @@ class ColorFitOptions:
 
 
 SHORT_FIT = ColorFitOptions(
-    hidden=(48, 48), steps=400, batch_pixels=2048, disc_pixels=1500, ring_pixels=900,
+    hidden=(48, 48), steps=400, batch_pixels=1024, disc_pixels=1500, ring_pixels=900,
     far_pixels=200, learning_rate=8e-3,
 )  # fmt: skip
-"""Fits that settle questions, such as where a press is: a second each."""
+"""Fits that settle questions, such as where a press is: half a second each."""

@@ -49,6 +49,10 @@ RADIUS_SIGMA = 0.05
 CORRELATED_PIXELS = 25.0
 """Neighbouring pixels err alike: as many count as one."""
 ROBUST_LEVELS = 4.0
+AGAIN_STEPS = 30
+"""Steps of a fit that goes on from another, of a hundred of the first."""
+AGAIN_RATE = 0.5
+"""Its learning rate against the first one's."""
 REACH = 1.8
 """Pixels up to this many contact radii are compared."""
 MAX_PIXELS = 1500
@@ -188,6 +192,12 @@ class _Job:
         self.moved = [MovedPress.of(f.surface, f.circle, self.library) for f in frames]
         rng = np.random.default_rng(options.seed)
         self.pixels = [draw_pixels(frame, grid, mask, options, rng) for frame in frames]
+        self.again = replace(
+            options,
+            steps=max(1, options.steps * AGAIN_STEPS // 100),
+            learning_rate=AGAIN_RATE * options.learning_rate,
+        )
+        self._first: dict[int, ColorModel] = {}
 
     def samples(self, i: int, circle: ContactCircle) -> Samples:
         """The drawn pixels of a press as if its contact were ``circle``."""
@@ -200,10 +210,18 @@ class _Job:
         return found
 
     def fit_without(self, circles: Sequence[ContactCircle], fold: int) -> ColorModel:
-        """A short fit to the presses whose index modulo the number of folds is not ``fold``."""
+        """A short fit to the presses whose index modulo the number of folds is not ``fold``.
+
+        The first one of a fold, to the circles as they came, is what all later ones go on from:
+        they have seen the same presses, and each has taken as many steps.
+        """
         kept = [i for i in range(len(self.frames)) if i % FOLDS != fold]
+        if fold not in self._first:
+            given = [self.frames[i].circle for i in kept]
+            start = join_samples([self.samples(i, c) for i, c in zip(kept, given, strict=True)])
+            self._first[fold] = train(start, self.grid, self.options).model
         samples = join_samples([self.samples(i, circles[i]) for i in kept])
-        return train(samples, self.grid, self.options).model
+        return train(samples, self.grid, self.again, start=self._first[fold]).model
 
     def left_out_losses(self, circles: Sequence[ContactCircle]) -> np.ndarray:
         """Mean absolute error of each press by a fit without it [levels], shape [press]."""

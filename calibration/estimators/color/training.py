@@ -60,14 +60,16 @@ def train(
     *,
     validation: Samples | None = None,
     crops: Sequence[Crop] = (),
+    start: ColorModel | None = None,
     progress: Progress | None = None,
 ) -> Trained:
     """Fit the network to ``samples``; with ``validation``, take the weights that are best there.
 
-    ``crops`` serve the loss ``ssim``. Deterministic for a seed: it runs on one thread.
+    ``crops`` serve the loss ``ssim``. ``start`` is a model to go on from; its shape and the scales
+    of its inputs stay. Deterministic for a seed: it runs on one thread.
     """
     with one_thread():
-        return _Trainer(samples, grid, options, validation, crops).run(progress)
+        return _Trainer(samples, grid, options, validation, crops, start).run(progress)
 
 
 class _Trainer:
@@ -78,16 +80,19 @@ class _Trainer:
         options: ColorFitOptions,
         validation: Samples | None,
         crops: Sequence[Crop],
+        start: ColorModel | None,
     ) -> None:
         import torch
 
         self.options = options
-        self.config = _scaled_config(samples, grid, options)
+        self.config = _scaled_config(samples, grid, options) if start is None else start.config
         self._pixels = _tensors(self.config, samples)
         self._validation = None if validation is None else _tensors(self.config, validation)
         self._crops = [(_tensors(self.config, crop.samples), crop.shape) for crop in crops]
         self._generator = torch.Generator().manual_seed(options.seed)
         weights = _initial_weights(self.config, self._generator)
+        if start is not None:
+            weights = {name: value.copy() for name, value in start.weights.items()}
         self._layers = [
             (weight.requires_grad_(), bias.requires_grad_())
             for weight, bias in layer_tensors(self.config, weights)
@@ -98,7 +103,7 @@ class _Trainer:
 
         options = self.options
         tensors = [tensor for layer in self._layers for tensor in layer]
-        optimizer = torch.optim.Adam(tensors, lr=options.learning_rate)
+        optimizer = torch.optim.Adam(tensors, lr=options.learning_rate, fused=True)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             optimizer, options.learning_rate, total_steps=options.steps + 1, pct_start=0.1
         )

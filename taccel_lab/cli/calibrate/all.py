@@ -81,10 +81,9 @@ class CalibrateAll:
         from rich.console import Console
 
         from calibration.capture import load_capture_folder
-        from calibration.capture.check.run import check_captures
         from taccel_lab.cli.calibrate.base import base_profile, report_folder, require_outputs
+        from taccel_lab.cli.calibrate.findings import capture_check, shared_checks
         from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import count_progress
         from taccel_lab.output import atomic_directory
         from taccel_lab.profile import load_profile, save_profile
 
@@ -99,11 +98,10 @@ class CalibrateAll:
         require_outputs(self.out, report)
         folder = load_capture_folder(self.captures)
         profile = base_profile(self.base, folder)
-        with count_progress(console, "checking the captures") as progress:
-            states = stage_states(check_captures(folder, progress=progress))
         outcomes: list[StageOutcome] = []
         captures = self.captures
-        with tempfile.TemporaryDirectory(prefix="taccel_lab_") as scratch:
+        with tempfile.TemporaryDirectory(prefix="taccel_lab_") as scratch, shared_checks():
+            states = stage_states(capture_check(folder, console))
             work = Path(scratch)
             current = work / "base"
             save_profile(profile, current)

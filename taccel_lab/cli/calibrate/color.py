@@ -56,10 +56,11 @@ class CalibrateColor:
     given circles where there are any."""
     register: bool = True
     """Read the circles again with the colours of the other presses; needs 8 presses to fit."""
-    surface: Literal["simulated", "cap", "hertz"] = "simulated"
-    """Gel surface under a press: the simulation, or a closed-form baseline for comparison."""
+    surface: Literal["simulated", "each", "cap", "hertz"] = "simulated"
+    """Gel surface under a press: the simulation of the presses that span all others, from which the
+    others are read where one law holds; the simulation of each; or a closed form."""
     cache: bool = True
-    """Keep simulated presses in the user's cache folder, and take what is there."""
+    """Keep contacts and simulated presses in the user's cache folder, and take what is there."""
     drift: Literal["auto", "on", "off"] = "auto"
     """Take the drift of the light off each frame: on for cameras with automatic white balance;
     auto compares both on left-out presses."""
@@ -111,8 +112,14 @@ class CalibrateColor:
         )
         captures, base, remarks = self._captures(console)
         captures.split(self.holdout_every)
+<<<<<<< HEAD
+        captures, circles, left_out = contact_circles(
+            captures, self.circles, console, cache=self.cache
+        )
+=======
         with refusing_with(remarks):
             captures, circles, left_out = contact_circles(captures, self.circles, console)
+>>>>>>> 6b66f1c7b90f542b910c2b5d164d1e8deb0842b0
         surfaces = self._surfaces(captures, circles, base, console)
         with fit_progress(console, "fitting the colour model") as progress:
             result = calibrate_color(
@@ -142,12 +149,10 @@ class CalibrateColor:
         cannot be used is refused with all reasons."""
         from cad.parameters import parse_overrides
         from calibration.capture import load_capture_folder
-        from calibration.capture.check import check_captures
         from calibration.surfaces.design import fitted_design
         from sensors.registry import sensor_family
         from taccel_lab.cli.calibrate.base import base_profile, on_grid, presses_on_camera
-        from taccel_lab.cli.calibrate.findings import lost_blocks
-        from taccel_lab.cli.progress import count_progress
+        from taccel_lab.cli.calibrate.findings import capture_findings, lost_blocks
 
         folder = load_capture_folder(self.captures)
         if self.sensor is not None and self.sensor != folder.sensor:
@@ -169,12 +174,11 @@ class CalibrateColor:
                 lost = lost_blocks(given, base)
         except InputError as error:
             fault = error
-        with count_progress(console, "checking the captures") as progress:
-            findings = [
-                finding
-                for finding in check_captures(folder, progress=progress).findings
-                if "color" in finding.blocks and finding.code not in ASKED_ELSEWHERE
-            ]
+        findings = [
+            finding
+            for finding in capture_findings(folder, "color", console)
+            if finding.code not in ASKED_ELSEWHERE
+        ]
         if captures is None:
             also = [f"- {finding.message}" for finding in findings]
             heading = ["the captures have more faults:"] if also else []
@@ -192,13 +196,18 @@ class CalibrateColor:
         base: SensorProfile,
         console: Console,
     ) -> list[PressSurface]:
-        if self.surface == "simulated":
+        if self.surface in ("simulated", "each"):
             from calibration.simulate import simulate_presses
             from taccel_lab.cli.progress import count_progress
 
             with count_progress(console, "simulating the presses") as progress:
                 return simulate_presses(
-                    captures, circles, base, cache=self.cache, progress=progress
+                    captures,
+                    circles,
+                    base,
+                    cache=self.cache,
+                    share=self.surface == "simulated",
+                    progress=progress,
                 )
         from calibration.surfaces import analytic_surface
 

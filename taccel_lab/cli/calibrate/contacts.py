@@ -17,12 +17,13 @@ CircleSource = Literal["fused", "labels", "detected"]
 
 
 def contact_circles(
-    captures: CaptureSet, which: CircleSource, console: Console
+    captures: CaptureSet, which: CircleSource, console: Console, *, cache: bool = True
 ) -> tuple[CaptureSet, list[ContactCircle], list[Remark]]:
     """The presses with a contact, their circles, and a remark on presses left out.
 
     Contacts are looked for in all presses, so that empty frames are told; how far they lie from
-    labels is printed. ``labels`` needs a label of every press.
+    labels is printed. ``labels`` needs a label of every press. With ``cache``, contacts that an
+    earlier run or stage found in these images are taken as they are.
     """
     from calibration.targets import choose_circles, compare_with_labels, usable_presses
 
@@ -33,7 +34,7 @@ def contact_circles(
             "labels needs all of them, fused or detected does not"
         )
     with console.status("finding the contact circles"):
-        captures, found, remarks = usable_presses(captures)
+        captures, found, remarks = usable_presses(captures, cache=cache)
     agreement = compare_with_labels(captures, found)
     if agreement is not None:
         console.print(

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
     from calibration.capture import CaptureFolder
     from calibration.capture.check import Finding
+    from calibration.capture.check.run import CaptureCheck
     from calibration.result import Remark
     from taccel_lab.profile import SensorProfile
 
@@ -24,13 +26,45 @@ def capture_findings(folder: CaptureFolder, command: str, console: Console) -> l
     A fit to captures that contradict themselves can leave small residuals: the check holds them
     against the ball, the sensor and each other.
     """
+    # A grey sensor has no slopes by colour to hold the ball against.
+    found = capture_check(folder, console, fit_ball=command != "depth")
+    return [finding for finding in found.findings if command in finding.blocks]
+
+
+_shared: ContextVar[dict[tuple[str, ...], CaptureCheck] | None] = ContextVar("shared", default=None)
+
+
+@contextmanager
+def shared_checks() -> Iterator[None]:
+    """Commands that run inside check the same captures once."""
+    token = _shared.set({})
+    try:
+        yield
+    finally:
+        _shared.reset(token)
+
+
+def capture_check(
+    folder: CaptureFolder, console: Console, *, fit_ball: bool = True
+) -> CaptureCheck:
+    """``taccel-lab capture check``; inside ``shared_checks`` the one that was made of the folder.
+
+    One that has the ball fitted serves those that do not ask for it: what it says more is of other
+    blocks.
+    """
     from calibration.capture.check import check_captures
     from taccel_lab.cli.progress import count_progress
 
+    shared = _shared.get()
+    frames = (*folder.presses, *folder.untouched)
+    key = (folder.source, *folder.provenance.values(), *(frame.sha256 for frame in frames))
+    if shared is not None and key in shared:
+        return shared[key]
     with count_progress(console, "checking the captures") as progress:
-        # A grey sensor has no slopes by colour to hold the ball against.
-        found = check_captures(folder, progress=progress, fit_ball=command != "depth")
-    return [finding for finding in found.findings if command in finding.blocks]
+        found = check_captures(folder, progress=progress, fit_ball=fit_ball)
+    if shared is not None and fit_ball:
+        shared[key] = found
+    return found
 
 
 def lost_blocks(before: SensorProfile, after: SensorProfile) -> list[Remark]:
