@@ -112,14 +112,10 @@ class CalibrateColor:
         )
         captures, base, remarks = self._captures(console)
         captures.split(self.holdout_every)
-<<<<<<< HEAD
-        captures, circles, left_out = contact_circles(
-            captures, self.circles, console, cache=self.cache
-        )
-=======
         with refusing_with(remarks):
-            captures, circles, left_out = contact_circles(captures, self.circles, console)
->>>>>>> 6b66f1c7b90f542b910c2b5d164d1e8deb0842b0
+            captures, circles, left_out = contact_circles(
+                captures, self.circles, console, cache=self.cache
+            )
         surfaces = self._surfaces(captures, circles, base, console)
         with fit_progress(console, "fitting the colour model") as progress:
             result = calibrate_color(
