@@ -16,7 +16,7 @@ from taccel_lab.interop.image_files import eight_bit
 from taccel_lab.interop.record import ExportRecord, required
 from taccel_lab.interop.taxim_distil import DistilledTable, distil_table
 from taccel_lab.interop.taxim_table import one_scale
-from taccel_lab.interop.taxim_table_file import TABLE_FILE, for_one_scale, read_table
+from taccel_lab.interop.taxim_table_file import TABLE_FILE, TableFile, for_one_scale, read_table
 from taccel_lab.output import write_json
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.rest_surface import rest_surface
@@ -57,11 +57,13 @@ def export_taxim(profile: SensorProfile, folder: Path, table: Path | None = None
     the table is distilled from the colour model.
     """
     background = required(profile, "background", "a Taxim folder", profile.background_rgb)
+    file: TableFile | None = None
     if table is None:
         required(profile, "color", "a Taxim folder", profile.color)
         made, origin = distil_table(profile, BINS), "distilled from the network"
     else:
-        made, origin = _fitted(profile, table), f"fitted to captures, from {table.name}"
+        file = read_table(table)
+        made, origin = _fitted(profile, file, table), f"fitted to captures, from {table.name}"
     bins = made.table.bins
     grid = profile.grid()
     thickness_px = profile.gel.thickness_mm / made.mm_per_px
@@ -98,13 +100,17 @@ def export_taxim(profile: SensorProfile, folder: Path, table: Path | None = None
             "own folders; set contact_scale to 0 to render a surface that was simulated elsewhere",
         ],
     )
+    if file is not None and file.image_size_px is None:
+        record.notes.append(
+            f"{table} does not say over which images its polynomials count; it is taken as one of "
+            f"{grid.width_px}x{grid.height_px} px"
+        )
     record.left_out["shadow"] = (
         "shadowTable.npz is neutral: the colour model holds no shadows cast beyond the pixel"
     )
     record.left_out["color.displacement"] = (
-        "the table knows only normals; it holds "
-        + ("the mean over the displacements" if table is None else "the insides of the contacts")
-        + " of ball presses"
+        "the table knows only normals; it holds the mean over the displacements of "
+        + ("ball presses" if file is None else "what was captured")
     )
     record.left_out["gel.shape"] = (
         "slopes are those over the rest surface, so gelmap is flat and the sag of the gel is not "
@@ -114,9 +120,9 @@ def export_taxim(profile: SensorProfile, folder: Path, table: Path | None = None
     return record
 
 
-def _fitted(profile: SensorProfile, path: Path) -> DistilledTable:
+def _fitted(profile: SensorProfile, file: TableFile, path: Path) -> DistilledTable:
     """The table of a file, for the reader's one scale; refused when made for other images."""
-    file, grid = read_table(path), profile.grid()
+    grid = profile.grid()
     size = (grid.width_px, grid.height_px)
     if file.image_size_px is not None and file.image_size_px != size:
         raise InputError(

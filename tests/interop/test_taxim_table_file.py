@@ -138,7 +138,9 @@ def test_gel_that_bulges_is_shown_from_a_map_below_the_gel(
 
 def test_other_bins_reach_the_reader(mini: SensorProfile, tmp_path: Path) -> None:
     write_table(TableFile(lamp_table(60)), tmp_path / "t.npz")
-    export_profile(mini, "taxim", tmp_path / "calib", table=tmp_path / "t.npz")
+    document = export_profile(mini, "taxim", tmp_path / "calib", table=tmp_path / "t.npz")
+    # This file says nothing of its images.
+    assert any("it is taken as one of 320x240 px" in note for note in document["notes"])
     params = json.loads((tmp_path / "calib" / "params.json").read_text())
     assert params["sensor"]["num_bins"] == 60
     press = press_over_rest(mini)
