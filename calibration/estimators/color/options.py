@@ -20,14 +20,14 @@ error; ``ssim``: Huber's, and the structural dissimilarity of crops around the c
 
 @dataclass(frozen=True)
 class ColorFitOptions:
-    """Settings of the fit; the defaults take some seconds on one CPU thread."""
+    """Settings of the fit; the defaults take under a minute on one CPU thread."""
 
     inputs: tuple[str, ...] = INPUT_NAMES
     hidden: tuple[int, ...] = (64, 64, 64)
     position_bands: int = 0
     """Bands of the positional encoding; 0 gives the network u and v alone."""
     steps: int = 2000
-    batch_pixels: int = 2048
+    batch_pixels: int = 4096
     learning_rate: float = 4e-3
     loss: Loss = "huber"
     huber_levels: float = 2.0

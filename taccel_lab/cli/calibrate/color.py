@@ -71,6 +71,8 @@ class CalibrateColor:
     changes within parts of the image. 0 to 8; 0 gives the network the place alone."""
     steps: int = 1500
     """Optimiser steps of the fit."""
+    batch_pixels: int = 2048
+    """Pixels of a step, whose number the time of a fit goes with."""
     validation_every: int = 0
     """Every how-manieth fitted press is kept back to stop the fit early; 0 for none."""
     ensemble: int = 3
@@ -105,6 +107,7 @@ class CalibrateColor:
             raise InputError(f"ensemble must be 0 or at least 2, got {self.ensemble}")
         options = ColorFitOptions(
             steps=self.steps,
+            batch_pixels=self.batch_pixels,
             seed=self.seed,
             loss=self.loss,
             validation_every=self.validation_every,
