@@ -97,6 +97,12 @@ class Refusal:
 
     name: str
     message: str
+    cut: bool = False
+    """A contact is there, but the image's border or the mask cuts it: no fault of the captures."""
+
+
+class CutContactError(InputError):
+    """A contact that reaches out of the image, or is mostly masked."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +164,7 @@ def find_contacts(captures: CaptureSet, progress: Progress | None = None) -> Fou
             change = color_change(press.image(), captures.background, captures.grid, captures.mask)
             starts[i] = _start(change, captures.background, press.source)
         except InputError as error:
-            refusals[i] = Refusal(press.name, str(error))
+            refusals[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
         if progress is not None:
             progress(i + 1, len(captures.presses))
     if not starts:
@@ -170,7 +176,9 @@ def find_contacts(captures: CaptureSet, progress: Progress | None = None) -> Fou
         try:
             found[i] = _accept(start, contact, captures.grid)
         except InputError as error:
-            refusals[i] = Refusal(captures.presses[i].name, str(error))
+            refusals[i] = Refusal(
+                captures.presses[i].name, str(error), isinstance(error, CutContactError)
+            )
     return FoundContacts(
         found,
         refusals,
@@ -299,7 +307,7 @@ def _accept(
         circle.v_px + circle.radius_px - (height - 1),
     )
     if beyond > 0 or samples.visible < MIN_VISIBLE:
-        raise InputError(
+        raise CutContactError(
             f"{start.name}: the contact at ({circle.u_px:.0f}, "
             f"{circle.v_px / start.change.ratio:.0f}) px with radius {circle.radius_px:.0f} px "
             + (f"reaches {beyond:.0f} px out of the image" if beyond > 0 else "is mostly masked")

@@ -12,6 +12,7 @@ import numpy as np
 from calibration.capture.captures import ContactCircle, Press
 from calibration.capture.check.framing import level_fit, thumb
 from calibration.targets import DetectedContact, detect_contact
+from calibration.targets.ball import CutContactError
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -36,6 +37,8 @@ class FrameFigures:
     contact: DetectedContact | None
     fault: str
     """Why no contact was found; empty when one was."""
+    cut: bool
+    """Whether the border of the image cuts the contact."""
     saturated_share: float
     """Pixels of the contact (of the image, without one) with a channel at 254 or above."""
     texture: float
@@ -83,11 +86,12 @@ def _measure(
     level = background_small.reshape(-1, 3).mean(axis=0)
     shift = (gain - 1) * level + offset
     lit = np.clip(gain * background + offset, 0, 255).astype(np.float32)
-    contact, fault = None, ""
+    contact, fault, cut = None, "", False
     try:
         contact = detect_contact(image, lit, grid, mask=mask, name=press.name)
     except InputError as error:
         fault = str(error).removeprefix(f"{press.name}: ")
+        cut = isinstance(error, CutContactError)
     circle = contact.circle if contact is not None else press.circle
     disc = np.ones(image.shape[:2], dtype=bool) if mask is None else mask.copy()
     beside = disc.copy()
@@ -108,6 +112,7 @@ def _measure(
         shift_levels=shift,
         contact=contact,
         fault=fault,
+        cut=cut,
         saturated_share=float(saturated.mean()) if saturated.size else 0.0,
         texture=texture,
         texture_correlation=correlation,

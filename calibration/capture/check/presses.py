@@ -11,7 +11,7 @@ import numpy as np
 from calibration.capture.captures import ContactCircle
 from calibration.capture.check.findings import Finding, error, info, name_some, warning
 from calibration.capture.check.frames import FrameFigures
-from calibration.targets.selection import MAX_LOST_SHARE
+from calibration.targets.selection import too_many_lost
 from taccel_lab.geometry import PixelGrid
 
 LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3
@@ -58,12 +58,14 @@ def _check_found(frames: Sequence[FrameFigures]) -> list[Finding]:
         return []
     names = [frame.press.name for frame in lost]
     reason = lost[0].fault
-    make = error if len(lost) > MAX_LOST_SHARE * len(frames) else warning
+    make = error if too_many_lost(len(frames), [frame.cut for frame in lost]) else warning
+    cut = sum(frame.cut for frame in lost)
+    border = f" In {cut} of them the border of the image cuts it." if cut else ""
     return [
         make(
             "no_contact",
             f"no contact was found in {len(lost)} of {len(frames)} presses ({name_some(names)}). "
-            f"{names[0]}: {reason}",
+            f"{names[0]}: {reason}{border}",
             "color",
             "normals",
             "scale",

@@ -11,6 +11,7 @@ import pytest
 
 from calibration.capture import CaptureSet
 from calibration.targets import usable_presses
+from calibration.targets.selection import too_many_lost
 from taccel_lab.errors import InputError
 from tests.calibration.synthetic import synthetic_captures
 
@@ -45,3 +46,19 @@ def test_many_empty_frames_are_refused_with_every_name() -> None:
     with pytest.raises(InputError, match=r"memory\[2\].*no contact") as caught:
         usable_presses(with_empty_frames(captures, {2, 7}))
     assert "memory[7]" in str(caught.value)
+
+
+def test_contacts_that_the_border_cuts_are_left_out() -> None:
+    captures, _ = synthetic_captures(10)
+    presses = list(captures.presses)
+    for i in (1, 3, 8):
+        circle = presses[i].circle
+        assert circle is not None
+        away = round(circle.u_px - 0.4 * circle.radius_px)
+        image = np.roll(presses[i].image(), -away, axis=1)
+        image[:, -away:] = captures.background[:, -away:]
+        presses[i] = replace(presses[i], read=partial(np.copy, image))
+    kept, _, (remark,) = usable_presses(replace(captures, presses=tuple(presses)))
+    assert len(kept.presses) == 7 and "out of the image" in remark.message
+    assert not too_many_lost(10, [True] * 5) and too_many_lost(10, [True] * 6)
+    assert not too_many_lost(10, [False]) and too_many_lost(10, [False] * 2)
