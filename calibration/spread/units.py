@@ -34,13 +34,22 @@ def spread_of_units(profiles: Sequence[SensorProfile]) -> UnitSpread:
     """Compare units of one family; values that were assumed or published count for nothing.
 
     Raises:
-        InputError: Fewer than two profiles, or profiles of different families.
+        InputError: Fewer than two profiles, profiles of different families, or one and the same
+            calibration twice.
     """
     if len(profiles) < 2:
         raise InputError(f"the spread between units needs at least 2 profiles, got {len(profiles)}")
     families = sorted({profile.sensor.family for profile in profiles})
     if len(families) > 1:
         raise InputError(f"the profiles are of different families: {', '.join(families)}")
+    for k, other in enumerate(profiles):
+        for i, one in enumerate(profiles[:k]):
+            shared = shared_measurement(one, other)
+            if shared is not None:
+                raise InputError(
+                    f"profiles {i + 1} and {k + 1} of the units hold the same {shared}: they are "
+                    "of one unit, whose spread would come out too small. Give each unit once"
+                )
     cameras = [p.camera for p in profiles if p.camera.provenance.kind in MEASURED]
     scales = [math.sqrt(c.mm_per_px_x * c.mm_per_px_y) for c in cameras]
     centers = np.array([(c.center_u_px, c.center_v_px) for c in cameras]).reshape(-1, 2)
@@ -56,6 +65,21 @@ def spread_of_units(profiles: Sequence[SensorProfile]) -> UnitSpread:
         if len(materials) < 2
         else float(np.std([m.friction_coefficient for m in materials], ddof=1)),
     )
+
+
+def shared_measurement(one: SensorProfile, other: SensorProfile) -> str | None:
+    """What both profiles took from one and the same measurement; None if nothing."""
+    if (
+        one.background_rgb is not None
+        and other.background_rgb is not None
+        and np.array_equal(one.background_rgb, other.background_rgb)
+    ):
+        return "image at rest"
+    for key in ("camera", "material"):
+        inputs = [getattr(p, key).provenance.inputs for p in (one, other)]
+        if getattr(one, key).provenance.kind in MEASURED and inputs[0] and inputs[0] == inputs[1]:
+            return f"captures behind the block {key}"
+    return None
 
 
 def _relative(values: Sequence[float]) -> float | None:

@@ -92,7 +92,7 @@ def test_units_are_compared_by_what_was_measured() -> None:
     result = calibrate_spread([], units, textured_background(), inputs={"a": "0" * 64}, source="t")
     assert result.values()["gain_rgb"] == pytest.approx((0.1, 0.1, 0.1), abs=0.005)
     assert [r.code for r in result.remarks] == ["few_units"]
-    assumed = spread_of_units([unit(1.0, e, ASSUMED) for e in (1e5, 2e5)])
+    assumed = spread_of_units([unit(b, e, ASSUMED) for b, e in ((1.0, 1e5), (1.1, 2e5))])
     assert assumed.young_modulus_relative is None
 
 
@@ -105,3 +105,15 @@ def test_too_little_is_refused() -> None:
     other = other.with_block(other.sensor.replace(family="digit"))
     with pytest.raises(InputError, match="different families"):
         spread_of_units([tiny_profile(GRID), other])
+
+
+def test_one_unit_given_twice_is_refused() -> None:
+    """Two copies agree, which says nothing of other units."""
+    measured = Provenance(kind="measured", method="m", source="s", inputs={"a": "0" * 64})
+    first, second = unit(1.0, 1e5, measured), unit(1.1, 1.2e5, measured)
+    with pytest.raises(InputError, match=r"profiles 1 and 2 .* captures behind the block"):
+        spread_of_units([first, second])
+    other = measured.replace(inputs={"a": "1" * 64})
+    with pytest.raises(InputError, match="profiles 2 and 3 of the units hold the same image"):
+        spread_of_units([first, unit(1.1, 1.2e5, other), unit(1.1, 1.3e5, Provenance(
+            kind="measured", method="m", source="s", inputs={"a": "2" * 64}))])  # fmt: skip
