@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -87,7 +88,13 @@ def on_grid(
 
 def report_folder(out: Path, report: Path | None) -> Path:
     """Where the report goes: the folder asked for, or ``<out>_report`` beside the profile."""
-    return report if report is not None else out.with_name(out.name + "_report")
+    if report is not None:
+        return report
+    if out.name in ("", ".."):  # These have no name of their own.
+        out = Path(os.path.abspath(out))
+    if not out.name:
+        raise InputError(f"{out} cannot be a profile folder; name a new or empty folder")
+    return out.with_name(out.name + "_report")
 
 
 def require_outputs(out: Path, report: Path) -> None:
@@ -95,6 +102,12 @@ def require_outputs(out: Path, report: Path) -> None:
     from taccel_lab.output import require_replaceable
     from taccel_lab.profile import require_profile_folder
 
+    inner, outer = Path(os.path.abspath(report)), Path(os.path.abspath(out))
+    if inner == outer or outer in inner.parents:
+        raise InputError(
+            f"the report {report} would lie in the profile {out}, which holds nothing else; name "
+            "another folder with --report"
+        )
     require_profile_folder(out)
     require_replaceable(report)
 
