@@ -84,7 +84,8 @@ def capture_plan(sensor: str) -> CapturePlan:
         steps.append(_round_the_dome(depth, "depth" if facts.is_grey else "color, normals"))
     if facts.has_markers:
         steps.append(_markers())
-    steps += [_indentation(depth), _slide()]
+    yielding = min(thickness, 2 * GENERIC_THICKNESS_MM)
+    steps += [_indentation(depth, yielding), _slide()]
     radius = 4.0 if facts.is_grey else ball
     return CapturePlan(
         sensor=family.name,
@@ -92,7 +93,7 @@ def capture_plan(sensor: str) -> CapturePlan:
         ball_radius_mm=radius,
         depth_mm=depth,
         steps=tuple(steps),
-        manifest=_manifest(facts, radius),
+        manifest=_manifest(facts, radius, round(3 * yielding)),
     )
 
 
@@ -221,16 +222,21 @@ def _markers() -> Step:
     )
 
 
-def _indentation(depth_mm: float) -> Step:
+def _indentation(depth_mm: float, thickness_mm: float) -> Step:
     return Step(
         "material",
         "Force against depth",
-        "8 depths, 1 hold of 30 s",
-        10,
-        "a micrometer or printer stage and a load cell (or kitchen scale), the same ball",
+        "2 balls, 8 depths each, 1 hold of 30 s",
+        16,
+        "a micrometer or printer stage and a load cell (or kitchen scale), a ball of at most "
+        f"{0.5 * thickness_mm:.2g} mm radius and one of {2 * thickness_mm:.2g} to "
+        f"{4 * thickness_mm:.2g} mm",
         f"From first touch to {depth_mm:g} mm in 8 steps; read the force a few seconds after each "
-        "step. Then hold the deepest for 30 s and read once a second. Newtons and millimetres.",
-        "Young's modulus and its law; the hold gives damping. Published moduli differ tenfold.",
+        "step. Then hold the deepest for 30 s and read once a second. Newtons and millimetres. "
+        "A record of each ball in the same folder.",
+        "Young's modulus and its law; the hold gives damping. Published moduli differ tenfold. One "
+        "ball tells Young's modulus only together with Poisson's ratio (5 to 15 %); a ball that is "
+        "narrow and one that is wide beside the gel's thickness tell both (1 %).",
     )
 
 
@@ -247,7 +253,7 @@ def _slide() -> Step:
     )
 
 
-def _manifest(facts: SensorFacts, radius_mm: float) -> str:
+def _manifest(facts: SensorFacts, radius_mm: float, wide_mm: float) -> str:
     lines = [
         "schema_version = 2",
         f'sensor = "{facts.family}"',
@@ -311,6 +317,11 @@ def _manifest(facts: SensorFacts, radius_mm: float) -> str:
         'kind = "indentation"',
         f'tool = {{ kind = "sphere", radius_mm = {radius_mm:g} }}',
         "force_sigma_n = 0.02",
+        "",
+        "# [[records]]",
+        '# file = "indentation_wide.csv"    # a second ball: then E and nu are told apart',
+        '# kind = "indentation"',
+        f'# tool = {{ kind = "sphere", radius_mm = {wide_mm:g} }}',
         "",
         "# [[records]]",
         '# file = "slide.csv"    # header: shift_mm,normal_n,tangential_n',

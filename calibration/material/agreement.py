@@ -30,6 +30,39 @@ LEANING_ERROR = 0.02
 """Relative error of the correction of a ball's leaning: steady state and mesh."""
 
 
+WANTED_SIGMA = 0.02
+"""Relative standard deviation of Young's modulus that a calibration is after."""
+TOGETHER = 0.9
+"""Correlation of two parameters from which one is hardly told without the other."""
+
+
+def together_remark(fit: IndentationFit) -> list[Remark]:
+    """That E is uncertain because nu is, and which second tool would tell them apart."""
+    names = fit.solution.names
+    sigma = fit.solution.sigma_of("ln_e")
+    if "nu" not in names or sigma <= WANTED_SIGMA:
+        return []
+    correlation = float(fit.solution.correlation[names.index("ln_e"), names.index("nu")])
+    if abs(correlation) < TOGETHER:
+        return []
+    return [
+        Remark(
+            Severity.INFO,
+            "young_with_nu",
+            f"Young's modulus is told only together with Poisson's ratio (correlation "
+            f"{correlation:+.3f}) and is uncertain by {sigma:.0%} for that; "
+            f"{SECOND_BALL}, or nu held with --fix nu=..., tells it to about 1 %",
+        )
+    ]
+
+
+SECOND_BALL = (
+    "records of two balls in the same folder, one with a radius of at most half of the gel's "
+    "thickness and one of two to four times the thickness"
+)
+"""What tells E and nu apart (docs/calibration_material.md)."""
+
+
 def residual_remarks(fit: IndentationFit) -> list[Remark]:
     """Remarks on the fit's residuals, noise, touch points and interval."""
     remarks = []
@@ -57,6 +90,7 @@ def residual_remarks(fit: IndentationFit) -> list[Remark]:
                     "its depth; the fit allows for it, but look at how touch was detected",
                 )
             )
+    remarks += together_remark(fit)
     if fit.solution.misfit and fit.solution.chi2_per_dof is not None:
         remarks.append(
             Remark(

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from calibration.capture import CaptureFolder, ForceRecord
 from calibration.capture.schema import ToolEntry
 from calibration.material.agreement import (
+    SECOND_BALL,
     friction_of,
     press_friction_remark,
     records_disagree,
@@ -168,8 +169,8 @@ class _Job:
                     Severity.INFO,
                     "young_given_nu",
                     f"Young's modulus holds for nu = {self.nu:g}: it is {low:.4g} Pa for "
-                    f"{USUAL_NU[0]:g} and {high:.4g} Pa for {USUAL_NU[1]:g}. A tool much wider "
-                    "than the gel is thick, beside a narrow one, would tell nu",
+                    f"{USUAL_NU[0]:g} and {high:.4g} Pa for {USUAL_NU[1]:g}. Nu is told by "
+                    f"{SECOND_BALL}",
                 )
             )
         self.fit, self.nu, self.ratio = found, found.poisson_ratio, found.mooney_ratio

@@ -11,9 +11,11 @@ import pytest
 
 from calibration.capture.schema import ToolEntry
 from calibration.material import ForceTable, Gel, IndentationPoints, fit_indentation, force_table
+from calibration.material.agreement import together_remark
 from calibration.material.candidates import Candidate
 from calibration.material.response import simulate_press
 from calibration.material.setup import DRAFT, QUICK, STANDARD, Effort, GelBench, Tool
+from calibration.result import Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 
@@ -194,6 +196,53 @@ def test_two_balls_tell_poisson_ratio(
         values.append(fit.poisson_ratio)
     assert np.mean(values) == pytest.approx(POISSON, abs=0.015)
     assert min(hits) >= 9
+
+
+@pytest.mark.slow
+def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
+    gel: Gel, press_cache: Path
+) -> None:
+    """2 % where one ball leaves 5 to 15 %; the truth is of a finer mesh than the tables."""
+    depth = np.linspace(0.1, 1.0, 8)
+    tools = [gel.tool(ToolEntry(kind="sphere", radius_mm=radius)) for radius in (2.0, 15.0)]
+    tables = [force_table(gel, tool, (0.1, 1.0), effort=QUICK) for tool in tools]
+    finer = Effort("other", 4.0, 6, 7, 3)
+    truth = [
+        simulate_press(gel, tool, depth, POISSON, 0.0, 0.0, finer)["force_n"] * MODULUS / 1e6
+        for tool in tools
+    ]
+    rng = np.random.default_rng(5)
+    errors, hits = [], 0
+    for _ in range(40):
+        sets = [
+            points(
+                tool,
+                depth + 0.02 * rng.standard_normal(),
+                force * (1 + 0.01 * rng.standard_normal(8)),
+            )
+            for tool, force in zip(tools, truth, strict=True)
+        ]
+        fit = fit_indentation(sets, tables, start_pa=4e5, poisson_ratio=0.46)
+        low, high = fit.young_interval_pa
+        hits += low <= MODULUS <= high
+        errors.append(fit.young_modulus_pa / MODULUS - 1)
+        assert together_remark(fit) == []
+    assert np.sqrt(np.mean(np.square(errors))) < 0.02
+    assert hits >= 36
+
+
+def test_one_ball_leaves_the_modulus_to_poisson_ratio_and_says_so(
+    tool: Tool, table: ForceTable
+) -> None:
+    rng = np.random.default_rng(4)
+    force = table.force_n(DEPTH, MODULUS, POISSON) * (1 + 0.01 * rng.standard_normal(12))
+    given = [points(tool, DEPTH, force)]
+    free = fit_indentation(given, [table], start_pa=4e5, poisson_ratio=0.45)
+    (remark,) = together_remark(free)
+    assert remark.code == "young_with_nu" and remark.severity is Severity.INFO
+    assert "two balls" in remark.message and "correlation -0.9" in remark.message
+    held = fit_indentation(given, [table], start_pa=4e5, poisson_ratio=POISSON, free_nu=False)
+    assert together_remark(held) == []
 
 
 def test_few_points_do_not_tell_poisson_ratio(
