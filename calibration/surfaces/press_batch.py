@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 RADIUS_TOLERANCE_PX = 0.25
 """How near the simulated contact radius must come to the circle's."""
 STEP_MM = 0.35
-"""Largest change of depth in a step."""
+"""Largest change of depth in a step with friction: sliding depends on the path."""
+FREE_STEP_MM = math.inf
+"""The same without: one step ends where many do, within a micrometre, in half the iterations."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ def simulate_batch(batch: PressBatch) -> BatchOutcome:
     search = DepthSearch(batch.target_mm, ball_mm, batch.tolerance_mm)
     reports: list[StepReport] = []
     while True:
-        reports += _press(env, search.depth_mm)
+        reports += _press(env, search.depth_mm, STEP_MM if batch.friction > 0 else FREE_STEP_MM)
         radii = [
             _contact_radius_mm(env, i, meshes[i], _window(batch.at_mm[i], 1.4 * ball_mm), ball_mm)
             for i in range(count)
@@ -155,10 +157,10 @@ def surfaces_of(batch: PressBatch, outcome: BatchOutcome, grid: PixelGrid) -> li
     return surfaces
 
 
-def _press(env: PressEnv, depth_mm: np.ndarray) -> list[StepReport]:
-    """Go to the depths in steps, since sliding with friction depends on the path."""
+def _press(env: PressEnv, depth_mm: np.ndarray, step_mm: float) -> list[StepReport]:
+    """Go to the depths in steps of at most ``step_mm``."""
     now = (env.touch_m - env.poses[:, 0, 2]) * 1e3
-    count = max(1, math.ceil(np.abs(depth_mm - now).max() / STEP_MM))
+    count = max(1, math.ceil(np.abs(depth_mm - now).max() / step_mm))
     return [env.move_to(now + (depth_mm - now) * (i + 1) / count) for i in range(count)]
 
 

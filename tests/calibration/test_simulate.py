@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import calibration.simulate as simulate
 from calibration.capture import CaptureSet, ContactCircle, Press
 from calibration.simulate import simulate_presses
-from calibration.surfaces import PressSurface
+from calibration.surfaces import PressSurface, press_batch
 from calibration.surfaces.between import SPANNING, spanning_presses
 from calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
 from calibration.surfaces.press_batch import BatchOutcome, PressBatch
@@ -308,6 +308,20 @@ def test_kept_presses_are_bitwise_those_that_were_simulated(
         pytest.raises(SimulationError, match="made up"),
     ):
         simulate_presses(captures, CIRCLES, base, mesh=MESH, processes=1, cache=True)
+
+
+def test_without_friction_one_step_ends_where_many_do(
+    captures: CaptureSet, base: SensorProfile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = replace(captures, presses=captures.presses[:1])
+    (at_once,) = simulate_presses(one, CIRCLES[:1], base, mesh=MESH, processes=1)
+    monkeypatch.setattr(press_batch, "FREE_STEP_MM", 0.05)
+    (slowly,) = simulate_presses(one, CIRCLES[:1], base, mesh=MESH, processes=1)
+    assert at_once.effort is not None and slowly.effort is not None
+    assert at_once.effort.newton_iterations < 0.6 * slowly.effort.newton_iterations
+    assert np.abs(at_once.height_m - slowly.height_m).max() < 2e-6
+    cosine = (at_once.normals * slowly.normals).sum(axis=-1)
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 0.05
 
 
 def many_presses(captures: CaptureSet, count: int) -> tuple[CaptureSet, list[ContactCircle]]:

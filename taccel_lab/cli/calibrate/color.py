@@ -69,9 +69,9 @@ class CalibrateColor:
     position_bands: int = 0
     """Bands of the positional encoding: sines and cosines of the pixel's place for light that
     changes within parts of the image. 0 to 8; 0 gives the network the place alone."""
-    steps: int = 1500
+    steps: int = 2000
     """Optimiser steps of the fit."""
-    batch_pixels: int = 2048
+    batch_pixels: int = 1024
     """Pixels of a step, whose number the time of a fit goes with."""
     validation_every: int = 0
     """Every how-manieth fitted press is kept back to stop the fit early; 0 for none."""
