@@ -17,7 +17,6 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable, bin_indices, bin_middles
-from taccel_lab.output import atomic_file
 from taccel_lab.signals.normals import normals_from_slopes
 
 TABLE_FILE = "polycalib.npz"
@@ -37,13 +36,12 @@ class TableFile:
 
 
 def write_table(file: TableFile, path: Path) -> None:
-    """Write ``polycalib.npz``, whole or not at all."""
+    """Write ``polycalib.npz``; the folder that it goes to is what appears whole."""
     arrays = file.table.arrays("bgr")
     if file.image_size_px is not None:
         arrays[_SIZE] = np.array(file.image_size_px)
     arrays |= {_FIGURE + name: np.array(value) for name, value in file.figures.items()}
-    with atomic_file(path) as staging, open(staging, "wb") as stream:
-        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
 
 
 def read_table(path: Path) -> TableFile:
