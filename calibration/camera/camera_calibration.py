@@ -24,6 +24,7 @@ from calibration.camera.lens import LENSES
 from calibration.camera.media import profile_media
 from calibration.camera.on_gel import OnGel, fit_on_gel
 from calibration.camera.rectification import RectificationMaps, gel_maps, lens_maps
+from calibration.camera.stated_scale import stated_scale_remarks
 from calibration.capture.folder import CaptureFolder
 from calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
@@ -223,6 +224,10 @@ def _remarks(
                 )
             )
         remarks += _size_remarks(on_gel, folder)
+        if (on_gel.grid.width_px, on_gel.grid.height_px) == on_gel.views[0].size_px:
+            frame = on_gel.frame
+            measured = {"x": frame.mm_per_px_x, "y": frame.mm_per_px_y}
+            remarks += stated_scale_remarks(folder, measured)
         size, raw = (on_gel.grid.width_px, on_gel.grid.height_px), on_gel.views[0].size_px
         if size != raw:
             remarks.append(

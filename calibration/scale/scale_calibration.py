@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from calibration.camera.blocks import tactile_size, with_camera_block
+from calibration.camera.stated_scale import stated_scale_remarks
 from calibration.capture.folder import CaptureFolder
 from calibration.result import Estimate, Remark, Severity, judge
 from calibration.scale.boards import scale_from_boards
@@ -24,9 +25,6 @@ from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
 STATED = "stated"
 STATED_ERROR = 0.05
 """Standard deviation of a scale that is stated and not measured, as a share."""
-STATED_SIGMAS = 3.0
-STATED_SHARE = 0.02
-"""The manifest's scale is remarked on when it is off by more than both."""
 UNSURE_SHARE = 0.05
 """Relative standard deviation of a scale from which on it is called weak."""
 
@@ -292,18 +290,7 @@ def _remarks(
                     "an edge or markers of known pitch",
                 )
             )
-        stated = None if folder.mm_per_px is None else folder.mm_per_px["xy".index(axis)]
-        if stated is not None:
-            off = stated - found.estimate.value
-            if abs(off) > max(STATED_SIGMAS * found.estimate.sigma, STATED_SHARE * stated):
-                remarks.append(
-                    Remark(
-                        Severity.WARNING,
-                        "stated_scale_differs",
-                        f"the captures state mm_per_px_{axis} = {stated:g}, measured is "
-                        f"{found.estimate}: {off / found.estimate.value:+.1%}",
-                    )
-                )
+    remarks += stated_scale_remarks(folder, {axis: found.estimate for axis, found in axes.items()})
     if len(axes) == 1:
         known = next(iter(axes))
         remarks.append(

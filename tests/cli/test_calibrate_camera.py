@@ -20,6 +20,7 @@ from tests.cli.small_captures import write_profile
 
 LENS, SIZE = LENSES["k1"], (320, 240)
 PARAMETERS = np.array([270.0, 268.0, 158.0, 121.0, -0.1])
+STATED = "\nmm_per_px_x = 0.2\nmm_per_px_y = 0.0896"
 HEADER = ["schema_version = 2", 'sensor = "gelsight"']
 
 
@@ -80,6 +81,21 @@ def test_boards_to_profile_report_and_maps(
     pictures = {"views", "residuals", "distortion", "board_on_gel", "rectified"}
     assert pictures <= {path.stem for path in report.glob("*.png")}
     assert json.loads((report / "report.json").read_text())["verdict"] in ("good", "usable")
+
+
+def test_a_board_that_contradicts_the_stated_scale(
+    base: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    captures = write_boards(tmp_path / "captures")
+    manifest = captures / "captures.toml"
+    text = manifest.read_text(encoding="utf-8").replace(HEADER[1], HEADER[1] + STATED)
+    boards = text.split("[[boards]]")
+    manifest.write_text(f"{boards[0]}[[boards]]{boards[2]}", encoding="utf-8")
+    arguments = ["calibrate", "camera", str(captures), "--base", str(base)]
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "the captures state mm_per_px_x = 0.2, measured is" in said
+    assert "mm_per_px_y = " not in said
 
 
 def test_known_lengths_to_profile(base: Path, tmp_path: Path) -> None:
