@@ -152,7 +152,8 @@ def free_nu_range(fixed_ratio: float | None) -> tuple[float, float]:
     Mooney and Rivlin's law needs nu >= r / (1 + 2 r) (``ipc.elasticity.mooney_rivlin``).
     """
     ratio = 1.0 if fixed_ratio is None else fixed_ratio
-    return max(NU_RANGE[0], ratio / (1 + 2 * ratio) + 0.002), NU_RANGE[1]
+    least = math.ceil(1e3 * (ratio / (1 + 2 * ratio) + 0.001)) * 1e-3
+    return max(NU_RANGE[0], least), NU_RANGE[1]
 
 
 def _place(poisson_ratio: float, nu_range: tuple[float, float]) -> tuple[float, float]:
