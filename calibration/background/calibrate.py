@@ -224,7 +224,10 @@ def calibrate_background(
         noise=running.noise(),
         dust=dust,
         new_dust=new_dust,
-        remarks=_remarks(sources, frames, drifts, reference, new_dust, from_presses),
+        remarks=(
+            *_remarks(sources, frames, drifts, reference, new_dust, from_presses),
+            *_against_presses(folder),
+        ),
         inputs={name: sha for name, _, sha, _ in sources},
         source=folder.provenance.get("source", folder.source),
         mm_per_px=folder.mm_per_px,
@@ -285,6 +288,17 @@ def _compare(
         plain_l1=float(np.abs(image - reference)[where].mean()),
         corrected_l1=float(np.abs(image - drift.apply(others))[where].mean()),
     )
+
+
+def _against_presses(folder: CaptureFolder) -> list[Remark]:
+    """Errors when the background is framed otherwise than the presses, another one, or pressed."""
+    # Loaded here: the check of captures itself compares light by this package.
+    from calibration.capture.check.background import check_background
+
+    if folder.background is None:
+        return []
+    found = check_background(folder).findings
+    return [finding for finding in found if finding.severity is Severity.ERROR]
 
 
 def _remarks(

@@ -17,7 +17,7 @@ from calibration.capture.check.framing import (
     misfit_levels,
     thumb,
 )
-from calibration.capture.check.pressed_background import find_pressed_background
+from calibration.capture.check.pressed_background import MAX_COMPARED, find_pressed_background
 from calibration.capture.folder import CaptureFolder
 from taccel_lab.errors import InputError
 
@@ -26,8 +26,6 @@ CROP_GAIN = 2.0
 """A crop is believed when it fits this many times better than the whole image."""
 MIN_MEDIAN_PRESSES = 7
 FINE_THUMB_PX = 320
-MAX_COMPARED = 30
-"""Presses that are held against the background."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
     own = float(np.median([misfit_levels(thumb(press.image()), median) for press in presses[:20]]))
     if misfit < OTHER_FRAMING_LEVELS or misfit < CROP_GAIN * own:
         picked = presses[:: max(1, len(presses) // MAX_COMPARED)][:MAX_COMPARED]
-        pressed = find_pressed_background(image, [press.image() for press in picked])
+        pressed = find_pressed_background(image, [press.image() for press in picked], folder.mask)
         if pressed is not None:
             enough = len(presses) >= MIN_MEDIAN_PRESSES
             return BackgroundCheck(median_image if enough else image, enough, (pressed,))

@@ -25,22 +25,32 @@ GHOST_AREA = 0.25
 AGREE = 0.35
 """Presses that see the ghost differ from each other there by this share of it at most."""
 MIN_WITNESSES = 3
+MAX_COMPARED = 30
+"""Presses that are held against the background."""
 OPENING_SHARE = 1 / 40
 """Half width of what is too small for a contact, as a part of the image's shorter side."""
 
 
 def find_pressed_background(
-    background: np.ndarray, presses: Sequence[np.ndarray]
+    background: np.ndarray, presses: Sequence[np.ndarray], mask: np.ndarray | None = None
 ) -> Finding | None:
     """An error when the background shows a contact that most of the presses do not.
 
-    ``background`` and ``presses`` are RGB levels of one size, shape [height_px, width_px, 3].
+    ``background`` and ``presses`` are RGB levels of one size, shape [height_px, width_px, 3];
+    pixels where ``mask`` is false have no effect.
     """
     if len(presses) < MIN_PRESSES:
         return None
-    small = thumb(background)
-    changes = [cv2.GaussianBlur(t - fit_levels(t, small), (0, 0), 1.0) for t in map(thumb, presses)]
-    stack = np.stack(changes)
+    small = thumb(_blanked(background, mask))
+    used = np.ones((*small.shape[:2], 1), dtype=np.float32)
+    if mask is not None:
+        used[thumb(np.repeat(mask[..., None], 3, axis=-1).astype(np.float32)).min(axis=-1) < 1] = 0
+    stack = np.stack(
+        [
+            cv2.GaussianBlur((t - fit_levels(t, small)) * used, (0, 0), 1.0)
+            for t in (thumb(_blanked(press, mask)) for press in presses)
+        ]
+    )
     common = np.median(stack, axis=0)
     size = np.linalg.norm(common, axis=-1)
     apart = np.linalg.norm(stack - common, axis=-1)
@@ -67,6 +77,13 @@ def find_pressed_background(
         "color",
         "normals",
     )
+
+
+def _blanked(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
+    """Masked pixels take the mean of the others, so that the fit of the levels is hardly moved."""
+    if mask is None:
+        return image
+    return np.where(mask[..., None], image, image[mask].mean(axis=0)).astype(image.dtype)
 
 
 def _largest_part(found: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from calibration.background import Drift, fit_robust_drift
 from calibration.background.calibrate import calibrate_background
 from calibration.background.drift_report import drift_remark, drift_spread
 from calibration.background.dust import dust_mask, speck_count
-from calibration.capture import Press
+from calibration.capture import ContactCircle, Press
 from calibration.capture.folder import CaptureFolder, Frame
 from calibration.synthetic import add_dust, add_gradient, add_noise, drift, poison, quantise
 from taccel_lab.errors import InputError
@@ -143,6 +143,23 @@ def test_masked_pixels_have_no_effect() -> None:
     second = calibrate_background(capture_folder(images[0], spoilt[1:], [], mask))
     assert np.array_equal(first.image, second.image)
     assert first.figures()["drift"] == second.figures()["drift"]
+
+
+def test_a_background_with_a_contact_in_it_is_weak() -> None:
+    rng = np.random.default_rng(8)
+    touched = ContactCircle(150.0, 50.0, 20.0)
+    circles = [c for c in scattered(14, seed=3) if np.hypot(c.u_px - 150, c.v_px - 50) > 40]
+    presses = [quantise(add_noise(pressed(circle), 1.5, rng)) for circle in circles]
+    spoilt = quantise(add_noise(pressed(touched), 1.5, rng))
+    found = calibrate_background(capture_folder(spoilt, [], presses))
+    assert "background_pressed" in {remark.code for remark in found.remarks}
+    assert found.figures()["verdict"] == "weak"
+    # Nothing is said of what the mask hides, whatever the light does.
+    mask = np.ones((150, 200), dtype=bool)
+    mask[20:80, 118:182] = False
+    warmer = [quantise(poison(drift(p, np.ones(3), np.full(3, 25.0)), mask, rng)) for p in presses]
+    hidden = calibrate_background(capture_folder(spoilt, [], warmer, mask))
+    assert "background_pressed" not in {remark.code for remark in hidden.remarks}
 
 
 def test_dust_that_stays() -> None:
