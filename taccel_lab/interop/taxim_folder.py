@@ -56,10 +56,11 @@ def export_taxim(profile: SensorProfile, folder: Path, table: Path | None = None
     ``table`` is a file of a table that was fitted to captures (``taxim_table_file``); without one,
     the table is distilled from the colour model.
     """
+    if table is None:
+        required(profile, "color", "a Taxim folder", profile.color)
     background = required(profile, "background", "a Taxim folder", profile.background_rgb)
     file: TableFile | None = None
     if table is None:
-        required(profile, "color", "a Taxim folder", profile.color)
         made, origin = distil_table(profile, BINS), "distilled from the network"
     else:
         file = read_table(table)
