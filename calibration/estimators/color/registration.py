@@ -42,6 +42,9 @@ SCALES = (0.86, 0.93, 1.0, 1.07)
 """Factors on all radii that are tried first."""
 SURE_DEVIATIONS = 2.0
 """A factor other than one is taken when the presses' gain is this many standard errors."""
+WORTH = 0.01
+"""... and this share of the loss: fits that go on from one another differ by less than they are
+wrong by."""
 CENTER_SIGMA_PX = 2.0
 """How far a given circle's centre is thought to be off."""
 RADIUS_SIGMA = 0.05
@@ -168,7 +171,7 @@ def _best_scale(
     best = min(means, key=lambda scale: means[scale])
     gain = losses[1.0] - losses[best]
     sure = gain.mean() > SURE_DEVIATIONS * gain.std(ddof=1) / np.sqrt(len(gain))
-    return best if sure else 1.0, sorted(means.items())
+    return best if sure and gain.mean() > WORTH * means[1.0] else 1.0, sorted(means.items())
 
 
 class _Job:
