@@ -11,12 +11,13 @@ PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c const
 TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile
 
-.PHONY: help demo test lint check slow notebook doctor clean
+.PHONY: help demo test lint check slow explore notebook doctor clean
 
 help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report.html"
 	@echo "make test      linters, type checker, import contracts, fast tests"
 	@echo "make slow      the tests that take minutes"
+	@echo "make explore   property-based tests on examples never tried before"
 	@echo "make notebook  execute the notebooks"
 	@echo "make doctor    is this installation complete?"
 	@echo "make clean     remove .venv, out and caches"
@@ -37,6 +38,9 @@ check: $(VENV)/.installed-dev
 
 slow: $(VENV)/.installed-dev
 	$(PYTEST) -m slow
+
+explore: $(VENV)/.installed-dev
+	TACCEL_LAB_EXPLORE=1 $(PYTEST) -m "hypothesis and not slow and not gpu"
 
 notebook: $(VENV)/.installed-dev
 	$(TEST_ENV) $(PY) -m pytest -q --nbmake --nbmake-timeout=900 notebooks

@@ -12,8 +12,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 from hypothesis import HealthCheck, settings
 
 # Shared machines stall now and then, which says nothing about the code: no deadlines. Examples are
-# the same in every run, so that a change that passed keeps passing; TACCEL_LAB_EXPLORE=1 draws new
-# ones.
+# derandomised, so that a change that passed keeps passing; they still depend on the version of the
+# library and on which of our modules a process has loaded, whose constants it tries. With
+# TACCEL_LAB_EXPLORE=1 new ones are drawn: `make explore` does so.
 settings.register_profile(
     "taccel",
     deadline=None,
