@@ -14,10 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from calibration.markers.lattice_growth import grow
+from calibration.markers.lattice_growth import grow, shortest_basis
 
 _NEAR = 0.3
 """A point is taken for a lattice site within this share of the local pitch."""
+_FULL = 0.8
+"""Share of the points, or of the sites, that a lattice holds which other seeds need not better."""
 _SEEDS = 12
 _ROUNDS = 4
 _BASES = (
@@ -54,15 +56,21 @@ def index_lattice(uv_px: np.ndarray, columns: int, rows: int) -> Lattice | None:
     if len(uv) < 5:
         return None
     tree = KDTree(uv)
+    full = _FULL * min(len(uv), columns * rows)
     best: Lattice | None = None
     for seed in _seeds(uv, tree):
-        if best is not None and seed[0] in set(best.points.tolist()):
+        if best is not None and len(best.points) >= full and seed[0] in set(best.points.tolist()):
             continue  # the seed belongs to the lattice that is known already
         grown = grow(uv, tree, seed[0], seed[1][0], seed[1][1])
-        if grown.count < 4:
+        if grown.count < 4 or not grown.spans_the_plane:
             continue
         points = np.flatnonzero(grown.numbered)
-        found = _fit_window(uv, tree, grown.index[points], points, columns, rows)
+        keys = grown.index[points]
+        # A seed's steps may be a diagonal and more; the board's sides are the shortest ones, or
+        # seen from aslant nearly so.
+        change, _ = shortest_basis(keys, uv[points])
+        keys = np.rint(keys @ np.linalg.inv(change)).astype(int)
+        found = _fit_window(uv, tree, keys, points, columns, rows)
         if found is not None and (best is None or _score(found) > _score(best)):
             best = found
         if best is not None and len(best.points) == columns * rows:
@@ -110,19 +118,26 @@ def _fit_window(
     columns: int,
     rows: int,
 ) -> Lattice | None:
-    """Fill the grown patch out, in the basis and window that hold the most points."""
-    best = None
+    """Fill the grown patch out, in the basis and window that hold the most points.
+
+    A patch that fits into the board both ways is filled out both ways: with points missing at its
+    border, only what lies beyond the patch tells which side is the longer one.
+    """
+    ways: dict[tuple[int, int], tuple[int, np.ndarray]] = {}
     for basis in _BASES:
         index = keys @ np.array(basis)
-        for wide, high in {(columns, rows), (rows, columns)}:
-            inside, low = _window(index, wide, high)
-            score = 2 * inside.sum() - len(index)
-            if best is None or score > best[0]:
-                best = (score, index - low, (wide, high))
-    if best is None:
-        return None
-    _, index, (wide, high) = best
-    return _refine(uv, tree, index, points, wide, high, (columns, rows))
+        for way in {(columns, rows), (rows, columns)}:
+            inside, low = _window(index, *way)
+            score = int(2 * inside.sum() - len(index))
+            if way not in ways or score > ways[way][0]:
+                ways[way] = (score, index - low)
+    top = max(score for score, _ in ways.values())
+    found = [
+        _refine(uv, tree, index, points, *way, (columns, rows))
+        for way, (score, index) in sorted(ways.items(), reverse=True)
+        if score == top
+    ]
+    return max((lattice for lattice in found if lattice is not None), key=_score, default=None)
 
 
 def _window(index: np.ndarray, wide: int, high: int) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +159,15 @@ def _window(index: np.ndarray, wide: int, high: int) -> tuple[np.ndarray, np.nda
     return inside, corner
 
 
-def _refine(uv, tree, index, points, wide: int, high: int, asked: tuple[int, int]):
+def _refine(
+    uv: np.ndarray,
+    tree: KDTree,
+    index: np.ndarray,
+    points: np.ndarray,
+    wide: int,
+    high: int,
+    asked: tuple[int, int],
+) -> Lattice | None:
     """Predict every site from a smooth map, take the points near them, and choose the window."""
     share = np.inf
     for _ in range(_ROUNDS):
@@ -160,7 +183,7 @@ def _refine(uv, tree, index, points, wide: int, high: int, asked: tuple[int, int
         fitted = _SmoothMap(index, uv[points])
         pitch = fitted.pitch(sites)
         known = _near_known(sites, index)
-        distance, nearest = tree.query(fitted(sites))
+        distance, nearest = (np.asarray(part) for part in tree.query(fitted(sites)))
         ok = (distance < _NEAR * pitch * np.where(known, 1.0, 0.6)) & known
         order = np.argsort(distance / pitch)
         chosen, seen = [], set()

@@ -15,7 +15,13 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import KDTree
 
-from calibration.markers.lattice_growth import Growth, grow, leave_one_out, places_within
+from calibration.markers.lattice_growth import (
+    Growth,
+    grow,
+    leave_one_out,
+    places_within,
+    shortest_basis,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import lattice_steps
 
@@ -132,6 +138,8 @@ def lattice_index(points: np.ndarray) -> Lattice:
     irregularity = float(np.median(errors[np.isfinite(errors)])) if best.count else np.inf
     if best.count < max(_LEAST, 0.5 * len(points)) or irregularity > _REGULAR:
         return _nothing(len(points))
+    if not best.spans_the_plane:
+        return _nothing(len(points))
     return _canonical(points, best, irregularity)
 
 
@@ -186,11 +194,7 @@ def _basis(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:
 def _canonical(points: np.ndarray, growth: Growth, irregularity: float) -> Lattice:
     """Turn and flip the numbering so that columns run right and rows down, and count from 0."""
     numbered = growth.numbered
-    index = growth.index[numbered].astype(np.float64)
-    design = np.column_stack([index, np.ones(len(index))])
-    basis = np.linalg.lstsq(design, points[numbered], rcond=None)[0][:2]
-    change = _reduce(basis)
-    basis = change @ basis
+    change, basis = shortest_basis(growth.index[numbered], points[numbered])
     kind, stagger = "rectangular", 0.0
     cosine = float(basis[0] @ basis[1] / np.prod(np.linalg.norm(basis, axis=1)))
     ratio = float(np.divide(*np.linalg.norm(basis, axis=1)))
@@ -232,18 +236,3 @@ def _canonical(points: np.ndarray, growth: Growth, irregularity: float) -> Latti
 
 def _unit(vector: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector)
-
-
-def _reduce(basis: np.ndarray) -> np.ndarray:
-    """Integer change of basis to the two shortest steps (Gauss's reduction)."""
-    change = np.eye(2, dtype=int)
-    b = basis.copy()
-    for _ in range(20):
-        if b[0] @ b[0] > b[1] @ b[1]:
-            b, change = b[::-1].copy(), change[::-1].copy()
-        k = round(float(b[0] @ b[1] / (b[0] @ b[0])))
-        if k == 0:
-            break
-        b[1] -= k * b[0]
-        change[1] -= k * change[0]
-    return change

@@ -33,6 +33,12 @@ class Growth:
     def count(self) -> int:
         return int(self.numbered.sum())
 
+    @property
+    def spans_the_plane(self) -> bool:
+        """Whether the numbered points lie on more than one line."""
+        index = self.index[self.numbered]
+        return bool(np.linalg.matrix_rank(index - index[:1]) == 2)
+
     def without(self, which: np.ndarray) -> Growth:
         """The numbering less some points."""
         return Growth(self.index, self.numbered & ~which, self.a, self.b)
@@ -132,13 +138,38 @@ def places_within(growth: Growth) -> int:
     """Lattice places, numbered or empty, in the convex hull of the numbered ones."""
     index = growth.index[growth.numbered]
     low, high = index.min(axis=0), index.max(axis=0)
-    if np.linalg.matrix_rank(index - index[0]) < 2:
+    if not growth.spans_the_plane:
         # One point or a line of them, in which primitive steps count.
         return int(np.gcd(*(high - low))) + 1
     hull = ConvexHull(index.astype(np.float64)).equations
     span = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
     places = np.stack(np.meshgrid(*span, indexing="ij"), axis=-1).reshape(-1, 2)
     return int((places @ hull[:, :2].T + hull[:, 2] <= 1e-6).all(axis=1).sum())
+
+
+def shortest_basis(index: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The two shortest steps of numbered points, by Gauss's reduction of their mean steps.
+
+    Args:
+        index: Steps along both basis vectors of a numbering, int, shape [point, 2].
+        points: Their places, shape [point, 2].
+
+    Returns:
+        The integer change of basis ``change``, and the basis, both of shape [2, 2]; places by the
+        basis are ``index @ inv(change)``.
+    """
+    design = np.column_stack([index.astype(np.float64), np.ones(len(index))])
+    b = np.linalg.lstsq(design, points, rcond=None)[0][:2]
+    change = np.eye(2, dtype=int)
+    for _ in range(20):
+        if b[0] @ b[0] > b[1] @ b[1]:
+            b, change = b[::-1].copy(), change[::-1].copy()
+        k = round(float(b[0] @ b[1] / (b[0] @ b[0])))
+        if k == 0:
+            break
+        b[1] -= k * b[0]
+        change[1] -= k * change[0]
+    return change, b
 
 
 def leave_one_out(points: np.ndarray, growth: Growth) -> np.ndarray:

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from calibration.camera.dots import MIN_SHARE
 from calibration.camera.lattice import index_lattice
 from calibration.synthetic.boards import lattice_points
 
@@ -22,6 +23,7 @@ def bent(index: np.ndarray, angle: float, bend: float) -> np.ndarray:
 
 
 @settings(max_examples=25, deadline=None)
+@example(angle=0.0, bend=0.0, seed=739)  # The first seed steps to a knight's place.
 @given(
     angle=st.floats(-3.1, 3.1),
     bend=st.floats(-0.15, 0.45),
@@ -56,7 +58,9 @@ def test_a_line_beyond_the_board_is_told_from_dirt() -> None:
 
 
 def test_no_lattice_among_random_points() -> None:
-    rng = np.random.default_rng(3)
-    found = index_lattice(rng.uniform(0, 600, (40, 2)), COLUMNS, ROWS)
-    assert found is None or len(found.points) < 16
+    """What random points hold is too few of a board, or too crooked, for any detector."""
+    for seed in range(20):
+        points = np.random.default_rng(seed).uniform(0, 600, (40, 2))
+        found = index_lattice(points, COLUMNS, ROWS)
+        assert found is None or len(found.points) < MIN_SHARE * COLUMNS * ROWS
     assert index_lattice(np.zeros((3, 2)), 3, 3) is None
