@@ -138,7 +138,6 @@ def plot(rows: list[dict], path: Path) -> None:
     fig.suptitle("Ball of 4 mm radius, 1 mm into a bonded layer of 4.25 mm; labels: nodes")
     with atomic_file(path) as target:
         fig.savefig(target, dpi=110)
-        target.chmod(0o644)
     plt.close(fig)
 
 

@@ -218,7 +218,6 @@ def plot(series: dict[str, list[tuple[HertzCase, HertzResult]]], path: Path) -> 
             axis.legend()
     with atomic_file(path) as target:
         fig.savefig(target, dpi=110)
-        target.chmod(0o644)
     plt.close(fig)
 
 

@@ -109,6 +109,8 @@ def atomic_file(target: Path | str) -> Iterator[Path]:
     staging = Path(name)
     try:
         yield staging
+        # Temporary files are their owner's alone; results are for the group, too.
+        staging.chmod(0o644)
         os.replace(staging, target)
     finally:
         staging.unlink(missing_ok=True)
@@ -135,7 +137,6 @@ def write_json(target: Path | str, value: Any) -> None:
     """Write ``value`` as indented JSON, atomically; NaN and infinities become null."""
     with atomic_file(target) as staging:
         staging.write_text(json.dumps(to_jsonable(value), indent=2, allow_nan=False) + "\n")
-        staging.chmod(0o644)
 
 
 def cache_folder() -> Path:

@@ -179,6 +179,7 @@ def test_file_appears_at_the_end(tmp_path: Path) -> None:
         staging.write_text("1")
         assert not target.exists()
     assert os.listdir(target.parent) == ["a.json"]
+    assert target.stat().st_mode & 0o777 == 0o644
 
 
 def test_failed_file_leaves_the_earlier_one(tmp_path: Path) -> None:

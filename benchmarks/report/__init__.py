@@ -56,7 +56,6 @@ def run_report(folder: Path, pictures: bool, scenes: bool = False) -> list[Path]
         text = render(page.read_text(encoding="utf-8"), sections, results)
         with atomic_file(page) as target:
             target.write_text(text, encoding="utf-8")
-            target.chmod(0o644)
         written.append(page)
     if pictures:
         from benchmarks.report.plots import draw_all

@@ -35,7 +35,6 @@ def save(figure: Figure, path: Path) -> Path:
     """Write a picture, whole or not at all."""
     with atomic_file(path) as target:
         figure.savefig(target, dpi=110)
-        target.chmod(0o644)
     plt.close(figure)
     return path
 

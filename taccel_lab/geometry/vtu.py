@@ -117,7 +117,6 @@ def write_vtu(
     _add_array(cell_lists, "types", kinds.astype(np.uint8))
     with atomic_file(path) as staging:
         ElementTree.ElementTree(root).write(staging, encoding="utf-8", xml_declaration=True)
-        staging.chmod(0o644)
 
 
 def write_mesh_vtu(

@@ -53,7 +53,6 @@ def write_report(report: Report, directory: Path | str) -> dict[str, Any]:
     )
     with atomic_file(directory / "report.html") as staging:
         staging.write_text(page, encoding="utf-8")
-        staging.chmod(0o644)
     write_json(directory / "report.json", values)
     return values
 

@@ -78,4 +78,3 @@ def save_figure(figure: Figure, path: Path | str, dpi: int = _DPI) -> None:
     """Write a figure as PNG, whole or not at all."""
     with atomic_file(path) as staging:
         figure.savefig(staging, dpi=dpi, format="png", facecolor="white")
-        staging.chmod(0o644)

@@ -41,7 +41,6 @@ class CaptureGuide:
                 raise InputError(f"{self.out} exists; name a file that does not")
             with atomic_file(self.out) as staging:
                 staging.write_text(plan.manifest, encoding="utf-8")
-                staging.chmod(0o644)
         if self.json:
             print_json({**asdict(plan), "minutes": plan.minutes})
             return
