@@ -118,26 +118,19 @@ def _fit_window(
     columns: int,
     rows: int,
 ) -> Lattice | None:
-    """Fill the grown patch out, in the basis and window that hold the most points.
-
-    A patch that fits into the board both ways is filled out both ways: with points missing at its
-    border, only what lies beyond the patch tells which side is the longer one.
-    """
-    ways: dict[tuple[int, int], tuple[int, np.ndarray]] = {}
+    """Fill the grown patch out, in the basis and window that hold the most points."""
+    best = None
     for basis in _BASES:
         index = keys @ np.array(basis)
-        for way in {(columns, rows), (rows, columns)}:
-            inside, low = _window(index, *way)
-            score = int(2 * inside.sum() - len(index))
-            if way not in ways or score > ways[way][0]:
-                ways[way] = (score, index - low)
-    top = max(score for score, _ in ways.values())
-    found = [
-        _refine(uv, tree, index, points, *way, (columns, rows))
-        for way, (score, index) in sorted(ways.items(), reverse=True)
-        if score == top
-    ]
-    return max((lattice for lattice in found if lattice is not None), key=_score, default=None)
+        for wide, high in {(columns, rows), (rows, columns)}:
+            inside, low = _window(index, wide, high)
+            score = 2 * inside.sum() - len(index)
+            if best is None or score > best[0]:
+                best = (score, index - low, (wide, high))
+    if best is None:
+        return None
+    _, index, (wide, high) = best
+    return _refine(uv, tree, index, points, wide, high, (columns, rows))
 
 
 def _window(index: np.ndarray, wide: int, high: int) -> tuple[np.ndarray, np.ndarray]:
