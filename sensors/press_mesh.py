@@ -4,26 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from sensors.registry import sensor_family
+from taccel_lab.envs.physics import PressMeshOptions
 from taccel_lab.geometry import TetMesh
-
-
-@dataclass(frozen=True)
-class PressMeshOptions:
-    """Resolution around a press, in units of the contact radius."""
-
-    elements_per_radius: float = 10.0
-    """Elements along the contact radius."""
-    fine_radii: float = 1.9
-    """Radius of the fine part in contact radii: the gel sinks visibly that far around a press."""
-    core: int = 12
-    rings: int = 20
-    layers: int = 4
-    """Core, rings and layers of ``structured_gel_mesh``; they set the number of nodes."""
 
 
 def press_mesh(

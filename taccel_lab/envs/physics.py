@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one place that says how a press is simulated: element, mesh, contact range, tolerance.
+
+``press``, ``PressEnv``, previews, studies, every calibration and every data set take it from here,
+so that what one fits another reproduces. What a user chooses is an ``Accuracy``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from taccel_lab.scene import Element
+from taccel_lab.solvers import SolverConfig
+
+
+class Accuracy(StrEnum):
+    """How closely a press is simulated."""
+
+    FAST = "fast"
+    DEFAULT = "default"
+    REFERENCE = "reference"
+
+
+@dataclass(frozen=True)
+class PressMeshOptions:
+    """Resolution around a press, in units of the contact radius."""
+
+    elements_per_radius: float = 5.0
+    """Elements along the contact radius."""
+    fine_radii: float = 1.9
+    """Radius of the fine part in contact radii: the gel sinks visibly that far around a press."""
+    core: int = 6
+    rings: int = 10
+    layers: int = 2
+    """Core, rings and layers of ``structured_gel_mesh``; they set the number of nodes."""
+
+
+@dataclass(frozen=True)
+class PressPhysics:
+    """All that decides a simulated press besides sensor, material, tool, friction and path."""
+
+    accuracy: Accuracy = Accuracy.DEFAULT
+    element: Element = Element.QUADRATIC
+    mesh: PressMeshOptions = PressMeshOptions()
+    dhat_m: float = 1e-5
+    """Gap at which contact begins."""
+    relative_tolerance: float = 1e-4
+    """Force residual over the sum of the contact forces at which a step has converged."""
+
+    def solver(self, **changes: Any) -> SolverConfig:
+        """The solver's settings; ``changes`` are of what a result does not depend on, such as
+        limits of iterations."""
+        return SolverConfig(
+            dhat_m=self.dhat_m, relative_tolerance=self.relative_tolerance, **changes
+        )
+
+    def record(self) -> dict[str, Any]:
+        """As JSON: for caches, results and the profile's material block."""
+        return dataclasses.asdict(self)
+
+
+PHYSICS: dict[Accuracy, PressPhysics] = {
+    Accuracy.FAST: PressPhysics(
+        Accuracy.FAST, mesh=PressMeshOptions(elements_per_radius=3.0, core=4, rings=8)
+    ),
+    Accuracy.DEFAULT: PressPhysics(),
+    Accuracy.REFERENCE: PressPhysics(
+        Accuracy.REFERENCE,
+        mesh=PressMeshOptions(elements_per_radius=10.0, core=12, rings=20, layers=4),
+        dhat_m=2e-6,
+        relative_tolerance=1e-5,
+    ),
+}
