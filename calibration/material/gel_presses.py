@@ -24,7 +24,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.ipc.potentials.friction import FrictionPotential, FrozenContacts
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
-from taccel_lab.scene import Element, Material, MaterialField, MaterialModel
+from taccel_lab.scene import Material, MaterialField, MaterialModel
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.solvers.sensitivity import elastic_power, groups_of, node_rates
 
@@ -89,7 +89,6 @@ class GelPresses(PressEnv):
             friction_coefficient=frictions[0] if one_friction else 1.0,
             # Volumes are to differ by environment.
             rest_positions_m=None if alike else np.tile(mesh.nodes_m, (count, 1, 1)),
-            element=Element.QUADRATIC,
             config=config,
             device=device,
         )
@@ -106,14 +105,12 @@ class GelPresses(PressEnv):
 
         An environment that does not converge is left where it was, for the caller to see.
         """
-        depth = self.checked_depth_m(np.array([stop.depth_mm for stop in stops]))
-        shift = np.array([stop.shift_mm for stop in stops]) * 1e-3
-        half = 0.5 * np.radians([stop.angle_deg for stop in stops])
-        target = self._poses(depth, shift, 0.0)
-        target[:, 0, 5], target[:, 0, 6] = np.sin(half), np.cos(half)
-        if stay is not None:
-            target[stay] = self.poses[stay]
-        return self.solver.step(self.state, target)
+        return self._step(
+            self.checked_depth_m(np.array([stop.depth_mm for stop in stops])),
+            np.array([stop.shift_mm for stop in stops]) * 1e-3,
+            np.radians([stop.angle_deg for stop in stops]),
+            stay,
+        )
 
     def force_slopes(self, steps: Sequence[MaterialStep]) -> np.ndarray:
         """How the force against the motion downwards [N] changes with parameters of the material at

@@ -20,9 +20,9 @@ from calibration.capture.schema import ToolEntry
 from calibration.material.bonded_layer import ToolKind
 from calibration.material.candidates import Candidate
 from calibration.material.gel_presses import GelPresses
-from sensors.press_mesh import PressMeshOptions, press_mesh
+from sensors.press_mesh import press_mesh
 from sensors.registry import sensor_family
-from taccel_lab.envs import Indenter, parse_indenter, profile_material
+from taccel_lab.envs import Indenter, PressMeshOptions, parse_indenter, profile_material
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import MaterialBlock, SensorProfile
