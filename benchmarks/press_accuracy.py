@@ -171,8 +171,9 @@ def _keep_topology(folder: Path, mesh: TetMesh) -> str:
     return path.name
 
 
-def run(folder: Path, out: Path, device: str, seconds: float) -> None:
-    """Press all prepared cases and write the rows; stops in good order after ``seconds``."""
+def run(folder: Path, out: Path, device: str, seconds: float, part: tuple[int, int]) -> None:
+    """Press all prepared cases, or every n-th of them, and write the rows; stops in good order
+    after ``seconds``."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
@@ -181,7 +182,8 @@ def run(folder: Path, out: Path, device: str, seconds: float) -> None:
     document = {"run": describe_run(device), "settings": _settings(), "rows": rows}
     # In an order that is not that of families, so that a part of it says something about all.
     names = sorted(p.name for p in folder.glob("*.npz") if not p.name.startswith("topology"))
-    for name in sorted(names, key=lambda text: text[::-1]):
+    first, every = part
+    for name in sorted(names, key=lambda text: text[::-1])[first::every]:
         stored = dict(np.load(folder / name))
         case = Case(**json.loads(str(stored.pop("case"))))
         found = {key: _press(folder, stored, case, key, device) for key in SETTINGS}
@@ -310,11 +312,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--out", type=Path, default=RESULT)
     parser.add_argument("--seconds", type=float, default=math.inf)
+    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("I", "N"))
     options = parser.parse_args(arguments)
     if options.what == "prepare":
         prepare(options.folder)
     elif options.what == "run":
-        run(options.folder, options.out, options.device, options.seconds)
+        run(options.folder, options.out, options.device, options.seconds, tuple(options.part))
     else:
         print(table(json.loads(options.folder.read_text())["rows"]))
     return 0

@@ -307,7 +307,13 @@ class PressEnv:
         material = self.model.scene.soft_bodies[0].material
         rest = self.model.rest_positions.numpy()[:, : self.model.soft_count]
         share = np.array([
-            relative_energy_error(self.mesh, rest[i % len(rest)], x, material.shear_modulus_pa)
+            relative_energy_error(
+                self.mesh,
+                rest[i % len(rest)],
+                x,
+                material.shear_modulus_pa,
+                material.lame_lambda_pa,
+            )
             for i, x in enumerate(self.positions)
         ])  # fmt: skip
         depth = np.maximum(self.depth_m, 0.0)

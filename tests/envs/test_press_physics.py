@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a press gives by default: near the converged force, free of the contact layer, honest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sensors.press_mesh import press_mesh
+from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
+from taccel_lab.scene import Element, Material
+
+DEFAULT = PHYSICS[Accuracy.DEFAULT]
+PAD = {"length_x_mm": 25.25, "length_y_mm": 20.75, "thickness_mm": 4.25}
+GEL = Material(0.15e6, 0.45)
+CONVERGED_N = {0.2: 0.0578, 1.0: 0.8922}
+"""Ball of 4 mm on that gel: quadratic tets refined until nothing moves, dhat towards zero."""
+
+
+def pressed(
+    depth_mm: float, physics: PressPhysics = DEFAULT, indenter: str = "sphere:4", nu: float = 0.45
+) -> PressEnv:
+    tool = parse_indenter(indenter)
+    mesh = press_mesh("flat_pad", PAD, (0.0, 0.0), tool.contact_half_mm(depth_mm), physics.mesh)
+    env = PressEnv(mesh, Material(0.15e6, nu), tool, np.zeros((1, 2)), physics=physics)
+    env.follow(PressPath(depth_mm, step_mm=0.5))
+    return env
+
+
+@pytest.mark.parametrize("depth_mm", [0.2, 1.0])
+def test_the_default_is_within_three_per_cent_and_says_so(depth_mm: float) -> None:
+    env = pressed(depth_mm)
+    force = env.press_force[0, 2]
+    assert force == pytest.approx(CONVERGED_N[depth_mm], rel=0.03)
+    assert abs(force - CONVERGED_N[depth_mm]) <= env.error_estimate().force_n[0]
+    assert env.error_estimate().force_n[0] < 0.1 * force
+
+
+def test_linear_tets_were_far_off_and_would_be_told() -> None:
+    env = pressed(0.2, replace(DEFAULT, element=Element.LINEAR))
+    force = env.press_force[0, 2]
+    assert force > 1.2 * CONVERGED_N[0.2]
+    assert env.error_estimate().force_n[0] > 0.2 * force
+
+
+def test_force_and_surface_hardly_depend_on_the_contact_range() -> None:
+    near, far = pressed(0.15), pressed(0.15, replace(DEFAULT, dhat_m=2e-5))
+    assert far.press_force[0, 2] == pytest.approx(near.press_force[0, 2], rel=0.01)
+    assert far.positions == pytest.approx(near.positions, abs=2e-6)
+    # Left alone it would act as if it were deeper by the gap: with F ~ d^1.5 by a fifth here.
+    assert 1.5 * far.setback_m[0] / 0.15e-3 > 0.12
+
+
+@pytest.mark.parametrize("indenter", ["cylinder:2", "edge:90x6x0.3"])
+def test_other_tools_do_not_depend_on_it_either(indenter: str) -> None:
+    near = pressed(0.3, replace(DEFAULT, dhat_m=5e-6), indenter)
+    far = pressed(0.3, replace(DEFAULT, dhat_m=2e-5), indenter)
+    # Without the correction: 5 and 10 per cent.
+    assert far.press_force[0, 2] == pytest.approx(near.press_force[0, 2], rel=0.02)
+
+
+def test_an_indenter_that_leaves_is_not_held_back_by_a_contact_that_is_gone() -> None:
+    env = pressed(0.2)
+    assert env.setback_m[0] < 0.95 * DEFAULT.dhat_m
+    env.move_to(-0.01)
+    assert env.wrench == pytest.approx(np.zeros((1, 6)), abs=0)
+    assert env.setback_m[0] == DEFAULT.dhat_m
+    env.reset()
+    assert env.depth_m[0] < 0 and env.setback_m[0] == DEFAULT.dhat_m
+
+
+def test_grades_are_ordered() -> None:
+    fast, default, reference = (PHYSICS[a] for a in Accuracy)
+    counts = [p.mesh.core * p.mesh.rings * p.mesh.layers for p in (fast, default, reference)]
+    assert counts == sorted(counts) and len(set(counts)) == 3
+    assert reference.dhat_m < default.dhat_m
+    assert all(p.element is Element.QUADRATIC for p in PHYSICS.values())
+    assert default.record()["mesh"]["rings"] == default.mesh.rings
+    assert default.solver().dhat_m == default.dhat_m

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``RestCorrection``: a coarse mesh shows the designed face, and its own displacements."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sensors.press_mesh import press_mesh
+from sensors.profile import catalogue_profile
+from sensors.registry import sensor_family
+from taccel_lab.envs import PHYSICS, Accuracy, PressPath, parse_indenter, simulate_press
+from taccel_lab.scene import Material
+from taccel_lab.signals.normals import normals_from_slopes
+from taccel_lab.signals.rest_surface import RestCorrection, RestSurface, rest_surface
+
+
+def test_the_designed_face_comes_back_at_rest() -> None:
+    height = np.full((3, 4), 2e-4)
+    slope = np.zeros((3, 4, 2))
+    slope[..., 0] = 0.1
+    designed = RestSurface(height, normals_from_slopes(slope), np.ones((3, 4), dtype=bool))
+    meshed = height - 5e-5
+    meshed[0, 0] = np.nan
+    correction = RestCorrection.of(designed, meshed, np.zeros((3, 4, 2)))
+    found, normals = correction.corrected(meshed, np.zeros((3, 4, 2)))
+    assert np.isnan(found[0, 0])
+    assert found.ravel()[1:] == pytest.approx(2e-4)
+    assert normals.reshape(-1, 3)[1:] == pytest.approx(designed.normals.reshape(-1, 3)[1:])
+    # Where an object touches, it gives the height.
+    contact = np.zeros((3, 4), dtype=bool)
+    contact[2, 3] = True
+    kept, _ = correction.corrected(meshed, np.zeros((3, 4, 2)), contact)
+    assert kept[2, 3] == meshed[2, 3] and kept[1, 1] == pytest.approx(2e-4)
+
+
+def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact() -> None:
+    profile = catalogue_profile("gelsight_mini")
+    family, grid = sensor_family("gelsight_mini"), profile.grid()
+    tool, physics = parse_indenter("sphere:2"), PHYSICS[Accuracy.FAST]
+    mesh = press_mesh("gelsight_mini", {}, (0.0, 0.0), tool.contact_half_mm(0.1), physics.mesh)
+    arguments = (mesh, Material(1e5, 0.46), tool, (0.0, 0.0), PressPath(0.1), grid)
+    plain = simulate_press(*arguments, physics=physics)
+    designed = rest_surface(profile.mesh, grid)
+    corrected = simulate_press(*arguments, physics=physics, designed_rest=designed)
+    columns, rows = np.meshgrid(np.arange(grid.width_px), np.arange(grid.height_px))
+    xy = grid.gel_from_pixel(np.stack([columns, rows], axis=-1).astype(float))
+    truth = family.pad(family.parameters({})).height_mm(xy) * 1e-3
+    far = np.hypot(*xy.transpose(2, 0, 1)) > 5.0
+
+    def rms(height: np.ndarray) -> float:
+        return float(np.sqrt(np.nanmean((height - truth)[far] ** 2)))
+
+    assert rms(plain.height_m) > 3e-5
+    assert rms(corrected.height_m) < 5e-6
+    assert rms(corrected.rest_height_m) < 5e-6
+    moved = corrected.height_m - corrected.rest_height_m
+    near = ~far & ~corrected.contact_mask & np.isfinite(moved)
+    assert moved[near] == pytest.approx((plain.height_m - plain.rest_height_m)[near], abs=1e-9)
