@@ -93,7 +93,7 @@ class StepRun:
         self.collide(p.active, state.positions)
         self.check_room(p.active, [s.collisions])
         if s.friction is not None:
-            s.friction.clear(p.who)
+            s.friction.begin_step(p.who, s.dts)
             s.friction.lag(p.active, state.positions)
         start_in_free_flight(self)
         start_with_momentum(self)

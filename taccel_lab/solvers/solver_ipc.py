@@ -79,10 +79,9 @@ class SolverIPC:
         self.candidates = Candidates(model, limit=limit)
         self.collisions = Collisions(model, kappa, self.config.dhat_m, limit=limit)
         self.contact = ContactPotential(model, self.collisions)
+        static_range = self.config.static_range_m(scene.time)
         self.friction = (
-            FrictionPotential(model, self.collisions, self.config.friction_eps_m)
-            if model.rubs
-            else None
+            FrictionPotential(model, self.collisions, static_range) if model.rubs else None
         )
         # Where gels make up most of the unknowns CG is quicker, stiff bodies or not.
         stiff = 8 * model.affine.count >= model.free_count
