@@ -123,9 +123,9 @@ class StepRun:
     def finish(self) -> None:
         """Roll back what failed; velocities and joints of what converged."""
         s, state, p = self.s, self.state, self.p
-        if s.invertible:
+        if s.silent:
             p.inverted_after.zero_()
-            find_inversions(s.invertible, p.who, state.positions, p.inverted_after)
+            find_inversions(s.silent, p.who, state.positions, p.inverted_after)
         self.decide(decisions.close_kernel, p)
         self.commit(p.chosen, s.previous, s.start_poses)
         embed_vertices(self.model, state.positions)

@@ -25,7 +25,7 @@ from taccel_lab.ipc.potentials.energy import Potential, share_buffer
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
-from taccel_lab.ipc.potentials.inversion import BEARS_INVERSION
+from taccel_lab.ipc.potentials.inversion import BEARS_INVERSION, may_hide_inversion
 from taccel_lab.ipc.scratch import Scratch
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
@@ -60,7 +60,9 @@ class SolverIPC:
         self.elastic = [ElasticPotential(model, group) for group in model.elastic]
         """One for each group of elements that share a law and a kind."""
         self.invertible = [part for part in self.elastic if part.group.law in BEARS_INVERSION]
-        """Those whose energy does not keep elements from turning inside out."""
+        """Those that may start with elements inside out, as their energy bears it."""
+        self.silent = [part for part in self.elastic if may_hide_inversion(part)]
+        """Those whose energy does not tell that a step has turned an element inside out."""
         self.inertia = None if scene.time.quasi_static else InertiaPotential(model)
         self.viscosity = self._viscosity()
         self.affine = None
