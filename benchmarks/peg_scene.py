@@ -33,7 +33,7 @@ RESULT = Path(__file__).parent / "results" / "peg_scene.json"
 
 
 def run_scene(
-    parts: PegParts, steps: int, hole_is_affine: bool, friction_eps_m: float
+    parts: PegParts, steps: int, hole_is_affine: bool, friction_speed_m_s: float
 ) -> dict[str, Any]:
     """Run the scene, print every step and return its figures, a list over the steps each."""
     from taccel_lab.ipc.intersection import find_intersections
@@ -42,7 +42,7 @@ def run_scene(
 
     scene = peg_scene(parts, hole_is_affine=hole_is_affine)
     model = scene.finalize()
-    solver = SolverIPC(model, peg_config(friction_eps_m=friction_eps_m))
+    solver = SolverIPC(model, peg_config(friction_speed_m_s=friction_speed_m_s))
     state = initial_state(model, targets(scene, 0))
     peg = model.bodies[model.body_id("peg")].node_slice
     rows: list[dict[str, Any]] = []
@@ -86,7 +86,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--generated", action="store_true", help="meshes of ours only")
     parser.add_argument("--affine-hole", action="store_true")
-    parser.add_argument("--friction-eps-m", type=float, default=FRICTION_SPEED_M_S * DT_S)
+    parser.add_argument("--friction-speed-m-s", type=float, default=FRICTION_SPEED_M_S)
     parser.add_argument("--out", type=Path, default=RESULT)
     args = parser.parse_args()
     if args.steps < 1:
@@ -94,7 +94,7 @@ def main() -> None:
     variants = {"generated": generated_parts()}
     if not args.generated:
         variants["published"] = published_parts(data_folder())
-    options = (args.steps, args.affine_hole, args.friction_eps_m)
+    options = (args.steps, args.affine_hole, args.friction_speed_m_s)
     record = {
         "what": "Taccel's peg scene, step by step: a peg between two gels is lowered into a hole.",
         "run": describe_run(),
@@ -102,7 +102,7 @@ def main() -> None:
             "dt_s": DT_S,
             "dhat_m": DHAT_M,
             "relative_tolerance": peg_config().relative_tolerance,
-            "friction_eps_m": args.friction_eps_m,
+            "friction_speed_m_s": args.friction_speed_m_s,
             "affine_hole": args.affine_hole,
         },
         **{name: run_scene(parts, *options) for name, parts in variants.items()},

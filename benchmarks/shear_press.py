@@ -92,6 +92,9 @@ def run(press: Press, device: str = "cpu") -> Outcome:
     material = Material(
         YOUNG_PA, POISSON, DENSITY, damping_time_s=DAMPING_TIME_S if dynamic else 0.0
     )
+    static = (
+        {"friction_speed_m_s": EPS_V_M_S} if dynamic else {"friction_eps_m": press.friction_eps_m}
+    )
     soft = SoftBody(mesh, material, element=press.element)
     model = Scene(soft, KinematicBody(Ball(BALL_M), FRICTION), time=stepping).finalize(device)
     solver = SolverIPC(
@@ -101,8 +104,8 @@ def run(press: Press, device: str = "cpu") -> Outcome:
             kappa_pa=press.kappa_over_young * YOUNG_PA,
             relative_tolerance=press.relative_tolerance,
             absolute_tolerance_n=1e-12,
-            friction_eps_m=EPS_V_M_S * stepping.dt_s if dynamic else press.friction_eps_m,
             max_newton_iterations=500,
+            **static,
             **dict(press.solver),
         ),
     )

@@ -72,9 +72,7 @@ def build(options: SceneOptions) -> BenchScene:
             initial_pose=np.array([0, 0, height, 0, 0, 0, 1.0]),
         ),
     )
-    config = make_config(
-        {"dhat_m": 1e-4, "friction_eps_m": FRICTION_SPEED_M_S * DT_S}, options.config
-    )
+    config = make_config({"dhat_m": 1e-4, "friction_speed_m_s": FRICTION_SPEED_M_S}, options.config)
     return BenchScene(
         "bolt",
         f"two gels turn a nut of {len(nut.faces):,} faces on a bolt of {len(bolt.faces):,} by a "

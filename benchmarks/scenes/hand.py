@@ -147,7 +147,7 @@ def build(options: SceneOptions) -> BenchScene:
         f"17 gels, {sum(meshes[p.link].node_count for p in places):,} nodes, close on a free ball "
         "and carry it",
         scene,
-        make_config({"dhat_m": 1e-4, "friction_eps_m": 1e-2 * DT_S}, options.config),
+        make_config({"dhat_m": 1e-4, "friction_speed_m_s": 1e-2}, options.config),
         mount_path(places, meshes, radius),
         source,
     )

@@ -193,7 +193,7 @@ def peg_scene(
 
 def peg_config(**options: float) -> SolverConfig:
     """The published gap and friction speed; converged to 1e-4 of the contact force by default."""
-    return make_config({"dhat_m": DHAT_M, "friction_eps_m": FRICTION_SPEED_M_S * DT_S}, options)
+    return make_config({"dhat_m": DHAT_M, "friction_speed_m_s": FRICTION_SPEED_M_S}, options)
 
 
 def targets(scene: Scene, step: int, path: PegPath = PUBLISHED) -> np.ndarray:
@@ -218,9 +218,7 @@ def build(options: SceneOptions) -> BenchScene:
         "peg",
         "two gels of 139 nodes carry a free peg over the rim of a hole and push it in",
         scene,
-        make_config(
-            {"dhat_m": DHAT_M, "friction_eps_m": FRICTION_SPEED_M_S * DT_S}, options.config
-        ),
+        make_config({"dhat_m": DHAT_M, "friction_speed_m_s": FRICTION_SPEED_M_S}, options.config),
         np.array([targets(one, step)[0] for step in times]),
         source,
     )

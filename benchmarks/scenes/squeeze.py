@@ -52,7 +52,7 @@ def build(options: SceneOptions) -> BenchScene:
         "squeeze",
         f"two gels lift a soft bear of {bear.node_count:,} nodes",
         scene,
-        make_config({"dhat_m": 1e-4, "friction_eps_m": 1e-2 * DT_S}, options.config),
+        make_config({"dhat_m": 1e-4, "friction_speed_m_s": 1e-2}, options.config),
         gel_path(),
         source,
     )

@@ -208,7 +208,8 @@ class _ScaledFriction(FrictionPotential):
 
     def __init__(self, solver: SolverIPC, coefficients: Sequence[float]) -> None:
         model: Model = solver.model
-        super().__init__(model, solver.collisions, solver.config.friction_eps_m)
+        static_range = solver.config.static_range_m(model.scene.time)
+        super().__init__(model, solver.collisions, static_range)
         self._coefficients = wp.array(coefficients, dtype=wp.float64, device=model.device)
 
     def lag(self, active: wp.array, positions: wp.array) -> None:

@@ -4,9 +4,9 @@
 Two closed surfaces intersect exactly when an edge of one crosses a face of the other, or when one
 lies inside the other as a whole. Crossings are found from the signs of tet volumes, containment
 from the winding number. Only bodies that may touch are looked at, a soft body with itself where it
-has self-contact. A gel counts with its whole boundary, glued faces included. Surfaces that only
-touch in a plane they share are not told apart from surfaces that do not. Thickness is left out:
-it is a distance to keep, not a body.
+has self-contact. Surfaces that only touch in a plane they share are not told apart from surfaces
+that do not. Thickness is left out: it is a distance to keep, not a body. A curved tet is inverted
+where it is at any of 84 points.
 """
 
 from __future__ import annotations
@@ -27,8 +27,6 @@ from taccel_lab.scene.mass_properties import winding_number
 from taccel_lab.scene.mesh_checks import first_of
 from taccel_lab.scene.primitives import Ball, unique_edges
 from taccel_lab.state import State
-
-_EDGES = [tuple(sorted(ends)) for ends in TET_EDGES]
 
 
 class IntersectionKind(StrEnum):
@@ -139,18 +137,38 @@ def _intersections(model: Model, x: np.ndarray, present: np.ndarray) -> list[Int
     return found
 
 
-def _inverted_tets(name: str, nodes: np.ndarray) -> list[Intersection]:
-    """Inverted tets [n, 4, 3], or of ten nodes [n, 10, 3], those at their corners."""
-    smallest = np.full(len(nodes), np.inf)
+def _lattice(order: int) -> np.ndarray:
+    """Points of a tet whose barycentric coordinates [n, 4] are multiples of 1 / ``order``."""
+    counts = np.indices((order + 1,) * 3).reshape(3, -1).T
+    counts = counts[counts.sum(axis=1) <= order]
+    return np.column_stack([order - counts.sum(axis=1), counts]) / order
+
+
+_SAMPLES = _lattice(6)
+"""Where the volume of a curved tet is looked at: corners, middles of edges and of faces, more."""
+
+
+def _volume_ratios(nodes: np.ndarray) -> np.ndarray:
+    """Determinants of the derivative by the last three barycentric coordinates: of tets [n, 4, 3]
+    one each, of ten nodes [n, 10, 3] at all samples, [n, sample]."""
+    if nodes.shape[1] == 4:
+        return np.linalg.det(nodes[:, 1:] - nodes[:, :1])[:, None]
+    # x = sum_c l_c (2 l_c - 1) x_c + sum_ab 4 l_a l_b x_ab, derived by each l.
+    by_each = np.zeros((len(_SAMPLES), 4, 10))
     for corner in range(4):
-        others = [k for k in range(4) if k != corner]
-        tangents = nodes[:, others] - nodes[:, [corner]]
-        if nodes.shape[1] == 10:
-            middles = [4 + _EDGES.index(tuple(sorted((corner, k)))) for k in others]
-            # Slope of a parabola through both ends and the middle, at this end.
-            tangents = 4 * (nodes[:, middles] - nodes[:, [corner]]) - tangents
-        smallest = np.minimum(smallest, (-1) ** corner * np.linalg.det(tangents))
-    bad = np.flatnonzero(~(smallest > 0))
+        by_each[:, corner, corner] = 4 * _SAMPLES[:, corner] - 1
+    for edge, (a, b) in enumerate(TET_EDGES):
+        by_each[:, a, 4 + edge] = 4 * _SAMPLES[:, b]
+        by_each[:, b, 4 + edge] = 4 * _SAMPLES[:, a]
+    weights = by_each[:, 1:] - by_each[:, :1]
+    origin = nodes[:, :1]
+    tangents = (weights.reshape(-1, 10) @ (nodes - origin)).reshape(len(nodes), -1, 3, 3)
+    return np.linalg.det(tangents)
+
+
+def _inverted_tets(name: str, nodes: np.ndarray) -> list[Intersection]:
+    """Inverted tets [n, 4, 3], or of ten nodes [n, 10, 3] those inverted at any sample."""
+    bad = np.flatnonzero(~(_volume_ratios(nodes) > 0).all(axis=1))
     if len(bad) == 0:
         return []
     place, where = nodes[bad[0]].mean(axis=0), f"tets {first_of(bad)}"

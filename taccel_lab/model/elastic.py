@@ -113,7 +113,8 @@ class SoftDiscretization:
     bonded: np.ndarray
     """Nodes without degrees of freedom, int64, shape [bonded_count]."""
     faces: np.ndarray
-    """Collision faces: bond and window faces sit on the rigid backing, nothing can touch them."""
+    """Collision faces, all of the boundary: what a face is called says nothing about whether it is
+    held, and a glued one, too, stops a body that comes from behind or through the gel."""
     face_shares: np.ndarray
     """Part of its area that each corner of a collision face stands for, shape [face_count, 3]."""
     contact_faces: np.ndarray
@@ -158,16 +159,14 @@ def discretize(body: SoftBody) -> SoftDiscretization:
         masses = np.stack(
             [np.bincount(corners, np.repeat(row / 4.0, 4), minlength=count) for row in tet_masses]
         )
-    touchable = np.isin(mesh.face_regions, [int(Region.CONTACT), int(Region.SIDE)])
-    faces = mesh.faces[touchable]
     corner_count = body.mesh.node_count if isinstance(mesh, QuadraticMesh) else mesh.node_count
     return SoftDiscretization(
         rest_m=rest,
         elements=mesh.tets,
         bonded=bonded,
-        faces=faces,
-        face_shares=_face_shares(faces, corner_count),
-        contact_faces=mesh.face_regions[touchable] == int(Region.CONTACT),
+        faces=mesh.faces,
+        face_shares=_face_shares(mesh.faces, corner_count),
+        contact_faces=mesh.face_regions == int(Region.CONTACT),
         masses_kg=masses,
     )
 

@@ -136,7 +136,7 @@ def _contact_kernel(
 def _friction_kernel(
     frozen: FrozenContacts,
     motion: StepMotion,
-    eps_u: wp.float64,
+    eps_u: wp.array(dtype=wp.float64),
     geometry: ContactGeometry,
     center: wp.vec3d,
     interactions: wp.array2d(dtype=Interaction),
@@ -148,7 +148,7 @@ def _friction_kernel(
     normal = frozen.normals[env, slot]
     w = frozen.weights[env, slot]
     u = sliding(env, nodes, w, normal, motion)
-    force = friction_gradient(u, frozen.mu_lambdas[env, slot], eps_u)
+    force = friction_gradient(u, frozen.mu_lambdas[env, slot], eps_u[env])
     rows = mat43d()
     for i in range(4):
         for k in range(3):

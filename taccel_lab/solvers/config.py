@@ -9,6 +9,7 @@ from enum import StrEnum
 
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.potentials.elastic import PSD_ABS, PSD_CLAMP
+from taccel_lab.scene import TimeStepping
 
 
 class ElementProjection(StrEnum):
@@ -32,14 +33,19 @@ class SolverConfig:
     """Contact pressure at about half of dhat; when None the largest Young's modulus of the soft
     bodies, and 1 MPa in a scene without any."""
     relative_tolerance: float = 1e-4
-    """Force residual over the sum of nodal contact forces at which a step has converged."""
+    """Force residual of a body over its contact force at which it has converged, sums of magnitudes
+    over its nodes both; a step has converged where all bodies have."""
     absolute_tolerance_n: float = 1e-7
-    """Force residual that is always good enough."""
+    """Force residual of a body that is always good enough."""
     max_newton_iterations: int = 200
     max_cg_iterations: int = 2000
     max_line_search_cuts: int = 40
+    friction_speed_m_s: float = 5e-5
+    """Sliding speed below which friction is static, of a scene with inertia: times the length of a
+    step the range of static friction, so that a step of half the length has half of it."""
     friction_eps_m: float = 1e-6
-    """Sliding per step below which friction is static (eps_v * dt)."""
+    """Sliding in a whole step below which friction is static, of a quasi-static scene, which knows
+    no speed; a part of a step has this part of it."""
     max_friction_lags: int = 100
     """How often friction may be frozen anew within a step."""
     max_substep_halvings: int = 8
@@ -65,6 +71,7 @@ class SolverConfig:
             ("dhat_m", 1e-8, 1e-2),
             ("relative_tolerance", 1e-12, 1.0),
             ("absolute_tolerance_n", 1e-15, 1e3),
+            ("friction_speed_m_s", 1e-12, 1e2),
             ("friction_eps_m", 1e-12, 1e-2),
         ):
             value = getattr(self, name)
@@ -93,3 +100,21 @@ class SolverConfig:
                 "contact_hessian_mode must be 1 (projected) or 2 (Gauss-Newton), "
                 f"got {self.contact_hessian_mode}"
             )
+
+    def static_range_m(self, time: TimeStepping) -> float:
+        """Sliding in a whole step below which friction is static [m].
+
+        Raises:
+            InputError: the range of the other kind of scene was set.
+        """
+        kind, unused = (
+            ("quasi-static", "friction_speed_m_s")
+            if time.quasi_static
+            else ("dynamic", "friction_eps_m")
+        )
+        if getattr(self, unused) != getattr(SolverConfig, unused):
+            used = "friction_eps_m" if time.quasi_static else "friction_speed_m_s"
+            raise InputError(
+                f"{unused} means nothing in a {kind} scene; its static friction goes by {used}"
+            )
+        return self.friction_eps_m if time.quasi_static else self.friction_speed_m_s * time.dt_s

@@ -69,6 +69,7 @@ def make_plan(solver: SolverIPC) -> Plan:
     bonded = model.soft_count + 4 * model.affine.count - model.free_count
     mounted = [body.name for body in scene.soft_bodies if body.mount is not None]
     stiff = len(jobs.node_target) + len(jobs.face_target) + len(jobs.edge_target)
+    gate_count = solver.candidates.gate_count
     selves = [model.bodies[i].name for i, j in jobs.pairs if i == j]
     groups = ", ".join(
         f"{_count(group.element_count, 'tets')} ({group.law}, {group.element})"
@@ -116,6 +117,13 @@ def make_plan(solver: SolverIPC) -> Plan:
             "planes",
             len(jobs.node_plane) > 0,
             _count(len(jobs.node_plane), "nodes") if len(jobs.node_plane) else "no plane",
+        ),
+        (
+            "gates of held faces",
+            gate_count > 0,
+            f"{_count(gate_count, 'pairs')} of a held surface and a body, searched when near"
+            if gate_count
+            else "no held surface that a stiff body may touch",
         ),
         (
             "search among soft bodies",

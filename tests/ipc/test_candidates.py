@@ -9,6 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.broad_phase.held_patches import hull_corners
 from taccel_lab.ipc.kinematics import interpolate_poses
 from taccel_lab.model import Model
 from taccel_lab.scene import Ball, KinematicBody
@@ -80,14 +81,25 @@ def edge_distances(model: Model, x: np.ndarray, pairs: set[tuple[int, int]]) -> 
 
 
 @settings(max_examples=25)
-@example(seed=5753, margin=0.00012563245055716122, turn=28.0, reach=0.000788563487232224)
+@example(
+    seed=5753,
+    margin=0.00012563245055716122,
+    turn=28.0,
+    reach=0.000788563487232224,
+    behind=False,
+)
+@example(seed=3, margin=5e-5, turn=20.0, reach=3e-4, behind=True)
 @given(
     seed=st.integers(0, 10_000),
     margin=st.floats(1e-6, 5e-4),
     turn=st.floats(0, 60),
     reach=st.floats(0, 1e-3),
+    behind=st.booleans(),
 )
-def test_no_pair_is_missed_on_the_way(seed: int, margin: float, turn: float, reach: float) -> None:
+def test_no_pair_is_missed_on_the_way(
+    seed: int, margin: float, turn: float, reach: float, behind: bool
+) -> None:
+    """From above the gel or from behind, where its nodes are held."""
     rng = np.random.default_rng(seed)
     model = build()
     start = everywhere(
@@ -95,6 +107,8 @@ def test_no_pair_is_missed_on_the_way(seed: int, margin: float, turn: float, rea
         pose(*rng.uniform(-1e-3, 1e-3, 2), 0.9e-3, tuple(rng.normal(size=3)), 50),
         pose(*rng.uniform(-1e-3, 1e-3, 2), 0.8e-3),
     )
+    if behind:
+        start[..., 2] = -1e-3 - start[..., 2]
     end = start.copy()
     end[0, :, :3] += rng.uniform(-reach, reach, (2, 3))
     end[0, 0] = interpolate_poses(
@@ -107,6 +121,7 @@ def test_no_pair_is_missed_on_the_way(seed: int, margin: float, turn: float, rea
     displacement = target - x
     soft = slice(0, model.soft_count)
     displacement[0, soft] = rng.uniform(-reach, reach, (model.soft_count, 3))
+    displacement[0, MESH.bonded_nodes()] = 0.0
     cosines = np.abs(np.einsum("ebi,ebi->eb", start[..., 3:], end[..., 3:]))
     angle = 2 * np.arccos(np.minimum(cosines, 1)).max()
     chord_error = model.kinematic_radii_m.max() * (1 - np.cos(angle / 2))
@@ -151,3 +166,26 @@ def test_pairs_far_away_are_left_out() -> None:
     away = wp.array(far, dtype=wp.transformd)
     candidates.update(wp.array([1], dtype=wp.int32), y, still, away, away, 1e-4)
     assert [part.counts.numpy()[0] for part in candidates.lists] == [0, 0]
+
+
+def test_corners_hold_a_patch() -> None:
+    """Whatever its shape: the box of the corners, widened by the slack, is that of all points."""
+    rng = np.random.default_rng(0)
+    flat = np.column_stack([rng.uniform(-1, 1, (50, 2)), np.zeros(50)])
+    patches = [
+        rng.normal(size=(50, 3)),
+        flat,
+        flat + 1e-8 * rng.normal(size=flat.shape),
+        np.outer(np.linspace(0, 1, 9), [1.0, 2.0, 3.0]),
+        np.zeros((3, 3)),
+        np.eye(3)[:2],
+    ]
+    for points in patches:
+        turned = 1e-3 * points @ np.linalg.qr(rng.normal(size=(3, 3)))[0] + rng.normal(size=3)
+        corners, slack = hull_corners(turned)
+        held = turned[corners]
+        assert (turned.min(axis=0) >= held.min(axis=0) - slack).all()
+        assert (turned.max(axis=0) <= held.max(axis=0) + slack).all()
+        assert slack < 1e-9
+    assert len(hull_corners(flat)[0]) < 20
+    assert len(hull_corners(patches[3])[0]) == 2

@@ -36,6 +36,7 @@ from taccel_lab.scene.bodies import Surface
 from taccel_lab.scene.gaps import point_triangle_distances
 from taccel_lab.state import initial_state
 from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
+from tests.verification.curved_tets import CURVED, curved
 
 MESH = block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.2)
 
@@ -235,4 +236,13 @@ def test_a_quadratic_tet_can_turn_inside_out_at_a_corner() -> None:
     ends = soft.nodal_mesh.edges[40]
     x[0, middle] = x[0, ends[0]] + 0.2 * (x[0, ends[1]] - x[0, ends[0]])
     state.positions.assign(x)
+    assert kinds(find_intersections(model, state)[0]) == [IntersectionKind.INVERTED_TET]
+
+
+def test_a_quadratic_tet_can_be_inside_out_between_corners_that_are_in_order() -> None:
+    soft = SoftBody(CURVED, SOFT, bonded_nodes=np.arange(4), element=Element.QUADRATIC)
+    model = Scene(soft).finalize()
+    state = initial_state(model)
+    assert find_intersections(model, state) == [[]]
+    state.positions.assign(state.positions.numpy() + curved(soft))
     assert kinds(find_intersections(model, state)[0]) == [IntersectionKind.INVERTED_TET]

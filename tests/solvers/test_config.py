@@ -32,6 +32,8 @@ def test_the_defaults_are_allowed() -> None:
         ("absolute_tolerance_n", -1.0),
         ("friction_eps_m", 0.0),
         ("friction_eps_m", float("inf")),
+        ("friction_speed_m_s", 0.0),
+        ("friction_speed_m_s", NAN),
         ("kappa_pa", 0.0),
         ("kappa_pa", NAN),
         ("max_newton_iterations", 0),

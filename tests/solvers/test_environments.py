@@ -169,9 +169,16 @@ def test_an_inverted_start_is_reported_not_hidden() -> None:
     np.testing.assert_array_equal(state.positions.numpy()[1], x[1])
 
 
-@pytest.mark.parametrize("law", ["stable_neo_hookean", "st_venant_kirchhoff"])
-def test_a_body_does_not_silently_leave_through_the_glued_back(law: str) -> None:
-    """Nothing collides with glued faces, and these energies bear inversion."""
+@pytest.mark.parametrize(
+    ("law", "ends"),
+    [
+        ("stable_neo_hookean", EnvStatus.LINE_SEARCH),
+        ("st_venant_kirchhoff", EnvStatus.INVERSION),
+    ],
+)
+def test_a_body_does_not_leave_through_the_glued_back(law: str, ends: EnvStatus) -> None:
+    """These energies bear inversion: one still pushes back until the box is at the glued face, the
+    other lets tets turn inside out before."""
     gel = SoftBody(
         block_mesh((3, 3, 1), (4e-3, 4e-3, 1e-3)), Material(1e5, 0.4, model=MaterialModel(law))
     )
@@ -189,4 +196,4 @@ def test_a_body_does_not_silently_leave_through_the_glued_back(law: str) -> None
             np.testing.assert_array_equal(state.positions.numpy(), before)
             break
     assert statuses[0] == EnvStatus.CONVERGED
-    assert statuses[-1] == EnvStatus.INVERSION
+    assert statuses[-1] == ends

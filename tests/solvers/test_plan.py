@@ -44,11 +44,12 @@ CUBE = AffineBody(box_mesh((1e-3,) * 3), initial_pose=pose(0, 0, 6e-4))
         (Scene(SoftBody(MESH, GEL)), {"elasticity"}),
         (
             Scene(SoftBody(MESH, GEL), KinematicBody(Ball(1e-3))),
-            {"elasticity", "prescribed motion", "search of balls"},
+            {"elasticity", "prescribed motion", "search of balls", "gates of held faces"},
         ),
         (
             Scene(SoftBody(MESH, GEL), KinematicBody(box_mesh((1e-3,) * 3), 0.5)),
-            {"elasticity", "prescribed motion", "search in body frames", "friction"},
+            {"elasticity", "prescribed motion", "search in body frames", "friction"}
+            | {"gates of held faces"},
         ),
         (
             Scene(SoftBody(MESH, GEL, self_contact=True)),

@@ -95,7 +95,7 @@ def test_a_block_below_the_friction_angle_sticks(part: float) -> None:
     friction, n = 0.5, 20
     slope = np.arctan(part * friction)
     eps = 1e-6
-    run = on_slope(friction, slope, SolverConfig(friction_eps_m=eps))
+    run = on_slope(friction, slope, SolverConfig(friction_speed_m_s=eps / 0.01))
     run.step()
     start = run.y[0, 0].copy()
     for _ in range(n):

@@ -73,7 +73,10 @@ def block_on_floor(slope: float, mu: float, height: float) -> Run:
         free_block(), floor, young_pa=1e6, poisson=0.3, time=stepping, bonded=NOT_BONDED
     ).finalize()
     config = SolverConfig(
-        dhat_m=DHAT, friction_eps_m=EPS, relative_tolerance=1e-5, absolute_tolerance_n=1e-10
+        dhat_m=DHAT,
+        friction_speed_m_s=EPS / DT,
+        relative_tolerance=1e-5,
+        absolute_tolerance_n=1e-10,
     )
     placed = everywhere(1, pose(0.05, -0.01, -0.01 - SIDE - height))
     return Run(made, SolverIPC(made, config), initial_state(made, placed))

@@ -99,7 +99,7 @@ def test_nothing_intersects(name: str) -> None:
         time=time,
     )
     model = made.finalize()
-    config = SolverConfig(dhat_m=DHAT, kappa_pa=1e5, friction_eps_m=1e-6)
+    config = SolverConfig(dhat_m=DHAT, kappa_pa=1e5, friction_speed_m_s=5e-4)
     solver = SolverIPC(model, config)
     state = initial_state(model, everywhere(1, pose(0, 0, 0)))
     touched = False

@@ -88,7 +88,7 @@ class Insertion:
 
 @pytest.mark.parametrize("hole_is_affine", [False, True])
 def test_friction_carries_the_peg_into_the_hole(hole_is_affine: bool) -> None:
-    run = Insertion(generated_parts(), CENTRED, hole_is_affine, friction_eps_m=2e-6)
+    run = Insertion(generated_parts(), CENTRED, hole_is_affine, friction_speed_m_s=2e-6 / DT_S)
     run.run(3)
     gripped = run.lowest
     assert PUBLISHED.peg_m[2] - 5e-4 < gripped < PUBLISHED.peg_m[2]

@@ -9,11 +9,15 @@ Beyond it slides at g (sin - mu cos). (``test_dynamics`` and ``test_affine`` lea
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from taccel_lab.errors import InputError
 from taccel_lab.scene import (
     AffineBody,
+    Ball,
     Element,
     KinematicBody,
     Material,
@@ -24,13 +28,18 @@ from taccel_lab.scene import (
     box_mesh,
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
-from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, everywhere, free_block
+from taccel_lab.solvers.report import EnvStatus, StepReport
+from taccel_lab.state import State, initial_state
+from tests.verification.blocks import block_mesh, everywhere, free_block, pose
 
 G, SIDE, DENSITY, MU = 9.81, 2e-2, 1000.0, 0.4
 MASS = DENSITY * SIDE**3
 DHAT = 2e-5
-TIGHT = {"dhat_m": DHAT, "relative_tolerance": 1e-5, "absolute_tolerance_n": 1e-10}
+TIGHT = {
+    "dhat_m": DHAT,
+    "relative_tolerance": 1e-5,
+    "absolute_tolerance_n": 1e-10,
+}
 AZIMUTH = 0.5
 """Direction of the slope [rad]: along no edge of the block or of the floor."""
 
@@ -121,6 +130,22 @@ class Slope:
         return float(self.down @ np.diff(places, n=2, axis=0)[0]) / (steps * self.dt) ** 2
 
 
+def fail_whole_steps(solver: SolverIPC, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every step fail that is as long as the scene's, so that its halves are taken."""
+    attempt, whole = solver._attempt, solver.model.scene.time.dt_s
+
+    def failing(state: State, who: np.ndarray, dt: float) -> StepReport:
+        before = state.copy()
+        report = attempt(state, who, dt)
+        if dt == whole:
+            state.restore(before, who)
+            report.status[who] = EnvStatus.NO_CONVERGENCE
+            report.substeps[who] = 0
+        return report
+
+    monkeypatch.setattr(solver, "_attempt", failing)
+
+
 BLOCKS = ["affine", *Element]
 FLOORS = ["plane", "box"]
 
@@ -129,7 +154,7 @@ FLOORS = ["plane", "box"]
 @pytest.mark.parametrize("block", BLOCKS)
 def test_it_sticks_just_below_the_friction_angle(block: str, floor: str) -> None:
     eps, part = 1e-6, 0.99
-    slope = Slope(block, floor, part * MU, friction_eps_m=eps)
+    slope = Slope(block, floor, part * MU, friction_speed_m_s=eps / 0.01)
     slope.run(30)
     along, across, up = slope.creep(10)
     assert along < 1.1 * 10 * eps
@@ -163,7 +188,7 @@ def test_three_seconds_of_creep_with_default_settings(block: str) -> None:
         relative_tolerance=defaults.relative_tolerance,
         absolute_tolerance_n=defaults.absolute_tolerance_n,
     )
-    speed = defaults.friction_eps_m / slope.dt
+    speed = defaults.friction_speed_m_s
     along, across, _ = slope.creep(150)
     assert 0 < along < 1.1 * speed * 150 * slope.dt
     assert along == pytest.approx((1 - np.sqrt(0.5)) * speed * 150 * slope.dt, rel=0.1)
@@ -171,12 +196,63 @@ def test_three_seconds_of_creep_with_default_settings(block: str) -> None:
 
 
 @pytest.mark.parametrize("dt", [2e-3, 2e-2])
-@pytest.mark.parametrize("eps", [1e-7, 1e-5])
-def test_creep_goes_by_the_step_and_its_eps(dt: float, eps: float) -> None:
-    slope = Slope("affine", "box", 0.8 * MU, dt=dt, friction_eps_m=eps)
+@pytest.mark.parametrize("speed", [1e-5, 1e-3])
+def test_creep_goes_by_time_whatever_the_step(dt: float, speed: float) -> None:
+    slope = Slope("affine", "box", 0.8 * MU, dt=dt, friction_speed_m_s=speed)
     slope.run(30)
     along, *_ = slope.creep(10)
-    assert along == pytest.approx(10 * eps * (1 - np.sqrt(1 - 0.8)), rel=1e-2)
+    assert along == pytest.approx(10 * dt * speed * (1 - np.sqrt(1 - 0.8)), rel=1e-2)
+
+
+def test_halved_steps_creep_at_the_same_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    slope = Slope("affine", "box", 0.8 * MU)
+    slope.run(30)
+    whole, *_ = slope.creep(10)
+    fail_whole_steps(slope.solver, monkeypatch)
+    halved, *_ = slope.creep(10)
+    assert halved == pytest.approx(whole, rel=1e-2)
+
+
+def test_halved_steps_of_a_press_creep_no_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gel sheared by a ball that then rests: what its friction lets go in so many steps is the
+    same when they are taken in halves. The range is large, so that there is much to let go."""
+    relaxed = []
+    for halved in (False, True):
+        mesh = block_mesh((4, 4, 2), (8e-3, 8e-3, 2e-3))
+        ball = KinematicBody(Ball(4e-3), 0.5)
+        config = SolverConfig(dhat_m=DHAT, relative_tolerance=1e-5, friction_eps_m=2e-5)
+        model = Scene(SoftBody(mesh, Material(1e5, 0.4)), ball).finalize()
+        solver = SolverIPC(model, config)
+        path = [(0, 4.1e-3), (0, 3.7e-3), (1e-4, 3.7e-3)] + 4 * [(1e-4, 3.7e-3)]
+        state = initial_state(model, everywhere(1, pose(0, 0, path[0][1])))
+        forces = []
+        for x, z in path[1:]:
+            if halved and len(forces) == 2:
+                fail_whole_steps(solver, monkeypatch)
+            report = solver.step(state, everywhere(1, pose(x, 0, z)))
+            assert report.converged.all(), report.summary()
+            assert report.substeps[0] == (2 if halved and len(forces) >= 2 else 1)
+            forces.append(-solver.friction_gradient.numpy()[0, : model.soft_count, 0].sum())
+        relaxed.append(1 - forces[-1] / forces[1])
+    assert relaxed[0] > 0.05
+    assert relaxed[1] == pytest.approx(relaxed[0], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("quasi_static", "option", "says"),
+    [
+        (True, "friction_speed_m_s", "friction_eps_m"),
+        (False, "friction_eps_m", "friction_speed_m_s"),
+    ],
+)
+def test_the_range_of_the_other_kind_of_scene_is_refused(
+    quasi_static: bool, option: str, says: str
+) -> None:
+    mesh = block_mesh((1, 1, 1), (1e-3, 1e-3, 1e-3))
+    time = TimeStepping(quasi_static=quasi_static)
+    model = Scene(SoftBody(mesh, Material(1e5, 0.3)), time=time).finalize()
+    with pytest.raises(InputError, match=f"{option} means nothing.*{says}"):
+        SolverIPC(model, replace(SolverConfig(), **{option: 1e-4}))
 
 
 def test_a_gel_holds_a_block() -> None:
@@ -184,7 +260,7 @@ def test_a_gel_holds_a_block() -> None:
     slope = Slope("affine", "gel", 0.8 * MU)
     slope.run(60)
     along, across, _ = slope.creep(10)
-    assert 0 < along < 1.1 * 10 * slope.solver.config.friction_eps_m
+    assert 0 < along < 1.1 * 10 * slope.dt * slope.solver.config.friction_speed_m_s
     assert abs(across) < 0.1 * along
     # The gel's face is not exactly flat: its tangents lean with it.
     total = slope.force("friction") + slope.force("contact")

@@ -54,7 +54,10 @@ def resting(soft: bool, floor: str, slope: float, mu: float) -> Outputs:
         poses = everywhere(1, pose(0, 0, -0.01))
     model = Scene(time=time, **bodies).finalize()
     config = SolverConfig(
-        dhat_m=DHAT, friction_eps_m=EPS, relative_tolerance=1e-8, absolute_tolerance_n=1e-9
+        dhat_m=DHAT,
+        friction_speed_m_s=EPS / 0.02,
+        relative_tolerance=1e-8,
+        absolute_tolerance_n=1e-9,
     )
     solver, state = SolverIPC(model, config), initial_state(model, poses)
     for _ in range(25):

@@ -123,7 +123,7 @@ def card_house(friction: float) -> Run:
         *leaning_pair(0, deck + THICKNESS, "top", friction),
     ]
     scene = affine_scene(cards, planes=[Plane(friction_coefficient=friction)], dt=0.025)
-    return Run(scene, SolverConfig(friction_eps_m=1e-7))
+    return Run(scene, SolverConfig(friction_speed_m_s=4e-6))
 
 
 def test_a_card_house_stands() -> None:
@@ -195,7 +195,7 @@ def arch(thickness: float, radius: float = 1.0, count: int = 27, friction: float
         for i, (low, high) in enumerate(pairwise(angles))
     ]
     scene = affine_scene(blocks, planes=[Plane(friction_coefficient=friction)])
-    return Run(scene, SolverConfig(friction_eps_m=1e-7))
+    return Run(scene, SolverConfig(friction_speed_m_s=1e-5))
 
 
 def test_a_masonry_arch_stands() -> None:

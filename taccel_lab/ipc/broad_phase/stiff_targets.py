@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.broad_phase.held_patches import HeldPatches
 from taccel_lab.ipc.broad_phase.swept_box import (
     BodyFrame,
     Frames,
@@ -56,10 +57,12 @@ class StiffSearch:
     """(primitive, frame, what), vec3i, shape [job_count]."""
     nodes: wp.array
     """Nodes of the primitive of each job, repeated where it has fewer, vec3i, [job_count]."""
+    gates: wp.array
+    """Gate of each job, see ``held_patches``, int32, shape [job_count]."""
     trees: TargetTrees
 
 
-def stiff_search(model: Model) -> StiffSearch:
+def stiff_search(model: Model, patches: HeldPatches) -> StiffSearch:
     """Nodes and faces against faces and vertices, edges against edges, as the plan says."""
     plan, surface = model.plan, model.surface
     bodies = [model.bodies[target.body] for target in model.targets]
@@ -78,9 +81,11 @@ def stiff_search(model: Model) -> StiffSearch:
     shape = (len(kinds), len(bodies))
     trees.ids = put(np.array(ids, dtype=np.uint64).reshape(shape), wp.uint64)
     trees.starts = put(np.array(starts, dtype=np.int32).reshape(shape), wp.int32)
-    trees.bodies = put(np.array([t.body for t in model.targets], dtype=np.int32), wp.int32)
+    targets = np.array([target.body for target in model.targets], dtype=np.int32)
+    trees.bodies = put(targets, wp.int32)
     faces, edges = surface.faces.numpy(), surface.edges.numpy()
     jobs, nodes = [np.zeros((0, 3), dtype=np.int32)], [np.zeros((0, 3), dtype=np.int32)]
+    gates = [np.zeros(0, dtype=np.int32)]
     for what, pairs, corners in (
         (NODE_FACE, plan.node_target, lambda i: np.stack([i, i, i], axis=1)),
         (FACE_VERTEX, plan.face_target, lambda i: faces[i]),
@@ -89,9 +94,11 @@ def stiff_search(model: Model) -> StiffSearch:
         found = pairs.numpy().reshape(-1, 2)
         jobs.append(np.column_stack([found, np.full(len(found), what)]))
         nodes.append(corners(found[:, 0]).reshape(-1, 3))
+        gates.append(patches.gates_of(nodes[-1], targets[found[:, 1]]))
     return StiffSearch(
         put(np.concatenate(jobs).astype(np.int32), wp.vec3i),
         put(np.concatenate(nodes).astype(np.int32), wp.vec3i),
+        put(np.concatenate(gates), wp.int32),
         trees,
     )
 
@@ -210,6 +217,8 @@ def _search_kernel(
     active: wp.array(dtype=wp.int32),
     jobs: wp.array(dtype=wp.vec3i),
     job_nodes: wp.array(dtype=wp.vec3i),
+    job_gates: wp.array(dtype=wp.int32),
+    are_open: wp.array2d(dtype=wp.int32),
     trees: TargetTrees,
     node_bodies: wp.array(dtype=wp.int32),
     present: wp.array2d(dtype=wp.int32),
@@ -230,6 +239,10 @@ def _search_kernel(
     nodes = job_nodes[i]
     if active[env] == 0:
         return
+    gate = job_gates[i]
+    if gate >= 0:
+        if are_open[env, gate] == 0:
+            return
     if is_absent(env, nodes[0], trees.bodies[frame], node_bodies, present):
         return
     low = wp.vec3d(_BIG, _BIG, _BIG)
@@ -263,16 +276,17 @@ def run_search(
     active: wp.array,
     path: list,
     frames: Frames,
+    are_open: wp.array,
     outputs: list[wp.array],
 ) -> None:
     """Append pairs to ``outputs`` (counts, pairs of nodes and faces, then of edges); ``path``:
-    margins, positions, displacements."""
+    margins, positions, displacements; ``are_open``: the gates of what is held."""
     if len(search.jobs):
         wp.launch(
             _search_kernel,
             dim=(model.env_count, len(search.jobs)),
-            inputs=[active, search.jobs, search.nodes, search.trees, model.surface.node_bodies]
-            + [model.present, *path, frames],
+            inputs=[active, search.jobs, search.nodes, search.gates, are_open, search.trees]
+            + [model.surface.node_bodies, model.present, *path, frames],
             outputs=outputs,
             device=model.device,
         )

@@ -159,7 +159,7 @@ def _energy_kernel(
     lanes: int,
     frozen: FrozenContacts,
     motion: StepMotion,
-    eps_u: wp.float64,
+    eps_u: wp.array(dtype=wp.float64),
     energies: wp.array2d(dtype=wp.float64),
 ):
     env, lane = wp.tid()
@@ -173,7 +173,7 @@ def _energy_kernel(
             frozen.normals[env, slot],
             motion,
         )
-        energies[env, slot] = friction_potential(u, frozen.mu_lambdas[env, slot], eps_u)
+        energies[env, slot] = friction_potential(u, frozen.mu_lambdas[env, slot], eps_u[env])
 
 
 @wp.kernel
@@ -182,7 +182,7 @@ def _gradient_kernel(
     lanes: int,
     frozen: FrozenContacts,
     motion: StepMotion,
-    eps_u: wp.float64,
+    eps_u: wp.array(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
     env, lane = wp.tid()
@@ -192,7 +192,7 @@ def _gradient_kernel(
         nodes = frozen.stencils[env, slot]
         w = frozen.weights[env, slot]
         u = sliding(env, nodes, w, frozen.normals[env, slot], motion)
-        force = friction_gradient(u, frozen.mu_lambdas[env, slot], eps_u)
+        force = friction_gradient(u, frozen.mu_lambdas[env, slot], eps_u[env])
         for i in range(4):
             if w[i] != wp.float64(0.0):
                 wp.atomic_add(gradient, env, nodes[i], w[i] * force)
@@ -204,7 +204,7 @@ def _hessian_kernel(
     lanes: int,
     frozen: FrozenContacts,
     motion: StepMotion,
-    eps_u: wp.float64,
+    eps_u: wp.array(dtype=wp.float64),
     sharpness: wp.array(dtype=wp.float64),
     parts: int,
     system: NewtonSystem,
@@ -220,25 +220,39 @@ def _hessian_kernel(
             w = frozen.weights[env, slot]
             n = frozen.normals[env, slot]
             u = sliding(env, nodes, w, n, motion)
-            core = friction_hessian(n, u, mu_lambda, eps_u, sharpness[env])
+            core = friction_hessian(n, u, mu_lambda, eps_u[env], sharpness[env])
             add_weighted_block(env, nodes, w, core, part, parts, system)
 
 
 @wp.kernel
-def _forget_kernel(who: wp.array(dtype=wp.int32), counts: wp.array(dtype=wp.int32)):
+def _begin_kernel(
+    who: wp.array(dtype=wp.int32),
+    dts: wp.array(dtype=wp.float64),
+    whole_dt: wp.float64,
+    whole_range: wp.float64,
+    counts: wp.array(dtype=wp.int32),
+    ranges: wp.array(dtype=wp.float64),
+):
+    """Nothing is frozen yet; a part of a step has that part of the static range."""
     env = wp.tid()
     if who[env] != 0:
         counts[env] = 0
+        ranges[env] = whole_range * (dts[env] / whole_dt)
 
 
 class FrictionPotential(EnergyTerm):
     """Frozen friction of a collision set; built only for scenes with a friction coefficient."""
 
-    def __init__(self, model: Model, collisions: Collisions, eps_u_m: float) -> None:
+    def __init__(self, model: Model, collisions: Collisions, static_range_m: float) -> None:
+        """``static_range_m``: sliding in a whole step below which friction is static."""
         self.model = model
         self.collisions = collisions
-        self.eps_u_m = eps_u_m
-        """Sliding in one step below which friction is static [m]: eps_v * dt."""
+        self._static_range_m = static_range_m
+        self.eps_u_m = wp.full(
+            model.env_count, static_range_m, dtype=wp.float64, device=model.device
+        )
+        """Sliding in the step that was begun below which friction is static [m], float64,
+        shape [env_count]: eps_v * dt, so that steps of any length creep at the same speed."""
         self.frozen = FrozenContacts()
         """The collisions as they were frozen."""
         self.frozen.counts = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
@@ -289,12 +303,14 @@ class FrictionPotential(EnergyTerm):
             [c.lists, c.geometry, self.model.pair_friction, positions, self.frozen],
         )
 
-    def clear(self, who: wp.array) -> None:
-        """Forget the frozen collisions of the environments ``who`` (int32, [env_count])."""
+    def begin_step(self, who: wp.array, dts: wp.array) -> None:
+        """Forget the frozen collisions of the environments ``who`` (int32, [env_count]), whose
+        steps are as long as ``dts`` says [s], float64, [env_count]."""
         wp.launch(
-            _forget_kernel,
+            _begin_kernel,
             dim=self.model.env_count,
-            inputs=[who, self.counts],
+            inputs=[who, dts, self.model.scene.time.dt_s, self._static_range_m],
+            outputs=[self.counts, self.eps_u_m],
             device=self.model.device,
         )
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Elements that are inside out, in materials whose energy does not forbid it.
+"""Elements that are inside out where their energy does not tell.
 
-Such a material may start inverted and come right; but a step that turns an element inside out has
-lost something through the gel, a body through its glued back for instance, where nothing collides.
+Some materials bear inversion: they may start inverted and come right. Quadratic tets may be inside
+out between their corners and quadrature points, where the energies of the others are infinite. A
+step that turns an element inside out is no result.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Sequence
 
 import warp as wp
 
+from taccel_lab.ipc.elasticity.volume_bounds import is_inside_out
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementSum
 from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
 from taccel_lab.ipc.potentials.quadratic_kernels import corner_deformation
@@ -47,11 +49,17 @@ def _quadratic_kernel(
     env, tet = wp.tid()
     if mask[env] == 0:
         return
-    corner_count = int(4)
-    for corner in range(corner_count):
-        f = corner_deformation(env, tet, corner, positions, d)
-        if not (wp.determinant(f) > wp.float64(0.0)):
-            inverted[env] = 1
+    f_0 = corner_deformation(env, tet, 0, positions, d)
+    f_1 = corner_deformation(env, tet, 1, positions, d)
+    f_2 = corner_deformation(env, tet, 2, positions, d)
+    f_3 = corner_deformation(env, tet, 3, positions, d)
+    if is_inside_out(f_0, f_1, f_2, f_3):
+        inverted[env] = 1
+
+
+def may_hide_inversion(part: ElementSum) -> bool:
+    """Whether elements may be inside out while their energy is finite."""
+    return part.group.law in BEARS_INVERSION or part.group.element is Element.QUADRATIC
 
 
 def find_inversions(

@@ -46,7 +46,8 @@ class Rubbing:
         assert self.assembly.collide(self.start) > 0
         self.friction = self.assembly.solver.friction
         assert self.friction is not None
-        self.friction.clear(wp.full(count, 1, dtype=wp.int32))
+        dts = wp.full(count, model.scene.time.dt_s, dtype=wp.float64)
+        self.friction.begin_step(wp.full(count, 1, dtype=wp.int32), dts)
         self.friction.lag(self.assembly.active, self.assembly.nodal(self.start))
 
     def motion(self, positions: np.ndarray):

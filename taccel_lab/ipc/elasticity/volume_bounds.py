@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Does a curved tet turn inside out anywhere? Bounds of the volume ratio J over a ten-node tet.
+
+Its deformation gradient is linear, F = sum_c l_c F_c in barycentric coordinates l and corner values
+F_c, so that J = det F is a homogeneous cubic polynomial. In Bernstein form J = sum B_a(l) b_a its
+coefficients are (polarisation of the determinant)
+
+    b_iii = det F_i,   b_iij = cof(F_i) : F_j / 3,   b_ijk = cof(F_i, F_j) : F_k / 6
+
+with cof(A, B) = cof(A + B) - cof A - cof B. The smallest coefficient bounds J from below, as the
+B_a are positive and sum to one [Farouki 2012, The Bernstein polynomial basis]; J itself at any
+corner bounds it from above. Between the two the tet is bisected [Maubach 1995], which only takes
+means of corner values, until every part has a positive bound or some corner has J <= 0; the gap of
+the bounds falls with the square of the size of a part [Johnen, Remacle and Geuzaine 2013,
+Geometrical validity of curvilinear finite elements].
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.elasticity.invariants import cofactor
+
+wp.set_module_options({"enable_backward": False})
+
+MAX_BISECTIONS = wp.constant(18)
+"""Bisections of a part, three of which halve its edges: parts of 1/64 of the tet. J of what is
+still undecided then lies within 1e-3 of zero, measured by the largest coefficient."""
+MAX_PARTS = wp.constant(4096)
+"""Parts that are looked at in one tet; more are needed only where J touches zero on a whole area
+without falling below."""
+
+
+@wp.func
+def mixed_cofactor(a: wp.mat33d, b: wp.mat33d) -> wp.mat33d:
+    """cof(A + B) - cof A - cof B, without the differences."""
+    a0 = wp.vec3d(a[0, 0], a[0, 1], a[0, 2])
+    a1 = wp.vec3d(a[1, 0], a[1, 1], a[1, 2])
+    a2 = wp.vec3d(a[2, 0], a[2, 1], a[2, 2])
+    b0 = wp.vec3d(b[0, 0], b[0, 1], b[0, 2])
+    b1 = wp.vec3d(b[1, 0], b[1, 1], b[1, 2])
+    b2 = wp.vec3d(b[2, 0], b[2, 1], b[2, 2])
+    return wp.matrix_from_rows(
+        wp.cross(a1, b2) + wp.cross(b1, a2),
+        wp.cross(a2, b0) + wp.cross(b2, a0),
+        wp.cross(a0, b1) + wp.cross(b0, a1),
+    )
+
+
+@wp.func
+def least_with(f: wp.mat33d, a: wp.mat33d, b: wp.mat33d, c: wp.mat33d) -> wp.float64:
+    """Smallest of the four coefficients in which corner value f comes twice or thrice."""
+    cof = cofactor(f)
+    others = wp.min(wp.min(wp.ddot(cof, a), wp.ddot(cof, b)), wp.ddot(cof, c))
+    return wp.min(wp.determinant(f), others / wp.float64(3.0))
+
+
+@wp.func
+def least_coefficient(f0: wp.mat33d, f1: wp.mat33d, f2: wp.mat33d, f3: wp.mat33d) -> wp.float64:
+    """Lower bound of J over the tet with these deformation gradients at its corners."""
+    twice = wp.min(
+        wp.min(least_with(f0, f1, f2, f3), least_with(f1, f2, f3, f0)),
+        wp.min(least_with(f2, f3, f0, f1), least_with(f3, f0, f1, f2)),
+    )
+    m_01 = mixed_cofactor(f0, f1)
+    m_23 = mixed_cofactor(f2, f3)
+    once = wp.min(
+        wp.min(wp.ddot(m_01, f2), wp.ddot(m_01, f3)),
+        wp.min(wp.ddot(m_23, f0), wp.ddot(m_23, f1)),
+    )
+    return wp.min(twice, once / wp.float64(6.0))
+
+
+@wp.func
+def halved(f0: wp.mat33d, f1: wp.mat33d, f2: wp.mat33d, f3: wp.mat33d, cut: int, second: int):
+    """Corner values of one half of a tet that is cut in the middle of the edge from corner 0 to
+    corner ``cut``; the order of the corners makes edges take turns [Maubach 1995]."""
+    half = wp.float64(0.5)
+    a = f0
+    b = f1
+    c = f2
+    d = f3
+    if cut == 3:
+        middle = half * (f0 + f3)
+        d = middle
+        if second != 0:
+            a = f1
+            b = f2
+            c = f3
+    elif cut == 2:
+        middle = half * (f0 + f2)
+        c = middle
+        if second != 0:
+            a = f1
+            b = f2
+    else:
+        middle = half * (f0 + f1)
+        b = middle
+        if second != 0:
+            a = f1
+    return a, b, c, d
+
+
+@wp.func
+def is_inside_out(f0: wp.mat33d, f1: wp.mat33d, f2: wp.mat33d, f3: wp.mat33d) -> bool:
+    """Whether J <= 0 anywhere in the tet with these deformation gradients at its corners.
+
+    Found to be so by a point where it is; where J only comes near zero (see ``MAX_BISECTIONS``),
+    the tet passes.
+    """
+    zero = wp.float64(0.0)
+    corners = wp.min(
+        wp.min(wp.determinant(f0), wp.determinant(f1)),
+        wp.min(wp.determinant(f2), wp.determinant(f3)),
+    )
+    # The other way round, a corner that is not a number passes for in order.
+    if not (corners > zero):
+        return True
+    if least_coefficient(f0, f1, f2, f3) > zero:
+        return False
+    # Depth first, without a stack: the bits of ``path`` say which halves lead to the present part.
+    path = int(0)
+    depth = int(1)
+    parts = int(0)
+    while depth > 0 and parts < MAX_PARTS:
+        parts += 1
+        a, b, c, d = halved(f0, f1, f2, f3, 3, (path >> (depth - 1)) & 1)
+        level = int(1)
+        while level < depth:
+            a, b, c, d = halved(a, b, c, d, 3 - level % 3, (path >> (depth - 1 - level)) & 1)
+            level += 1
+        lowest = wp.min(
+            wp.min(wp.determinant(a), wp.determinant(b)),
+            wp.min(wp.determinant(c), wp.determinant(d)),
+        )
+        if not (lowest > zero):
+            return True
+        if depth < MAX_BISECTIONS and not (least_coefficient(a, b, c, d) > zero):
+            path = path << 1
+            depth += 1
+        else:
+            while depth > 0 and (path & 1) == 1:
+                path = path >> 1
+                depth -= 1
+            path = path | 1
+    return False
