@@ -212,6 +212,7 @@ def _press(results: DemoResults) -> PressSection:
             positions_m=outcome.positions_m,
             contact_faces=outcome.mesh.region_faces(Region.CONTACT),
             forces_n=outcome.contact_forces_n,
+            pressures_pa=outcome.contact_pressures_pa,
         ),
         facts={
             "Young's modulus [kPa]": material.young_modulus_pa / 1e3,

@@ -280,6 +280,7 @@ def _write(
         "rest_normals": outcome.rest_normals,
         "contact_mask": outcome.contact_mask,
         "contact_forces_n": outcome.contact_forces_n,
+        "contact_pressures_pa": outcome.contact_pressures_pa,
     }
     if rgb is not None:
         arrays["rgb"] = np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
@@ -297,13 +298,16 @@ def _write(
         point_data={
             "displacement_m": outcome.positions_m - outcome.mesh.nodes_m,
             "contact_force_n": outcome.contact_forces_n,
+            "contact_pressure_pa": outcome.contact_pressures_pa,
         },
     )
     save_figure(draw_height_map(outcome.height_m, grid), folder / "height_map.png")
     save_figure(draw_normals(outcome.normals, grid), folder / "normals.png")
     faces = outcome.mesh.region_faces(Region.CONTACT)
     save_figure(
-        draw_contact_forces(outcome.positions_m, faces, outcome.contact_forces_n),
+        draw_contact_forces(
+            outcome.positions_m, faces, outcome.contact_forces_n, outcome.contact_pressures_pa
+        ),
         folder / "contact_pressure.png",
     )
     down = [s for s in outcome.steps if s.shear_mm == (0.0, 0.0) and s.twist_deg == 0.0]

@@ -14,6 +14,7 @@ from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.envs.press_path import PressPath
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
+from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Ball, Material, MaterialField
 from taccel_lab.signals import (
     HeightFieldSurface,
@@ -57,6 +58,8 @@ class PressOutcome:
     """Deformed gel nodes [m], shape [node, 3]."""
     contact_forces_n: np.ndarray
     """Force of the indenter on each gel node [N], shape [node, 3]."""
+    contact_pressures_pa: np.ndarray
+    """Contact pressure at each gel node [Pa], see ``SurfaceLoad``, shape [node]."""
     indenter_pose: np.ndarray
     """gel_from_indenter: position [m], quaternion x, y, z, w; shape [7]. Held back by
     ``setback_m`` from the depth."""
@@ -167,6 +170,7 @@ def simulate_press(
             progress(done, total, steps[-1])
 
     env.follow(path, keep)
+    load = Outputs(env.solver).update(env.state).surface_load
     dhat = env.solver.config.dhat_m
     pose = env.poses[0, 0]
     if isinstance(indenter.shape, Ball):
@@ -196,6 +200,7 @@ def simulate_press(
         height_error_m=float(error.height_m[0]),
         positions_m=env.positions[0].copy(),
         contact_forces_n=env.contact_forces[0].copy(),
+        contact_pressures_pa=load.pressures.numpy()[0, : env.model.soft_count].copy(),
         indenter_pose=pose,
         setback_m=float(env.setback_m[0]),
         height_m=height_m,

@@ -17,7 +17,7 @@ from taccel_lab.outputs.contact_wrenches import (
 )
 from taccel_lab.outputs.momentum import Momentum, MomentumReader
 from taccel_lab.outputs.stress import StressReader, peak_at, von_mises
-from taccel_lab.outputs.surface_load import SurfaceLoad, surface_load
+from taccel_lab.outputs.surface_load import SurfaceLoad, SurfaceLoadReader
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State
 
@@ -37,6 +37,7 @@ class Outputs:
         self._model = solver.model
         self._state: State | None = None
         self._momentum = MomentumReader(self._model)
+        self._surface_load = SurfaceLoadReader(self._model)
 
     def update(self, state: State) -> Outputs:
         """Read from now on the step that led to ``state``."""
@@ -71,7 +72,7 @@ class Outputs:
     def surface_load(self) -> SurfaceLoad:
         """Tractions of contact and friction, and contact pressure, on the surface as it is now."""
         x = self.state.positions
-        return surface_load(self._model, x, self.normal_forces, self.friction_forces)
+        return self._surface_load.read(x, self.normal_forces, self.friction_forces)
 
     def contact_wrenches(self, center_m: tuple[float, float, float] = (0, 0, 0)) -> PairWrenches:
         """Normal forces between bodies, torques about ``center_m``, and gaps."""

@@ -98,9 +98,13 @@ def _press_figures(report: Report) -> Iterator[tuple[str, FigureMaker]]:
     rgb = maps.rgb
     if rgb is not None:
         yield "image", lambda: figures.draw_image(rgb, maps.grid)
-    nodes, faces, forces = maps.positions_m, maps.contact_faces, maps.forces_n
-    if nodes is not None and faces is not None and forces is not None:
-        yield "contact_forces", lambda: figures.draw_contact_forces(nodes, faces, forces)
+    nodes, faces = maps.positions_m, maps.contact_faces
+    forces, pressures = maps.forces_n, maps.pressures_pa
+    if not (nodes is None or faces is None or forces is None or pressures is None):
+        yield (
+            "contact_forces",
+            lambda: figures.draw_contact_forces(nodes, faces, forces, pressures),
+        )
 
 
 def report_environment(*packages: str) -> Any:

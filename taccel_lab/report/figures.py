@@ -91,14 +91,17 @@ def draw_contact_forces(
     positions_m: np.ndarray,
     contact_faces: np.ndarray,
     forces_n: np.ndarray,
+    pressures_pa: np.ndarray,
     title: str = "Contact pressure",
 ) -> Figure:
-    """Contact pressure (force along the inward normal over nodal area) and shear arrows.
+    """Contact pressure and shear arrows.
 
     Args:
         positions_m: Deformed nodes, shape [node, 3].
         contact_faces: Outward triangles of the contact face, shape [face, 3].
         forces_n: Contact force on each node [N], shape [node, 3].
+        pressures_pa: Contact pressure at each node [Pa], shape [node], as of
+            ``Outputs.surface_load``: force over nodal area is none on quadratic tets.
     """
     from matplotlib.tri import Triangulation
 
@@ -110,7 +113,6 @@ def draw_contact_forces(
     area = np.linalg.norm(vector_area, axis=1)
     normal = vector_area / np.maximum(area, 1e-30)[:, None]
     along = (forces_n * normal).sum(axis=1)
-    pressure_kpa = np.where(area > 0, -along / np.maximum(area, 1e-30), 0.0) * 1e-3
     shear = (forces_n - along[:, None] * normal)[:, :2]
 
     loaded = np.flatnonzero(np.linalg.norm(forces_n, axis=1) > 0)
@@ -118,7 +120,7 @@ def draw_contact_forces(
     axes.set_title(f"{title}, {-forces_n[:, 2].sum():.3g} N along -z")
     xy_mm = positions_m[:, :2] * 1e3
     mesh = Triangulation(xy_mm[:, 0], xy_mm[:, 1], contact_faces)
-    drawn = axes.tripcolor(mesh, pressure_kpa, shading="gouraud", cmap="magma_r", vmin=0)
+    drawn = axes.tripcolor(mesh, pressures_pa * 1e-3, shading="gouraud", cmap="magma_r", vmin=0)
     axes.triplot(mesh, color="black", linewidth=0.25, alpha=0.25)
     figure.colorbar(drawn, ax=axes, label="pressure [kPa]", shrink=0.9)
     if len(loaded):

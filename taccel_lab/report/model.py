@@ -152,7 +152,10 @@ class PressMaps:
     contact_faces: np.ndarray | None = None
     """Triangles of the contact face, shape [face, 3]."""
     forces_n: np.ndarray | None = None
-    """Contact force on each node [N], shape [node, 3]; drawn when nodes and faces are given."""
+    """Contact force on each node [N], shape [node, 3]."""
+    pressures_pa: np.ndarray | None = None
+    """Contact pressure at each node [Pa], shape [node]; drawn when nodes, faces and forces are
+    given too."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import warp as wp
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.potentials.external import pressure_forces, traction_forces
 from taccel_lab.outputs.momentum import MomentumReader
-from taccel_lab.outputs.surface_load import surface_load
+from taccel_lab.outputs.surface_load import SurfaceLoadReader
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -85,7 +85,7 @@ def test_tractions_times_areas_are_the_forces() -> None:
     top = mesh.region_faces(1)
     normal, drag = pressure_forces(x, top, 2e3), traction_forces(x, top, np.array([500.0, 0, 0]))
     positions, pushing, dragging = (wp.array(v, dtype=wp.vec3d) for v in (x, normal, drag))
-    load = surface_load(model, positions, pushing, dragging)
+    load = SurfaceLoadReader(model).read(positions, pushing, dragging)
     areas, nodes = load.areas.numpy()[0], np.unique(top)
     np.testing.assert_allclose(load.tractions.numpy()[0] * areas[:, None], (normal + drag)[0])
     # The rim counts with the top that is touched, not with the sides.

@@ -101,7 +101,14 @@ def full_report() -> Report:
             (press("press 0", 2.0), press("press 1", 2.5, min_distance_m=3e-6)),
             ForceDepth("simulation", depth, depth**1.5, (ForceReference("Hertz", depth, depth),)),
             PressMaps(
-                GRID, 1e-4 * x, normals, 100 + 50 * normals, mesh.nodes_m, mesh.faces[:1], forces
+                GRID,
+                1e-4 * x,
+                normals,
+                100 + 50 * normals,
+                mesh.nodes_m,
+                mesh.faces[:1],
+                forces,
+                np.linalg.norm(forces, axis=1) / 1e-6,
             ),
             {"Friction": 0.5},
         ),

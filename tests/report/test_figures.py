@@ -74,10 +74,10 @@ def test_contact_pressure_is_force_over_area():
     area = np.zeros(25)
     np.add.at(area, faces.ravel(), 0.5 * (0.5e-3) ** 2 / 3)
     forces = np.column_stack([0 * area, 0 * area, -50e3 * area])
-    figure = draw_contact_forces(nodes, faces, forces)
+    figure = draw_contact_forces(nodes, faces, forces, np.full(25, 50e3))
     assert np.allclose(figure.axes[0].collections[0].get_array(), 50.0)
     assert "0.2 N" in figure.axes[0].get_title()
-    draw_contact_forces(nodes, faces, np.zeros_like(forces))
+    draw_contact_forces(nodes, faces, np.zeros_like(forces), np.zeros(25))
 
 
 def test_force_depth_shows_the_curve():
