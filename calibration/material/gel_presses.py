@@ -20,11 +20,12 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.envs import Indenter, PressEnv
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.geometry import TetMesh
 from taccel_lab.ipc.potentials.friction import FrictionPotential, FrozenContacts
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
-from taccel_lab.scene import Element, Material, MaterialField, MaterialModel
+from taccel_lab.scene import Material, MaterialField, MaterialModel
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.solvers.sensitivity import elastic_power, groups_of, node_rates
 
@@ -56,18 +57,20 @@ class GelPresses(PressEnv):
         at_mm: tuple[float, float],
         frictions: Sequence[float],
         *,
+        physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
         config: SolverConfig | None = None,
         device: str = "cpu",
     ) -> None:
         """
         Args:
-            mesh: Gel pad in the gel frame; its tets become ten-node ones.
+            mesh: Gel pad in the gel frame.
             materials: Of each environment, of one law and one largest Young's modulus, on which
                 the contact stiffness depends.
             indenter: The tool.
             at_mm: xy of its axis [mm].
             frictions: Coefficient of friction of each environment.
-            config: Tolerances of the solver.
+            physics: Element, contact range and tolerance.
+            config: The solver's settings; those of ``physics`` when None.
             device: Warp device.
 
         Raises:
@@ -89,8 +92,8 @@ class GelPresses(PressEnv):
             friction_coefficient=frictions[0] if one_friction else 1.0,
             # Volumes are to differ by environment.
             rest_positions_m=None if alike else np.tile(mesh.nodes_m, (count, 1, 1)),
-            element=Element.QUADRATIC,
-            config=config,
+            element=physics.element,
+            config=config or physics.solver(),
             device=device,
         )
         self._whole = self.model.elastic

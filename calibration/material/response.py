@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated force over depth, Poisson's ratio and law, as a smooth function with its own error.
 
-Presses are simulated at Chebyshev nodes of s = sqrt(1 - 2 nu) (and of the Mooney ratio), in which
-forces are nearly polynomial up to incompressibility: with five nodes over nu 0.30 to 0.499 they are
-met to 0.04 %, with six nodes of nu itself to 0.06 %, of log(1 - 2 nu) to 0.08 %. The press of a
-ball also gives the slope of its force over nu and over the Mooney ratio by the implicit function
-theorem, for a tenth of its time; three nodes with slopes are as good as five of values. With
-friction there are no such slopes, and for tools with edges they are not used. One press between the
-nodes measures the error, and one on a finer mesh that of the mesh, which is corrected.
+Each force is that of a press as ``taccel-lab press`` simulates it: the mesh of its own depth, the
+same steps on the way. Presses are simulated at Chebyshev nodes of s = sqrt(1 - 2 nu) (and of the
+Mooney ratio), in which forces are nearly polynomial up to incompressibility: with five nodes over
+nu 0.30 to 0.499 they are met to 0.04 %, with six nodes of nu itself to 0.06 %, of log(1 - 2 nu) to
+0.08 %. The press of a ball also gives the slope of its force over nu and over the Mooney ratio by
+the implicit function theorem, for a tenth of its time; three nodes with slopes are as good as five
+of values. With friction there are no such slopes, and for tools with edges they are not used.
+Presses between the nodes measure the error of the table, and presses of another accuracy that of
+the mesh.
 """
 
 from __future__ import annotations
@@ -21,17 +23,10 @@ from scipy.interpolate import CubicSpline
 
 from calibration.material.candidates import Candidate, Reader, prepare, simulate
 from calibration.material.gel_presses import GelPresses, MaterialStep, Stop
-from calibration.material.setup import (
-    DHAT_M,
-    REFEREE,
-    STANDARD,
-    UNIT_MODULUS_PA,
-    Effort,
-    Gel,
-    Tool,
-)
+from calibration.material.setup import UNIT_MODULUS_PA, Gel, Tool, compared
 from calibration.material.surface_fit import chebyshev_basis, chebyshev_nodes, fit_surface
-from taccel_lab.envs import profile_material
+from taccel_lab.envs import PressPath, profile_material
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 
 NU_RANGE = (0.30, 0.499)
@@ -48,7 +43,8 @@ _GRID = 1.1
 _STEP = 1e-5
 """Of parameters in slopes of elastic forces; these are linear in the moduli."""
 _CHECK_NU = 0.4775
-"""Between the nodes, where gels are; also the Poisson's ratio of the finer press."""
+"""Between the nodes, where gels are; also the Poisson's ratio of the presses that tell the mesh's
+error."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +54,7 @@ class TableError:
     interpolation: float
     """Greatest difference to a press between the nodes."""
     mesh: np.ndarray
-    """Difference to a press on a finer mesh at each depth, shape [depth]; the table is corrected
-    by it, so it bounds what is left."""
+    """Difference to presses of another accuracy at each depth, shape [depth]."""
 
     @property
     def scale(self) -> float:
@@ -170,7 +165,7 @@ def force_table(
     fixed_nu: float | None = None,
     fixed_ratio: float | None = None,
     friction: float = 0.0,
-    effort: Effort = STANDARD,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     checked: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> ForceTable:
@@ -183,8 +178,8 @@ def force_table(
         fixed_nu: Poisson's ratio where it is not to be fitted; one press suffices then.
         fixed_ratio: Mooney ratio, likewise; 0 of other laws.
         friction: Between tool and gel.
-        effort: Mesh of the presses.
-        checked: Whether a finer mesh corrects the table and tells its error.
+        physics: Of the presses.
+        checked: Whether presses of another accuracy tell the error of the mesh.
         progress: Told how many presses are done, and of how many.
 
     Raises:
@@ -198,11 +193,11 @@ def force_table(
     # Over an edge nodes slip by jumps: slopes at one nu are not those of the curve.
     if friction == 0 and tool.kind == "sphere":
         grid = _Grid(fixed_nu, fixed_ratio, sloped=True)
-        table = _table(gel, tool, depths, grid, friction, effort, checked, progress)
+        table = _table(gel, tool, depths, grid, friction, physics, checked, progress)
         if table is not None:
             return table
     grid = _Grid(fixed_nu, fixed_ratio, sloped=False)
-    table = _table(gel, tool, depths, grid, friction, effort, checked, progress)
+    table = _table(gel, tool, depths, grid, friction, physics, checked, progress)
     assert table is not None
     return table
 
@@ -222,7 +217,7 @@ def _table(
     depths: np.ndarray,
     grid: _Grid,
     friction: float,
-    effort: Effort,
+    physics: PressPhysics,
     checked: bool,
     progress: Callable[[int, int], None] | None,
 ) -> ForceTable | None:
@@ -236,30 +231,43 @@ def _table(
     ratios = chebyshev_nodes(ratio_count) if fixed_ratio is None else np.array([fixed_ratio])
     check_nu = _CHECK_NU if fixed_nu is None else fixed_nu
     check_ratio = 0.3 if fixed_ratio is None else fixed_ratio
-    jobs = [(float(nu), float(ratio), slopes, effort) for ratio in ratios for nu in nus]
+    gels = [(float(nu), float(ratio), slopes) for ratio in ratios for nu in nus]
     if any(free.values()):
-        jobs.append((check_nu, check_ratio, (), effort))
-    alike = len(jobs)
-    if checked:
-        jobs.append((check_nu, check_ratio, (), REFEREE[effort.name]))
-    presses = [
-        press_candidate(gel, tool, depths, nu, ratio, friction, fineness, wanted)
-        for nu, ratio, wanted, fineness in jobs
-    ]
-    deepest = float(depths[-1])
-    prepare(gel.bench(tool, deepest, effort), presses[:alike], progress)
-    found, seconds = [], 0.0
-    for done, (press, job) in enumerate(zip(presses, jobs, strict=True)):
+        gels.append((check_nu, check_ratio, ()))
+    total = (len(gels) + checked) * len(depths)
+    found: list[list[dict[str, np.ndarray]]] = []
+
+    def told(done: int, _: int = 0) -> None:
         if progress is not None:
-            progress(done, len(jobs))
-        found.append(simulate(gel.bench(tool, deepest, job[3]), press))
-        seconds += float(found[-1]["seconds"])
-        if not all(np.isfinite(found[-1][f"by_{name}_n"]).all() for name in job[2]):
+            progress(len(found) * len(gels) + done, total)
+
+    for depth in depths.tolist():
+        bench = gel.bench(tool, depth, physics)
+        presses = [
+            press_candidate(gel, tool, depth, nu, ratio, friction, physics, wanted)
+            for nu, ratio, wanted in gels
+        ]
+        prepare(bench, presses, told)
+        row = []
+        for done, press in enumerate(presses):
+            told(done)
+            row.append(simulate(bench, press))
+        found.append(row)
+        finite = [np.isfinite(row[i][f"by_{n}_n"]).all() for i, g in enumerate(gels) for n in g[2]]
+        if not all(finite):
             return None
+    forces = np.array([[item["force_n"][0] for item in row] for row in found]).T
+    seconds = float(sum(item["seconds"] for row in found for item in row))
+    other: np.ndarray | None = None
+    if checked:
+        there = simulate_press(
+            gel, tool, depths, check_nu, check_ratio, friction, compared(physics),
+            progress and (lambda done, _: progress(len(gels) * len(depths) + done, total)),
+        )  # fmt: skip
+        other, seconds = there["force_n"], seconds + float(there["seconds"])
     if progress is not None:
-        progress(len(jobs), len(jobs))
+        progress(total, total)
     exponent = 1.5 if tool.kind == "sphere" else 1.0
-    forces = np.array([item["force_n"] for item in found])
     reduced = np.log(forces / UNIT_MODULUS_PA) - exponent * np.log(depths)
     shape = (len(ratios), len(nus), len(depths))
     count = len(ratios) * len(nus)
@@ -268,8 +276,8 @@ def _table(
         """d ln F by the parameter scaled to -1..1, at the nodes."""
         if name not in slopes:
             return None
-        rows = [item[f"by_{name}_n"] for item in found[:count]]
-        return (np.array(rows) / forces[:count]).reshape(shape) / per
+        rows = np.array([[item[f"by_{name}_n"][0] for item in row[:count]] for row in found]).T
+        return (rows / forces[:count]).reshape(shape) / per
 
     places = [_place(float(nu), nu_range) for nu in nus] if fixed_nu is None else [(0.0, 1.0)]
     coefficients = fit_surface(
@@ -282,21 +290,20 @@ def _table(
     draft = ForceTable(
         tool, depths, exponent, nu_range, coefficients, TableError(0.0, np.zeros(1)), 0.0, 0
     )
-    here = draft.log_force(depths, check_nu, check_ratio)[0] - exponent * np.log(depths)
+    here = draft.log_force(depths, check_nu, check_ratio)[0]
     between = any(free.values())
-    interpolation = float(np.abs(reduced[count] - here).max()) if between else 0.0
-    own = reduced[count] if between else here
-    correction = reduced[-1] - own if checked else np.zeros(len(depths))
-    coefficients[0, 0] += correction
+    own = np.log(forces[-1] / UNIT_MODULUS_PA)
+    interpolation = float(np.abs(own - here).max()) if between else 0.0
+    mesh = np.zeros(1) if other is None else np.abs(np.log(other / UNIT_MODULUS_PA) - own)
     return ForceTable(
         tool=tool,
         depths_mm=depths,
         exponent=exponent,
         nu_range=nu_range if fixed_nu is None else (fixed_nu, fixed_nu),
         coefficients=coefficients,
-        error=TableError(interpolation, np.abs(correction)),
+        error=TableError(interpolation, mesh),
         seconds=seconds,
-        press_count=len(jobs),
+        press_count=total,
     )
 
 
@@ -305,38 +312,46 @@ def simulate_press(
     tool: Tool,
     depths_mm: np.ndarray,
     poisson_ratio: float,
-    mooney_ratio: float,
-    friction: float,
-    effort: Effort,
+    mooney_ratio: float = 0.0,
+    friction: float = 0.0,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
+    progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Forces [N] of one press of 1 MPa at rising depths, and the seconds that it took."""
-    candidate = press_candidate(gel, tool, depths_mm, poisson_ratio, mooney_ratio, friction, effort)
-    return simulate(gel.bench(tool, float(depths_mm[-1]), effort), candidate)
+    """Forces [N] of presses of 1 MPa to each depth, shape [depth], and the seconds they took."""
+    found = []
+    for done, depth in enumerate(np.asarray(depths_mm).tolist()):
+        if progress is not None:
+            progress(done, len(depths_mm))
+        press = press_candidate(gel, tool, depth, poisson_ratio, mooney_ratio, friction, physics)
+        found.append(simulate(gel.bench(tool, depth, physics), press))
+    return {
+        "force_n": np.array([float(item["force_n"][0]) for item in found]),
+        "seconds": np.array(sum(float(item["seconds"]) for item in found)),
+    }
 
 
 def press_candidate(
     gel: Gel,
     tool: Tool,
-    depths_mm: np.ndarray,
+    depth_mm: float,
     poisson_ratio: float,
     mooney_ratio: float,
     friction: float,
-    effort: Effort,
+    physics: PressPhysics,
     slopes: Sequence[str] = (),
 ) -> Candidate:
-    """The press of ``simulate_press``, which may also give the slopes of its forces over "nu" and
-    the Mooney "ratio" [N], as ``by_nu_n`` and ``by_ratio_n``."""
+    """A press to one depth, which may also give the slopes of its force over "nu" and the Mooney
+    "ratio" [N], as ``by_nu_n`` and ``by_ratio_n``."""
     recipe = {
         "what": "press",
         "gel": gel.recipe(),
         "tool": tool.description,
         "at_mm": list(tool.at_mm),
-        "depths_mm": depths_mm,
+        "depth_mm": depth_mm,
         "nu": poisson_ratio,
         "ratio": mooney_ratio,
         "friction": friction,
-        "effort": effort.recipe(),
-        "dhat_m": DHAT_M,
+        "physics": physics.record(),
     }
     if slopes:
         recipe["slopes"] = list(slopes)
@@ -358,10 +373,10 @@ def press_candidate(
         poisson_ratio,
         mooney_ratio,
         friction,
-        [Stop(float(depth)) for depth in depths_mm],
+        [Stop(depth, read=depth == depth_mm) for depth, _, _ in PressPath(depth_mm).waypoints()],
         reader,
         arrays,
-        must_reach=len(depths_mm),
+        must_reach=1,
     )
 
 
