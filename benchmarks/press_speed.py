@@ -36,8 +36,8 @@ def press(
     mesh: tuple[int, int, int], friction: float, poisson_ratio: float, capture: bool = True
 ) -> dict[str, Any]:
     """One press; figures of each step."""
-    from sensors.press_mesh import PressMeshOptions, press_mesh
-    from taccel_lab.envs import PressEnv, parse_indenter
+    from sensors.press_mesh import press_mesh
+    from taccel_lab.envs import PressEnv, PressMeshOptions, parse_indenter
     from taccel_lab.scene import Material
     from taccel_lab.solvers import SolverConfig
 

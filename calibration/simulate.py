@@ -29,10 +29,11 @@ from calibration.surfaces.press_batch import (
     surfaces_of,
 )
 from calibration.surfaces.types import PressSurface
-from sensors.press_mesh import PressMeshOptions
 from sensors.registry import sensor_family
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.signals.rest_surface import rest_surface
 
 BATCH = 6
 """Presses simulated together in one process."""
@@ -45,7 +46,7 @@ def simulate_presses(
     circles: Sequence[ContactCircle],
     profile: SensorProfile,
     *,
-    mesh: PressMeshOptions | None = None,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     friction_coefficient: float = 0.0,
     processes: int | None = None,
     cache: bool = False,
@@ -58,7 +59,7 @@ def simulate_presses(
         captures: Ball radius, pixel grid and names.
         circles: Contact circle of each press [px].
         profile: The designed sensor: family, parameters and material, that of a skin included.
-        mesh: Resolution; the defaults resolve a 2 mm ball.
+        physics: How presses are simulated: as by ``press``.
         friction_coefficient: Between ball and gel. Frictionless presses fit best what the images
             of real ball presses show: the slope beside the contact that they imply falls off as
             without friction (docs/captures.md).
@@ -78,7 +79,9 @@ def simulate_presses(
         ball_mm = press.radius_mm or captures.ball_radius_mm
         check_radius(circle, captures.grid, ball_mm, f"{captures.source}: {press.name}")
     _require_view_on_pad(captures, profile)
-    job = _Job(captures, circles, profile, mesh, friction_coefficient, processes, cache, progress)
+    job = _Job(
+        captures, circles, profile, physics, friction_coefficient, processes, cache, progress
+    )
     if share:
         for chosen in _of_ball(captures).values():
             job.share(chosen)
@@ -94,14 +97,15 @@ class _Job:
         captures: CaptureSet,
         circles: Sequence[ContactCircle],
         profile: SensorProfile,
-        mesh: PressMeshOptions | None,
+        physics: PressPhysics,
         friction_coefficient: float,
         processes: int | None,
         cache: bool,
         progress: Callable[[int, int], None] | None,
     ) -> None:
         self.captures, self.circles, self.profile = captures, circles, profile
-        self.mesh, self.friction_coefficient = mesh, friction_coefficient
+        self.physics, self.friction_coefficient = physics, friction_coefficient
+        self.rest = rest_surface(profile.mesh, captures.grid)
         self.processes, self.cache, self.progress = processes, cache, progress
         self.surfaces: list[PressSurface | None] = [None] * len(circles)
 
@@ -129,7 +133,7 @@ class _Job:
         """Simulate those of ``presses`` that have no surface yet, in batches."""
         wanted = [i for i in presses if self.surfaces[i] is None]
         batches = press_batches(
-            self.captures, self.circles, self.profile, self.mesh, self.friction_coefficient,
+            self.captures, self.circles, self.profile, self.physics, self.friction_coefficient,
             wanted, size,
         )  # fmt: skip
         left = []
@@ -159,7 +163,7 @@ class _Job:
         self._place_batch(batch, outcome)
 
     def _place_batch(self, batch: PressBatch, outcome: BatchOutcome) -> None:
-        found = surfaces_of(batch, outcome, self.captures.grid)
+        found = surfaces_of(batch, outcome, self.captures.grid, self.rest)
         for i, surface in zip(batch.presses, found, strict=True):
             self.surfaces[i] = surface
         self._tell()
@@ -181,7 +185,7 @@ def press_batches(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],
     profile: SensorProfile,
-    mesh: PressMeshOptions | None,
+    physics: PressPhysics,
     friction_coefficient: float,
     wanted: Sequence[int] | None = None,
     size: int | None = None,
@@ -208,7 +212,7 @@ def press_batches(
             parameters=dict(profile.sensor.parameters),
             material=profile.material,
             friction=friction_coefficient,
-            mesh=mesh or PressMeshOptions(),
+            physics=physics,
         )
         for ball_mm, indices in of_ball.items()
         for chosen in (indices[k : k + size] for k in range(0, len(indices), size))

@@ -60,7 +60,8 @@ def build(options: SceneOptions, name: str) -> BenchScene:
 
 def domed_pad(motion: PressMotion) -> TetMesh:
     """The catalogue's GelSight, 2,005 nodes, as ``benchmarks.press_speed`` has it."""
-    from sensors.press_mesh import PressMeshOptions, press_mesh
+    from sensors.press_mesh import press_mesh
+    from taccel_lab.envs import PressMeshOptions
 
     radius_mm = 1e3 * np.sqrt(motion.depth_m * motion.ball_m)
     at_mm = (1e3 * PLACE_M[0], 1e3 * PLACE_M[1])

@@ -38,6 +38,8 @@ class FocusOptions:
     layers: int = 4
     layer_ratio: float = 1.5
     """Thickness of a layer over that of the one above it, at the contact."""
+    squeeze: tuple[float, float] = (1.0, 1.0)
+    """Factors that narrow the fine part along x and y, for long contacts; domes go without."""
 
 
 def gel_mesh(
@@ -72,6 +74,7 @@ def focused_gel_mesh(pad: Pad, focus: FocusOptions) -> TetMesh:
             rings=focus.rings,
             layers=focus.layers,
             layer_ratio=focus.layer_ratio,
+            squeeze=focus.squeeze,
         )
     if isinstance(pad, DomePad):
         return focused_dome_mesh(

@@ -28,6 +28,10 @@ _SEEN_WEIGHT = 0.8
 _MAX_EVEN = 0.7
 """Share of the rings that may fill the focus; the others lead out to the outline."""
 _SIDE_SAMPLES = 400
+MIN_SQUEEZE = 0.05
+"""Narrowest fine part over its length: narrower cells would have no quality left."""
+_FADE_SHARE = 0.6
+"""Part of the way to the outline over which a squeezed plan becomes the plain one."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,29 @@ def focus_plan(pad: HeightPad, core: int, rings: int, focus: Focus) -> np.ndarra
     loose = np.arange((core + 1) ** 2 + count * held, len(xy) - count)
     xy = smooth_plan(xy, plan_quads(core, free), loose)
     return np.concatenate([xy, *(outline - normals * d for d in distances[1:])])
+
+
+def squeezed_plan(
+    pad: HeightPad, plan: np.ndarray, focus: Focus, squeeze: tuple[float, float]
+) -> np.ndarray:
+    """A plan [mm], [n, 2], drawn together about the focus along x and y by factors, for contacts
+    that are longer than wide; the outline and the rings along it stay where they are.
+
+    Along each axis t -> s t + (1 - s) t^3, with t the share of the way to the bounding box, which
+    is monotonous and has the slope s at the focus.
+    """
+    centre = np.asarray(focus.center_mm)
+    low, high = pad.outline.bounds_mm()
+    s = np.asarray(squeeze)
+    way = plan - centre
+    reach = np.where(way < 0, centre - low, high - centre)
+    t = np.clip(np.abs(way) / reach, 0.0, 1.0)
+    drawn = np.sign(way) * reach * (s * t + (1 - s) * t**3)
+    rim = float(rim_distances_mm(pad)[0])
+    fade = _FADE_SHARE * (float(pad.inside_distance_mm(centre)) - rim)
+    u = np.clip((pad.inside_distance_mm(plan) - rim) / fade, 0.0, 1.0)
+    weight = (u * u * (3 - 2 * u))[:, None]
+    return centre + way + weight * (drawn - way)
 
 
 def _unwrap_near(angle: np.ndarray, reference: np.ndarray) -> np.ndarray:

@@ -92,8 +92,8 @@ class GelPresses(PressEnv):
             friction_coefficient=frictions[0] if one_friction else 1.0,
             # Volumes are to differ by environment.
             rest_positions_m=None if alike else np.tile(mesh.nodes_m, (count, 1, 1)),
-            element=physics.element,
-            config=config or physics.solver(),
+            physics=physics,
+            config=config,
             device=device,
         )
         self._whole = self.model.elastic
@@ -109,14 +109,12 @@ class GelPresses(PressEnv):
 
         An environment that does not converge is left where it was, for the caller to see.
         """
-        depth = self.checked_depth_m(np.array([stop.depth_mm for stop in stops]))
-        shift = np.array([stop.shift_mm for stop in stops]) * 1e-3
-        half = 0.5 * np.radians([stop.angle_deg for stop in stops])
-        target = self._poses(depth, shift, 0.0)
-        target[:, 0, 5], target[:, 0, 6] = np.sin(half), np.cos(half)
-        if stay is not None:
-            target[stay] = self.poses[stay]
-        return self.solver.step(self.state, target)
+        return self._step(
+            self.checked_depth_m(np.array([stop.depth_mm for stop in stops])),
+            np.array([stop.shift_mm for stop in stops]) * 1e-3,
+            np.radians([stop.angle_deg for stop in stops]),
+            stay,
+        )
 
     def force_slopes(self, steps: Sequence[MaterialStep]) -> np.ndarray:
         """How the force against the motion downwards [N] changes with parameters of the material at

@@ -8,8 +8,8 @@ nu 0.30 to 0.499 they are met to 0.04 %, with six nodes of nu itself to 0.06 %, 
 0.08 %. The press of a ball also gives the slope of its force over nu and over the Mooney ratio by
 the implicit function theorem, for a tenth of its time; three nodes with slopes are as good as five
 of values. With friction there are no such slopes, and for tools with edges they are not used.
-Presses between the nodes measure the error of the table, and presses of another accuracy that of
-the mesh.
+Presses between the nodes measure the error of the table; that of the mesh is the estimate of
+``PressEnv``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 
 from calibration.material.candidates import Candidate, Reader, prepare, simulate
 from calibration.material.gel_presses import GelPresses, MaterialStep, Stop
-from calibration.material.setup import UNIT_MODULUS_PA, Gel, Tool, compared
+from calibration.material.setup import UNIT_MODULUS_PA, Gel, Tool
 from calibration.material.surface_fit import chebyshev_basis, chebyshev_nodes, fit_surface
 from taccel_lab.envs import PressPath, profile_material
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
@@ -43,8 +43,9 @@ _GRID = 1.1
 _STEP = 1e-5
 """Of parameters in slopes of elastic forces; these are linear in the moduli."""
 _CHECK_NU = 0.4775
-"""Between the nodes, where gels are; also the Poisson's ratio of the presses that tell the mesh's
-error."""
+"""Between the nodes, where gels are; also the Poisson's ratio at which the mesh's error is told."""
+NINE_IN_TEN = 1.645
+"""Standard deviations that an error stays below in nine of ten cases."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ class TableError:
     interpolation: float
     """Greatest difference to a press between the nodes."""
     mesh: np.ndarray
-    """Difference to presses of another accuracy at each depth, shape [depth]."""
+    """Estimated error of the presses at each depth, see ``PressEnv.error_estimate``, as one
+    standard deviation, shape [depth]."""
 
     @property
     def scale(self) -> float:
@@ -166,7 +168,6 @@ def force_table(
     fixed_ratio: float | None = None,
     friction: float = 0.0,
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
-    checked: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> ForceTable:
     """Simulate the presses of a table, or take it from the cache.
@@ -179,7 +180,6 @@ def force_table(
         fixed_ratio: Mooney ratio, likewise; 0 of other laws.
         friction: Between tool and gel.
         physics: Of the presses.
-        checked: Whether presses of another accuracy tell the error of the mesh.
         progress: Told how many presses are done, and of how many.
 
     Raises:
@@ -193,11 +193,11 @@ def force_table(
     # Over an edge nodes slip by jumps: slopes at one nu are not those of the curve.
     if friction == 0 and tool.kind == "sphere":
         grid = _Grid(fixed_nu, fixed_ratio, sloped=True)
-        table = _table(gel, tool, depths, grid, friction, physics, checked, progress)
+        table = _table(gel, tool, depths, grid, friction, physics, progress)
         if table is not None:
             return table
     grid = _Grid(fixed_nu, fixed_ratio, sloped=False)
-    table = _table(gel, tool, depths, grid, friction, physics, checked, progress)
+    table = _table(gel, tool, depths, grid, friction, physics, progress)
     assert table is not None
     return table
 
@@ -218,7 +218,6 @@ def _table(
     grid: _Grid,
     friction: float,
     physics: PressPhysics,
-    checked: bool,
     progress: Callable[[int, int], None] | None,
 ) -> ForceTable | None:
     """The table of a grid; None where slopes are wanted that a press does not have."""
@@ -234,7 +233,7 @@ def _table(
     gels = [(float(nu), float(ratio), slopes) for ratio in ratios for nu in nus]
     if any(free.values()):
         gels.append((check_nu, check_ratio, ()))
-    total = (len(gels) + checked) * len(depths)
+    total = len(gels) * len(depths)
     found: list[list[dict[str, np.ndarray]]] = []
 
     def told(done: int, _: int = 0) -> None:
@@ -258,13 +257,6 @@ def _table(
             return None
     forces = np.array([[item["force_n"][0] for item in row] for row in found]).T
     seconds = float(sum(item["seconds"] for row in found for item in row))
-    other: np.ndarray | None = None
-    if checked:
-        there = simulate_press(
-            gel, tool, depths, check_nu, check_ratio, friction, compared(physics),
-            progress and (lambda done, _: progress(len(gels) * len(depths) + done, total)),
-        )  # fmt: skip
-        other, seconds = there["force_n"], seconds + float(there["seconds"])
     if progress is not None:
         progress(total, total)
     exponent = 1.5 if tool.kind == "sphere" else 1.0
@@ -294,7 +286,7 @@ def _table(
     between = any(free.values())
     own = np.log(forces[-1] / UNIT_MODULUS_PA)
     interpolation = float(np.abs(own - here).max()) if between else 0.0
-    mesh = np.zeros(1) if other is None else np.abs(np.log(other / UNIT_MODULUS_PA) - own)
+    mesh = np.array([row[-1]["error_n"][0] for row in found]) / forces[-1] / NINE_IN_TEN
     return ForceTable(
         tool=tool,
         depths_mm=depths,
@@ -315,19 +307,13 @@ def simulate_press(
     mooney_ratio: float = 0.0,
     friction: float = 0.0,
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
-    progress: Callable[[int, int], None] | None = None,
-) -> dict[str, np.ndarray]:
-    """Forces [N] of presses of 1 MPa to each depth, shape [depth], and the seconds they took."""
+) -> np.ndarray:
+    """Forces [N] of presses of 1 MPa to each depth, shape [depth]."""
     found = []
-    for done, depth in enumerate(np.asarray(depths_mm).tolist()):
-        if progress is not None:
-            progress(done, len(depths_mm))
+    for depth in np.asarray(depths_mm).tolist():
         press = press_candidate(gel, tool, depth, poisson_ratio, mooney_ratio, friction, physics)
         found.append(simulate(gel.bench(tool, depth, physics), press))
-    return {
-        "force_n": np.array([float(item["force_n"][0]) for item in found]),
-        "seconds": np.array(sum(float(item["seconds"]) for item in found)),
-    }
+    return np.array([float(item["force_n"][0]) for item in found])
 
 
 def press_candidate(
@@ -341,7 +327,7 @@ def press_candidate(
     slopes: Sequence[str] = (),
 ) -> Candidate:
     """A press to one depth, which may also give the slopes of its force over "nu" and the Mooney
-    "ratio" [N], as ``by_nu_n`` and ``by_ratio_n``."""
+    "ratio" [N], as ``by_nu_n`` and ``by_ratio_n``; ``error_n`` is its estimated error."""
     recipe = {
         "what": "press",
         "gel": gel.recipe(),
@@ -360,13 +346,15 @@ def press_candidate(
         steps = [_material_step(gel, env, together, name) for name in slopes]
 
         def read() -> np.ndarray:
-            force = env.press_force[:, 2:]
-            return np.hstack([force, env.force_slopes(steps)]) if steps else force
+            both = np.column_stack([env.press_force[:, 2], env.error_estimate().force_n])
+            return np.hstack([both, env.force_slopes(steps)]) if steps else both
 
         return read
 
     def arrays(rows: np.ndarray) -> dict[str, np.ndarray]:
-        return dict(zip(["force_n", *(f"by_{name}_n" for name in slopes)], rows.T, strict=True))
+        return dict(
+            zip(["force_n", "error_n", *(f"by_{name}_n" for name in slopes)], rows.T, strict=True)
+        )
 
     return Candidate(
         recipe,

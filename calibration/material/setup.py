@@ -154,10 +154,8 @@ class Gel:
 
     def mesh(self, tool: Tool, depth_mm: float, physics: PressPhysics) -> TetMesh:
         """The pad as ``taccel-lab press`` meshes it for this tool and depth."""
-        radius = math.sqrt(tool.radius_mm * depth_mm)
-        radius = min(radius, 0.95 * tool.radius_mm) if tool.kind == "sphere" else tool.radius_mm
-        radius = min(max(radius, 0.1), 4.0)
-        return press_mesh(self.family, self.parameters, tool.at_mm, radius, physics.mesh)
+        half = tool.indenter().contact_half_mm(depth_mm)
+        return press_mesh(self.family, self.parameters, tool.at_mm, half, physics.mesh)
 
     def bench(self, tool: Tool, depth_mm: float, physics: PressPhysics) -> GelBench:
         """Where presses of ``tool`` down to ``depth_mm`` are simulated."""

@@ -4,19 +4,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from calibration.surfaces.depth_search import DepthSearch
 from calibration.surfaces.types import PressSurface, SimulationEffort
-from sensors.press_mesh import PressMeshOptions, press_mesh
+from sensors.press_mesh import press_mesh
+from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.profile import MaterialBlock
 
 if TYPE_CHECKING:
     from taccel_lab.envs import PressEnv
+    from taccel_lab.signals.rest_surface import RestSurface
     from taccel_lab.solvers import StepReport
 
 RADIUS_TOLERANCE_PX = 0.25
@@ -43,7 +45,7 @@ class PressBatch:
     parameters: dict[str, Any]
     material: MaterialBlock
     friction: float
-    mesh: PressMeshOptions
+    physics: PressPhysics
 
     def recipe(self) -> dict[str, Any]:
         """Everything that the outcome depends on, for the key that it is kept under."""
@@ -57,13 +59,19 @@ class PressBatch:
             "parameters": self.parameters,
             "material": self.material.model_dump(mode="json", exclude=left_out),
             "friction": self.friction,
-            "mesh": asdict(self.mesh),
+            "physics": self.physics.record(),
         }
 
     def meshes(self) -> list[TetMesh]:
         """The gel of each press, at rest."""
         return [
-            press_mesh(self.family, self.parameters, (float(x), float(y)), float(radius), self.mesh)
+            press_mesh(
+                self.family,
+                self.parameters,
+                (float(x), float(y)),
+                float(radius),
+                self.physics.mesh,
+            )
             for (x, y), radius in zip(self.at_mm, self.target_mm, strict=True)
         ]
 
@@ -101,13 +109,14 @@ def simulate_batch(batch: PressBatch) -> BatchOutcome:
         batch.at_mm,
         friction_coefficient=batch.friction,
         rest_positions_m=np.stack([mesh.nodes_m for mesh in meshes]),
+        physics=batch.physics,
     )
     search = DepthSearch(batch.target_mm, ball_mm, batch.tolerance_mm)
     reports: list[StepReport] = []
     while True:
         reports += _press(env, search.depth_mm, STEP_MM if batch.friction > 0 else FREE_STEP_MM)
         radii = [
-            _contact_radius_mm(env, i, meshes[i], _window(batch.at_mm[i], 1.4 * ball_mm), ball_mm)
+            _contact_radius_mm(env, i, _window(batch.at_mm[i], 1.4 * ball_mm), ball_mm)
             for i in range(count)
         ]
         if search.update(np.array(radii)):
@@ -126,15 +135,24 @@ def simulate_batch(batch: PressBatch) -> BatchOutcome:
     )
 
 
-def surfaces_of(batch: PressBatch, outcome: BatchOutcome, grid: PixelGrid) -> list[PressSurface]:
-    """The surfaces on the pixels of the images."""
+def surfaces_of(
+    batch: PressBatch, outcome: BatchOutcome, grid: PixelGrid, designed_rest: RestSurface
+) -> list[PressSurface]:
+    """The surfaces on the pixels of the images; ``designed_rest`` is the face at rest there."""
+    from taccel_lab.scene.bodies import nodal_mesh
     from taccel_lab.signals import SignalHeightMap
+    from taccel_lab.signals.rest_surface import RestCorrection
 
     surfaces = []
     for i, mesh in enumerate(batch.meshes()):
-        signal = SignalHeightMap(mesh, grid)
-        signal.update(np.stack([mesh.nodes_m, outcome.positions_m[i]]))
-        (rest_height, height), (rest_normals, normals) = signal.height_m, signal.normals
+        nodal = nodal_mesh(mesh, batch.physics.element)
+        signal = SignalHeightMap(nodal, grid)
+        signal.update(np.stack([nodal.nodes_m, outcome.positions_m[i]]))
+        correction = RestCorrection.of(designed_rest, signal.height_m[0], signal.slope[0])
+        (rest_height, rest_normals), (height, normals) = (
+            correction.corrected(h, slope)
+            for h, slope in zip(signal.height_m, signal.slope, strict=True)
+        )
         surfaces.append(
             PressSurface(
                 height_m=height,
@@ -159,7 +177,7 @@ def surfaces_of(batch: PressBatch, outcome: BatchOutcome, grid: PixelGrid) -> li
 
 def _press(env: PressEnv, depth_mm: np.ndarray, step_mm: float) -> list[StepReport]:
     """Go to the depths in steps of at most ``step_mm``."""
-    now = (env.touch_m - env.poses[:, 0, 2]) * 1e3
+    now = env.depth_m * 1e3
     count = max(1, math.ceil(np.abs(depth_mm - now).max() / step_mm))
     return [env.move_to(now + (depth_mm - now) * (i + 1) / count) for i in range(count)]
 
@@ -173,12 +191,10 @@ def _window(at_mm: np.ndarray, reach_mm: float) -> PixelGrid:
     )
 
 
-def _contact_radius_mm(
-    env: PressEnv, index: int, mesh: TetMesh, window: PixelGrid, ball_mm: float
-) -> float:
+def _contact_radius_mm(env: PressEnv, index: int, window: PixelGrid, ball_mm: float) -> float:
     from taccel_lab.signals import SignalFusedSurface, SphereSurface
 
-    signal = SignalFusedSurface(mesh, window, contact_gap_m=env.solver.config.dhat_m)
+    signal = SignalFusedSurface(env.mesh, window, contact_gap_m=env.solver.config.dhat_m)
     sphere = SphereSurface(env.poses[index, 0, :3], ball_mm * 1e-3, window)
     signal.update(env.positions[index : index + 1], sphere)
     return float(signal.contact_radius_m[0] * 1e3)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from rich.console import Console
 
-    from taccel_lab.envs import Indenter, PressOutcome
+    from taccel_lab.envs import Indenter, PressOutcome, PressPhysics
     from taccel_lab.geometry import TetMesh
     from taccel_lab.profile import SensorProfile
     from taccel_lab.signals.color_model import ColorModel
@@ -56,16 +56,18 @@ class Press:
     """Largest motion of a step [mm]."""
     step_deg: float = 2.0
     """Largest turn of a step [deg]."""
-    tolerance: float = 1e-4
-    """Force residual over the sum of the contact forces at which a step has converged."""
-    dhat_mm: float = 0.02
-    """Gap at which contact begins [mm]."""
+    accuracy: Literal["fast", "default", "reference"] = "default"
+    """fast: errors of a few per cent in less time. default: force within 3 per cent, heights within
+    5 um. reference: to check the others, ten times as long. Each estimates its own error."""
+    tolerance: float | None = None
+    """Force residual over the sum of the contact forces at which a step has converged; that of the
+    accuracy when left out."""
+    dhat_mm: float | None = None
+    """Gap at which contact begins [mm]; that of the accuracy when left out."""
+    element: Literal["linear", "quadratic"] | None = None
+    """linear: only to see what it costs: forces tens of per cent too large near nu 0.5."""
     mesh: Literal["focused", "profile"] = "focused"
     """focused: graded around the contact (sensors of the catalogue). profile: the stored mesh."""
-    element: Literal["linear", "quadratic"] = "linear"
-    """quadratic: ten-node tets on the same mesh: eight times the nodes, and forces that are right
-    also near nu 0.5, where those of linear tets are tens of per cent too large. The picture of the
-    pressure alternates between nodes then."""
     device: str = "cpu"
     """Device of the solver: cpu or cuda:0."""
 
@@ -85,20 +87,19 @@ class Press:
 
         from taccel_lab.envs import PressPath, parse_indenter, profile_material, simulate_press
         from taccel_lab.output import atomic_directory, require_replaceable
-        from taccel_lab.scene import Element
-        from taccel_lab.solvers import SolverConfig
+        from taccel_lab.signals.rest_surface import rest_surface
 
         require_replaceable(self.out)
         require_device(self.device)
         path = PressPath(self.depth_mm, self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
         indenter = parse_indenter(self.indenter)
-        config = SolverConfig(relative_tolerance=self.tolerance, dhat_m=self.dhat_mm * 1e-3)
+        physics = self._physics()
         profile = load_sensor(self.sensor)
         stated = profile.material.friction_coefficient
         friction = stated if self.friction is None else self.friction
         check_depth(self.depth_mm, profile)
         model = _color_model(profile)
-        gel = self._mesh(profile, indenter)
+        gel = self._mesh(profile, indenter, physics)
         material = profile_material(profile.material, gel)
         started = time.perf_counter()
         with step_progress(console, f"pressing {self.indenter}") as progress:
@@ -110,8 +111,8 @@ class Press:
                 path,
                 profile.grid(),
                 friction_coefficient=friction,
-                element=Element(self.element),
-                config=config,
+                physics=physics,
+                designed_rest=rest_surface(profile.mesh, profile.grid()),
                 device=self.device,
                 progress=progress,
             )
@@ -123,15 +124,34 @@ class Press:
             _write(folder, self, profile, outcome, rgb, friction, seconds)
         return outcome, rgb
 
-    def _mesh(self, profile: SensorProfile, indenter: Indenter) -> TetMesh:
+    def _physics(self) -> PressPhysics:
+        """That of the accuracy, but for what is set here."""
+        from dataclasses import replace
+
+        from taccel_lab.envs import PHYSICS, Accuracy
+        from taccel_lab.scene import Element
+
+        physics = PHYSICS[Accuracy(self.accuracy)]
+        if self.tolerance is not None:
+            physics = replace(physics, relative_tolerance=self.tolerance)
+        if self.dhat_mm is not None:
+            physics = replace(physics, dhat_m=self.dhat_mm * 1e-3)
+        if self.element is not None:
+            physics = replace(physics, element=Element(self.element))
+        return physics
+
+    def _mesh(self, profile: SensorProfile, indenter: Indenter, physics: PressPhysics) -> TetMesh:
         if self.mesh == "profile":
             return profile.mesh
         from sensors.press_mesh import press_mesh
 
-        radius_mm = contact_radius_guess_mm(indenter, self.depth_mm)
         try:
             return press_mesh(
-                profile.sensor.family, profile.sensor.parameters, self.at_mm, radius_mm
+                profile.sensor.family,
+                profile.sensor.parameters,
+                self.at_mm,
+                indenter.contact_half_mm(self.depth_mm),
+                physics.mesh,
             )
         except InputError as error:
             x, y = self.at_mm
@@ -154,21 +174,6 @@ def load_sensor(name: str) -> SensorProfile:
         f"{name!r} is neither a profile folder nor a sensor of the catalogue "
         f"({', '.join(sorted(sensor_families()))})"
     )
-
-
-def contact_radius_guess_mm(indenter: Indenter, depth_mm: float) -> float:
-    """Contact radius to grade the mesh for: Hertz for a ball [mm], the footprint for others."""
-    import math
-
-    import numpy as np
-
-    from taccel_lab.scene import Ball
-
-    if isinstance(indenter.shape, Ball):
-        radius_mm = indenter.shape.radius_m * 1e3
-        return max(min(math.sqrt(radius_mm * depth_mm), 0.95 * radius_mm), 0.1)
-    footprint = np.linalg.norm(indenter.shape.vertices_m[:, :2], axis=1).max() * 1e3
-    return float(np.clip(footprint, 0.3, 4.0))
 
 
 def check_depth(depth_mm: float, profile: SensorProfile) -> None:
@@ -324,7 +329,7 @@ def _write(
                 include={"young_modulus_pa", "poisson_ratio", "layers"}, exclude_defaults=True
             ),
             "mesh": {"node_count": outcome.mesh.node_count, "tet_count": outcome.mesh.tet_count},
-            "solver": {"relative_tolerance": options.tolerance, "dhat_mm": options.dhat_mm},
+            "physics": outcome.physics.record(),
             "press": outcome.figures(),
             "indenter_pose": outcome.indenter_pose,
             "seconds": seconds,
@@ -358,6 +363,8 @@ def _print_outcome(console: Console, outcome: PressOutcome) -> None:
     for name, value, unit in (
         ("force of the gel on the indenter", "  ".join(f"{v:.4f}" for v in force), "N"),
         ("moment about the gel's origin", "  ".join(f"{v:.4f}" for v in moment), "N mm"),
+        ("error of the force, estimated", f"{figures['force_error_n']:.4f}", "N"),
+        ("error of the heights, estimated", f"{figures['height_error_m'] * 1e6:.1f}", "um rms"),
         ("contact radius (equal area)", f"{figures['contact_radius_mm']:.3f}", "mm"),
         ("force residual", f"{figures['residual_n']:.1e}", "N"),
         ("Newton iterations", f"{figures['newton_iterations']}", ""),

@@ -35,6 +35,25 @@ class Indenter:
     """As given on the command line."""
     shape: Ball | TriangleMesh
 
+    def contact_half_mm(self, depth_mm: float) -> tuple[float, float]:
+        """About how far the contact of a press reaches along x and y on either side [mm]: the
+        shape's section at half of the depth, which for a ball is Hertz's radius."""
+        half = 0.5 * depth_mm * 1e-3
+        if isinstance(self.shape, Ball):
+            radius = self.shape.radius_m
+            reach = math.sqrt(half * (2 * radius - half)) if half < radius else radius
+            return reach * 1e3, reach * 1e3
+        vertices = self.shape.vertices_m
+        level = vertices[:, 2].min() + half
+        ends = vertices[self.shape.edges()]
+        below = ends[..., 2] <= level
+        cut = ends[below[:, 0] != below[:, 1]]
+        rise = cut[:, 1] - cut[:, 0]
+        crossing = cut[:, 0] + ((level - cut[:, 0, 2]) / rise[:, 2])[:, None] * rise
+        section = np.concatenate([vertices[vertices[:, 2] <= level], crossing])
+        x, y = np.abs(section[:, :2]).max(axis=0) * 1e3
+        return float(x), float(y)
+
 
 def parse_indenter(text: str) -> Indenter:
     """Read an indenter description; raises InputError that lists what is allowed."""

@@ -28,14 +28,16 @@ class Accuracy(StrEnum):
 class PressMeshOptions:
     """Resolution around a press, in units of the contact radius."""
 
-    elements_per_radius: float = 5.0
+    elements_per_radius: float = 10 / 3
     """Elements along the contact radius."""
     fine_radii: float = 1.9
     """Radius of the fine part in contact radii: the gel sinks visibly that far around a press."""
-    core: int = 6
+    core: int = 4
     rings: int = 10
-    layers: int = 2
+    layers: int = 3
     """Core, rings and layers of ``structured_gel_mesh``; they set the number of nodes."""
+    top_layer: float = 1.0
+    """Thickness of the uppermost layer in contact radii, where the number of layers allows it."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +65,12 @@ class PressPhysics:
 
 
 PHYSICS: dict[Accuracy, PressPhysics] = {
-    Accuracy.FAST: PressPhysics(
-        Accuracy.FAST, mesh=PressMeshOptions(elements_per_radius=3.0, core=4, rings=8)
-    ),
+    Accuracy.FAST: PressPhysics(Accuracy.FAST, mesh=PressMeshOptions(rings=6)),
     Accuracy.DEFAULT: PressPhysics(),
     Accuracy.REFERENCE: PressPhysics(
         Accuracy.REFERENCE,
-        mesh=PressMeshOptions(elements_per_radius=10.0, core=12, rings=20, layers=4),
-        dhat_m=2e-6,
+        mesh=PressMeshOptions(elements_per_radius=9.0, core=10, rings=16, layers=5),
+        dhat_m=3e-6,
         relative_tolerance=1e-5,
     ),
 }

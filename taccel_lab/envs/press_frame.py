@@ -7,8 +7,6 @@ position [m] and quaternion x, y, z, w, shape [7].
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from taccel_lab.errors import InputError
@@ -67,12 +65,13 @@ class PressFrames:
             return vectors_in_gel
         return rotate(self._poses[:, 3:] * [-1, -1, -1, 1], vectors_in_gel)
 
-    def poses_in_gel(self, position: np.ndarray, twist_rad: float) -> np.ndarray:
-        """Poses of bodies at ``position`` [env, 3] of their press frames and turned about its z,
-        as gel_from_indenter, [env, 7]."""
+    def poses_in_gel(self, position: np.ndarray, twist_rad: np.ndarray | float) -> np.ndarray:
+        """Poses of bodies at ``position`` [env, 3] of their press frames and turned about its z by
+        one angle or one an environment, as gel_from_indenter, [env, 7]."""
         poses = np.zeros((len(position), 7))
         poses[:, :3] = position
-        poses[:, 5], poses[:, 6] = math.sin(twist_rad / 2), math.cos(twist_rad / 2)
+        half = 0.5 * np.asarray(twist_rad)
+        poses[:, 5], poses[:, 6] = np.sin(half), np.cos(half)
         if self._poses is None:
             return poses
         frame, turn = self._poses[:, 3:], poses[:, 3:].copy()

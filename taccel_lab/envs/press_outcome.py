@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.envs.indenter import Indenter
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.envs.press_path import PressPath
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
-from taccel_lab.scene import Ball, Element, Material, MaterialField
+from taccel_lab.scene import Ball, Material, MaterialField
 from taccel_lab.signals import (
     HeightFieldSurface,
     SignalFusedSurface,
     SignalHeightMap,
     SphereSurface,
 )
+from taccel_lab.signals.rest_surface import RestCorrection, RestSurface
 from taccel_lab.solvers import SolverConfig, StepReport
 
 if TYPE_CHECKING:
@@ -45,13 +47,21 @@ class PressOutcome:
     mesh: TetMesh | QuadraticMesh
     """The gel with all its nodes: middles of edges too where its elements are quadratic."""
     path: PressPath
+    physics: PressPhysics
     steps: list[PressStep]
+    force_error_n: float
+    """Estimated error of the last force [N], see ``PressEnv.error_estimate``."""
+    height_error_m: float
+    """Estimated error of the heights, root of the mean square over the contact's surroundings."""
     positions_m: np.ndarray
     """Deformed gel nodes [m], shape [node, 3]."""
     contact_forces_n: np.ndarray
     """Force of the indenter on each gel node [N], shape [node, 3]."""
     indenter_pose: np.ndarray
-    """gel_from_indenter: position [m], quaternion x, y, z, w; shape [7]."""
+    """gel_from_indenter: position [m], quaternion x, y, z, w; shape [7]. Held back by
+    ``setback_m`` from the depth."""
+    setback_m: float
+    """Mean gap that the contact keeps, see ``PressEnv`` [m]."""
     height_m: np.ndarray
     """z of the contact face [m], NaN outside the pad, shape [height_px, width_px]."""
     rest_height_m: np.ndarray
@@ -85,6 +95,8 @@ class PressOutcome:
         final = self.steps[-1]
         return {
             "force_n": float(final.wrench[2]),
+            "force_error_n": self.force_error_n,
+            "height_error_m": self.height_error_m,
             "wrench": {"force_n": final.wrench[:3], "moment_nm": final.wrench[3:]},
             "residual_n": float(self.last.residual_n[0]),
             "contact_force_sum_n": float(self.last.contact_force_n[0]),
@@ -94,6 +106,7 @@ class PressOutcome:
             "seconds_per_step": float(np.mean([r.seconds for r in steps])),
             "step_count": len(steps),
             "min_distance_m": float(min(r.min_distance_m[0] for r in steps)),
+            "setback_m": self.setback_m,
             "contact_radius_mm": self.contact_radius_m * 1e3,
             "smallest_volume_ratio": self.smallest_volume_ratio,
             "steps": [
@@ -124,14 +137,16 @@ def simulate_press(
     grid: PixelGrid,
     *,
     friction_coefficient: float = 0.0,
-    element: Element = Element.LINEAR,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
+    designed_rest: RestSurface | None = None,
     config: SolverConfig | None = None,
     device: str = "cpu",
     progress: Callable[[int, int, PressStep], None] | None = None,
 ) -> PressOutcome:
     """Press once, read everything. Errors as of ``PressEnv``; see there for the arguments.
 
-    ``progress`` is told step, step count and what the step gave.
+    ``designed_rest`` is the pad's contact face on ``grid`` where ``mesh`` draws it more coarsely,
+    see ``RestCorrection``. ``progress`` is told step, step count and what the step gave.
     """
     env = PressEnv(
         mesh,
@@ -139,7 +154,7 @@ def simulate_press(
         indenter,
         np.array([at_mm]),
         friction_coefficient=friction_coefficient,
-        element=element,
+        physics=physics,
         config=config,
         device=device,
     )
@@ -163,19 +178,30 @@ def simulate_press(
     fused.update(env.positions.copy(), surface)
     rest = SignalHeightMap(env.mesh, grid, device=device)
     rest.update(env.mesh.nodes_m[None])
+    height_m, normals = fused.height_m[0], fused.normals[0]
+    rest_height_m, rest_normals = rest.height_m[0], rest.normals[0]
+    if designed_rest is not None:
+        correction = RestCorrection.of(designed_rest, rest_height_m, rest.slope[0])
+        height_m, normals = correction.corrected(height_m, fused.slope[0], fused.contact_mask[0])
+        rest_height_m, rest_normals = correction.corrected(rest_height_m, rest.slope[0])
+    error = env.error_estimate()
     corners = env.positions[0][mesh.tets]
     volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
     return PressOutcome(
         mesh=env.mesh,
         path=path,
+        physics=physics,
         steps=steps,
+        force_error_n=float(error.force_n[0]),
+        height_error_m=float(error.height_m[0]),
         positions_m=env.positions[0].copy(),
         contact_forces_n=env.contact_forces[0].copy(),
         indenter_pose=pose,
-        height_m=fused.height_m[0],
-        rest_height_m=rest.height_m[0],
-        normals=fused.normals[0],
-        rest_normals=rest.normals[0],
+        setback_m=float(env.setback_m[0]),
+        height_m=height_m,
+        rest_height_m=rest_height_m,
+        normals=normals,
+        rest_normals=rest_normals,
         contact_mask=fused.contact_mask[0],
         contact_radius_m=float(fused.contact_radius_m[0]),
         smallest_volume_ratio=float((volumes / mesh.volumes_m3()).min()),

@@ -26,8 +26,8 @@ enters once with coefficient
 
 and only where that is not zero. On a convex body exactly one feature of it remains per node.
 
-A ball is a node with a radius, and every face counts with its own area and closest point. A plane
-meets the nodes of the other body.
+A ball is a node with a radius: the nodes of the other body measure their contact with it, and its
+faces guard with a part of their areas. A plane meets the nodes of the other body.
 
 Within one body the faces around a node do not exist for it, and no pair repels beyond half of its
 distance at rest: neighbours at rest exert no force, however fine the mesh is.

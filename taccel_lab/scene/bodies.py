@@ -119,7 +119,12 @@ class SoftBody:
     def nodal_mesh(self) -> TetMesh | QuadraticMesh:
         """``mesh`` with all the nodes that the solver moves: what reads positions of nodes and
         faces that touch (signals, outputs) goes by this one."""
-        return quadratic_mesh(self.mesh) if self.element is Element.QUADRATIC else self.mesh
+        return nodal_mesh(self.mesh, self.element)
+
+
+def nodal_mesh(mesh: TetMesh, element: Element) -> TetMesh | QuadraticMesh:
+    """A mesh with all the nodes that its elements have."""
+    return quadratic_mesh(mesh) if element is Element.QUADRATIC else mesh
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,44 @@ class RestSurface:
         return bool((self.normals[..., 2] == 1.0).all())
 
 
+@dataclass(frozen=True)
+class RestCorrection:
+    """What the mesh of a press leaves out of the gel's rest shape, to be added to what it shows.
+
+    A mesh that is fine around a contact draws far parts of a curved pad with long chords. Its
+    displacements are right all the same, so the deformed surface is the designed one plus the
+    difference between the mesh deformed and the mesh at rest, at the same pixel: to first order,
+    since chords and displacements are nowhere large together.
+    """
+
+    height_m: np.ndarray
+    """Designed less meshed rest height [m], shape [height_px, width_px]; 0 where one is missing."""
+    slope: np.ndarray
+    """The same of dh/dx and dh/dy, shape [height_px, width_px, 2]."""
+
+    @classmethod
+    def of(
+        cls, designed: RestSurface, mesh_height_m: np.ndarray, mesh_slope: np.ndarray
+    ) -> RestCorrection:
+        """From the designed face and that of the mesh at rest on the same pixels."""
+        slope = -designed.normals[..., :2] / designed.normals[..., 2:]
+        both = designed.covered & np.isfinite(mesh_height_m)
+        both &= np.isfinite(mesh_slope).all(axis=-1) & np.isfinite(slope).all(axis=-1)
+        return cls(
+            np.where(both, designed.height_m - mesh_height_m, 0.0),
+            np.where(both[..., None], slope - mesh_slope, 0.0),
+        )
+
+    def corrected(
+        self, height_m: np.ndarray, slope: np.ndarray, contact: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Height [m] and normals of a surface read from the mesh; pixels of ``contact`` (bool), in
+        which the object gives the height, stay as they are."""
+        weight = 1.0 if contact is None else np.where(contact, 0.0, 1.0)
+        height = height_m + weight * self.height_m
+        return height, normals_from_slopes(slope + np.asarray(weight)[..., None] * self.slope)
+
+
 def flat_rest(grid: PixelGrid) -> RestSurface:
     """A flat face at z = 0 under every pixel."""
     shape = (grid.height_px, grid.width_px)

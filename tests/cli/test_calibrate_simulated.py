@@ -5,31 +5,20 @@ from __future__ import annotations
 
 import json
 import os
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sensors.press_mesh import PressMeshOptions
 from taccel_lab.cli.app import main
 from taccel_lab.profile import load_profile
 from tests.cli.small_captures import GRID, everything_below, write_captures, write_profile
-
-SMALL = partial(PressMeshOptions, elements_per_radius=5.0, core=6, rings=10, layers=3)
-
-
-@pytest.fixture
-def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.simulate.PressMeshOptions", SMALL)
-    monkeypatch.setattr("sensors.press_mesh.PressMeshOptions", SMALL)
 
 
 def calibrate(captures: Path, out: Path, *options: str) -> int:
     return main(["calibrate", "color", str(captures), "--out", str(out), *options])
 
 
-@pytest.mark.usefixtures("coarse")
 def test_captures_become_a_profile_that_can_be_pressed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -66,7 +55,6 @@ def test_captures_become_a_profile_that_can_be_pressed(
     assert left * right < 0 and min(abs(left), abs(right)) > 3
 
 
-@pytest.mark.usefixtures("coarse")
 def test_base_profile_gives_the_design(tmp_path: Path) -> None:
     captures = write_captures(tmp_path / "captures")
     base = write_profile(tmp_path / "base", color=False)

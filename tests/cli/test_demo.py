@@ -6,20 +6,16 @@ from __future__ import annotations
 import json
 import math
 import os
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from sensors.press_mesh import PressMeshOptions
 from taccel_lab.cli.app import main
 from taccel_lab.geometry.vtu import read_mesh_vtu
 from taccel_lab.output import OUTPUT_MARKER
 from taccel_lab.profile import load_profile, validate_profile
 from tests.cli.small_captures import CIRCLES, GRID, everything_below, never, write_captures
-
-SMALL = partial(PressMeshOptions, elements_per_radius=5.0, core=6, rings=10, layers=3)
 
 
 @pytest.fixture(scope="module")
@@ -31,11 +27,8 @@ def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def out(captures: Path) -> Path:
     """Output of one demo."""
     folder = captures.parent / "out" / "demo"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calibration.simulate.PressMeshOptions", SMALL)
-        patch.setattr("sensors.press_mesh.PressMeshOptions", SMALL)
-        arguments = ["--captures", str(captures), "--out", str(folder)]
-        assert main(["demo", *arguments, "--steps", "50", "--depth-mm", "0.4"]) == 0
+    arguments = ["--captures", str(captures), "--out", str(folder)]
+    assert main(["demo", *arguments, "--steps", "50", "--depth-mm", "0.4"]) == 0
     return folder
 
 

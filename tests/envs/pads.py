@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import functools
 
-from sensors.press_mesh import PressMeshOptions, press_mesh
+from sensors.press_mesh import press_mesh
+from taccel_lab.envs import PressMeshOptions
 from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import Material
 

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.envs import PressEnv, PressPath, parse_indenter
+from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, PressPath, parse_indenter
+from taccel_lab.envs.press import START_CLEARANCE_M
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.ipc.intersection import find_intersections, require_separated
 from taccel_lab.scene import Material
@@ -17,6 +18,7 @@ from taccel_lab.solvers import EnvStatus, SolverConfig, StepReport
 from taccel_lab.state import State, initial_state
 from tests.envs.pads import COARSE, FINER, GEL, pad
 
+DHAT_M = PHYSICS[Accuracy.DEFAULT].dhat_m
 CENTRE = np.array([[0.0, 0.0]])
 
 
@@ -47,7 +49,10 @@ def test_force_grows_with_depth(indenter: str) -> None:
         assert report.residual_n[0] <= 1e-4 * report.contact_force_n[0]
         assert 0 < report.min_distance_m[0] < 2e-5
         assert not find_intersections(env.model, env.state)[0]
-        assert env.touch_m[0] - env.poses[0, 0, 2] == pytest.approx(depth * 1e-3, abs=1e-15)
+        assert env.depth_m[0] == depth * 1e-3
+        held_back = env.poses[0, 0, 2] - (env.touch_m[0] - env.depth_m[0])
+        assert held_back == pytest.approx(env.setback_m[0], abs=1e-15)
+        assert 0.3 * DHAT_M < held_back < DHAT_M
         forces.append(env.wrench[0, 2])
     assert forces[0] > 0 and (np.diff(forces) > 0).all()
     if indenter == "sphere:2.0":
@@ -58,12 +63,12 @@ def test_force_grows_with_depth(indenter: str) -> None:
 
 def test_no_force_before_first_touch() -> None:
     env = press_env()
-    # The barrier begins at dhat, 0.02 mm above touch.
-    report = env.move_to(-0.025)
+    # The barrier begins at dhat above touch, and the ball is held back by as much.
+    report = env.move_to(-1e-6)
     assert report.contact_force_n[0] == 0.0
     assert report.min_distance_m[0] == math.inf
-    assert env.positions[0] == pytest.approx(pad().nodes_m, abs=1e-15)
-    env.move_to(0.0)
+    assert env.positions[0] == pytest.approx(env.mesh.nodes_m, abs=1e-15)
+    env.move_to(0.005)
     assert env.wrench[0, 2] > 0
 
 
@@ -139,7 +144,8 @@ def test_without_friction_nothing_resists_a_ball_that_turns() -> None:
     env.move_to(0.3)
     before = env.wrench[0].copy()
     env.move_to(0.3, twist_deg=20.0)
-    assert env.wrench[0] == pytest.approx(before, abs=1e-4 * before[2])
+    # To the tolerance of the solver, with which both were found.
+    assert env.wrench[0] == pytest.approx(before, abs=3e-4 * before[2])
 
 
 class Steps:
@@ -149,14 +155,16 @@ class Steps:
         self.targets: list[np.ndarray] = []
         self.converged: list[np.ndarray] = []
         self.who: list[np.ndarray] = []
+        self.newton: list[int] = []
         attempt = env.solver._attempt
 
         def noted(state: State, who: np.ndarray, dt: float) -> StepReport:
             report = attempt(state, who, dt)
             target = env.solver.end_poses.numpy()
-            self.targets.append(env.touch_m - target[:, 0, 2])
+            self.targets.append(env.touch_m + env.setback_m - target[:, 0, 2])
             self.converged.append(report.converged.copy())
             self.who.append(who.copy())
+            self.newton.append(int(report.newton_iterations.max()))
             return report
 
         monkeypatch.setattr(env.solver, "_attempt", noted)
@@ -164,15 +172,16 @@ class Steps:
 
 def test_a_step_that_fails_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = press_env()
-    plain = whole.move_to(0.6)
-    limited = SolverConfig(max_newton_iterations=int(plain.newton_iterations[0]) - 2)
+    first = Steps(whole, monkeypatch)
+    whole.move_to(0.6)
+    limited = PHYSICS[Accuracy.DEFAULT].solver(max_newton_iterations=first.newton[0] - 2)
     env = press_env(config=limited)
     steps = Steps(env, monkeypatch)
     report = env.move_to(0.6)
     assert report.converged.all()
     assert not steps.converged[0].all() and steps.converged[-1].all()
     assert steps.targets[0] == steps.targets[-1] == pytest.approx([0.6e-3])
-    start = -(2 * limited.dhat_m + 5e-6)
+    start = -limited.dhat_m - START_CLEARANCE_M
     assert steps.targets[1] == pytest.approx([(start + 0.6e-3) / 2])
     # The report owns up to the work of the failed attempt too.
     assert report.newton_iterations[0] > limited.max_newton_iterations
@@ -182,9 +191,11 @@ def test_a_step_that_fails_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_only_what_failed_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     at = np.array([[0.0, 0.0], [0.0, 0.0]])
     env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), at)
-    alone = press_env()
-    easy = int(alone.move_to(0.05).newton_iterations[0])
-    hard = int(press_env().move_to(0.8).newton_iterations[0])
+    alone, deep = press_env(), press_env()
+    easy_steps, hard_steps = Steps(alone, monkeypatch), Steps(deep, monkeypatch)
+    alone.move_to(0.05)
+    deep.move_to(0.8)
+    easy, hard = easy_steps.newton[0], hard_steps.newton[0]
     assert hard > easy + 2
     config = replace(env.solver.config, max_newton_iterations=hard - 2)
     env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), at, config=config)
@@ -192,10 +203,12 @@ def test_only_what_failed_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     report = env.move_to(np.array([0.05, 0.8]))
     assert report.converged.all()
     assert steps.converged[0].tolist() == [True, False]
-    assert all(who.tolist() == [False, True] for who in steps.who[1:])
-    assert report.substeps[0] == 1 and report.substeps[1] > 1
-    assert env.wrench[0] == pytest.approx(alone.wrench[0], abs=1e-6)
-    assert (env.touch_m - env.poses[:, 0, 2]) * 1e3 == pytest.approx([0.05, 0.8])
+    # Once it has arrived in parts both are corrected for the gap that they had.
+    halved = next(i for i, who in enumerate(steps.who[1:], 1) if who.all())
+    assert all(who.tolist() == [False, True] for who in steps.who[1:halved])
+    assert report.substeps[1] > report.substeps[0]
+    assert env.wrench[0] == pytest.approx(alone.wrench[0], abs=1e-5)
+    assert env.depth_m * 1e3 == pytest.approx([0.05, 0.8])
 
 
 def test_a_press_that_never_converges_says_so() -> None:
@@ -213,7 +226,7 @@ def test_reset() -> None:
     env.follow(PressPath(0.3, (0.1, 0.0), step_mm=0.3))
     first = env.wrench.copy()
     env.reset()
-    assert np.array_equal(env.positions[0], pad().nodes_m)
+    assert np.array_equal(env.positions[0], env.mesh.nodes_m)
     assert env.poses[0, 0, 2] > env.touch_m[0]
     env.follow(PressPath(0.3, (0.1, 0.0), step_mm=0.3))
     assert np.array_equal(env.wrench, first)
@@ -261,7 +274,7 @@ def test_depth_is_limited_by_the_gel_below(at_mm: tuple[float, float], thick_mm:
     assert thickness == pytest.approx(thick_mm, abs=0.03)
     assert "90%" in message
     # Refused before anything moved.
-    assert np.array_equal(env.positions[0], pad(at_mm).nodes_m)
+    assert np.array_equal(env.positions[0], env.mesh.nodes_m)
     assert env.poses[0, 0, 2] > env.touch_m[0]
 
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.ipc.collisions import EDGE_EDGE, GUARD_FRACTION
+from taccel_lab.ipc.narrow_phase import BALL_GUARD_SHARE
 from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh, sphere_mesh
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import initial_state
@@ -98,7 +99,7 @@ def test_a_node_meets_a_convex_body_once() -> None:
     assert len(np.unique(on_gel)) == len(on_gel)
 
 
-def test_a_ball_meets_each_face_in_reach_with_its_area() -> None:
+def test_the_nodes_of_a_surface_measure_a_ball_and_its_faces_guard() -> None:
     mesh = block_mesh((4, 4, 1), (2e-3, 2e-3, 1e-3), jitter=0.2)
     radius, gap = 3e-3, 0.2 * DHAT
     model = scene(mesh, KinematicBody(Ball(radius))).finalize()
@@ -106,15 +107,23 @@ def test_a_ball_meets_each_face_in_reach_with_its_area() -> None:
     assembly = Assembly(model, SolverConfig(dhat_m=DHAT, kappa_pa=KAPPA), poses)
     x = initial_state(model, poses).positions.numpy()
     faces = model.surface.faces.numpy()
-    distance = np.array(
+    on_gel = np.unique(faces)
+
+    def total(distance: np.ndarray, weight: np.ndarray, reach: float) -> float:
+        terms = [log_barrier(d - radius, reach) if d > radius else np.inf for d in distance]
+        return float(np.dot(weight, terms))
+
+    nodes = np.linalg.norm(x[0, on_gel] - poses[0, 0, :3], axis=1)
+    guarded = np.array(
         [ipctk.point_triangle_distance(poses[0, 0, :3], *x[0, f]) ** 0.5 for f in faces]
     )
-    weight = face_areas(x[0], faces)
-    terms = [log_barrier(d - radius, DHAT) if d > radius else np.inf for d in distance]
-    expected = KAPPA * float(np.dot(weight, terms))
-    assert expected > 0
+    guard, share = GUARD_FRACTION * DHAT, float(BALL_GUARD_SHARE)
+    contact = total(nodes, model.surface.node_areas.numpy()[0, on_gel], DHAT)
+    expected = KAPPA * (contact + total(guarded, share * face_areas(x[0], faces), guard))
+    assert contact > 0 and expected > KAPPA * contact
     assert assembly.contact_energy(x)[0] == pytest.approx(expected, rel=1e-10)
-    assert assembly.collide(x) == int((distance < radius + DHAT).sum()) > 4
+    in_reach = (nodes < radius + DHAT).sum() + (guarded < radius + guard).sum()
+    assert assembly.collide(x) == int(in_reach) > 4
 
 
 def test_lists_grow_and_nothing_is_dropped() -> None:

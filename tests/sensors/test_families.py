@@ -17,9 +17,9 @@ from cad.parameters import Parameter
 from cad.parts.pad import Pad
 from sensors import FamilyParameters, SensorFamily, sensor_families
 from sensors.derived import derived_figures, pad_volume_mm3
-from sensors.press_mesh import PressMeshOptions, press_mesh
+from sensors.press_mesh import press_mesh
 from sensors.profile import catalogue_profile
-from taccel_lab.envs import PressEnv, layered_material, parse_indenter
+from taccel_lab.envs import PressEnv, PressMeshOptions, layered_material, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import load_profile, save_profile

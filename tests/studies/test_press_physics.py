@@ -11,8 +11,8 @@ import pytest
 from studies.evidence import profile_mm
 from studies.metrics.edge_sharpness import rise_width
 from studies.metrics.two_point import contrast
-from studies.press_batch import CONFIG, REFERENCE_PA, simulate
-from taccel_lab.envs import PressEnv, parse_indenter
+from studies.press_batch import REFERENCE_PA, simulate
+from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.scene import Element, Material
 from tests.studies.quick import THICK, coarse, jobs, pressed
 
@@ -69,7 +69,6 @@ def test_positions_do_not_depend_on_the_modulus(friction: float) -> None:
             friction_coefficient=job.friction,
             gel_from_press=job.gel_from_press[None],
             element=Element.QUADRATIC,
-            config=CONFIG,
         )
         depth = press.full_depth_mm(float(env.thickness_m[0]) * 1e3)
         for point in press.waypoints():
@@ -77,7 +76,7 @@ def test_positions_do_not_depend_on_the_modulus(friction: float) -> None:
             env.move_to(depth * point.depth, shear, point.twist * press.twist_deg)
         found[modulus] = env.positions[0].copy(), env.press_force[0] / modulus
     (x, f), (y, g) = found.values()
-    assert g == pytest.approx(f, abs=2 * CONFIG.relative_tolerance * f[2])
+    assert g == pytest.approx(f, abs=2 * PHYSICS[Accuracy.DEFAULT].relative_tolerance * f[2])
     assert np.abs(x - y).max() < 2e-3 * np.abs(x - env.mesh.nodes_m).max()
 
 

@@ -115,7 +115,7 @@ def test_the_solver_damps_as_the_fit_assumes(gel: Gel, press_cache: Path) -> Non
     assert shallow[0] + 0.1 * shallow[1] == pytest.approx(1.0, abs=0.15)
     gain = viscous_gain(gel, tool, 0.8, 0.45, physics=COARSE)
     assert 0.55 < gain[0] + 0.8 * gain[1] < 0.8
-    table = force_table(gel, tool, (0.1, 0.8), fixed_nu=0.45, physics=COARSE, checked=False)
+    table = force_table(gel, tool, (0.1, 0.8), fixed_nu=0.45, physics=COARSE)
     force = damped_forces(gel, tool, 0.8, 0.45, 0.0, 0.06, COARSE) * MODULUS / 1e6
     time = 0.01 * np.arange(1, 31)
     given = record("relaxation", 5.0, time_s=time, depth_mm=0.8 * time / 0.3, force_n=force)

@@ -33,7 +33,7 @@ def tool(gel: Gel) -> Tool:
 
 @pytest.fixture(scope="module")
 def table(gel: Gel, tool: Tool, press_cache: Path) -> ForceTable:
-    return force_table(gel, tool, (0.2, 1.3), physics=COARSE, checked=False)
+    return force_table(gel, tool, (0.2, 1.3), physics=COARSE)
 
 
 def rubbed(table: ForceTable) -> ForceTable:
