@@ -47,7 +47,7 @@ class OptimiserState:
 
 
 def require_method(method: str, dimensions: int) -> None:
-    """Refuse an unknown method, one that cannot do it, or a machine without NLopt."""
+    """Refuse an unknown method, or one that cannot do it."""
     if method not in METHODS:
         hint = " needs gradients" if method.startswith(("LD_", "GD_")) else " is not allowed"
         raise InputError(
@@ -56,18 +56,6 @@ def require_method(method: str, dimensions: int) -> None:
         )
     if method in ("LN_BOBYQA", "LN_PRAXIS") and dimensions < 2:
         raise InputError(f"[sweep] method {method!r} needs two parameters or more")
-    _nlopt()
-
-
-def _nlopt() -> Any:
-    try:
-        import nlopt
-    except ImportError as error:
-        raise InputError(
-            "kind = 'optimize' needs NLopt, which is not installed: pip install 'nlopt>=2.9', or "
-            "taccel-lab with its extra 'optimize'"
-        ) from error
-    return nlopt
 
 
 def optimise(
@@ -79,7 +67,8 @@ def optimise(
     attempt: Try,
 ) -> OptimiserState:
     """Try designs until the method is content or ``sweep.count`` different ones are tried."""
-    nlopt = _nlopt()
+    import nlopt
+
     problem = _Problem(axes, objective, constraints, sweep.count or 1, attempt)
     nlopt.srand(seed)
     start = [_start(axis) for axis in axes]

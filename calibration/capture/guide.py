@@ -93,7 +93,7 @@ def capture_plan(sensor: str) -> CapturePlan:
         ball_radius_mm=radius,
         depth_mm=depth,
         steps=tuple(steps),
-        manifest=_manifest(facts, radius, round(3 * yielding)),
+        manifest=_manifest(facts, radius, round(yielding)),
     )
 
 
@@ -226,17 +226,19 @@ def _indentation(depth_mm: float, thickness_mm: float) -> Step:
     return Step(
         "material",
         "Force against depth",
-        "2 balls, 8 depths each, 1 hold of 30 s",
+        "1 flat punch, 1 ball, 8 depths each, 1 hold of 30 s",
         16,
-        "a micrometer or printer stage and a load cell (or kitchen scale), a ball of at most "
-        f"{0.5 * thickness_mm:.2g} mm radius and one of {2 * thickness_mm:.2g} to "
-        f"{4 * thickness_mm:.2g} mm",
+        "a micrometer or printer stage and a load cell (or kitchen scale), a flat round punch of "
+        f"about {thickness_mm:.2g} mm radius (a ground pin; break its edge, no more) and a ball of "
+        f"at most {0.5 * thickness_mm:.2g} mm radius",
         f"From first touch to {depth_mm:g} mm in 8 steps; read the force a few seconds after each "
         "step. Then hold the deepest for 30 s and read once a second. Newtons and millimetres. "
-        "A record of each ball in the same folder.",
+        "A record of each tool in the same folder. Set the zero with the punch, square to the gel: "
+        "at 0.05 N it is 0.01 mm in a gel of 0.3 MPa, a ball is 0.1 to 0.15 mm deep by then.",
         "Young's modulus and its law; the hold gives damping. Published moduli differ tenfold. One "
-        "ball tells Young's modulus only together with Poisson's ratio (5 to 15 %); a ball that is "
-        "narrow and one that is wide beside the gel's thickness tell both (1 %).",
+        "tool tells Young's modulus only together with Poisson's ratio (5 to 15 %); a punch as "
+        "wide as the gel is thick and a ball that is narrow tell both (1 to 2 %), and a zero that "
+        "is 0.15 mm late makes the force of a ball at 0.5 mm half as large again.",
     )
 
 
@@ -253,7 +255,7 @@ def _slide() -> Step:
     )
 
 
-def _manifest(facts: SensorFacts, radius_mm: float, wide_mm: float) -> str:
+def _manifest(facts: SensorFacts, radius_mm: float, punch_mm: float) -> str:
     lines = [
         "schema_version = 2",
         f'sensor = "{facts.family}"',
@@ -315,13 +317,13 @@ def _manifest(facts: SensorFacts, radius_mm: float, wide_mm: float) -> str:
         "[[records]]",
         'file = "indentation.csv"    # header: depth_mm,force_n',
         'kind = "indentation"',
-        f'tool = {{ kind = "sphere", radius_mm = {radius_mm:g} }}',
+        f'tool = {{ kind = "cylinder", radius_mm = {punch_mm:g} }}    # a flat round punch',
         "force_sigma_n = 0.02",
         "",
         "# [[records]]",
-        '# file = "indentation_wide.csv"    # a second ball: then E and nu are told apart',
+        '# file = "indentation_ball.csv"    # a second tool: then E and nu are told apart',
         '# kind = "indentation"',
-        f'# tool = {{ kind = "sphere", radius_mm = {wide_mm:g} }}',
+        f'# tool = {{ kind = "sphere", radius_mm = {0.5 * punch_mm:g} }}',
         "",
         "# [[records]]",
         '# file = "slide.csv"    # header: shift_mm,normal_n,tangential_n',

@@ -26,14 +26,12 @@ if TYPE_CHECKING:
     from calibration.material.points import IndentationPoints, points_of_record
     from calibration.material.relaxation import DampingFit, fit_damping
     from calibration.material.response import ForceTable, force_table
-    from calibration.material.setup import EFFORTS, Effort, Gel, Tool
+    from calibration.material.setup import Gel, Tool
     from calibration.material.sliding import SlideFit, fit_slide
     from calibration.material.tangential import TangentialFit, fit_tangential
 
 __all__ = [
-    "EFFORTS",
     "DampingFit",
-    "Effort",
     "FlowFit",
     "ForceTable",
     "Gel",
@@ -60,9 +58,7 @@ __all__ = [
 ]
 
 _HOME = {
-    "EFFORTS": "calibration.material.setup",
     "DampingFit": "calibration.material.relaxation",
-    "Effort": "calibration.material.setup",
     "FlowFit": "calibration.material.flow",
     "ForceTable": "calibration.material.response",
     "Gel": "calibration.material.setup",

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -13,17 +13,20 @@ from calibration.capture.schema import ToolEntry
 from calibration.material.flow import FlowFit
 from calibration.material.indentation import IndentationFit, fit_indentation
 from calibration.material.leaning import leaning
-from calibration.material.response import force_table
-from calibration.material.setup import Effort, Gel
+from calibration.material.prediction import HeldOut
+from calibration.material.setup import Gel
 from calibration.material.sliding import SlideFit, combine
 from calibration.material.tangential import TangentialFit
 from calibration.result import NORMAL_95, Estimate, Remark, Severity
+from taccel_lab.envs.physics import PressPhysics
 
 MISFIT = 0.05
 """Root mean square residual, as a part of the force, that calls for a remark."""
 BAD_MISFIT = 0.15
 DISAGREEMENT = 0.1
 """Difference of the moduli of two records that is spoken of when it also exceeds their errors."""
+FEW = 2
+"""Points beyond the fitted numbers from which residuals say something."""
 UNSURE = 0.25
 """Relative half width of an interval that calls for a remark."""
 LEANING_ERROR = 0.02
@@ -51,32 +54,35 @@ def together_remark(fit: IndentationFit) -> list[Remark]:
             "young_with_nu",
             f"Young's modulus is told only together with Poisson's ratio (correlation "
             f"{correlation:+.3f}) and is uncertain by {sigma:.0%} for that; "
-            f"{SECOND_BALL}, or nu held with --fix nu=..., tells it to about 1 %",
+            f"{SECOND_TOOL}, or nu held with --fix nu=..., tells it to about 1 %",
         )
     ]
 
 
-SECOND_BALL = (
-    "records of two balls in the same folder, one with a radius of at most half of the gel's "
-    "thickness and one of two to four times the thickness"
+SECOND_TOOL = (
+    "records of two tools in the same folder, a ball with a radius of at most half of the gel's "
+    "thickness, and a flat punch about as wide as the gel is thick or a ball of two to four times "
+    "the thickness"
 )
 """What tells E and nu apart (docs/calibration_material.md)."""
 
 
-def residual_remarks(fit: IndentationFit) -> list[Remark]:
-    """Remarks on the fit's residuals, noise, touch points and interval."""
+def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark]:
+    """Remarks on residuals (of points that were held out, where there are), noise and touch."""
     remarks = []
     for i, item in enumerate(fit.points):
-        deep = item.force_n >= 0.1 * item.force_n.max()
-        residual = fit.relative_residuals(i)[deep]
+        smallest = 0.1 * item.force_n.max()
+        residual = fit.relative_residuals(i)[item.force_n >= smallest]
+        own = [p.relative for p in predicted if p.index == i and p.force_n >= smallest]
+        residual = np.array(own) if own else residual
         rms = float(np.sqrt(np.mean(residual**2)))
         if rms > MISFIT:
             remarks.append(
                 Remark(
                     Severity.ERROR if rms > BAD_MISFIT else Severity.WARNING,
                     "law_misfit",
-                    f"{item.name}: the simulated curve misses the forces by {rms:.1%} (root mean "
-                    "square, where they exceed a tenth of the largest); check the tool's radius, "
+                    f"{item.name}: the simulated curve misses forces that it was not fitted to by "
+                    f"{rms:.1%} (root mean square above a tenth of the largest); check the radius, "
                     "the gel's thickness and where the depth is counted from",
                 )
             )
@@ -100,38 +106,19 @@ def residual_remarks(fit: IndentationFit) -> list[Remark]:
                 "of the forces; intervals are widened to match",
             )
         )
-    if fit.noise == "assumed":
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "noise_assumed",
-                "too few points to see their noise; 5 % of the force is assumed. Record more "
-                "depths, or state force_sigma_n",
-            )
-        )
-    low, high = fit.young_interval_pa
-    half = 0.5 * (high - low) / fit.young_modulus_pa
-    if half > UNSURE:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "young_unsure",
-                f"Young's modulus is only known to {half:.0%}; record more depths, and deeper ones",
-            )
-        )
     return remarks
 
 
-def records_disagree(fit: IndentationFit) -> list[Remark]:
+def records_disagree(fit: IndentationFit, touches_mm: Sequence[float]) -> list[Remark]:
     """Whether single records give unlike moduli: a wrong radius, unit or touch point in one."""
     if len(fit.points) < 2:
         return []
     alone = [
         fit_indentation(
             [item], [table], start_pa=fit.young_modulus_pa, poisson_ratio=fit.poisson_ratio,
-            mooney_ratio=fit.mooney_ratio, free_nu=False, profiled=(),
+            mooney_ratio=fit.mooney_ratio, free_nu=False, touch_sigma_mm=touch, profiled=(),
         )
-        for item, table in zip(fit.points, fit.tables, strict=True)
+        for item, table, touch in zip(fit.points, fit.tables, touches_mm, strict=True)
     ]  # fmt: skip
     value = np.array([item.solution.value("ln_e") for item in alone])
     sigma = np.array([item.relative_sigma for item in alone])
@@ -152,38 +139,71 @@ def records_disagree(fit: IndentationFit) -> list[Remark]:
     return remarks
 
 
-def press_friction_remark(
-    gel: Gel,
-    fit: IndentationFit,
-    friction: float,
-    effort: Effort,
-    progress: Callable[[int, int], None] | None,
-) -> list[Remark]:
-    """What the modulus were if the tool rubbed on the gel as the profile's friction says."""
-    item = fit.points[int(np.argmax([p.deepest_mm for p in fit.points]))]
-    if friction <= 0 or item.tool.kind == "flat":
+def few_points(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark]:
+    """That a fit meets few points says little; how far each is from what the others predict."""
+    count = sum(len(item.depth_mm) for item in fit.points)
+    if count - len(fit.solution.names) >= FEW or not predicted:
         return []
-    depths = (float(item.depth_mm.min()), item.deepest_mm)
-    moduli = []
-    for mu in (0.0, min(friction, 0.8)):
-        table = force_table(
-            gel, item.tool, depths, fixed_nu=fit.poisson_ratio, fixed_ratio=fit.mooney_ratio,
-            friction=mu, effort=effort, checked=False, progress=progress,
-        )  # fmt: skip
-        found = fit_indentation(
-            [item], [table], start_pa=fit.young_modulus_pa, poisson_ratio=fit.poisson_ratio,
-            mooney_ratio=fit.mooney_ratio, free_nu=False, profiled=(),
-        )  # fmt: skip
-        moduli.append(found.young_modulus_pa)
-    change = moduli[1] / moduli[0] - 1
+    miss = np.array([item.relative for item in predicted])
+    inside = sum(a.interval_n[0] <= a.force_n <= a.interval_n[1] for a in predicted)
     return [
         Remark(
-            Severity.INFO,
-            "press_friction",
-            f"presses are simulated without friction; with a coefficient of {min(friction, 0.8):g} "
-            f"Young's modulus would be {change:+.1%} (press_friction chooses)",
+            Severity.WARNING,
+            "few_points",
+            f"{count} points and {len(fit.solution.names)} fitted numbers: how close the fit comes "
+            f"to them says little. Predicted from the others, points are off by "
+            f"{np.sqrt(np.mean(miss**2)):.1%} (root mean square; {np.abs(miss).max():.1%} at most; "
+            f"{inside} of {len(predicted)} in the 95 % interval stated for them). Record eight "
+            "depths or more",
         )
     ]
+
+
+def young_unsure(young: Estimate) -> list[Remark]:
+    """That the interval of Young's modulus is wide."""
+    low, high = young.interval95
+    half = 0.5 * (high - low) / young.value
+    if half <= UNSURE:
+        return []
+    return [
+        Remark(
+            Severity.WARNING,
+            "young_unsure",
+            f"Young's modulus is only known to {half:.0%} ({low:.3g} to {high:.3g} Pa); record "
+            "more depths, and deeper ones, or a second tool",
+        )
+    ]
+
+
+def friction_assumed(
+    fits: Mapping[float, IndentationFit], chosen: float, left: Collection[float]
+) -> Remark:
+    """Which coefficient of friction the presses were taken to have, and what others would do."""
+    found = fits[chosen]
+    others = [
+        f"with {mu:g}, Young's modulus would be "
+        f"{item.young_modulus_pa / found.young_modulus_pa - 1:+.1%} and the residual "
+        f"{_rms(item):.1%} instead of {_rms(found):.1%}"
+        for mu, item in fits.items()
+        if mu != chosen
+    ]
+    excluded = sorted(set(fits) - set(left))
+    text = "; ".join(others)
+    if excluded:
+        text += f" (the points exclude {', '.join(f'{mu:g}' for mu in excluded)})"
+    else:
+        text += "; the points do not tell which, so intervals hold for both"
+    return Remark(
+        Severity.WARNING,
+        "friction_assumed",
+        f"friction is not measured: the presses fit best with a coefficient of {chosen:g}, which "
+        f"is what the profile now says and what presses of it take; {text}. Record a slide",
+    )
+
+
+def _rms(fit: IndentationFit) -> float:
+    each = [fit.relative_residuals(i) for i in range(len(fit.points))]
+    return float(np.sqrt(np.mean(np.concatenate(each) ** 2)))
 
 
 def friction_of(
@@ -195,7 +215,7 @@ def friction_of(
     young: Estimate | None,
     poisson_ratio: float,
     mooney_ratio: float,
-    effort: Effort,
+    physics: PressPhysics,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Estimate | None, list[Remark]]:
     """One coefficient from slides, shear, twist and marker flow; None where none tells it."""
@@ -207,7 +227,7 @@ def friction_of(
         remarks += said
         entry = next(r.entry.tool for r in folder.records if r.source == slid[0].source)
         mean, sigma, said = _of_slide(
-            gel, folder, entry, slid, ratio, young, poisson_ratio, mooney_ratio, effort, progress
+            gel, folder, entry, slid, ratio, young, poisson_ratio, mooney_ratio, physics, progress
         )
         remarks += said
         found.append(("slides", mean, sigma))
@@ -238,7 +258,9 @@ def friction_of(
                 )
             )
     half = NORMAL_95 * error
-    return Estimate(mean, error, "", (max(mean - half, 0.0), mean + half)), remarks
+    # Two digits: presses with it are simulated, and the profile says what they had.
+    stated = float(f"{mean:.2g}")
+    return Estimate(stated, error, "", (max(mean - half, 0.0), mean + half)), remarks
 
 
 def _of_slide(
@@ -250,7 +272,7 @@ def _of_slide(
     young: Estimate | None,
     poisson_ratio: float,
     mooney_ratio: float,
-    effort: Effort,
+    physics: PressPhysics,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[float, float, list[Remark]]:
     """Coefficient and error of slides, freed of the ball's leaning on the gel."""
@@ -263,7 +285,7 @@ def _of_slide(
         load = float(np.mean([np.mean(fit.normal_range_n) for fit in slides]))
         modulus = young.value if young is not None else gel.material.young_modulus_pa
         lean = leaning(
-            gel, tool, load, ratio.value, modulus, poisson_ratio, mooney_ratio, effort=effort,
+            gel, tool, load, ratio.value, modulus, poisson_ratio, mooney_ratio, physics=physics,
             progress=progress,
         )  # fmt: skip
         if lean is not None:

@@ -9,18 +9,9 @@ from collections.abc import Callable, Sequence
 
 from calibration.capture import CaptureFolder, ForceRecord
 from calibration.capture.schema import ToolEntry
-from calibration.material.agreement import (
-    SECOND_BALL,
-    friction_of,
-    press_friction_remark,
-    records_disagree,
-    residual_remarks,
-    weighted_mean,
-)
+from calibration.material.agreement import friction_of, weighted_mean
 from calibration.material.calibration import MaterialCalibration
 from calibration.material.flow import FlowFit, fit_flow
-from calibration.material.indentation import IndentationFit, fit_indentation
-from calibration.material.likelihood import Profile, require_nlopt
 from calibration.material.options import MaterialOptions
 from calibration.material.points import (
     IndentationPoints,
@@ -29,18 +20,16 @@ from calibration.material.points import (
     require_plausible,
 )
 from calibration.material.relaxation import DampingFit, check_relaxation, fit_damping
-from calibration.material.response import NU_RANGE, ForceTable, force_table
+from calibration.material.response import ForceTable, force_table
 from calibration.material.setup import Gel
 from calibration.material.sliding import SlideFit, fit_slide
+from calibration.material.stiffness import Law, Stiffness, fit_stiffness
 from calibration.material.tangential import TangentialFit, fit_tangential
 from calibration.material.video_flow import flows_of_folder, videos_with_path
 from calibration.material.viscous_gain import viscous_gain
-from calibration.result import NORMAL_95, Estimate, Remark, Severity
-from taccel_lab.errors import InputError
+from calibration.result import Estimate, Remark, Severity
+from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.profile import SensorProfile
-
-USUAL_NU = (0.45, 0.495)
-"""Poisson's ratios of gels, over which an untold one is varied to see what it does to E."""
 
 Progress = Callable[[str, int, int], None]
 """What is simulated, how many presses are done, of how many."""
@@ -59,7 +48,6 @@ def calibrate_material(
         SimulationError: A press that did not converge.
     """
     options = options or MaterialOptions()
-    require_nlopt()
     gel = Gel.of_profile(base, options.model, options.device)
     if gel.material.model != "mooney_rivlin" and "mooney_ratio" in options.fixed:
         raise InputError("mooney_ratio belongs to the law mooney_rivlin: add --model mooney_rivlin")
@@ -77,20 +65,22 @@ def calibrate_material(
     for record in records["relaxation"]:
         check_relaxation(record)
     slides = [fit_slide(record) for record in records["slide"]]
-    for read in (*points, *slides):
-        job.remarks += read.remarks
     started = time.perf_counter()
-    if points:
-        job.fit_indentation(points)
-    for record in (*records["shear"], *records["twist"]):
-        job.fit_tangential(record)
-    if videos:
-        job.fit_flows()
+    sheared = (*records["shear"], *records["twist"])
+    if sheared or slides or videos:
+        # They tell friction with a modulus, and the modulus depends a little on friction.
+        job.fit_stiffness(points, [job.options.fixed.get("friction", 0.0)])
+        job.fit_friction(sheared, slides, bool(videos))
+        job.fit_stiffness(points, job.press_frictions())
+        before = job.press_frictions()
+        job.fit_friction(sheared, slides, bool(videos))
+        if job.press_frictions() != before:
+            job.fit_stiffness(points, job.press_frictions())
+    else:
+        job.fit_stiffness(points, job.press_frictions())
     for record in records["relaxation"]:
         job.fit_damping(record)
-    job.fit_friction(slides)
-    job.remark_press_friction()
-    return job.result(slides, time.perf_counter() - started)
+    return job.result((*points, *slides), time.perf_counter() - started)
 
 
 _KINDS = ("indentation", "slide", "shear", "twist", "relaxation")
@@ -109,18 +99,24 @@ class _Job:
     ) -> None:
         self.folder, self.base, self.gel = folder, base, gel
         self.options, self._progress = options, progress
-        self.remarks: list[Remark] = []
         self.nu = options.fixed.get("nu", base.material.poisson_ratio)
         self.ratio = options.fixed.get("mooney_ratio", gel.material.mooney_ratio)
         self.young: Estimate | None = None
-        self.nu_estimate: Estimate | None = None
-        self.ratio_estimate: Estimate | None = None
+        self.flow_nu: Estimate | None = None
+        """Poisson's ratio that marker flow told."""
         self.friction: Estimate | None = None
-        self.fit: IndentationFit | None = None
-        self.profiled: IndentationFit | None = None
+        self.stiffness: Stiffness | None = None
         self.tangential: list[TangentialFit] = []
         self.flows: list[FlowFit] = []
+        self.slides: list[SlideFit] = []
         self.damping: list[DampingFit] = []
+        self._remarks: dict[str, list[Remark]] = {}
+        """By the part of the fit that made them, which replaces them when it is done again."""
+
+    @property
+    def nu_estimate(self) -> Estimate | None:
+        told = None if self.stiffness is None else self.stiffness.nu
+        return told or self.flow_nu
 
     @property
     def shared_nu(self) -> float:
@@ -135,118 +131,91 @@ class _Job:
 
     # Indentation ---------------------------------------------------------------------------------
 
-    def fit_indentation(self, points: list[IndentationPoints]) -> None:
-        """E, and what else of the law the points tell; the rest is held."""
+    def fit_stiffness(self, points: list[IndentationPoints], frictions: Sequence[float]) -> None:
+        """E, and what else of the law the points tell; the rest is held. Presses had one of the
+        coefficients of friction given."""
+        if not points:
+            return
         start, remarks = require_plausible(points, self.gel.thickness_mm, self.nu)
-        self.remarks += remarks
-        free_nu = "nu" not in self.options.fixed
-        free_ratio = (
-            self.gel.material.model == "mooney_rivlin" and "mooney_ratio" not in self.options.fixed
+        free_nu = "nu" not in self.options.fixed and self.flow_nu is None
+        stated = self.options.fixed.get("nu", self.base.material.poisson_ratio)
+        law = Law(
+            stated if self.flow_nu is None else self.flow_nu.value,
+            self.options.fixed.get("mooney_ratio", self.gel.material.mooney_ratio),
+            free_nu,
+            self.gel.material.model == "mooney_rivlin" and "mooney_ratio" not in self.options.fixed,
+            self.flow_nu,
         )
-        tables = self._tables(points, free_nu, free_ratio)
-
-        def fit(nu: bool, ratio: bool, at: float | None = None) -> IndentationFit:
-            return fit_indentation(
-                points, tables, start_pa=start, poisson_ratio=self.nu if at is None else at,
-                mooney_ratio=self.ratio, free_nu=nu, free_ratio=ratio,
-                touch_sigma_mm=self.options.touch_sigma_mm, drawn=at is None,
-            )  # fmt: skip
-
-        found = fit(free_nu, free_ratio)
-        self.profiled = found
-        tells_nu = free_nu and self._tells(found.solution.profiles["nu"], "nu", tables[0].nu_range)
-        tells_ratio = free_ratio and self._tells(
-            found.solution.profiles["mooney_ratio"], "mooney_ratio", (0.0, 1.0)
-        )
-        if free_nu and not tells_nu:
-            self.nu = self._held_nu(found.solution.profiles["nu"])
-        if (tells_nu, tells_ratio) != (free_nu, free_ratio):
-            found = fit(tells_nu, tells_ratio)
-        if free_nu and not tells_nu:
-            low, high = (fit(False, tells_ratio, nu).young_modulus_pa for nu in USUAL_NU)
-            self.remarks.append(
-                Remark(
-                    Severity.INFO,
-                    "young_given_nu",
-                    f"Young's modulus holds for nu = {self.nu:g}: it is {low:.4g} Pa for "
-                    f"{USUAL_NU[0]:g} and {high:.4g} Pa for {USUAL_NU[1]:g}. Nu is told by "
-                    f"{SECOND_BALL}",
+        tables: dict[float, list[ForceTable]] = {}
+        for mu in frictions:
+            try:
+                tables[mu] = self._tables(points, mu, law)
+            except SimulationError as error:
+                if not tables:
+                    raise
+                remarks.append(
+                    Remark(
+                        Severity.WARNING,
+                        "friction_unsimulated",
+                        f"whether the tool rubs with the profile's coefficient of {mu:g} is not "
+                        f"known, and presses with it could not be simulated: {error}",
+                    )
                 )
-            )
-        self.fit, self.nu, self.ratio = found, found.poisson_ratio, found.mooney_ratio
-        self._keep(found, tells_nu, tells_ratio)
-        self.remarks += residual_remarks(found)
-        self.remarks += records_disagree(found)
+        self.stiffness = found = fit_stiffness(
+            points, tables, law, start_pa=start, touch_sigma_mm=self.options.touch_sigma_mm
+        )
+        self.nu, self.ratio = found.fit.poisson_ratio, found.fit.mooney_ratio
+        self.young = found.young
+        self._remarks["stiffness"] = [*remarks, *found.remarks]
 
-    def _tables(
-        self, points: Sequence[IndentationPoints], free_nu: bool, free_ratio: bool
-    ) -> list[ForceTable]:
+    def press_frictions(self) -> list[float]:
+        """Coefficients that presses may have had: the one that is known, or 0 and the base's."""
+        if self.friction is not None:
+            return [self.friction.value]
+        if "friction" in self.options.fixed:
+            return [self.options.fixed["friction"]]
+        stated = self.base.material.friction_coefficient
+        return [0.0] if stated == 0 else [0.0, stated]
+
+    def _tables(self, points: Sequence[IndentationPoints], mu: float, law: Law) -> list[ForceTable]:
         tables = []
         for i, item in enumerate(points):
             title = f"presses of {item.tool.description} ({i + 1} of {len(points)})"
+            if mu:
+                title += f", friction {mu:g}"
             tables.append(
                 force_table(
                     self.gel,
                     item.tool,
                     (float(item.depth_mm.min()), item.deepest_mm),
-                    fixed_nu=None if free_nu else self.nu,
-                    fixed_ratio=None if free_ratio else self.ratio,
-                    friction=self.options.press_friction,
-                    effort=self.options.effort,
+                    fixed_nu=self.options.fixed.get("nu"),
+                    fixed_ratio=None if law.free_ratio else law.mooney_ratio,
+                    friction=mu,
+                    physics=self.options.physics,
                     progress=self._told(title),
                 )
             )
         return tables
 
-    def _tells(self, profile: Profile, name: str, bounds: tuple[float, float]) -> bool:
-        """Whether the data end the interval of a parameter; says so where they do not."""
-        if not (profile.open_low or profile.open_high):
-            return True
-        low, high = profile.interval
-        title = {"nu": "Poisson's ratio", "mooney_ratio": "the Mooney ratio"}[name]
-        if profile.open_low and profile.open_high:
-            text = f"the records do not tell {title} (any from {bounds[0]:g} to {bounds[1]:g} fits)"
-        elif profile.open_high:
-            text = f"the records only tell that {title} is above {low:.3g}"
-        else:
-            text = f"the records only tell that {title} is below {high:.3g}"
-        self.remarks.append(
-            Remark(Severity.INFO, f"{name}_untold", f"{text}; it is held, not calibrated")
-        )
-        return False
-
-    def _held_nu(self, profile: Profile) -> float:
-        """The base's Poisson's ratio, moved into the interval where the data exclude it."""
-        low, high = profile.interval
-        held = min(max(self.nu, low), high)
-        if held != self.nu:
-            self.remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "nu_excluded",
-                    f"nu = {self.nu:g} of the base profile lies outside the interval {low:.3g} to "
-                    f"{high:.3g} that the records leave; {held:.3g} is used",
-                )
-            )
-        return held
-
-    def _keep(self, fit: IndentationFit, tells_nu: bool, tells_ratio: bool) -> None:
-        value = fit.young_modulus_pa
-        self.young = Estimate(value, value * fit.relative_sigma, "Pa", fit.young_interval_pa)
-        solution = fit.solution
-        if tells_nu:
-            self.nu_estimate = Estimate(
-                fit.poisson_ratio, solution.sigma_of("nu"), "", solution.profiles["nu"].interval
-            )
-        if tells_ratio:
-            self.ratio_estimate = Estimate(
-                fit.mooney_ratio,
-                solution.sigma_of("mooney_ratio"),
-                "",
-                solution.profiles["mooney_ratio"].interval,
-            )
-
     # The other records ---------------------------------------------------------------------------
+
+    def fit_friction(
+        self, sheared: Sequence[ForceRecord], slides: Sequence[SlideFit], videos: bool
+    ) -> None:
+        """One coefficient from shear, twist, marker flow and slides, unless it is held."""
+        self.tangential, self.flows = [], []
+        self._remarks["tangential"] = []
+        for record in sheared:
+            self.fit_tangential(record)
+        if videos:
+            self.fit_flows()
+        self.slides = list(slides)
+        if "friction" in self.options.fixed:
+            return
+        self.friction, self._remarks["friction"] = friction_of(
+            self.gel, self.folder, slides, self.tangential, self.flows, self.young, self.shared_nu,
+            self.ratio, self.options.physics, self._told("slides"),
+        )  # fmt: skip
 
     def fit_tangential(self, record: ForceRecord) -> None:
         tool = self.gel.tool(record.entry.tool, self.folder.ball_radius_mm)
@@ -258,28 +227,28 @@ class _Job:
         fit = fit_tangential(
             record, self.gel, tool, poisson_ratio=self.shared_nu, mooney_ratio=self.ratio,
             young_pa=young,
-            effort=self.options.friction_effort,
+            physics=self.options.physics,
             progress=self._told(f"{record.entry.kind} of {tool.description}"),
         )  # fmt: skip
         self.tangential.append(fit)
-        self.remarks += fit.remarks
+        self._remarks["tangential"] += fit.remarks
         if self.young is None and "e" not in self.options.fixed:
             value = math.exp(fit.solution.value("ln_e"))
             relative = math.hypot(fit.solution.sigma_of("ln_e"), fit.table.error, 0.02)
             self.young = Estimate(value, relative * value, "Pa")
-            self.remarks.append(
+            self._remarks["young_of_shear"] = [
                 Remark(
                     Severity.WARNING,
                     "young_of_shear",
                     f"Young's modulus of {value:.4g} Pa comes from the normal force of "
                     f"{fit.name} alone, at one depth; record an indentation",
                 )
-            )
+            ]
 
     def fit_flows(self) -> None:
         """Marker flow of videos with a path: friction, and Poisson's ratio where no press told."""
         flows, remarks = flows_of_folder(self.folder, self.base)
-        self.remarks += remarks
+        self._remarks["flows"] = [*remarks]
         for item in flows:
             entry = ToolEntry(
                 kind="sphere", radius_mm=self.folder.ball_radius_mm, center_mm=item.path.place_mm
@@ -289,35 +258,13 @@ class _Job:
                 item.flow, item.path, self.gel, self.gel.tool(entry), name=item.name,
                 sha256=item.sha256, fixed_nu=self.shared_nu if known else None,
                 mooney_ratio=self.ratio,
-                effort=self.options.friction_effort, progress=self._told(f"flow of {item.name}"),
+                physics=self.options.physics, progress=self._told(f"flow of {item.name}"),
             )  # fmt: skip
             self.flows.append(fit)
-            self.remarks += fit.remarks
+            self._remarks["flows"] += fit.remarks
             if not known and fit.nu_told:
-                self._take_nu(fit.nu_estimate)
-
-    def _take_nu(self, estimate: Estimate) -> None:
-        """Poisson's ratio from marker flow; Young's modulus of the indentations follows it."""
-        self.nu, self.nu_estimate = estimate.value, estimate
-        self.remarks = [r for r in self.remarks if r.code not in ("nu_untold", "young_given_nu")]
-        if self.fit is None:
-            return
-        old, start = self.fit, self.fit.young_modulus_pa
-
-        def fit(nu: float) -> IndentationFit:
-            return fit_indentation(
-                old.points, old.tables, start_pa=start, poisson_ratio=nu,
-                mooney_ratio=old.mooney_ratio, free_nu=False,
-                touch_sigma_mm=self.options.touch_sigma_mm, drawn=nu == estimate.value,
-            )  # fmt: skip
-
-        self.fit = found = fit(estimate.value)
-        low, high = (max(min(nu, NU_RANGE[1]), NU_RANGE[0]) for nu in estimate.interval95)
-        slope = abs(math.log(fit(high).young_modulus_pa / fit(low).young_modulus_pa))
-        relative = math.hypot(found.relative_sigma, slope / (2 * NORMAL_95))
-        value, half = found.young_modulus_pa, NORMAL_95 * relative
-        interval = (value * math.exp(-half), value * math.exp(half))
-        self.young = Estimate(value, value * relative, "Pa", interval)
+                self.flow_nu = fit.nu_estimate
+                self.nu = self.flow_nu.value
 
     def fit_damping(self, record: ForceRecord) -> None:
         tool = self.gel.tool(record.entry.tool, self.folder.ball_radius_mm)
@@ -325,24 +272,20 @@ class _Job:
         deepest = float(depth.max())
         table = force_table(
             self.gel, tool, (max(0.1 * deepest, float(depth.min())), deepest),
-            fixed_nu=self.shared_nu, fixed_ratio=self.ratio, friction=self.options.press_friction,
-            effort=self.options.effort, progress=self._told(f"presses of {tool.description}"),
+            fixed_nu=self.shared_nu, fixed_ratio=self.ratio, friction=self.used_friction(),
+            physics=self.options.physics, progress=self._told(f"presses of {tool.description}"),
         )  # fmt: skip
         gain = viscous_gain(
-            self.gel,
-            tool,
-            _rounded(deepest),
-            self.shared_nu,
-            self.ratio,
-            self.options.friction_effort,
+            self.gel, tool, _rounded(deepest), self.shared_nu, self.ratio, self.options.physics
         )
         fit = fit_damping(record, tool, table, self.shared_nu, self.ratio, gain)
         self.damping.append(fit)
-        self.remarks += fit.remarks
+        said = self._remarks.setdefault("damping", [])
+        said += fit.remarks
         if self.young is not None:
             ratio = fit.young_modulus_pa / self.young.value
             if not 0.8 < ratio < 1.25:
-                self.remarks.append(
+                said.append(
                     Remark(
                         Severity.WARNING,
                         "relaxation_modulus",
@@ -351,32 +294,20 @@ class _Job:
                     )
                 )
 
-    def fit_friction(self, slides: Sequence[SlideFit]) -> None:
-        if "friction" in self.options.fixed:
-            return
-        self.friction, remarks = friction_of(
-            self.gel, self.folder, slides, self.tangential, self.flows, self.young, self.shared_nu,
-            self.ratio, self.options.friction_effort, self._told("slides"),
-        )  # fmt: skip
-        self.remarks += remarks
+    def used_friction(self) -> float:
+        """Coefficient of the presses: what is known, or what the indentations fit best with."""
+        if self.stiffness is not None:
+            return self.stiffness.friction
+        return self.press_frictions()[-1]
 
-    def remark_press_friction(self) -> None:
-        """What the modulus would be if the presses had rubbed as the gel is now known to."""
-        if self.fit is None or self.options.press_friction != 0:
-            return
-        mu = self.options.fixed.get("friction", self.base.material.friction_coefficient)
-        mu = mu if self.friction is None else self.friction.value
-        self.remarks += press_friction_remark(
-            self.gel, self.fit, mu, self.options.friction_effort, self._told("press with friction")
-        )
-
-    def result(self, slides: Sequence[SlideFit], seconds: float) -> MaterialCalibration:
+    def result(
+        self, read: Sequence[IndentationPoints | SlideFit], seconds: float
+    ) -> MaterialCalibration:
         damping = [f.damping_time_s for f in self.damping if f.damping_time_s is not None]
-        fit = self.fit
+        fit = None if self.stiffness is None else self.stiffness.fit
         inputs = {}
-        for item in (
-            *(fit.points if fit else ()), *slides, *self.tangential, *self.flows, *self.damping,
-        ):  # fmt: skip
+        others = (*self.slides, *self.tangential, *self.flows, *self.damping)
+        for item in (*(fit.points if fit else ()), *others):
             inputs[item.name] = item.sha256
         manifest = self.folder.provenance.get("manifest_sha256")
         if manifest:
@@ -397,21 +328,24 @@ class _Job:
             model=self.gel.material.model,
             young_modulus_pa=young,
             poisson_ratio=self.nu_estimate,
-            mooney_ratio=self.ratio_estimate,
+            mooney_ratio=None if self.stiffness is None else self.stiffness.ratio,
             friction=self.friction,
             damping_time_s=weighted_mean(damping),
             used_poisson_ratio=self.nu,
             used_mooney_ratio=self.ratio,
-            press_friction=self.options.press_friction,
-            indentation=fit,
-            profiled=self.profiled,
-            slides=tuple(slides),
+            used_friction=self.used_friction(),
+            physics=self.options.physics,
+            stiffness=self.stiffness,
+            slides=tuple(self.slides),
             tangential=tuple(self.tangential),
             flows=tuple(self.flows),
             damping=tuple(self.damping),
             correlation=correlation,
             inputs=inputs,
-            remarks=tuple(self.remarks),
+            remarks=tuple(
+                [r for item in read for r in item.remarks]
+                + [r for part in self._remarks.values() for r in part]
+            ),
             seconds=seconds,
         )
 

@@ -3,18 +3,26 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from calibration.material.flow import FlowFit
 from calibration.material.indentation import IndentationFit
 from calibration.material.relaxation import DampingFit
 from calibration.material.sliding import SlideFit
+from calibration.material.stiffness import Stiffness
 from calibration.material.tangential import TangentialFit
 from calibration.result import Estimate, Remark, judge
+from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
-from taccel_lab.profile import Provenance, SensorProfile
+from taccel_lab.output import to_jsonable
+from taccel_lab.profile import FittedWith, Provenance, SensorProfile
 
+PREDICTED = 5
+"""Depths of each tool at which a predicted force is reported."""
 Fit = SlideFit | TangentialFit | DampingFit
 
 
@@ -33,11 +41,11 @@ class MaterialCalibration:
     used_poisson_ratio: float
     """The fitted ratio, or the one that was held."""
     used_mooney_ratio: float
-    press_friction: float
+    used_friction: float
     """Coefficient in the simulated presses."""
-    indentation: IndentationFit | None
-    profiled: IndentationFit | None
-    """The fit in which every parameter of the law was free, for its profiles."""
+    physics: PressPhysics
+    stiffness: Stiffness | None
+    """What the indentations say; None without any."""
     slides: tuple[SlideFit, ...]
     tangential: tuple[TangentialFit, ...]
     flows: tuple[FlowFit, ...]
@@ -47,6 +55,11 @@ class MaterialCalibration:
     remarks: tuple[Remark, ...]
     seconds: float
     """Of the fit, without presses that were simulated before."""
+
+    @property
+    def indentation(self) -> IndentationFit | None:
+        """The fit of the indentations, with what they do not tell held."""
+        return None if self.stiffness is None else self.stiffness.fit
 
     @property
     def estimates(self) -> dict[str, Estimate]:
@@ -61,10 +74,20 @@ class MaterialCalibration:
         return {name: value for name, value in named.items() if value is not None}
 
     def residuals(self) -> dict[str, float]:
-        """What the fits left over, as parts of the forces."""
+        """What the fits left over, as parts of the forces; of points that were held out first."""
         found: dict[str, float] = {}
         fit = self.indentation
-        if fit is not None:
+        if fit is not None and self.stiffness is not None:
+            miss = [
+                abs(item.relative)
+                for item in self.stiffness.held_out
+                if item.force_n >= 0.1 * fit.points[item.index].force_n.max()
+            ]
+            if miss:
+                found["indentation_held_out_worst_relative"] = max(miss)
+                found["indentation_held_out_rms_relative"] = math.sqrt(
+                    sum(value**2 for value in miss) / len(miss)
+                )
             each = [fit.relative_residuals(i) for i in range(len(fit.points))]
             deep = [
                 r[item.force_n >= 0.1 * item.force_n.max()]
@@ -130,7 +153,7 @@ class MaterialCalibration:
                 for name, item in self.estimates.items()
             },
             "held": self.held(),
-            "press_friction": self.press_friction,
+            "fitted_with": self.fitted_with().model_dump(exclude_none=True),
             "constants": self.mooney_rivlin_pa(),
             "correlation": self.correlation,
             "residuals": self.residuals(),
@@ -138,8 +161,9 @@ class MaterialCalibration:
             "inputs": self.inputs,
             "seconds": self.seconds,
         }
-        fit = self.indentation
-        if fit is not None:
+        stiffness = self.stiffness
+        if stiffness is not None:
+            fit = stiffness.fit
             figures["indentation"] = [
                 {
                     "name": item.name,
@@ -149,8 +173,24 @@ class MaterialCalibration:
                     "fitted_n": fit.predicted_n(i, item.depth_mm),
                     "relative_residual": fit.relative_residuals(i),
                     "touch_mm": fit.touch_mm(i),
+                    "touch_interval95_mm": fit.touch_interval_mm(i),
+                    "predicted": [
+                        {"depth_mm": depth, "force_n": force, "interval95_n": interval}
+                        for depth, force, interval in self.predicted(i)
+                    ],
                 }
                 for i, item in enumerate(fit.points)
+            ]
+            figures["held_out"] = [
+                {
+                    "name": fit.points[item.index].name,
+                    "depth_mm": item.depth_mm,
+                    "force_n": item.force_n,
+                    "predicted_n": item.predicted_n,
+                    "interval95_n": item.interval_n,
+                    "relative": item.relative,
+                }
+                for item in stiffness.held_out
             ]
             figures["noise"] = {
                 "kind": fit.noise,
@@ -163,7 +203,6 @@ class MaterialCalibration:
                 "seconds": sum(table.seconds for table in fit.tables),
                 "interpolation_relative": max(t.error.interpolation for t in fit.tables),
             }
-        if self.profiled is not None:
             figures["profiles"] = {
                 name: {
                     "values": profile.values,
@@ -172,7 +211,8 @@ class MaterialCalibration:
                     "interval": profile.interval,
                     "open": [profile.open_low, profile.open_high],
                 }
-                for name, profile in self.profiled.solution.profiles.items()
+                for name, profile in stiffness.profiled.solution.profiles.items()
+                if not name.startswith("touch")
             }
         figures["slides"] = [
             {
@@ -215,7 +255,41 @@ class MaterialCalibration:
             held["poisson_ratio"] = self.used_poisson_ratio
         if self.model == "mooney_rivlin" and self.mooney_ratio is None:
             held["mooney_ratio"] = self.used_mooney_ratio
+        if self.friction is None and self.stiffness is not None:
+            held["friction_coefficient"] = self.used_friction
         return held
+
+    def predicted(self, index: int) -> list[tuple[float, float, tuple[float, float]]]:
+        """Depth past first touch [mm], force [N] and its 95 % interval for the tool of a record."""
+        if self.stiffness is None:
+            return []
+        fit = self.stiffness.fit
+        deepest = fit.points[index].deepest_mm
+        return [
+            (
+                depth,
+                float(
+                    fit.tables[index].force_n(
+                        np.array([depth]), fit.young_modulus_pa, fit.poisson_ratio, fit.mooney_ratio
+                    )[0]
+                ),
+                self.stiffness.force_interval_n(index, depth),
+            )
+            for depth in (deepest * np.linspace(0.2, 1.0, PREDICTED)).tolist()
+        ]
+
+    def fitted_with(self) -> FittedWith:
+        """What the presses of the fit were, for the profile."""
+        fit = self.indentation
+        return FittedWith(
+            physics=to_jsonable(self.physics.record()),
+            friction_coefficient=self.used_friction,
+            friction_measured=self.friction is not None,
+            indenters=() if fit is None else tuple(p.tool.description for p in fit.points),
+            touch_shift_mm={}
+            if fit is None
+            else {p.name: fit.touch_mm(i) for i, p in enumerate(fit.points)},
+        )
 
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` with the told parameters; layers keep their stiffness beside the gel's."""
@@ -225,6 +299,7 @@ class MaterialCalibration:
         values = {name: item.value for name, item in self.estimates.items()}
         changes: dict[str, Any] = {"model": self.model, **values}
         changes.update(self.held())
+        changes["fitted_with"] = self.fitted_with()
         if self.model != "mooney_rivlin":
             changes["mooney_ratio"] = 0.0
         scale = values.get("young_modulus_pa", old.young_modulus_pa) / old.young_modulus_pa
@@ -242,10 +317,22 @@ class MaterialCalibration:
             inputs=self.inputs,
             residuals=self.residuals(),
             spread={name: item.sigma for name, item in self.estimates.items()},
-            interval={name: item.interval95 for name, item in self.estimates.items()},
+            interval={name: item.interval95 for name, item in self.estimates.items()}
+            | self._touch_intervals(),
             correlation=self.correlation,
             valid_region=self.valid_region(),
             verdict=judge(self.remarks).value,
             remarks=tuple(remark.message for remark in self.remarks),
         )
         return profile.with_block(old.replace(**changes, provenance=provenance))
+
+    def _touch_intervals(self) -> dict[str, tuple[float, float]]:
+        """95 % interval of the zero of each record, where it was fitted."""
+        fit = self.indentation
+        if fit is None:
+            return {}
+        return {
+            f"touch_shift_mm of {item.name}": fit.touch_interval_mm(i)
+            for i, item in enumerate(fit.points)
+            if f"touch_{i}" in fit.solution.names
+        }

@@ -19,9 +19,10 @@ from calibration.markers.flow import MarkerFlow
 from calibration.material.flow_table import FlowTable, ToolPath, flow_likelihood, flow_table
 from calibration.material.friction_fit import FrictionFit
 from calibration.material.likelihood import Solution
-from calibration.material.setup import QUICK, Effort, Gel, Tool
+from calibration.material.setup import Gel, Tool
 from calibration.result import NORMAL_95, Estimate, Remark, Severity
 from sensors.registry import sensor_family
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 
 MIN_MARKERS = 6
@@ -101,7 +102,7 @@ def fit_flow(
     sha256: str = "0" * 64,
     fixed_nu: float | None = None,
     mooney_ratio: float = 0.0,
-    effort: Effort = QUICK,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     progress: Callable[[int, int], None] | None = None,
 ) -> FlowFit:
     """Fit friction, and Poisson's ratio unless it is fixed, to the motion of markers.
@@ -115,7 +116,7 @@ def fit_flow(
         sha256: Of the video.
         fixed_nu: Poisson's ratio where it is known.
         mooney_ratio: Of the gel.
-        effort: Mesh of the presses.
+        physics: Of the presses.
         progress: Told how many presses are done, and of how many.
 
     Raises:
@@ -136,7 +137,7 @@ def fit_flow(
     points, inside = _on_pad(gel, flow.points_mm)
     table = flow_table(
         gel, tool, path, frames, points, fixed_nu=fixed_nu, mooney_ratio=mooney_ratio,
-        effort=effort, progress=progress,
+        physics=physics, progress=progress,
     )  # fmt: skip
     measured = flow.displacement_mm[frames][:, inside]
     use = np.broadcast_to(seen[:, inside, None], measured.shape)

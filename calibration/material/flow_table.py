@@ -19,8 +19,9 @@ from calibration.material.candidates import Candidate, Reader, prepare, simulate
 from calibration.material.gel_presses import Stop
 from calibration.material.likelihood import Group, Likelihood, Parameter
 from calibration.material.response import NU_RANGE
-from calibration.material.setup import FRICTION_CONFIG, QUICK, REFEREE, Effort, Gel, Tool
+from calibration.material.setup import Gel, Tool, compared
 from taccel_lab.envs import PressEnv
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region
 
@@ -86,8 +87,7 @@ class FlowTable:
     coefficients: np.ndarray
     """Chebyshev over sqrt(1 - 2 nu); [nu, mu, frame, marker, 2], mm."""
     error_mm: float
-    """Root mean square difference to a press between the nodes, on a finer mesh. The table is
-    corrected by it."""
+    """Root mean square difference to a press between the nodes, of another accuracy."""
     relative_error: float
     """What that difference does to friction, as a part of it."""
     nu_error: float
@@ -139,7 +139,7 @@ def flow_table(
     *,
     fixed_nu: float | None = None,
     mooney_ratio: float = 0.0,
-    effort: Effort = QUICK,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     progress: Callable[[int, int], None] | None = None,
 ) -> FlowTable:
     """Simulate the tool's path at several coefficients and Poisson's ratios."""
@@ -151,7 +151,7 @@ def flow_table(
     fields: list[list[np.ndarray]] = []
     seconds, done, mus = 0.0, 0, len(MU_NODES)
 
-    def press(nu: float, mu: float, fineness: Effort = effort) -> np.ndarray:
+    def press(nu: float, mu: float, fineness: PressPhysics = physics) -> np.ndarray:
         nonlocal seconds, done
         if progress is not None:
             progress(done, count)
@@ -164,9 +164,9 @@ def flow_table(
 
     depth = float(path.depth_mm[frames].max())
     prepare(
-        gel.bench(tool, depth, effort),
+        gel.bench(tool, depth, physics),
         [
-            path_candidate(gel, tool, path, frames, points_mm, float(nu), mooney_ratio, mu, effort)
+            path_candidate(gel, tool, path, frames, points_mm, float(nu), mooney_ratio, mu, physics)
             for nu in nus
             for mu in MU_NODES
         ],
@@ -193,25 +193,24 @@ def flow_table(
     table = FlowTable(nodes, NU_RANGE, coefficients, 0.0, 0.0, 0.0, seconds)
     check_nu = 0.485 if fixed_nu is None else fixed_nu
     check_mu = _CHECK_MU if MU_NODES[mus - 1] > _CHECK_MU else 0.24
-    check = press(check_nu, check_mu, REFEREE[effort.name])
+    check = press(check_nu, check_mu, compared(physics))
     if progress is not None:
         progress(count, count)
     if not np.isfinite(check).all():
         raise SimulationError(
-            f"the path of {tool.description} does not converge on the finer mesh with friction of "
-            f"{check_mu:g}; use a shorter or shallower path"
+            f"the path of {tool.description} does not converge with friction of {check_mu:g} and "
+            f"accuracy {compared(physics).accuracy}; use a shorter or shallower path"
         )
-    # What the mesh does to the estimates: those of the finer press, whose parameters are known.
+    # What the mesh does to the estimates: those of the other press, whose parameters are known.
     everywhere = np.ones(check.shape, dtype=bool)
     size = np.full(check.size, float(np.sqrt(np.mean(check**2))))
     seen = flow_likelihood(table, everywhere, check.ravel(), size, fixed_nu).solve(())
-    correction = check - table.displacement_mm(check_mu, check_nu)
-    coefficients[0] += correction
+    miss = check - table.displacement_mm(check_mu, check_nu)
     return FlowTable(
         nodes,
         NU_RANGE,
         coefficients,
-        float(np.sqrt(np.mean(correction**2))),
+        float(np.sqrt(np.mean(miss**2))),
         abs(seen.value("ln_mu") - math.log(check_mu)),
         abs(seen.value("nu") - check_nu) if fixed_nu is None else 0.0,
         seconds,
@@ -227,13 +226,13 @@ def path_displacements(
     poisson_ratio: float,
     mooney_ratio: float,
     mu: float,
-    effort: Effort,
+    physics: PressPhysics,
 ) -> dict[str, np.ndarray]:
     """Motion of points of the contact face [mm], [frame, point, 2]; NaN if it did not converge."""
     candidate = path_candidate(
-        gel, tool, path, frames, points_mm, poisson_ratio, mooney_ratio, mu, effort
+        gel, tool, path, frames, points_mm, poisson_ratio, mooney_ratio, mu, physics
     )
-    return simulate(gel.bench(tool, float(path.depth_mm[frames].max()), effort), candidate)
+    return simulate(gel.bench(tool, float(path.depth_mm[frames].max()), physics), candidate)
 
 
 def path_candidate(
@@ -245,7 +244,7 @@ def path_candidate(
     poisson_ratio: float,
     mooney_ratio: float,
     mu: float,
-    effort: Effort,
+    physics: PressPhysics,
 ) -> Candidate:
     """The press of ``path_displacements``."""
     depth, shift, angle = path.depth_mm[frames], path.shift_mm[frames], path.angle_deg[frames]
@@ -260,8 +259,7 @@ def path_candidate(
         "nu": poisson_ratio,
         "ratio": mooney_ratio,
         "mu": mu,
-        "effort": effort.recipe(),
-        "dhat_m": FRICTION_CONFIG.dhat_m,
+        "physics": physics.record(),
     }
 
     def reader(env: PressEnv, _: Sequence[Candidate]) -> Reader:

@@ -20,6 +20,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.envs import Indenter, PressEnv
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.geometry import TetMesh
 from taccel_lab.ipc.potentials.friction import FrictionPotential, FrozenContacts
 from taccel_lab.model import Model
@@ -56,18 +57,20 @@ class GelPresses(PressEnv):
         at_mm: tuple[float, float],
         frictions: Sequence[float],
         *,
+        physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
         config: SolverConfig | None = None,
         device: str = "cpu",
     ) -> None:
         """
         Args:
-            mesh: Gel pad in the gel frame; its tets become ten-node ones.
+            mesh: Gel pad in the gel frame.
             materials: Of each environment, of one law and one largest Young's modulus, on which
                 the contact stiffness depends.
             indenter: The tool.
             at_mm: xy of its axis [mm].
             frictions: Coefficient of friction of each environment.
-            config: Tolerances of the solver.
+            physics: Element, contact range and tolerance.
+            config: The solver's settings; those of ``physics`` when None.
             device: Warp device.
 
         Raises:
@@ -89,6 +92,7 @@ class GelPresses(PressEnv):
             friction_coefficient=frictions[0] if one_friction else 1.0,
             # Volumes are to differ by environment.
             rest_positions_m=None if alike else np.tile(mesh.nodes_m, (count, 1, 1)),
+            physics=physics,
             config=config,
             device=device,
         )

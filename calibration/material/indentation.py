@@ -18,19 +18,29 @@ from calibration.material.points import IndentationPoints
 from calibration.material.response import ForceTable
 from calibration.result import NORMAL_95
 
-TOUCH_SIGMA_MM = 0.02
-"""How well first touch is known where a record has few points [mm]."""
+TOUCH_SIGMA_MM = {"sphere": 0.1, "cylinder": 0.05, "flat": 0.05}
+"""How well first touch is known where a record has few points [mm]. A ball shows no force at first:
+at 0.05 N it is 0.1 to 0.2 mm in the gel, a punch of 3 mm radius a hundredth."""
 LOOSE_TOUCH_SIGMA_MM = 0.2
 """The same of a record that tells it by itself."""
 TELLING_POINTS = 6
 """Points at different depths from which a record tells its touch point."""
+LOOSE_POINTS = 3
+"""Points at different depths from which they tell the touch better than the prior does."""
 TOUCH_LIMIT_MM = 0.5
 SMALL_FORCE = 0.05
 """Noise that grows with the force does not fall below this part of the largest one."""
-UNTOLD_NOISE = 0.05
-"""Relative noise that is assumed where there are too few points to estimate it."""
+USUAL_NOISE = {"proportional": 0.015, "constant": 0.005}
+"""Scatter of readings that is usual, as a part of the force or of the largest one: what a record of
+few points is taken to have, see ``likelihood``."""
+USUAL_COUNT = 2.0
 MIN_FOR_NOISE = 8
 """Points from which the kind of noise (constant or proportional) is chosen by likelihood."""
+CLEARLY = 3.84
+"""By how much Q has to speak for a constant noise: taken wrongly, it is too small at the largest
+forces, where it matters."""
+GEL_NU = (0.40, 0.499)
+"""Poisson's ratios that gels may have: what records do not tell lies here."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +54,10 @@ class IndentationFit:
     points: tuple[IndentationPoints, ...]
     tables: tuple[ForceTable, ...]
     noise: str
-    """``given``, ``constant``, ``proportional`` or ``assumed``."""
+    """``given``, ``constant`` or ``proportional``."""
+    misfit: float
+    """Q of the likelihood, to compare fits of the same points."""
+    likelihood: Likelihood
     model_error: float
     """Relative error of Young's modulus from mesh and tables, one standard deviation."""
 
@@ -76,6 +89,16 @@ class IndentationFit:
             return 0.0
         return self.solution.value(f"touch_{index}")
 
+    def touch_interval_mm(self, index: int) -> tuple[float, float]:
+        """95 % interval of ``touch_mm``."""
+        name = f"touch_{index}"
+        if name not in self.solution.names:
+            return 0.0, 0.0
+        if name in self.solution.profiles:
+            return self.solution.profiles[name].interval
+        half = NORMAL_95 * self.solution.sigma_of(name)
+        return self.touch_mm(index) - half, self.touch_mm(index) + half
+
     def predicted_n(self, index: int, depth_mm: np.ndarray) -> np.ndarray:
         """Forces of the fit [N] at recorded depths of one press."""
         return self.tables[index].force_n(
@@ -84,6 +107,18 @@ class IndentationFit:
             self.poisson_ratio,
             self.mooney_ratio,
         )
+
+    def noise_n(self, index: int, force_n: float, scale: Sequence[float] | None = None) -> float:
+        """Standard deviation of a reading of a force [N]; ``scale`` is that of ``Solution``."""
+        scales = self.solution.noise if scale is None else scale
+        item = self.points[index]
+        if self.noise == "given":
+            assert item.sigma_n is not None
+            return scales[index] * float(np.median(item.sigma_n))
+        largest = max(float(np.abs(p.force_n).max()) for p in self.points)
+        if self.noise == "constant":
+            return scales[0] * largest
+        return scales[0] * max(force_n, SMALL_FORCE * float(item.force_n.max()))
 
     def relative_residuals(self, index: int) -> np.ndarray:
         """Fit over measurement minus 1, shape [point]."""
@@ -100,7 +135,8 @@ def fit_indentation(
     mooney_ratio: float = 0.0,
     free_nu: bool = True,
     free_ratio: bool = False,
-    touch_sigma_mm: float | None = None,
+    nu_range: tuple[float, float] | None = None,
+    touch_sigma_mm: float | Sequence[float] | None = None,
     profiled: Sequence[str] | None = None,
     drawn: bool = False,
 ) -> IndentationFit:
@@ -114,56 +150,71 @@ def fit_indentation(
         mooney_ratio: The same of c01 / (c10 + c01).
         free_nu: Whether Poisson's ratio is fitted.
         free_ratio: Whether the Mooney ratio is.
-        touch_sigma_mm: How well first touch is known; by the number of points when None.
-        profiled: Parameters whose profile is wanted; all of the law when None.
+        touch_sigma_mm: How well first touch is known, one or one a press; by ``touch_sigma`` when
+            None.
+        nu_range: Poisson's ratios that a free one may take; those of the tables when None.
+        profiled: Parameters whose profile is wanted; all when None.
         drawn: Whether profiles are for a figure, with more points.
     """
-    touch = [_touch_sigma(item, touch_sigma_mm) for item in points]
+    if touch_sigma_mm is None or isinstance(touch_sigma_mm, float | int):
+        touch = [touch_sigma(item, touch_sigma_mm) for item in points]
+    else:
+        touch = touch_sigma_mm
     parameters = [Parameter("ln_e", math.log(start_pa), math.log(1e3), math.log(1e9), 0.1)]
     if free_nu:
         low = max(table.nu_range[0] for table in tables)
         high = min(table.nu_range[1] for table in tables)
-        start = min(max(poisson_ratio, low + 0.01), high - 0.003)
+        if nu_range is not None:
+            low, high = max(low, nu_range[0]), min(high, nu_range[1])
+        start = min(max(poisson_ratio, low + 0.1 * (high - low)), high - 0.02 * (high - low))
         parameters.append(Parameter("nu", start, low, high, 0.02))
     if free_ratio:
         start = min(max(mooney_ratio, 0.05), 0.95)
         parameters.append(Parameter("mooney_ratio", start, 0.0, 1.0, 0.2))
-    law = [p.name for p in parameters]
     for i, sigma in enumerate(touch):
         if sigma > 0:
             parameters.append(
                 Parameter(
-                    f"touch_{i}", 0.0, -TOUCH_LIMIT_MM, TOUCH_LIMIT_MM, min(sigma, 0.02), sigma
+                    f"touch_{i}",
+                    0.0,
+                    -TOUCH_LIMIT_MM,
+                    TOUCH_LIMIT_MM,
+                    min(sigma, 0.02),
+                    sigma,
+                    loose=len(np.unique(points[i].depth_mm)) >= LOOSE_POINTS,
                 )
             )
     names = [p.name for p in parameters]
     model = _Model(points, tables, names, poisson_ratio, mooney_ratio)
     count = sum(len(item.depth_mm) for item in points)
-    kinds = _noise_kinds(points, count - len(law))
+    kinds = _noise_kinds(points)
     largest = max(float(np.abs(item.force_n).max()) for item in points)
     best: tuple[str, Likelihood] | None = None
     lowest = math.inf
     for kind in kinds:
         weights = [_weights(item, kind, largest) for item in points]
-        known = kind in ("given", "assumed")
+        groups = [Group(len(item.depth_mm), True) for item in points]
+        penalty = 0.0
+        if kind != "given":
+            usual = USUAL_NOISE[kind]
+            groups = [Group(count, False, usual, USUAL_COUNT)]
+            # Weights and the usual noise are part of the likelihood of a kind of noise.
+            dof = max(count - sum(p.prior_sigma is None or p.loose for p in parameters), 0)
+            dof += USUAL_COUNT
+            penalty = 2 * dof / count * float(np.log(np.concatenate(weights)).sum())
+            penalty -= USUAL_COUNT * math.log(USUAL_COUNT * usual**2)
+            penalty += CLEARLY if kind == "constant" else 0.0
         likelihood = Likelihood(
             parameters,
-            [Group(len(item.depth_mm), known) for item in points]
-            if known
-            else [Group(count, False)],
+            groups,
             lambda theta, weights=weights: model.residuals(theta, weights),
         )
-        # Weights are part of the likelihood where the noise grows with the force.
-        penalty = 0.0
-        if len(kinds) > 1:
-            logs = float(np.log(np.concatenate(weights)).sum())
-            penalty = 2 * likelihood.dof / count * logs
         q = likelihood.solve(profiled=())
         value = likelihood.cost(q.values)[0] + penalty
         if best is None or value < lowest:
             best, lowest = (kind, likelihood), value
     assert best is not None
-    solution = best[1].solve(law if profiled is None else profiled, drawn)
+    solution = best[1].solve(profiled, drawn)
     nu = solution.value("nu") if free_nu else poisson_ratio
     ratio = solution.value("mooney_ratio") if free_ratio else mooney_ratio
     return IndentationFit(
@@ -173,6 +224,8 @@ def fit_indentation(
         tuple(points),
         tuple(tables),
         best[0],
+        lowest,
+        best[1],
         max(table.error.scale for table in tables),
     )
 
@@ -218,18 +271,17 @@ class _Model:
         return np.concatenate(residuals), np.concatenate(rows)
 
 
-def _touch_sigma(item: IndentationPoints, given_mm: float | None) -> float:
+def touch_sigma(item: IndentationPoints, given_mm: float | None) -> float:
+    """How well the first touch of a press is known [mm]."""
     if given_mm is not None:
         return given_mm
     told = len(np.unique(item.depth_mm)) >= TELLING_POINTS
-    return LOOSE_TOUCH_SIGMA_MM if told else TOUCH_SIGMA_MM
+    return LOOSE_TOUCH_SIGMA_MM if told else TOUCH_SIGMA_MM[item.tool.kind]
 
 
-def _noise_kinds(points: Sequence[IndentationPoints], dof: int) -> list[str]:
+def _noise_kinds(points: Sequence[IndentationPoints]) -> list[str]:
     if all(item.sigma_n is not None for item in points):
         return ["given"]
-    if dof < 1:
-        return ["assumed"]
     if sum(len(item.depth_mm) for item in points) >= MIN_FOR_NOISE:
         return ["constant", "proportional"]
     return ["proportional"]
@@ -243,5 +295,4 @@ def _weights(item: IndentationPoints, kind: str, largest_n: float) -> np.ndarray
         return item.sigma_n
     if kind == "constant":
         return np.full(len(force), largest_n)
-    part = np.maximum(force, SMALL_FORCE * force.max())
-    return UNTOLD_NOISE * part if kind == "assumed" else part
+    return np.maximum(force, SMALL_FORCE * force.max())

@@ -18,13 +18,14 @@ import numpy as np
 from calibration.material.bonded_layer import layer_force_n
 from calibration.material.candidates import prepare
 from calibration.material.likelihood import root_between
-from calibration.material.setup import QUICK, Effort, Gel, Tool
+from calibration.material.setup import Gel, Tool
 from calibration.material.tangential_table import (
     FULL_SLIP_DEPTHS,
     GRID,
     motion_candidate,
     simulate_motion,
 )
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 
 STEPS = 6
 LARGEST_RATIO = 1.0
@@ -70,7 +71,7 @@ def leaning(
     poisson_ratio: float,
     mooney_ratio: float = 0.0,
     *,
-    effort: Effort = QUICK,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     progress: Callable[[int, int], None] | None = None,
 ) -> Leaning | None:
     """Simulate slides at coefficients about ``ratio``; None where they do not converge."""
@@ -83,15 +84,17 @@ def leaning(
     mus, ratios = [GRID**k for k in range(first, last + 1)], []
     scaled = FULL_SLIP_DEPTHS * depth * np.linspace(0, 1, STEPS + 1)
     slides = [
-        motion_candidate(gel, tool, "shear", depth, scaled, mu, poisson_ratio, mooney_ratio, effort)
+        motion_candidate(
+            gel, tool, "shear", depth, scaled, mu, poisson_ratio, mooney_ratio, physics
+        )
         for mu in mus
     ]
-    prepare(gel.bench(tool, depth, effort), slides, progress)
+    prepare(gel.bench(tool, depth, physics), slides, progress)
     for done, mu in enumerate(mus):
         if progress is not None:
             progress(done, len(mus))
         found = simulate_motion(
-            gel, tool, "shear", depth, scaled, mu, poisson_ratio, mooney_ratio, effort
+            gel, tool, "shear", depth, scaled, mu, poisson_ratio, mooney_ratio, physics
         )
         value = float(found["tangential"][-1] / found["normal_n"][-1])
         if not math.isfinite(value):

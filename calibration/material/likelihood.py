@@ -5,22 +5,22 @@ Residuals come in groups whose noise is known (residuals in standard deviations)
 in any common unit; their scale is estimated). With Q = sum of squares of known groups + sum over
 unknown ones of dof ln(sum of squares) + squares of the priors, the 95 % interval of a parameter is
 where the least Q of all others lies below its minimum plus 3.84 or, where noise was estimated,
-dof ln(1 + t^2/dof): the exact t interval of a linear model.
+dof ln(1 + t^2/dof): the exact t interval of a linear model. An unknown noise may have a scale that
+is usual: it counts like readings of that scatter (the conjugate prior of a variance), so that a few
+points which a curve happens to go through do not look as if they were exact.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2, t
-
-from taccel_lab.errors import InputError
 
 TINY = 1e-12
 """Floor of a mean square: noise below a millionth of the residuals' unit is none, as of perfect
@@ -41,6 +41,8 @@ class Parameter:
     """About how far it is uncertain, to scale the search."""
     prior_sigma: float | None = None
     """Standard deviation of a normal prior about ``start``."""
+    loose: bool = False
+    """Whether the data tell more than the prior: it takes a degree of freedom then."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,10 @@ class Group:
     count: int
     known: bool
     """Whether residuals are in standard deviations."""
+    usual: float = 0.0
+    """Noise that is usual, in the unit of the residuals; 0 of a noise that nothing is known of."""
+    usual_count: float = 0.0
+    """How many readings that counts like."""
 
 
 _DRAWN = 8
@@ -97,18 +103,6 @@ class Solution:
         return float(self.sigma[self.names.index(name)])
 
 
-def require_nlopt() -> Any:
-    """The module nlopt; InputError says how to get it."""
-    try:
-        import nlopt
-    except ImportError as error:
-        raise InputError(
-            "fits of material need NLopt, which is not installed: pip install 'nlopt>=2.9', or "
-            "taccel-lab with its extra 'optimize'"
-        ) from error
-    return nlopt
-
-
 def root_between(
     function: Callable[[float], float], one: float, other: float, tolerance: float = 1e-12
 ) -> float:
@@ -127,10 +121,10 @@ class Likelihood:
         self.groups = tuple(groups)
         self.residuals = residuals
         self.evaluations = 0
-        self.nlopt = require_nlopt()
-        self.free = sum(p.prior_sigma is None for p in self.parameters)
+        self.free = sum(p.prior_sigma is None or p.loose for p in self.parameters)
         total = sum(group.count for group in self.groups)
-        self.dof = max(total - self.free, 1)
+        usual = sum(group.usual_count for group in self.groups)
+        self.dof = max(total - self.free, 0 if usual else 1)
         self._share = self.dof / max(total, 1)
         self._scale = np.array([p.step for p in self.parameters])
         self._low = np.array([p.low for p in self.parameters])
@@ -139,13 +133,24 @@ class Likelihood:
         self._parts = [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     @property
+    def quantile(self) -> float:
+        """Half width of a 95 % interval in standard deviations: of t, or of a normal distribution
+        where all noise is known."""
+        dof = self._unknown_dof()
+        return float(t.ppf(0.975, dof)) if dof else math.sqrt(float(chi2.ppf(0.95, 1)))
+
+    @property
     def threshold(self) -> float:
         """Q above its minimum at the ends of a 95 % interval."""
-        unknown = sum(group.count for group in self.groups if not group.known)
-        if not unknown:
-            return float(chi2.ppf(0.95, 1))
-        dof = max(unknown * self._share, 1.0)
-        return dof * math.log1p(float(t.ppf(0.975, dof)) ** 2 / dof)
+        dof = self._unknown_dof()
+        return dof * math.log1p(self.quantile**2 / dof) if dof else self.quantile**2
+
+    def _unknown_dof(self) -> float:
+        return sum(self._dof(group) for group in self.groups if not group.known)
+
+    def _dof(self, group: Group) -> float:
+        """Degrees of freedom that tell the noise of a group."""
+        return max(group.count * self._share + group.usual_count, 1.0)
 
     def cost(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
         """Q and its gradient."""
@@ -159,8 +164,8 @@ class Likelihood:
                 total += squares
                 gradient += slope
             else:
-                dof = max(group.count * self._share, 1.0)
-                floor = squares + TINY * group.count
+                dof = self._dof(group)
+                floor = squares + TINY * group.count + group.usual_count * group.usual**2
                 total += dof * math.log(floor)
                 gradient += dof * slope / floor
         for i, p in enumerate(self.parameters):
@@ -174,7 +179,8 @@ class Likelihood:
         self, start: np.ndarray, held: dict[int, float] | None = None
     ) -> tuple[np.ndarray, float]:
         """Least Q from ``start``, some parameters held; NLopt's SLSQP within the bounds."""
-        nlopt = self.nlopt
+        import nlopt
+
         held = held or {}
         theta = np.clip(np.array(start, dtype=float), self._low, self._high)
         for i, value in held.items():
@@ -231,7 +237,7 @@ class Likelihood:
             dof = max(known * self._share, 1.0)
             per_dof = squares / dof
             if known > self.free and chi2.sf(squares, dof) < MISFIT_PROBABILITY:
-                groups = [Group(group.count, False) for group in self.groups]
+                groups = [replace(group, known=False) for group in self.groups]
                 likelihood, misfit = Likelihood(self.parameters, groups, self.residuals), True
                 theta, least = likelihood._search(theta)
         profiles = {}
@@ -270,7 +276,8 @@ class Likelihood:
             scale = 1.0
             if not group.known:
                 squares = float(r[part] @ r[part]) + TINY * group.count
-                scale = math.sqrt(squares / max(group.count * self._share, 1.0))
+                squares += group.usual_count * group.usual**2
+                scale = math.sqrt(squares / self._dof(group))
             noise.append(scale)
             information += jacobian[part].T @ jacobian[part] / scale**2
         for i, p in enumerate(self.parameters):
@@ -310,6 +317,10 @@ class Likelihood:
                 best, lowest = near, q
             return q - least - threshold
 
+        def known(value: float) -> float:
+            """The search from elsewhere may end in another valley: what was found stays."""
+            return trace[value] - least - threshold if value in trace else excess(value)
+
         ends, opened = [], []
         reach = p.high - p.low
         sigma = float(self._covariance(theta)[0][index])
@@ -325,7 +336,7 @@ class Likelihood:
                 ends.append(outer)
             else:
                 tolerance = 1e-3 * abs(outer - inner) + 1e-15
-                ends.append(root_between(excess, inner, outer, tolerance))
+                ends.append(root_between(known, inner, outer, tolerance))
         if drawn:
             margin = 0.2 * (ends[1] - ends[0])
             for end in (ends[0] - margin, ends[1] + margin):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from calibration.material.setup import QUICK, STANDARD, Effort
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 
 FIXABLE = ("e", "nu", "mooney_ratio", "friction")
@@ -21,11 +21,9 @@ class MaterialOptions:
     fixed: dict[str, float] = field(default_factory=dict)
     """Parameters that are held, by their names in ``FIXABLE``."""
     touch_sigma_mm: float | None = None
-    """How well first touch is known; chosen by the number of points when None."""
-    press_friction: float = 0.0
-    """Coefficient of friction in the simulated indentations."""
-    effort: Effort = STANDARD
-    """Mesh of indentations; presses with friction take ``QUICK`` at most."""
+    """How well first touch is known; chosen by tool and number of points when None."""
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT]
+    """Of the simulated presses: that of the presses which are to reproduce the records."""
     device: str = "cpu"
     """Warp device of the simulations; a GPU takes the presses of a table together."""
 
@@ -41,10 +39,3 @@ class MaterialOptions:
                 raise InputError(f"{name} must lie in [{low:g}, {high:g}], got {value:g}")
         if self.touch_sigma_mm is not None and not 0 <= self.touch_sigma_mm <= 1:
             raise InputError(f"touch_sigma_mm must lie in [0, 1] mm, got {self.touch_sigma_mm:g}")
-        if not 0 <= self.press_friction <= 2:
-            raise InputError(f"press_friction must lie in [0, 2], got {self.press_friction:g}")
-
-    @property
-    def friction_effort(self) -> Effort:
-        """Mesh of presses with friction, which take ten times as long."""
-        return QUICK if self.effort.core > QUICK.core else self.effort

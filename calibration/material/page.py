@@ -44,12 +44,43 @@ def material_page(result: MaterialCalibration) -> Page:
             "the profile before.",
         )
     ]
-    fit = result.indentation
+    stiffness = result.stiffness
     pictures = []
-    if fit is not None:
+    if stiffness is not None:
+        fit = stiffness.fit
         pictures.append(
             Picture(
-                "indentation", partial(draw_indentation, fit), "Forces, and what the fit leaves."
+                "indentation",
+                partial(draw_indentation, stiffness),
+                "Forces, and what the fit leaves.",
+            )
+        )
+        if stiffness.held_out:
+            tables.append(
+                Table(
+                    "Points predicted from the others",
+                    ["record", "depth [mm]", "force [N]", "predicted [N]", "off [%]", "95 % from",
+                     "to"],
+                    [
+                        [fit.points[h.index].name, h.depth_mm, h.force_n, h.predicted_n,
+                         100 * h.relative, *h.interval_n]
+                        for (h,) in _thinned(stiffness.held_out)
+                    ],
+                    "What the fit is worth where it was not fitted; the interval is of a reading.",
+                )
+            )  # fmt: skip
+        tables.append(
+            Table(
+                "Forces of presses",
+                ["indenter", "depth [mm]", "force [N]", "95 % from", "to"],
+                [
+                    [item.tool.description, depth, force, *interval]
+                    for i, item in enumerate(fit.points)
+                    for depth, force, interval in result.predicted(i)
+                ],
+                "Depth past first touch, as taccel-lab press takes it; friction "
+                f"{result.used_friction:g}. The interval is over all that the records leave open: "
+                "first touch, Poisson's ratio, friction, noise.",
             )
         )
         tables.append(
@@ -66,14 +97,15 @@ def material_page(result: MaterialCalibration) -> Page:
                 f"Noise: {fit.noise}; mesh and tables add {100 * fit.model_error:.2g} % to "
                 f"Young's modulus (one standard deviation). First touch of "
                 + ", ".join(
-                    f"{item.name}: {fit.touch_mm(i):+.3f} mm"
+                    f"{item.name}: {fit.touch_mm(i):+.3f} mm "
+                    f"({fit.touch_interval_mm(i)[0]:+.3f} to {fit.touch_interval_mm(i)[1]:+.3f})"
                     for i, item in enumerate(fit.points)
                     if f"touch_{i}" in fit.solution.names
                 )
                 + ".",
             )
         )
-    if result.profiled is not None or result.tangential or result.flows:
+    if stiffness is not None or result.tangential or result.flows:
         pictures.append(
             Picture(
                 "profiles",

@@ -10,9 +10,10 @@ import numpy as np
 
 from calibration.material.calibration import MaterialCalibration
 from calibration.material.flow import FlowFit
-from calibration.material.indentation import IndentationFit
+from calibration.material.prediction import force_interval_n
 from calibration.material.relaxation import DampingFit
 from calibration.material.sliding import SlideFit
+from calibration.material.stiffness import Stiffness
 from calibration.material.tangential import TangentialFit
 from taccel_lab.report.style import (
     BLUE,
@@ -29,6 +30,8 @@ from taccel_lab.report.style import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+BAND = 9
+"""Depths at which the band is computed."""
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
 _AXES = {
     "ln_e": "Young's modulus [kPa]",
@@ -39,15 +42,19 @@ _AXES = {
 
 
 @in_report_style
-def draw_indentation(fit: IndentationFit) -> Figure:
+def draw_indentation(stiffness: Stiffness) -> Figure:
     """Force over depth with the fit and its 95 % band, and residuals in per cent."""
+    fit = stiffness.fit
     figure, (left, right) = new_figure(9.5, 3.9, 1, 2, width_ratios=[1.25, 1])
-    low, high = (end / fit.young_modulus_pa for end in fit.young_interval_pa)
     for i, item in enumerate(fit.points):
         colour = _COLOURS[i % len(_COLOURS)]
         depth = np.linspace(1e-3, 1.03 * item.deepest_mm, 120)
         force = fit.predicted_n(i, depth)
-        left.fill_between(depth, low * force, high * force, color=colour, alpha=0.18, lw=0)
+        coarse = np.linspace(0.05, 1.0, BAND) * depth[-1]
+        ends = [[force_interval_n(one, i, float(d)) for one in stiffness.open_fits] for d in coarse]
+        low = [min(a for a, _ in row) for row in ends]
+        high = [max(b for _, b in row) for row in ends]
+        left.fill_between(coarse, low, high, color=colour, alpha=0.18, lw=0)
         left.plot(depth, force, color=colour, label=f"fit, {item.tool.description}")
         left.errorbar(
             item.depth_mm, item.force_n, None if item.sigma_n is None else 2 * item.sigma_n,
@@ -61,7 +68,7 @@ def draw_indentation(fit: IndentationFit) -> Figure:
     left.set_xlim(left=0)
     left.set_ylim(bottom=0)
     left.legend(fontsize=8)
-    left.set_title("Force and fit; the band is 95 % of Young's modulus")
+    left.set_title("Force and fit; the band holds the force 95 times of 100")
     right.axhline(0, color=GREY, lw=0.8)
     for level in (-3, 3):
         right.axhline(level, color=LIGHT, lw=0.8, ls="--")
@@ -84,10 +91,11 @@ def draw_profiles(result: MaterialCalibration) -> Figure:
     """Profile likelihood of each parameter of the law, of friction where it was simulated."""
     found = []
     held = None
-    if result.profiled is not None and result.indentation is not None:
-        found += [(name, p, "") for name, p in result.profiled.solution.profiles.items()]
-        if result.profiled is not result.indentation:
-            held = result.indentation.solution.profiles["ln_e"]
+    if result.stiffness is not None:
+        free = result.stiffness.profiled.solution.profiles
+        found += [(name, p, "") for name, p in free.items() if name in _AXES]
+        if result.held():
+            held = result.stiffness.fit.solution.profiles["ln_e"]
     for item in (*result.tangential, *result.flows):
         found += [(n, p, f" ({item.name})") for n, p in item.solution.profiles.items()]
     columns = 2 if len(found) == 4 else min(len(found), 3)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import rankdata
@@ -48,6 +48,13 @@ class IndentationPoints:
     @property
     def deepest_mm(self) -> float:
         return float(self.depth_mm.max())
+
+    def only(self, keep: np.ndarray) -> IndentationPoints:
+        """Some of the points, those of a mask (bool, [point])."""
+        sigma = None if self.sigma_n is None else self.sigma_n[keep]
+        return replace(
+            self, depth_mm=self.depth_mm[keep], force_n=self.force_n[keep], sigma_n=sigma
+        )
 
 
 def points_of_record(record: ForceRecord, gel: Gel, ball_mm: float | None) -> IndentationPoints:

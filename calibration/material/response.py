@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated force over depth, Poisson's ratio and law, as a smooth function with its own error.
 
-Presses are simulated at Chebyshev nodes of s = sqrt(1 - 2 nu) (and of the Mooney ratio), in which
-forces are nearly polynomial up to incompressibility: with five nodes over nu 0.30 to 0.499 they are
-met to 0.04 %, with six nodes of nu itself to 0.06 %, of log(1 - 2 nu) to 0.08 %. The press of a
-ball also gives the slope of its force over nu and over the Mooney ratio by the implicit function
-theorem, for a tenth of its time; three nodes with slopes are as good as five of values. With
-friction there are no such slopes, and for tools with edges they are not used. One press between the
-nodes measures the error, and one on a finer mesh that of the mesh, which is corrected.
+Each force is that of a press as ``taccel-lab press`` simulates it: the mesh of its own depth, the
+same steps on the way. Presses are simulated at Chebyshev nodes of s = sqrt(1 - 2 nu) (and of the
+Mooney ratio), in which forces are nearly polynomial up to incompressibility: with five nodes over
+nu 0.30 to 0.499 they are met to 0.04 %, with six nodes of nu itself to 0.06 %, of log(1 - 2 nu) to
+0.08 %. The press of a ball also gives the slope of its force over nu and over the Mooney ratio by
+the implicit function theorem, for a tenth of its time; three nodes with slopes are as good as five
+of values. With friction there are no such slopes, and for tools with edges they are not used.
+Presses between the nodes measure the error of the table; that of the mesh is the estimate of
+``PressEnv``.
 """
 
 from __future__ import annotations
@@ -21,17 +23,10 @@ from scipy.interpolate import CubicSpline
 
 from calibration.material.candidates import Candidate, Reader, prepare, simulate
 from calibration.material.gel_presses import GelPresses, MaterialStep, Stop
-from calibration.material.setup import (
-    DHAT_M,
-    REFEREE,
-    STANDARD,
-    UNIT_MODULUS_PA,
-    Effort,
-    Gel,
-    Tool,
-)
+from calibration.material.setup import UNIT_MODULUS_PA, Gel, Tool
 from calibration.material.surface_fit import chebyshev_basis, chebyshev_nodes, fit_surface
-from taccel_lab.envs import profile_material
+from taccel_lab.envs import PressPath, profile_material
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 
 NU_RANGE = (0.30, 0.499)
@@ -48,7 +43,9 @@ _GRID = 1.1
 _STEP = 1e-5
 """Of parameters in slopes of elastic forces; these are linear in the moduli."""
 _CHECK_NU = 0.4775
-"""Between the nodes, where gels are; also the Poisson's ratio of the finer press."""
+"""Between the nodes, where gels are; also the Poisson's ratio at which the mesh's error is told."""
+NINE_IN_TEN = 1.645
+"""Standard deviations that an error stays below in nine of ten cases."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +55,8 @@ class TableError:
     interpolation: float
     """Greatest difference to a press between the nodes."""
     mesh: np.ndarray
-    """Difference to a press on a finer mesh at each depth, shape [depth]; the table is corrected
-    by it, so it bounds what is left."""
+    """Estimated error of the presses at each depth, see ``PressEnv.error_estimate``, as one
+    standard deviation, shape [depth]."""
 
     @property
     def scale(self) -> float:
@@ -170,8 +167,7 @@ def force_table(
     fixed_nu: float | None = None,
     fixed_ratio: float | None = None,
     friction: float = 0.0,
-    effort: Effort = STANDARD,
-    checked: bool = True,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     progress: Callable[[int, int], None] | None = None,
 ) -> ForceTable:
     """Simulate the presses of a table, or take it from the cache.
@@ -183,8 +179,7 @@ def force_table(
         fixed_nu: Poisson's ratio where it is not to be fitted; one press suffices then.
         fixed_ratio: Mooney ratio, likewise; 0 of other laws.
         friction: Between tool and gel.
-        effort: Mesh of the presses.
-        checked: Whether a finer mesh corrects the table and tells its error.
+        physics: Of the presses.
         progress: Told how many presses are done, and of how many.
 
     Raises:
@@ -198,11 +193,11 @@ def force_table(
     # Over an edge nodes slip by jumps: slopes at one nu are not those of the curve.
     if friction == 0 and tool.kind == "sphere":
         grid = _Grid(fixed_nu, fixed_ratio, sloped=True)
-        table = _table(gel, tool, depths, grid, friction, effort, checked, progress)
+        table = _table(gel, tool, depths, grid, friction, physics, progress)
         if table is not None:
             return table
     grid = _Grid(fixed_nu, fixed_ratio, sloped=False)
-    table = _table(gel, tool, depths, grid, friction, effort, checked, progress)
+    table = _table(gel, tool, depths, grid, friction, physics, progress)
     assert table is not None
     return table
 
@@ -222,8 +217,7 @@ def _table(
     depths: np.ndarray,
     grid: _Grid,
     friction: float,
-    effort: Effort,
-    checked: bool,
+    physics: PressPhysics,
     progress: Callable[[int, int], None] | None,
 ) -> ForceTable | None:
     """The table of a grid; None where slopes are wanted that a press does not have."""
@@ -236,30 +230,36 @@ def _table(
     ratios = chebyshev_nodes(ratio_count) if fixed_ratio is None else np.array([fixed_ratio])
     check_nu = _CHECK_NU if fixed_nu is None else fixed_nu
     check_ratio = 0.3 if fixed_ratio is None else fixed_ratio
-    jobs = [(float(nu), float(ratio), slopes, effort) for ratio in ratios for nu in nus]
+    gels = [(float(nu), float(ratio), slopes) for ratio in ratios for nu in nus]
     if any(free.values()):
-        jobs.append((check_nu, check_ratio, (), effort))
-    alike = len(jobs)
-    if checked:
-        jobs.append((check_nu, check_ratio, (), REFEREE[effort.name]))
-    presses = [
-        press_candidate(gel, tool, depths, nu, ratio, friction, fineness, wanted)
-        for nu, ratio, wanted, fineness in jobs
-    ]
-    deepest = float(depths[-1])
-    prepare(gel.bench(tool, deepest, effort), presses[:alike], progress)
-    found, seconds = [], 0.0
-    for done, (press, job) in enumerate(zip(presses, jobs, strict=True)):
+        gels.append((check_nu, check_ratio, ()))
+    total = len(gels) * len(depths)
+    found: list[list[dict[str, np.ndarray]]] = []
+
+    def told(done: int, _: int = 0) -> None:
         if progress is not None:
-            progress(done, len(jobs))
-        found.append(simulate(gel.bench(tool, deepest, job[3]), press))
-        seconds += float(found[-1]["seconds"])
-        if not all(np.isfinite(found[-1][f"by_{name}_n"]).all() for name in job[2]):
+            progress(len(found) * len(gels) + done, total)
+
+    for depth in depths.tolist():
+        bench = gel.bench(tool, depth, physics)
+        presses = [
+            press_candidate(gel, tool, depth, nu, ratio, friction, physics, wanted)
+            for nu, ratio, wanted in gels
+        ]
+        prepare(bench, presses, told)
+        row = []
+        for done, press in enumerate(presses):
+            told(done)
+            row.append(simulate(bench, press))
+        found.append(row)
+        finite = [np.isfinite(row[i][f"by_{n}_n"]).all() for i, g in enumerate(gels) for n in g[2]]
+        if not all(finite):
             return None
+    forces = np.array([[item["force_n"][0] for item in row] for row in found]).T
+    seconds = float(sum(item["seconds"] for row in found for item in row))
     if progress is not None:
-        progress(len(jobs), len(jobs))
+        progress(total, total)
     exponent = 1.5 if tool.kind == "sphere" else 1.0
-    forces = np.array([item["force_n"] for item in found])
     reduced = np.log(forces / UNIT_MODULUS_PA) - exponent * np.log(depths)
     shape = (len(ratios), len(nus), len(depths))
     count = len(ratios) * len(nus)
@@ -268,8 +268,8 @@ def _table(
         """d ln F by the parameter scaled to -1..1, at the nodes."""
         if name not in slopes:
             return None
-        rows = [item[f"by_{name}_n"] for item in found[:count]]
-        return (np.array(rows) / forces[:count]).reshape(shape) / per
+        rows = np.array([[item[f"by_{name}_n"][0] for item in row[:count]] for row in found]).T
+        return (rows / forces[:count]).reshape(shape) / per
 
     places = [_place(float(nu), nu_range) for nu in nus] if fixed_nu is None else [(0.0, 1.0)]
     coefficients = fit_surface(
@@ -282,21 +282,20 @@ def _table(
     draft = ForceTable(
         tool, depths, exponent, nu_range, coefficients, TableError(0.0, np.zeros(1)), 0.0, 0
     )
-    here = draft.log_force(depths, check_nu, check_ratio)[0] - exponent * np.log(depths)
+    here = draft.log_force(depths, check_nu, check_ratio)[0]
     between = any(free.values())
-    interpolation = float(np.abs(reduced[count] - here).max()) if between else 0.0
-    own = reduced[count] if between else here
-    correction = reduced[-1] - own if checked else np.zeros(len(depths))
-    coefficients[0, 0] += correction
+    own = np.log(forces[-1] / UNIT_MODULUS_PA)
+    interpolation = float(np.abs(own - here).max()) if between else 0.0
+    mesh = np.array([row[-1]["error_n"][0] for row in found]) / forces[-1] / NINE_IN_TEN
     return ForceTable(
         tool=tool,
         depths_mm=depths,
         exponent=exponent,
         nu_range=nu_range if fixed_nu is None else (fixed_nu, fixed_nu),
         coefficients=coefficients,
-        error=TableError(interpolation, np.abs(correction)),
+        error=TableError(interpolation, mesh),
         seconds=seconds,
-        press_count=len(jobs),
+        press_count=total,
     )
 
 
@@ -305,38 +304,40 @@ def simulate_press(
     tool: Tool,
     depths_mm: np.ndarray,
     poisson_ratio: float,
-    mooney_ratio: float,
-    friction: float,
-    effort: Effort,
-) -> dict[str, np.ndarray]:
-    """Forces [N] of one press of 1 MPa at rising depths, and the seconds that it took."""
-    candidate = press_candidate(gel, tool, depths_mm, poisson_ratio, mooney_ratio, friction, effort)
-    return simulate(gel.bench(tool, float(depths_mm[-1]), effort), candidate)
+    mooney_ratio: float = 0.0,
+    friction: float = 0.0,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
+) -> np.ndarray:
+    """Forces [N] of presses of 1 MPa to each depth, shape [depth]."""
+    found = []
+    for depth in np.asarray(depths_mm).tolist():
+        press = press_candidate(gel, tool, depth, poisson_ratio, mooney_ratio, friction, physics)
+        found.append(simulate(gel.bench(tool, depth, physics), press))
+    return np.array([float(item["force_n"][0]) for item in found])
 
 
 def press_candidate(
     gel: Gel,
     tool: Tool,
-    depths_mm: np.ndarray,
+    depth_mm: float,
     poisson_ratio: float,
     mooney_ratio: float,
     friction: float,
-    effort: Effort,
+    physics: PressPhysics,
     slopes: Sequence[str] = (),
 ) -> Candidate:
-    """The press of ``simulate_press``, which may also give the slopes of its forces over "nu" and
-    the Mooney "ratio" [N], as ``by_nu_n`` and ``by_ratio_n``."""
+    """A press to one depth, which may also give the slopes of its force over "nu" and the Mooney
+    "ratio" [N], as ``by_nu_n`` and ``by_ratio_n``; ``error_n`` is its estimated error."""
     recipe = {
         "what": "press",
         "gel": gel.recipe(),
         "tool": tool.description,
         "at_mm": list(tool.at_mm),
-        "depths_mm": depths_mm,
+        "depth_mm": depth_mm,
         "nu": poisson_ratio,
         "ratio": mooney_ratio,
         "friction": friction,
-        "effort": effort.recipe(),
-        "dhat_m": DHAT_M,
+        "physics": physics.record(),
     }
     if slopes:
         recipe["slopes"] = list(slopes)
@@ -345,23 +346,25 @@ def press_candidate(
         steps = [_material_step(gel, env, together, name) for name in slopes]
 
         def read() -> np.ndarray:
-            force = env.press_force[:, 2:]
-            return np.hstack([force, env.force_slopes(steps)]) if steps else force
+            both = np.column_stack([env.press_force[:, 2], env.error_estimate().force_n])
+            return np.hstack([both, env.force_slopes(steps)]) if steps else both
 
         return read
 
     def arrays(rows: np.ndarray) -> dict[str, np.ndarray]:
-        return dict(zip(["force_n", *(f"by_{name}_n" for name in slopes)], rows.T, strict=True))
+        return dict(
+            zip(["force_n", "error_n", *(f"by_{name}_n" for name in slopes)], rows.T, strict=True)
+        )
 
     return Candidate(
         recipe,
         poisson_ratio,
         mooney_ratio,
         friction,
-        [Stop(float(depth)) for depth in depths_mm],
+        [Stop(depth, read=depth == depth_mm) for depth, _, _ in PressPath(depth_mm).waypoints()],
         reader,
         arrays,
-        must_reach=len(depths_mm),
+        must_reach=1,
     )
 
 

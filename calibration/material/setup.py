@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is pressed where, and how finely it is simulated: the gel of a profile, a tool, a mesh.
+"""What is pressed where: the gel of a profile, a tool, and the mesh of a press.
 
 Simulated forces scale exactly with all moduli together (also the contact stiffness follows them),
 so every press here is that of a gel of 1 MPa, and Young's modulus never needs a simulation. The
-layers over a gel keep their ratio to it.
+layers over a gel keep their ratio to it. Element, mesh, contact range and tolerance are those of
+``taccel_lab.envs.physics``, which ``taccel-lab press`` presses with: what is fitted here comes out
+there.
 """
 
 from __future__ import annotations
@@ -22,56 +24,28 @@ from calibration.material.candidates import Candidate
 from calibration.material.gel_presses import GelPresses
 from sensors.press_mesh import press_mesh
 from sensors.registry import sensor_family
-from taccel_lab.envs import Indenter, PressMeshOptions, parse_indenter, profile_material
+from taccel_lab.envs import Indenter, parse_indenter, profile_material
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import MaterialBlock, SensorProfile
-from taccel_lab.solvers import SolverConfig
 
 UNIT_MODULUS_PA = 1e6
-DHAT_M = 2e-6
-"""Gap at which contact begins. Forces start that much before first touch: with the solver's default
-of 20 um a press of 0.5 mm is 6 % too stiff."""
-FRICTION_CONFIG = SolverConfig(
-    dhat_m=5e-6, friction_eps_m=5e-6, max_substep_halvings=3, max_friction_lags=60
-)
-"""Presses with friction: a step that does not converge soon will not, see ``tangential``."""
+COMPARED = {
+    Accuracy.FAST: Accuracy.DEFAULT,
+    Accuracy.DEFAULT: Accuracy.FAST,
+    Accuracy.REFERENCE: Accuracy.DEFAULT,
+}
+"""The accuracy whose difference stands for the error of one."""
 
 
-@dataclass(frozen=True)
-class Effort:
-    """How finely presses are simulated."""
-
-    name: str
-    elements_per_radius: float
-    core: int
-    rings: int
-    layers: int
-
-    def recipe(self) -> list[float]:
-        """What the mesh depends on, for a cache key."""
-        return [self.elements_per_radius, self.core, self.rings, self.layers]
-
-    def options(self) -> PressMeshOptions:
-        return PressMeshOptions(
-            elements_per_radius=self.elements_per_radius,
-            core=self.core,
-            rings=self.rings,
-            layers=self.layers,
-        )
+RUBBING_LIMITS = {"max_substep_halvings": 3, "max_friction_lags": 60}
+"""Of iterations, on which no result depends."""
 
 
-DRAFT = Effort("draft", 2.0, 4, 6, 2)
-"""2,325 nodes of a GelSight Mini: about 0.15 s a step on one core."""
-QUICK = Effort("quick", 3.0, 4, 6, 2)
-"""As many, smaller at the contact: 0.2 s."""
-STANDARD = Effort("standard", 4.0, 6, 6, 3)
-"""5,215 nodes, 0.6 s."""
-FINE = Effort("fine", 6.0, 8, 10, 4)
-"""14,000 nodes, 2.5 s: what the tables' error is measured against."""
-REFEREE = {DRAFT.name: QUICK, QUICK.name: STANDARD, STANDARD.name: FINE, FINE.name: FINE}
-"""The finer mesh that tells a mesh's error."""
-EFFORTS = {effort.name: effort for effort in (DRAFT, QUICK, STANDARD, FINE)}
+def compared(physics: PressPhysics) -> PressPhysics:
+    """The physics whose difference stands for the discretisation error of ``physics``."""
+    return PHYSICS[COMPARED[physics.accuracy]]
 
 
 @dataclass(frozen=True)
@@ -89,7 +63,7 @@ class Tool:
         return parse_indenter(self.description)
 
     def contact_radius_mm(self, depth_mm: float) -> float:
-        """About how wide the contact is at a depth, to grade the mesh [mm]."""
+        """About how wide the contact is at a depth [mm]."""
         if self.kind == "sphere":
             return min(0.8 * math.sqrt(self.radius_mm * depth_mm), self.radius_mm)
         return self.radius_mm
@@ -178,16 +152,14 @@ class Gel:
             )
         return Tool(entry.kind, radius_mm, (x, y), f"{entry.kind}:{radius_mm:.9g}")
 
-    def mesh(self, tool: Tool, deepest_mm: float, effort: Effort) -> TetMesh:
-        """The pad, graded around the contact of the deepest press."""
-        radius = tool.contact_radius_mm(deepest_mm)
-        if tool.kind == "flat":
-            radius *= 0.45  # the whole pad is loaded: an even mesh
-        return press_mesh(self.family, self.parameters, tool.at_mm, radius, effort.options())
+    def mesh(self, tool: Tool, depth_mm: float, physics: PressPhysics) -> TetMesh:
+        """The pad as ``taccel-lab press`` meshes it for this tool and depth."""
+        half = tool.indenter().contact_half_mm(depth_mm)
+        return press_mesh(self.family, self.parameters, tool.at_mm, half, physics.mesh)
 
-    def bench(self, tool: Tool, deepest_mm: float, effort: Effort) -> GelBench:
-        """Where presses of ``tool`` down to ``deepest_mm`` are simulated."""
-        return GelBench(self, tool, deepest_mm, effort)
+    def bench(self, tool: Tool, depth_mm: float, physics: PressPhysics) -> GelBench:
+        """Where presses of ``tool`` down to ``depth_mm`` are simulated."""
+        return GelBench(self, tool, depth_mm, physics)
 
 
 @dataclass(frozen=True)
@@ -196,8 +168,8 @@ class GelBench:
 
     gel: Gel
     tool: Tool
-    deepest_mm: float
-    effort: Effort
+    depth_mm: float
+    physics: PressPhysics
 
     @property
     def device(self) -> str:
@@ -205,10 +177,10 @@ class GelBench:
 
     @cached_property
     def mesh(self) -> TetMesh:
-        return self.gel.mesh(self.tool, self.deepest_mm, self.effort)
+        return self.gel.mesh(self.tool, self.depth_mm, self.physics)
 
     def presses(self, candidates: Sequence[Candidate]) -> GelPresses:
-        """Gels of 1 MPa at rest, of ten-node tets: linear ones lock near nu = 0.5."""
+        """Gels of 1 MPa at rest."""
         blocks = [self.gel.unit_material(c.poisson_ratio, c.mooney_ratio) for c in candidates]
         rubs = any(candidate.friction for candidate in candidates)
         return GelPresses(
@@ -217,6 +189,8 @@ class GelBench:
             self.tool.indenter(),
             self.tool.at_mm,
             [candidate.friction for candidate in candidates],
-            config=FRICTION_CONFIG if rubs else SolverConfig(dhat_m=DHAT_M),
+            physics=self.physics,
+            # With much friction a step that does not converge soon will not, see ``tangential``.
+            config=self.physics.solver(**(RUBBING_LIMITS if rubs else {})),
             device=self.gel.device,
         )

@@ -14,7 +14,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.output import CACHE_VARIABLE, atomic_file, cache_folder, content_key
 
-VERSION = 1
+VERSION = 2
 """Part of every key; raised when the solver or the way of simulating changes forces."""
 
 

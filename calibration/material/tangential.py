@@ -14,12 +14,12 @@ import numpy as np
 
 from calibration.capture import ForceRecord
 from calibration.material.friction_fit import FrictionFit
-from calibration.material.indentation import TOUCH_SIGMA_MM
 from calibration.material.likelihood import Group, Likelihood, Parameter, Solution
 from calibration.material.points import record_sigma
-from calibration.material.setup import QUICK, Effort, Gel, Tool
+from calibration.material.setup import Gel, Tool
 from calibration.material.tangential_table import Motion, TangentialTable, tangential_table
 from calibration.result import Remark, Severity
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 
 FLAT = 0.3
@@ -28,6 +28,9 @@ ZERO = 0.02
 """How well the force at the start of the motion is read, as a part of the largest one."""
 STEADY_DEPTH = 0.1
 """A held depth may vary by this part of itself."""
+
+START_SIGMA_MM = 0.02
+"""How well the start of the motion is known."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ def fit_tangential(
     poisson_ratio: float,
     mooney_ratio: float = 0.0,
     young_pa: tuple[float, float] | None = None,
-    effort: Effort = QUICK,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     progress: Callable[[int, int], None] | None = None,
 ) -> TangentialFit:
     """Fit the coefficient of friction to a shear or twist record.
@@ -81,7 +84,7 @@ def fit_tangential(
         mooney_ratio: Of the gel.
         young_pa: Young's modulus [Pa] and its relative standard deviation from elsewhere; a
             twist record without it tells nothing.
-        effort: Mesh of the presses.
+        physics: Of the presses.
         progress: Told how many presses are done, and of how many.
 
     Raises:
@@ -105,7 +108,7 @@ def fit_tangential(
     def simulate(mu: float) -> TangentialTable:
         return tangential_table(
             gel, tool, motion, round(depth, 2), mu, float(moved.max()), poisson_ratio,
-            mooney_ratio, slipped=slipped, effort=effort, progress=progress,
+            mooney_ratio, slipped=slipped, physics=physics, progress=progress,
         )  # fmt: skip
 
     table = simulate(least)
@@ -133,7 +136,7 @@ def fit_tangential(
         Parameter("ln_e", math.log(start_e), math.log(1e3), math.log(1e9), 0.05, prior),
     ]
     unit = 1.0 if motion == "shear" else math.degrees(1 / tool.contact_radius_mm(depth))
-    step = TOUCH_SIGMA_MM * unit
+    step = START_SIGMA_MM * unit
     parameters.append(Parameter("start", 0.0, -5 * step, 5 * step, step, step))
     # The force at the start is a reading like any other: what it is off by is common to all rows.
     largest = float(np.abs(tangential).max())

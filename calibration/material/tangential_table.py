@@ -21,16 +21,9 @@ from scipy.interpolate import CubicSpline
 
 from calibration.material.candidates import Candidate, prepare, simulate
 from calibration.material.gel_presses import Stop
-from calibration.material.setup import (
-    FRICTION_CONFIG,
-    QUICK,
-    REFEREE,
-    UNIT_MODULUS_PA,
-    Effort,
-    Gel,
-    Tool,
-)
+from calibration.material.setup import UNIT_MODULUS_PA, Gel, Tool, compared
 from taccel_lab.envs import PressEnv
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import SimulationError
 
 GRID = 1.25
@@ -64,8 +57,8 @@ class TangentialTable:
     normal: np.ndarray
     """The same of the normal force [N]."""
     error: float
-    """Root mean square difference to a press between the nodes and on a finer mesh, as a part of
-    the largest force; the table is corrected by it, so it bounds what is left."""
+    """Root mean square difference to a press between the nodes and of another accuracy, as a part
+    of the largest force."""
     seconds: float
 
     def __post_init__(self) -> None:
@@ -93,7 +86,7 @@ def tangential_table(
     mooney_ratio: float = 0.0,
     *,
     slipped: bool = False,
-    effort: Effort = QUICK,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     progress: Callable[[int, int], None] | None = None,
 ) -> TangentialTable:
     """Simulate shear [mm] or twist [deg] up to ``reach`` at coefficients about ``least_mu``.
@@ -121,16 +114,16 @@ def tangential_table(
     tangential, normal, seconds = [], [], 0.0
     nodes = [
         motion_candidate(
-            gel, tool, motion, depth_mm, scaled, float(mu), poisson_ratio, mooney_ratio, effort
+            gel, tool, motion, depth_mm, scaled, float(mu), poisson_ratio, mooney_ratio, physics
         )
         for mu in mus[:NODES]
     ]
-    prepare(gel.bench(tool, depth_mm, effort), nodes, progress)
+    prepare(gel.bench(tool, depth_mm, physics), nodes, progress)
     for done, mu in enumerate(mus):
         if progress is not None:
             progress(done, len(mus))
-        # The last one, between the nodes, is the referee.
-        fineness = effort if done < NODES else REFEREE[effort.name]
+        # The last one, between the nodes, tells the error.
+        fineness = physics if done < NODES else compared(physics)
         found = simulate_motion(
             gel, tool, motion, depth_mm, scaled, float(mu), poisson_ratio, mooney_ratio, fineness
         )
@@ -152,10 +145,8 @@ def tangential_table(
     inverse = np.linalg.inv(chebyshev.chebvander(unit, NODES - 1))
     check = chebyshev.chebvander(np.array([0.1]), NODES - 1)[0]
     along, pressed = (inverse @ np.array(rows)[:NODES] for rows in (tangential, normal))
-    correction = np.array(tangential[-1]) - check @ along
-    error = float(np.sqrt(np.mean(correction**2)) / np.abs(tangential[-1]).max())
-    along[0] += correction
-    pressed[0] += np.array(normal[-1]) - check @ pressed
+    miss = np.array(tangential[-1]) - check @ along
+    error = float(np.sqrt(np.mean(miss**2)) / np.abs(tangential[-1]).max())
     return TangentialTable(motion, depth_mm, scaled, mu_range, along, pressed, error, seconds)
 
 
@@ -168,13 +159,13 @@ def simulate_motion(
     mu: float,
     poisson_ratio: float,
     mooney_ratio: float,
-    effort: Effort,
+    physics: PressPhysics,
 ) -> dict[str, np.ndarray]:
     """Forces of one press of 1 MPa that is sheared or turned in steps."""
     candidate = motion_candidate(
-        gel, tool, motion, depth_mm, scaled, mu, poisson_ratio, mooney_ratio, effort
+        gel, tool, motion, depth_mm, scaled, mu, poisson_ratio, mooney_ratio, physics
     )
-    return simulate(gel.bench(tool, depth_mm, effort), candidate)
+    return simulate(gel.bench(tool, depth_mm, physics), candidate)
 
 
 def motion_candidate(
@@ -186,7 +177,7 @@ def motion_candidate(
     mu: float,
     poisson_ratio: float,
     mooney_ratio: float,
-    effort: Effort,
+    physics: PressPhysics,
 ) -> Candidate:
     """The press of ``simulate_motion``.
 
@@ -202,8 +193,7 @@ def motion_candidate(
         "mu": mu,
         "nu": poisson_ratio,
         "ratio": mooney_ratio,
-        "effort": effort.recipe(),
-        "dhat_m": FRICTION_CONFIG.dhat_m,
+        "physics": physics.record(),
     }
     return Candidate(
         recipe,

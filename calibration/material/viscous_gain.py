@@ -11,14 +11,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.material.setup import DHAT_M, QUICK, Effort, Gel, Tool
+from calibration.material.setup import Gel, Tool
 from calibration.material.store import kept
 from taccel_lab.envs import profile_material
+from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.touch import first_touch_m
 from taccel_lab.errors import SimulationError
 from taccel_lab.geometry import Region
-from taccel_lab.scene import Element, KinematicBody, Scene, SoftBody, TimeStepping
-from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.scene import KinematicBody, Scene, SoftBody, TimeStepping
+from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import initial_state
 
 STEPS = 30
@@ -37,7 +38,7 @@ def viscous_gain(
     deepest_mm: float,
     poisson_ratio: float,
     mooney_ratio: float = 0.0,
-    effort: Effort = QUICK,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
 ) -> tuple[float, float]:
     """Part of tau f'(d) v that the solver's damping adds: its value at 0 and slope over d [1/mm].
 
@@ -46,9 +47,9 @@ def viscous_gain(
     """
 
     def simulate() -> dict[str, np.ndarray]:
-        still = damped_forces(gel, tool, deepest_mm, poisson_ratio, mooney_ratio, 0.0, effort)
+        still = damped_forces(gel, tool, deepest_mm, poisson_ratio, mooney_ratio, 0.0, physics)
         moving = damped_forces(
-            gel, tool, deepest_mm, poisson_ratio, mooney_ratio, DAMPING_S, effort
+            gel, tool, deepest_mm, poisson_ratio, mooney_ratio, DAMPING_S, physics
         )
         return {"still_n": still, "moving_n": moving}
 
@@ -60,7 +61,7 @@ def viscous_gain(
         "deepest_mm": deepest_mm,
         "nu": poisson_ratio,
         "ratio": mooney_ratio,
-        "effort": effort.recipe(),
+        "physics": physics.record(),
         "steps": STEPS,
     }
     found = kept(recipe, simulate)
@@ -84,22 +85,22 @@ def damped_forces(
     poisson_ratio: float,
     mooney_ratio: float,
     damping_s: float,
-    effort: Effort,
+    physics: PressPhysics,
 ) -> np.ndarray:
     """Normal force of a gel of 1 MPa in each step of a steady press [N]."""
-    mesh = gel.mesh(tool, deepest_mm, effort)
+    mesh = gel.mesh(tool, deepest_mm, physics)
     block = gel.unit_material(poisson_ratio, mooney_ratio)
     block = block.replace(damping_time_s=damping_s, density_kg_m3=LIGHT_KG_M3)
-    soft = SoftBody(mesh, profile_material(block, mesh), element=Element.QUADRATIC)
+    soft = SoftBody(mesh, profile_material(block, mesh), element=physics.element)
     body = KinematicBody(tool.indenter().shape, 0.0, name="tool")
     time = TimeStepping(quasi_static=damping_s == 0, dt_s=STEP_S)
     model = Scene(soft, (body,), 1, time).finalize(gel.device)
-    solver = SolverIPC(model, SolverConfig(dhat_m=DHAT_M))
+    solver = SolverIPC(model, physics.solver())
     nodal = soft.nodal_mesh
     at = np.array(tool.at_mm) * 1e-3
     faces = nodal.region_faces(Region.CONTACT)
     touch = first_touch_m(tool.indenter().shape, nodal.nodes_m, faces, at)
-    start = touch + 3 * DHAT_M
+    start = touch + 3 * physics.dhat_m
     pose = np.array([[[*at, start, 0.0, 0.0, 0.0, 1.0]]])
     state = initial_state(model, pose)
     forces = []

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ready-made experiments on a sensor: what happens, not what is measured or drawn."""
 
+from taccel_lab.envs.fitted_physics import physics_difference
 from taccel_lab.envs.indenter import Indenter, parse_indenter
 from taccel_lab.envs.layers import layered_material
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
@@ -23,6 +24,7 @@ __all__ = [
     "layered_material",
     "normal_frame",
     "parse_indenter",
+    "physics_difference",
     "profile_material",
     "simulate_press",
 ]

@@ -99,10 +99,11 @@ def validate_profile(path: Path | str) -> list[Finding]:
 
 
 def _toml_table(block: Block) -> dict[str, Any]:
-    """The block's values without empty lists, then its provenance without empty tables."""
+    """The block's values without empty lists and what is not known, then its provenance without
+    empty tables."""
     table = block.model_dump(mode="python")
     provenance = table.pop("provenance")
-    table = {key: value for key, value in table.items() if value != ()}
+    table = {key: value for key, value in table.items() if value not in ((), None)}
     table["provenance"] = {
         key: value for key, value in provenance.items() if value not in ({}, (), None)
     }

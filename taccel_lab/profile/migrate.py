@@ -47,10 +47,17 @@ def _add_position_bands(document: Document) -> Document:
     return document
 
 
+def _add_fitted_with(document: Document) -> Document:
+    """Version 5 adds to the material what it was fitted with, which a profile of version 4 does not
+    know."""
+    return {**document, "schema_version": 5}
+
+
 STEPS: Mapping[int, Step] = {
     1: _add_optics_and_layers,
     2: _add_responses,
     3: _add_position_bands,
+    4: _add_fitted_with,
 }
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The blocks of a sensor profile, schema version 3; those of its optics are in ``optics_blocks``,
+"""The blocks of a sensor profile, schema version 5; those of its optics are in ``optics_blocks``,
 those of how it answers a touch in ``response_blocks``.
 
 Every block is frozen, refuses unknown keys, checks its bounds and says where it comes from
@@ -34,7 +34,7 @@ import taccel_lab
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
@@ -197,6 +197,26 @@ class LayerMaterial(_Solid):
     name: Name
 
 
+class FittedWith(Frozen):
+    """The presses that a material was fitted with: only like ones reproduce what it was fitted to.
+
+    Stiffness is what makes simulated forces those of the records, so it goes with the element, the
+    mesh, the contact range and the friction of the simulation.
+    """
+
+    physics: dict[Name, Scalar | dict[Name, Scalar]]
+    """``PressPhysics.record()``."""
+    friction_coefficient: float = Field(ge=0, le=5)
+    """Between tool and gel."""
+    friction_measured: bool
+    """Whether a record told it; otherwise it was held, or is the one that fits best."""
+    indenters: tuple[Name, ...] = ()
+    """Of the indentations, as ``taccel-lab press --indenter`` takes them."""
+    touch_shift_mm: dict[Name, float] = Field(default_factory=dict)
+    """How much later the tool touched than each record says [mm]: a press reproduces a force at
+    the recorded depth minus this."""
+
+
 class MaterialBlock(Block, _Solid):
     """The gel as a solid, and the layers over it, if it has any."""
 
@@ -214,6 +234,9 @@ class MaterialBlock(Block, _Solid):
     """Coulomb friction between the gel and what presses on it."""
     layers: tuple[LayerMaterial, ...] = ()
     """Materials of the mesh's layers 1, 2, ...; layer 0 is the gel proper, this block's own."""
+    fitted_with: FittedWith | None = None
+    """The presses that it was fitted with; None where it was not fitted to presses, or by a version
+    that did not record them."""
 
 
 class CameraBlock(Block):

@@ -11,13 +11,14 @@ import pytest
 
 from calibration.capture.schema import ToolEntry
 from calibration.material import Gel, force_table
-from calibration.material.setup import DRAFT
 from sensors.profile import catalogue_profile
 from taccel_lab.cli.app import main
+from taccel_lab.envs.physics import PHYSICS, Accuracy
 from taccel_lab.profile import load_profile
 
 MODULUS, POISSON, FRICTION = 3e5, 0.47, 0.5
 DEPTH = np.linspace(0.15, 1.2, 10)
+FAST = PHYSICS[Accuracy.FAST]
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def captures(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
     monkeypatch.setenv("TACCEL_LAB_CACHE", str(cache))
     gel = Gel.of_profile(catalogue_profile("gelsight_mini"))
     tool = gel.tool(ToolEntry(kind="sphere", radius_mm=5.0))
-    table = force_table(gel, tool, (0.15, 1.2), fixed_nu=POISSON, effort=DRAFT)
+    table = force_table(gel, tool, (0.15, 1.2), fixed_nu=POISSON, friction=FRICTION, physics=FAST)
     force = table.force_n(DEPTH, MODULUS, POISSON)
     rng = np.random.default_rng(0)
     folder = tmp_path / "captures"
@@ -70,7 +71,7 @@ def manifest(folder: Path, press_mm: float = 5.0) -> None:
 def run(captures: Path, *more: str) -> int:
     out = captures.parent / "profile"
     return main(
-        ["calibrate", "material", str(captures), "--out", str(out), "--effort", "draft",
+        ["calibrate", "material", str(captures), "--out", str(out), "--accuracy", "fast",
          "--fix", f"nu={POISSON}", *more]
     )  # fmt: skip
 
@@ -88,9 +89,15 @@ def test_records_become_a_profile_and_a_report(
     assert block.young_modulus_pa == pytest.approx(MODULUS, rel=0.02)
     assert block.friction_coefficient == pytest.approx(FRICTION, rel=0.05)
     assert block.poisson_ratio == POISSON
+    assert block.fitted_with is not None and block.fitted_with.friction_measured
+    assert block.fitted_with.friction_coefficient == block.friction_coefficient
+    assert block.fitted_with.physics["accuracy"] == "fast"
     assert block.provenance.kind == "calibrated" and block.provenance.verdict == "good"
     assert set(block.provenance.inputs) == {"press.csv", "slide.csv", "captures.toml"}
-    assert block.provenance.residuals["indentation_worst_relative"] < 0.04
+    residuals = block.provenance.residuals
+    assert next(iter(residuals)) == "indentation_held_out_worst_relative"
+    assert residuals["indentation_worst_relative"] < 0.04
+    assert residuals["indentation_held_out_worst_relative"] < 0.06
     assert block.provenance.valid_region["depth_mm"] == pytest.approx((0.15, 1.2))
     report = captures.parent / "profile_report"
     assert (report / "report.html").is_file() and (report / "indentation.png").is_file()
@@ -126,7 +133,7 @@ def test_wrong_units_and_signs_are_refused(
         (("--fix", "nu=0.6"), "[0, 0.4999]"),
         (("--fix", "stiffness=3"), "cannot be held"),
         (("--fix", "mooney_ratio=0.2"), "--model mooney_rivlin"),
-        (("--press-friction", "7"), "press_friction"),
+        (("--fix", "friction=7"), "friction must lie in [0, 5]"),
         (("--device", "cuda:99"), "is not there"),
     ],
 )

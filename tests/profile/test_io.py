@@ -17,6 +17,7 @@ from hypothesis.extra import numpy as hnp
 
 from taccel_lab.errors import InputError
 from taccel_lab.profile import (
+    FittedWith,
     Provenance,
     SensorProfile,
     load_profile,
@@ -318,3 +319,20 @@ def test_saving_replaces_an_old_profile(full_profile: SensorProfile, profile_fol
     save_profile(bare, profile_folder)
     assert_same(load_profile(profile_folder), bare)
     assert validate_profile(profile_folder) == []
+
+
+def test_what_a_material_was_fitted_with_is_kept(
+    full_profile: SensorProfile, tmp_path: Path
+) -> None:
+    fitted = FittedWith(
+        physics={"accuracy": "default", "dhat_m": 1e-5, "mesh": {"rings": 10, "fine_radii": 1.9}},
+        friction_coefficient=0.3,
+        friction_measured=True,
+        indenters=("sphere:7.5",),
+        touch_shift_mm={"press.csv": -0.02},
+    )
+    block = full_profile.material.replace(fitted_with=fitted)
+    save_profile(full_profile.with_block(block), tmp_path / "p")
+    assert load_profile(tmp_path / "p").material.fitted_with == fitted
+    with pytest.raises(InputError, match="friction_coefficient"):
+        block.replace(fitted_with={**fitted.model_dump(), "friction_coefficient": -1.0})

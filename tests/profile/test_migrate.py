@@ -123,6 +123,18 @@ def test_version_3_is_read_as_it_was() -> None:
     assert model.config.radius95_sigmas == pytest.approx(2.4477468)
 
 
+def test_version_4_does_not_know_what_its_material_was_fitted_with(tmp_path: Path) -> None:
+    """The stored folder has a calibrated material."""
+    assert "schema_version = 4\n" in (OLD / "v4" / "profile.toml").read_text()
+    assert validate_profile(OLD / "v4") == []
+    profile = load_profile(OLD / "v4")
+    assert profile.material.provenance.interval["young_modulus_pa"] == (1.4e5, 1.6e5)
+    assert profile.material.fitted_with is None
+    save_profile(profile, tmp_path / "p")
+    assert "fitted_with" not in (tmp_path / "p" / "profile.toml").read_text()
+    assert load_profile(tmp_path / "p").material == profile.material
+
+
 def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:
     profile = load_profile(OLD / "v3")
     assert profile.color is not None and profile.color_weights is not None

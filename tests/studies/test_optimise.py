@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import builtins
 import math
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,6 @@ from studies.runner import run_study
 from studies.spec import Constraint, Objective, Sweep
 from taccel_lab.errors import InputError
 from tests.studies.fake_kit import logged, study
-
-pytest.importorskip("nlopt", reason="NLopt is an extra")
 
 X = Axis(Parameter("x", 0.5, "mm", "", "", 0, 4), None, 0, 4)
 Y = Axis(Parameter("y", 3.0, "mm", "", "", 0.1, 10), None, 0.1, 10, True)
@@ -115,19 +112,6 @@ def test_errors_come_through() -> None:
 def test_methods_that_cannot_do_it_are_refused(method: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         require_method(method, 1)
-
-
-def test_without_nlopt_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *rest: Any, **more: Any) -> Any:
-        if name == "nlopt":
-            raise ImportError(name)
-        return real(name, *rest, **more)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(InputError, match="pip install 'nlopt"):
-        require_method("LN_COBYLA", 2)
 
 
 OPTIMISE = {

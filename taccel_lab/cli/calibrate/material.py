@@ -40,12 +40,10 @@ class CalibrateMaterial:
     fix: tuple[str, ...] = ()
     """Parameters that are held, as in nu=0.48 or e=3e5; of e [Pa], nu, mooney_ratio, friction."""
     touch_sigma_mm: float | None = None
-    """How well the records know first touch [mm]; 0.02 for few points and 0.2 for many when left
-    out, 0 to trust them."""
-    press_friction: float = 0.0
-    """Coefficient of friction in the simulated indentations; the report says what it changes."""
-    effort: Literal["draft", "quick", "standard", "fine"] = "standard"
-    """Mesh of the simulated presses, from 2,300 to 14,000 nodes; its error enters the intervals."""
+    """How well the records know first touch [mm]; for few points 0.1 of a ball and 0.05 of a flat
+    punch, for many 0.2 when left out, 0 to trust them."""
+    accuracy: Literal["fast", "default", "reference"] = "default"
+    """How closely presses are simulated: as those that are to reproduce the records."""
     device: str = "cpu"
     """Device of the presses: cpu, or cuda:0, which takes those of a table together."""
     json: bool = False
@@ -56,7 +54,6 @@ class CalibrateMaterial:
         from rich.console import Console
 
         from calibration.material import (
-            EFFORTS,
             MaterialOptions,
             calibrate_material,
             material_page,
@@ -65,6 +62,7 @@ class CalibrateMaterial:
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.press import require_device
         from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.envs.physics import PHYSICS, Accuracy
 
         wp.config.log_level = wp.LOG_WARNING
         require_device(self.device)
@@ -72,8 +70,7 @@ class CalibrateMaterial:
             model=self.model,
             fixed=parse_fixed(self.fix),
             touch_sigma_mm=self.touch_sigma_mm,
-            press_friction=self.press_friction,
-            effort=EFFORTS[self.effort],
+            physics=PHYSICS[Accuracy(self.accuracy)],
             device=self.device,
         )
         job = open_job(self.captures, self.out, self.base, self.report)

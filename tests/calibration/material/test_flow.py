@@ -12,8 +12,10 @@ from calibration.capture.schema import ToolEntry
 from calibration.markers.flow import MarkerFlow
 from calibration.material import Gel, ToolPath, fit_flow
 from calibration.material.flow_table import path_displacements
-from calibration.material.setup import DRAFT, QUICK, STANDARD, Effort, Tool
+from calibration.material.setup import Tool
+from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
+from tests.calibration.material.physics import COARSE, DEFAULT, FAST
 
 FRICTION, POISSON = 0.5, 0.475
 X, Y = np.meshgrid(np.linspace(-4, 4, 7), np.linspace(-3, 3, 5))
@@ -30,11 +32,11 @@ def path(shift_mm: float = 0.9, twist_deg: float = 0.0, depth_mm: float = 0.6) -
 
 
 def flow_of(
-    gel: Gel, tool: Tool, way: ToolPath, sigma_mm: float, effort: Effort, seed: int = 0
+    gel: Gel, tool: Tool, way: ToolPath, sigma_mm: float, physics: PressPhysics, seed: int = 0
 ) -> MarkerFlow:
     frames = way.chosen()
     moved = path_displacements(
-        gel, tool, way, frames, POINTS, POISSON, 0.0, FRICTION, effort
+        gel, tool, way, frames, POINTS, POISSON, 0.0, FRICTION, physics
     )["displacement_mm"]  # fmt: skip
     everywhere = np.zeros((len(way.depth_mm), len(POINTS), 2))
     everywhere[frames] = moved
@@ -55,8 +57,8 @@ def test_friction_from_the_slip_of_markers(
     gel: Gel, tool: Tool, press_cache: Path, motion: str
 ) -> None:
     way = path() if motion == "shear" else path(0.0, 20.0)
-    flow = flow_of(gel, tool, way, 0.004, QUICK)
-    fit = fit_flow(flow, way, gel, tool, fixed_nu=POISSON, effort=DRAFT)
+    flow = flow_of(gel, tool, way, 0.004, FAST)
+    fit = fit_flow(flow, way, gel, tool, fixed_nu=POISSON, physics=COARSE)
     assert fit.friction_told
     assert fit.friction == pytest.approx(FRICTION, rel=0.05)
     low, high = fit.friction_interval
@@ -66,8 +68,8 @@ def test_friction_from_the_slip_of_markers(
 
 def test_a_press_alone_leaves_friction_open(gel: Gel, tool: Tool, press_cache: Path) -> None:
     way = path(0.0)
-    flow = flow_of(gel, tool, way, 0.05, DRAFT)
-    fit = fit_flow(flow, way, gel, tool, fixed_nu=POISSON, effort=DRAFT)
+    flow = flow_of(gel, tool, way, 0.05, COARSE)
+    fit = fit_flow(flow, way, gel, tool, fixed_nu=POISSON, physics=COARSE)
     assert not fit.friction_told
     assert any(remark.code == "flow_ln_mu_untold" for remark in fit.remarks)
 
@@ -75,8 +77,8 @@ def test_a_press_alone_leaves_friction_open(gel: Gel, tool: Tool, press_cache: P
 @pytest.mark.slow
 def test_poisson_ratio_from_how_the_gel_swells(gel: Gel, tool: Tool, press_cache: Path) -> None:
     way = path()
-    flow = flow_of(gel, tool, way, 0.003, STANDARD)
-    fit = fit_flow(flow, way, gel, tool, effort=DRAFT)
+    flow = flow_of(gel, tool, way, 0.003, DEFAULT)
+    fit = fit_flow(flow, way, gel, tool, physics=COARSE)
     assert fit.nu_told
     assert fit.poisson_ratio == pytest.approx(POISSON, abs=0.02)
     assert fit.friction == pytest.approx(FRICTION, rel=0.08)

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import builtins
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from calibration.material.likelihood import Group, Likelihood, Parameter, require_nlopt
-from taccel_lab.errors import InputError
+from calibration.material.likelihood import Group, Likelihood, Parameter
 
 X = np.linspace(0.0, 1.0, 8)
 
@@ -20,7 +19,7 @@ def line(y: np.ndarray, weight: float = 1.0):
     return lambda theta: ((columns @ theta - y) / weight, columns / weight)
 
 
-def parameters(**changes: float) -> list[Parameter]:
+def parameters(**changes: Any) -> list[Parameter]:
     return [Parameter("slope", 0.5, -50, 50, 1.0, **changes), Parameter("level", 0, -50, 50, 1.0)]
 
 
@@ -83,14 +82,15 @@ def test_perfect_data_are_met_exactly() -> None:
     assert low <= 2.0 + 1e-6 and high >= 2.0 - 1e-6 and high - low < 1e-4
 
 
-def test_a_missing_nlopt_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    original = builtins.__import__
-
-    def refuse(name, *args, **kwargs):
-        if name == "nlopt":
-            raise ImportError("no nlopt here")
-        return original(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(InputError, match="pip install"):
-        require_nlopt()
+def test_three_points_on_a_line_are_not_taken_for_exact() -> None:
+    """A usual noise counts like as many readings; without it one degree of freedom says nothing."""
+    y = np.array([0.0, 0.5, 1.0])
+    x = np.array([0.0, 0.5, 1.0])
+    columns = np.stack([x, np.ones(3)], axis=1)
+    group = Group(3, False, usual=0.1, usual_count=1.0)
+    found = Likelihood(parameters(), [group], lambda theta: (columns @ theta - y, columns)).solve()
+    low, high = found.profiles["slope"].interval
+    # Variance of (0 + 1 * 0.1^2) over 1 + 1 degrees of freedom, and the t of 2 of them.
+    sigma = np.sqrt(0.01 / 2) / np.sqrt(0.5)
+    assert high - low == pytest.approx(2 * student.ppf(0.975, 2) * sigma, rel=5e-3)
+    assert found.noise == pytest.approx((np.sqrt(0.01 / 2),))

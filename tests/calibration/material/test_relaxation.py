@@ -13,9 +13,10 @@ from calibration.capture.schema import ToolEntry
 from calibration.material import Gel, force_table
 from calibration.material.relaxation import DampingFit, fit_damping
 from calibration.material.response import ForceTable, TableError
-from calibration.material.setup import DRAFT, QUICK, Tool
+from calibration.material.setup import Tool
 from calibration.material.viscous_gain import damped_forces, viscous_gain
 from taccel_lab.errors import InputError
+from tests.calibration.material.physics import COARSE, FAST
 from tests.calibration.material.records import record
 
 TIME = np.arange(0, 3, 0.02)
@@ -110,12 +111,12 @@ def test_unfit_records_are_refused(changes: dict, words: str) -> None:
 def test_the_solver_damps_as_the_fit_assumes(gel: Gel, press_cache: Path) -> None:
     """A dynamic press, faster and more damped than the one that gives the gain, is met by it."""
     tool = gel.tool(ToolEntry(kind="sphere", radius_mm=5.0))
-    shallow = viscous_gain(gel, tool, 0.2, 0.45, effort=QUICK)
+    shallow = viscous_gain(gel, tool, 0.2, 0.45, physics=FAST)
     assert shallow[0] + 0.1 * shallow[1] == pytest.approx(1.0, abs=0.15)
-    gain = viscous_gain(gel, tool, 0.8, 0.45, effort=DRAFT)
+    gain = viscous_gain(gel, tool, 0.8, 0.45, physics=COARSE)
     assert 0.55 < gain[0] + 0.8 * gain[1] < 0.8
-    table = force_table(gel, tool, (0.1, 0.8), fixed_nu=0.45, effort=DRAFT, checked=False)
-    force = damped_forces(gel, tool, 0.8, 0.45, 0.0, 0.06, DRAFT) * MODULUS / 1e6
+    table = force_table(gel, tool, (0.1, 0.8), fixed_nu=0.45, physics=COARSE)
+    force = damped_forces(gel, tool, 0.8, 0.45, 0.0, 0.06, COARSE) * MODULUS / 1e6
     time = 0.01 * np.arange(1, 31)
     given = record("relaxation", 5.0, time_s=time, depth_mm=0.8 * time / 0.3, force_n=force)
     found = fit_damping(given, tool, table, 0.45, 0.0, gain)

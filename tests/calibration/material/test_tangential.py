@@ -13,9 +13,10 @@ from calibration.capture import ForceRecord
 from calibration.capture.schema import ToolEntry
 from calibration.material import Gel, fit_tangential
 from calibration.material.leaning import leaning
-from calibration.material.setup import DRAFT, QUICK, Tool
+from calibration.material.setup import Tool
 from calibration.material.tangential_table import simulate_motion
 from taccel_lab.errors import InputError
+from tests.calibration.material.physics import COARSE, FAST
 from tests.calibration.material.records import record
 
 FRICTION, POISSON, MODULUS, DEPTH = 0.45, 0.47, 2.4e5, 0.6
@@ -31,7 +32,7 @@ def tool(gel: Gel) -> Tool:
 def sheared(gel: Gel, tool: Tool, press_cache: Path) -> dict[str, np.ndarray]:
     """Shift [mm], tangential and normal force [N] of the true gel."""
     found = simulate_motion(
-        gel, tool, "shear", DEPTH, STEPS, FRICTION, POISSON, 0.0, QUICK
+        gel, tool, "shear", DEPTH, STEPS, FRICTION, POISSON, 0.0, FAST
     )  # fmt: skip
     return {
         "shift_mm": STEPS * FRICTION,
@@ -58,7 +59,7 @@ def test_a_shear_tells_friction_and_stiffness(gel: Gel, tool: Tool, sheared: dic
     hits, moduli = 0, []
     for seed in range(20):
         given = shear_record(sheared, 1.0, 0.01, seed)
-        fit = fit_tangential(given, gel, tool, poisson_ratio=POISSON, effort=DRAFT)
+        fit = fit_tangential(given, gel, tool, poisson_ratio=POISSON, physics=COARSE)
         assert fit.friction_told
         assert fit.friction == pytest.approx(FRICTION, rel=0.05)
         low, high = fit.friction_interval
@@ -70,7 +71,7 @@ def test_a_shear_tells_friction_and_stiffness(gel: Gel, tool: Tool, sheared: dic
 
 def test_a_shear_that_sticks_gives_a_lower_bound(gel: Gel, tool: Tool, sheared: dict) -> None:
     given = shear_record(sheared, 0.08, 0.03)
-    fit = fit_tangential(given, gel, tool, poisson_ratio=POISSON, effort=DRAFT)
+    fit = fit_tangential(given, gel, tool, poisson_ratio=POISSON, physics=COARSE)
     assert not fit.friction_told
     assert [remark.code for remark in fit.remarks] == ["friction_untold"]
 
@@ -78,23 +79,23 @@ def test_a_shear_that_sticks_gives_a_lower_bound(gel: Gel, tool: Tool, sheared: 
 @pytest.mark.slow
 def test_a_twist_tells_friction_with_the_modulus(gel: Gel, tool: Tool, press_cache: Path) -> None:
     scaled = np.degrees(STEPS[:-1] / tool.contact_radius_mm(DEPTH))
-    found = simulate_motion(gel, tool, "twist", DEPTH, scaled, FRICTION, POISSON, 0.0, QUICK)
+    found = simulate_motion(gel, tool, "twist", DEPTH, scaled, FRICTION, POISSON, 0.0, FAST)
     angle = np.linspace(0, scaled[-1] * FRICTION, 20)
     torque = PchipInterpolator(scaled * FRICTION, found["tangential"] * MODULUS / 1e6)(angle)
     given = record("twist", depth_mm=np.full(20, DEPTH), angle_deg=angle, torque_nmm=torque)
     fit = fit_tangential(
-        given, gel, tool, poisson_ratio=POISSON, young_pa=(MODULUS, 0.01), effort=DRAFT
+        given, gel, tool, poisson_ratio=POISSON, young_pa=(MODULUS, 0.01), physics=COARSE
     )
     assert fit.friction == pytest.approx(FRICTION, rel=0.05)
     with pytest.raises(InputError, match="needs Young's modulus"):
-        fit_tangential(given, gel, tool, poisson_ratio=POISSON, effort=DRAFT)
+        fit_tangential(given, gel, tool, poisson_ratio=POISSON, physics=COARSE)
 
 
 def test_a_sliding_ball_leans_on_the_gel(gel: Gel, tool: Tool, sheared: dict) -> None:
     ratio = float(sheared["tangential_n"][-1] / sheared["normal_n"][-1])
     assert ratio > 1.03 * FRICTION
     load = float(sheared["normal_n"][-1])
-    lean = leaning(gel, tool, load, ratio, MODULUS, POISSON, effort=DRAFT)
+    lean = leaning(gel, tool, load, ratio, MODULUS, POISSON, physics=COARSE)
     assert lean is not None
     assert lean.friction(ratio) == pytest.approx(FRICTION, rel=0.03)
     punch = gel.tool(ToolEntry(kind="cylinder", radius_mm=2.0))
@@ -116,4 +117,4 @@ def test_unfit_shears_are_refused(
     bad = shear_record(sheared, 1.0, 0.0)
     bad.columns.update(change)
     with pytest.raises(InputError, match=words):
-        fit_tangential(bad, gel, tool, poisson_ratio=POISSON, effort=DRAFT)
+        fit_tangential(bad, gel, tool, poisson_ratio=POISSON, physics=COARSE)

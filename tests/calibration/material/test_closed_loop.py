@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Presses -> records -> ``calibrate material`` -> presses of the profile give the records again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calibration.capture import load_capture_folder
+from calibration.material import MaterialOptions, calibrate_material
+from calibration.material.calibration import MaterialCalibration
+from sensors.press_mesh import press_mesh
+from taccel_lab.envs import (
+    PHYSICS,
+    Accuracy,
+    PressPath,
+    PressPhysics,
+    parse_indenter,
+    physics_difference,
+    profile_material,
+    simulate_press,
+)
+from taccel_lab.profile import SensorProfile, load_profile, save_profile
+
+FAST = PHYSICS[Accuracy.FAST]
+MODULUS, NOISE = 3.1e5, 0.01
+
+
+def pressed_n(
+    profile: SensorProfile, indenter: str, depth_mm: float, physics: PressPhysics
+) -> float:
+    """Force [N] of a press of a profile, with what ``taccel-lab press`` takes from it."""
+    tool = parse_indenter(indenter)
+    mesh = press_mesh(
+        profile.sensor.family, profile.sensor.parameters, (0.0, 0.0),
+        tool.contact_half_mm(depth_mm), physics.mesh,
+    )  # fmt: skip
+    outcome = simulate_press(
+        mesh, profile_material(profile.material, mesh), tool, (0.0, 0.0), PressPath(depth_mm),
+        profile.grid(), friction_coefficient=profile.material.friction_coefficient,
+        physics=physics,
+    )  # fmt: skip
+    return float(outcome.steps[-1].wrench[2])
+
+
+def recorded(
+    folder: Path, base: SensorProfile, indenter: str, depths: np.ndarray, rubs: float
+) -> np.ndarray:
+    """A capture folder of presses of ``base`` with friction ``rubs`` and another modulus; what was
+    read."""
+    material = base.material.replace(young_modulus_pa=MODULUS, friction_coefficient=rubs)
+    true = base.with_block(material)
+    rng = np.random.default_rng(5)
+    force = np.array([pressed_n(true, indenter, depth, FAST) for depth in depths.tolist()])
+    read = force * (1 + NOISE * rng.standard_normal(len(depths)))
+    rows = zip(depths, read, strict=True)
+    (folder / "press.csv").write_text(
+        "depth_mm,force_n\n" + "".join(f"{d:.9g},{f:.9g}\n" for d, f in rows)
+    )
+    kind, _, radius = indenter.partition(":")
+    (folder / "captures.toml").write_text(
+        'schema_version = 2\nsensor = "gelsight_mini"\n[[records]]\nfile = "press.csv"\n'
+        f'kind = "indentation"\ntool = {{ kind = "{kind}", radius_mm = {radius} }}\n'
+    )
+    return read
+
+
+def calibrated(
+    folder: Path, base: SensorProfile, options: MaterialOptions
+) -> tuple[MaterialCalibration, SensorProfile]:
+    found = calibrate_material(load_capture_folder(folder), base, options)
+    save_profile(found.apply_to(base), folder / "profile")
+    return found, load_profile(folder / "profile")
+
+
+@pytest.mark.parametrize("indenter", ["sphere:6", "cylinder:3"])
+def test_presses_of_the_profile_reproduce_the_record(
+    mini: SensorProfile, press_cache: Path, tmp_path: Path, indenter: str
+) -> None:
+    depths = np.array([0.2, 0.4, 0.6, 0.8])
+    rubs = 0.4
+    base = mini.with_block(mini.material.replace(friction_coefficient=rubs))
+    read = recorded(tmp_path, base, indenter, depths, rubs)
+    nu = base.material.poisson_ratio
+    options = MaterialOptions(physics=FAST, fixed={"nu": nu, "friction": rubs})
+    found, profile = calibrated(tmp_path, base, options)
+    block = profile.material
+    assert block.young_modulus_pa == pytest.approx(MODULUS, rel=0.03)
+    low, high = block.provenance.interval["young_modulus_pa"]
+    assert low < MODULUS < high
+    fitted = block.fitted_with
+    assert fitted is not None and fitted.indenters == (indenter,)
+    assert fitted.physics == {**fitted.physics, "accuracy": "fast", "element": "quadratic"}
+    assert fitted.friction_coefficient == block.friction_coefficient == rubs
+    assert physics_difference(block, FAST, block.friction_coefficient) is None
+    assert found.stiffness is not None
+    shift = fitted.touch_shift_mm["press.csv"]
+    low, high = block.provenance.interval["touch_shift_mm of press.csv"]
+    assert low < 0.0 < high
+    for depth, force in zip(depths[1::2].tolist(), read[1::2].tolist(), strict=True):
+        again = pressed_n(profile, indenter, depth - shift, FAST)
+        assert again == pytest.approx(force, rel=3 * NOISE)
+        low, high = found.stiffness.force_interval_n(0, depth - shift)
+        assert low < again < high
+        low, high = found.stiffness.reading_interval_n(0, depth)
+        assert low < force < high
+
+
+@pytest.mark.slow
+def test_a_press_with_other_friction_is_not_that_of_the_fit(
+    mini: SensorProfile, press_cache: Path, tmp_path: Path
+) -> None:
+    """Of records that friction was not measured with, the coefficient that fits is what the profile
+    says and a press takes; the other one is a tenth off."""
+    depths = np.linspace(0.2, 1.4, 9)
+    read = recorded(tmp_path, mini, "sphere:7.5", depths, 0.0)
+    options = MaterialOptions(physics=FAST, fixed={"nu": mini.material.poisson_ratio})
+    found, profile = calibrated(tmp_path, mini, options)
+    assert mini.material.friction_coefficient == 1.0
+    assert profile.material.friction_coefficient == 0.0
+    assert "friction_assumed" in {remark.code for remark in found.remarks}
+    fitted = profile.material.fitted_with
+    assert fitted is not None and not fitted.friction_measured
+    depth = float(depths[-1]) - fitted.touch_shift_mm["press.csv"]
+    force = float(read[-1])
+    assert pressed_n(profile, "sphere:7.5", depth, FAST) == pytest.approx(force, rel=3 * NOISE)
+    rubbing = profile.with_block(profile.material.replace(friction_coefficient=1.0))
+    assert pressed_n(rubbing, "sphere:7.5", depth, FAST) > 1.08 * force
+    said = physics_difference(rubbing.material, replace(FAST), 1.0)
+    assert said is not None and "friction 0 (this press: 1)" in said
