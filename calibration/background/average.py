@@ -2,7 +2,8 @@
 """A quieter background from all the frames.
 
 One background image carries the camera's noise into every render; averaging it with the untouched
-parts of the training frames removes most of that noise and keeps the gel's own texture.
+parts of the training frames removes most of that noise and keeps the gel's own texture. Whatever
+else one of the frames shows there, a second contact or a hand, is kept out (``robust_mean``).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration.background.drift import Drift
+from calibration.background.robust_mean import robust_mean
 from calibration.capture.captures import ContactCircle
 from taccel_lab.geometry import PixelGrid
 
@@ -25,15 +27,19 @@ def average_background(
     circles: Sequence[ContactCircle],
     drifts: Sequence[Drift],
     grid: PixelGrid,
+    mask: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Mean of the background and the drift-free untouched parts of frames, float32 levels.
+    """Robust mean of the background and the drift-free untouched parts of frames, float32 levels.
 
-    All images are RGB, shape [height_px, width_px, 3].
+    Where a single frame and the background disagree, the background is kept; with more, what most
+    of them show. All images are RGB, shape [height_px, width_px, 3]; where ``mask`` is false the
+    background is kept too.
     """
-    total = background.astype(np.float64).copy()
-    count = np.ones(background.shape[:2])
+    images = [np.asarray(background, np.float32)]
+    usable = np.ones(background.shape[:2], dtype=bool) if mask is None else mask
+    seen = [usable]
     for frame, circle, drift in zip(frames, circles, drifts, strict=True):
-        untouched = circle.distance_px(grid) > UNTOUCHED_RADII * circle.radius_px
-        total[untouched] += drift.remove(frame.astype(np.float64))[untouched]
-        count += untouched
-    return np.clip(total / count[..., None], 0.0, 255.0).astype(np.float32)
+        images.append(drift.remove(frame.astype(np.float32)).astype(np.float32))
+        seen.append(usable & (circle.distance_px(grid) > UNTOUCHED_RADII * circle.radius_px))
+    averaged = robust_mean(images, seen, images[0])
+    return np.clip(averaged, 0.0, 255.0).astype(np.float32)

@@ -136,23 +136,56 @@ def _with_prior(
     design: np.ndarray, wanted: np.ndarray, weight: np.ndarray, none: np.ndarray, scale: float
 ) -> np.ndarray:
     """Weighted least squares, drawn weakly to "no change"."""
-    # The offset is that at the mean level, so that its prior does not fight the gain's.
-    mean = np.average(design[:, 0], weights=weight) if weight.sum() > 0 else 0.0
-    local = design.copy()
-    local[:, 0] -= mean
-    counted = max(float(weight.sum()) / PRIOR_SAMPLES, 1.0)
-    prior = counted * (scale / PRIOR_SIGMA[: len(none)]) ** 2
-    normal = (local * weight[:, None]).T @ local + np.diag(prior)
-    change = wanted - design @ none
-    side = (local * weight[:, None]).T @ change
-    # Noise of the background itself, as large as the frame's, would draw the gain to 0 (regression
-    # dilution; W. A. Fuller, Measurement Error Models, 1987, section 1.2): half of what is left.
-    dilution = 0.5 * float(weight.sum()) * scale**2
-    normal[0, 0] -= dilution
-    side[0] += dilution
+    normal, side = normal_equations(design, wanted, weight, scale, PRIOR_SIGMA[: len(none)])
     step = np.linalg.solve(normal, side)
-    step[1] -= step[0] * mean
+    step[1] -= step[0] * _mean_level(design, weight)
     return none + step
+
+
+def _mean_level(design: np.ndarray, weight: np.ndarray) -> float:
+    return float(np.average(design[:, 0], weights=weight)) if weight.sum() > 0 else 0.0
+
+
+def normal_equations(
+    design: np.ndarray,
+    wanted: np.ndarray,
+    weight: np.ndarray,
+    scale: float,
+    prior_sigma: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix [p, p] and right side [p] for gain - 1, offset at the mean level, and gradient.
+
+    The background has noise of its own, as large as the frame's (half of what is left), which would
+    draw the gain to 0. The frame is therefore held against what the background's level is expected
+    to be without it: all that offset and gradient explain of it, and of the rest the share that is
+    no noise (regression calibration; W. A. Fuller, Measurement Error Models, 1987, section 1.2).
+    The matrix is the Gram matrix of those levels plus the prior: never indefinite, and a background
+    that is all noise says nothing of the gain.
+
+    Args:
+        design: Background level, ones, and the place along each axis, shape [n, p].
+        wanted: Levels of the frame, shape [n].
+        weight: Of each pixel, 0..1, shape [n].
+        scale: Standard deviation of frame minus background [levels].
+        prior_sigma: Prior spread of each unknown, shape [p].
+    """
+    root = np.sqrt(weight)[:, None]
+    others = design[:, 1:]
+    by_others = np.linalg.lstsq(root * others, root[:, 0] * design[:, 0], rcond=None)[0]
+    explained = others @ by_others
+    own = design[:, 0] - explained
+    noise = 0.5 * float(weight.sum()) * scale**2
+    power = float(weight @ own**2)
+    share = max(0.0, 1.0 - noise / power) if power > 0 else 0.0
+    expected = design.copy()
+    expected[:, 0] = explained + share * own
+    change = wanted - expected[:, 0]
+    # The offset is that at the mean level, so that its prior does not fight the gain's.
+    expected[:, 0] -= _mean_level(design, weight)
+    counted = max(float(weight.sum()) / PRIOR_SAMPLES, 1.0)
+    weighed = expected * weight[:, None]
+    prior = np.diag(counted * (scale / prior_sigma) ** 2)
+    return weighed.T @ expected + prior, weighed.T @ change
 
 
 def remove_drift(image: np.ndarray, background: np.ndarray, drift: Drift) -> np.ndarray:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from calibration.background.drift import Drift, fit_robust_drift, smoothed
+from calibration.background.robust_mean import median_where_seen
 from taccel_lab.errors import InputError
 
 TOUCHED_SIGMAS = 4.0
@@ -28,7 +29,6 @@ MIN_SEEN = 3
 """Untouched frames that a pixel of a background made of presses needs."""
 MAX_RARELY_SEEN = 0.1
 """Share of the image that may be seen by fewer."""
-ROWS_AT_ONCE = 64
 
 ReadImage = Callable[[], np.ndarray]
 
@@ -126,25 +126,20 @@ def _median(
     seen: Sequence[np.ndarray | None],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Median of the drift-free images over the frames that see a pixel, and how many do."""
-    height, width = images[0].shape[:2]
-    result = np.empty((height, width, 3), np.float32)
-    count = np.full((height, width), len(images))
     steady = [
         image if drift is None else np.clip(drift.remove(image.astype(np.float32)), 0, 255)
         for image, drift in zip(images, drifts, strict=True)
     ]
+    # Half precision is a sixteenth of a level, and all presses are in memory at once.
     steady = [np.asarray(image, np.float16) for image in steady]
-    for top in range(0, height, ROWS_AT_ONCE):
-        rows = slice(top, top + ROWS_AT_ONCE)
-        stack = np.stack([image[rows] for image in steady]).astype(np.float32)
-        plain = np.median(stack, axis=0)
-        for k, where in enumerate(seen):
-            if where is not None:
-                stack[k][~where[rows]] = np.nan
-        missing = np.isnan(stack[..., 0])
-        count[rows] = (~missing).sum(axis=0)
-        stack[:, missing.all(axis=0)] = plain[missing.all(axis=0)]
-        result[rows] = np.nanmedian(stack, axis=0)
+    always = np.ones(images[0].shape[:2], dtype=bool)
+    shown = [always if where is None else where for where in seen]
+    result = median_where_seen(steady, shown)
+    count = np.sum(shown, axis=0)
+    if not count.all():
+        result = np.where(
+            count[..., None] > 0, result, median_where_seen(steady, [always] * len(steady))
+        )
     return result, count
 
 

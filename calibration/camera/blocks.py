@@ -97,6 +97,7 @@ def optics_block(result: CameraCalibration, profile: SensorProfile) -> OpticsBlo
     residuals = {
         "fit_rms_px": found.chosen.fit.rms_px,
         "heldout_rms_px": found.chosen.heldout_all_px,
+        "heldout_robust_rms_px": found.chosen.heldout_robust_px,
         "heldout_half_board_rms_px": found.chosen.heldout_half_px,
     }
     if pose is not None:

@@ -24,6 +24,9 @@ class BoardView:
     expected: int
     """Points that the whole board has."""
     sha256: str = ""
+    place: int | None = None
+    """Which image of the manifest's boards it is, also counting those in which none is found; what
+    is held out goes by it."""
     pitch_mm: float | None = None
     """Distance of neighbouring points, where it is known."""
     first_square_dark: bool | None = None

@@ -13,9 +13,9 @@ import numpy as np
 
 from calibration.camera.blocks import camera_block, optics_block, tactile_size, with_camera_block
 from calibration.camera.board import BoardView
+from calibration.camera.bundle_search import MIN_VIEWS
 from calibration.camera.detect import Detections, detect_views
 from calibration.camera.intrinsics import (
-    MIN_VIEWS,
     Intrinsics,
     calibrate_intrinsics,
     require_choices,
@@ -271,9 +271,11 @@ def _intrinsics_figures(found: Intrinsics) -> dict[str, Any]:
         },
         "fit_rms_px": fit.rms_px,
         "heldout_rms_px": found.chosen.heldout_all_px,
+        "heldout_robust_rms_px": found.chosen.heldout_robust_px,
         "heldout_half_board_rms_px": found.chosen.heldout_half_px,
         "folds": found.folds,
         "views": len(found.views),
+        "views_held_out": len(found.views) + len(found.outliers),
         "outlier_views": list(found.outliers),
         "coverage": found.coverage,
         "tilt_deg": list(found.tilt_deg),
@@ -281,6 +283,7 @@ def _intrinsics_figures(found: Intrinsics) -> dict[str, Any]:
             score.lens.name: {
                 "fit_rms_px": score.fit.rms_px,
                 "heldout_rms_px": score.heldout_all_px,
+                "heldout_robust_rms_px": score.heldout_robust_px,
                 "heldout_half_board_rms_px": score.heldout_half_px,
                 "excess_mse_px2": score.excess,
                 "excess_standard_error_px2": score.excess_error,

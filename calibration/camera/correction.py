@@ -31,6 +31,7 @@ class Correction:
     unit_mm: float
     smoothing: float
     heldout_px: float
+    """What it leaves at points that it has not seen, but the model under it has."""
 
     def __call__(self, xy_mm: np.ndarray) -> np.ndarray:
         """Displacement [px] of points, [n, 2] -> [n, 2]."""

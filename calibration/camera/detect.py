@@ -69,12 +69,13 @@ def detect_views(
     views: list[BoardView] = []
     refused: list[str] = []
     seen: dict[str, str] = {}
-    total = sum(len(board.frames) for board in boards)
+    total, place = sum(len(board.frames) for board in boards), -1
     for board in boards:
         reference = None
         if board.reference is not None and (board.entry.on_gel or board.entry.kind == "pins"):
             reference = board.reference.image()
         for frame in board.frames:
+            place += 1
             if frame.sha256 in seen:
                 refused.append(f"{frame.source}: the same image as {seen[frame.sha256]}")
                 continue
@@ -84,7 +85,13 @@ def detect_views(
                     frame.image(), board.entry, reference=reference, name=frame.source
                 )
                 views.append(
-                    replace(view, name=frame.name, source=frame.source, sha256=frame.sha256)
+                    replace(
+                        view,
+                        name=frame.name,
+                        source=frame.source,
+                        sha256=frame.sha256,
+                        place=place,
+                    )
                 )
             except InputError as error:
                 refused.append(str(error))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calibration.camera.board import BoardView
-from calibration.camera.bundle import HUBER, rms
+from calibration.camera.bundle import huber_weights, rms, robust_scale
 from calibration.camera.correction import Correction, fit_correction
 from calibration.camera.plane_models import PlaneModel
 from taccel_lab.errors import InputError
@@ -23,6 +23,8 @@ FOLDS = 5
 _EXACT_PX = 1e-7
 _TOLERANCE = 1e-14
 _HELDOUT_TOLERANCE = 1e-8
+_ROUNDS, _STEADY = 20, 1e-3
+"""Rounds of reweighting at most, and the change of the weights below which there is no other."""
 CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Steps to the right, left, down and up."""
 
@@ -119,16 +121,33 @@ def choose_plane(fits: Sequence[PlaneFit]) -> tuple[PlaneFit, list[PlaneFit]]:
 
 
 def correct_plane(fit: PlaneFit, views: Sequence[BoardView], unit_mm: float) -> PlaneFit:
-    """The fit with a spline over what it leaves, where that predicts left-out points better."""
+    """The fit with a spline over what it leaves, where that predicts left-out points better.
+
+    Points that are left out have a part neither in the model nor in the spline.
+    """
     points = fit.plane_points(views)
     correction = fit_correction(points, np.concatenate(fit.residuals), unit_mm)
     if correction is None:
         return fit
-    left = []
-    for view, motion, residual in zip(views, fit.motions, fit.residuals, strict=True):
-        left.append(residual - correction(moved(view.board_mm()[:, :2], motion)))
+    folds, squares = _folds(views), [np.zeros(len(view.index)) for view in views]
+    for k in range(FOLDS):
+        held = _fit(views, fit.model, [fold != k for fold in folds], fit)
+        left, fold = np.concatenate(held.residuals), np.concatenate(folds)
+        where = held.plane_points(views)
+        found = fit_correction(where[fold != k], left[fold != k], unit_mm)
+        if found is not None:
+            left = left - found(where)
+        for square, part, own in zip(squares, _split(left, views), folds, strict=True):
+            square[own == k] = np.sum(part[own == k] ** 2, axis=1)
+    heldout_px = float(np.sqrt(np.concatenate(squares).mean()))
+    if heldout_px >= fit.heldout_px:
+        return fit
+    residuals = np.concatenate(fit.residuals) - correction(points)
     return replace(
-        fit, correction=correction, residuals=tuple(left), heldout_px=correction.heldout_px
+        fit,
+        correction=correction,
+        residuals=tuple(_split(residuals, views)),
+        heldout_px=heldout_px,
     )
 
 
@@ -168,37 +187,34 @@ def _fit(
             for view, board, motion in zip(views, boards, motions, strict=True)
         ]
 
-    def flat(x: np.ndarray, scale: float) -> np.ndarray:
-        seen = [r[mask].ravel() for r, mask in zip(residuals(x), used, strict=True)]
-        # The prior counts in standard deviations, points in pixels of standard deviation `scale`.
-        values = np.concatenate([*seen, scale * model.prior(x[: model.count])])
-        return np.nan_to_num(values, nan=1e6, posinf=1e6, neginf=-1e6)
+    def kept(x: np.ndarray) -> np.ndarray:
+        seen = [r[mask] for r, mask in zip(residuals(x), used, strict=True)]
+        return np.nan_to_num(np.concatenate(seen), nan=1e6, posinf=1e6, neginf=-1e6)
 
-    x, scale = start, 1.0
-    for _ in range(4):
+    def flat(x: np.ndarray, root: np.ndarray, scale: float) -> np.ndarray:
+        # The prior counts in standard deviations, points in pixels of standard deviation `scale`.
+        points = (root[:, None] * kept(x)).ravel()
+        return np.concatenate([points, scale * model.prior(x[: model.count])])
+
+    x, scale, weights = start, 1.0, np.ones(sum(int(mask.sum()) for mask in used))
+    for _ in range(_ROUNDS):
         fitted = least_squares(
             flat,
             x,
-            args=(scale,),
-            loss="huber",
-            f_scale=HUBER * 1.5 * max(scale, _EXACT_PX),
+            args=(np.sqrt(weights), scale),
             x_scale="jac",
             xtol=tolerance,
             ftol=tolerance,
             gtol=tolerance,
             max_nfev=200,
         )
-        x = fitted.x
-        lengths = np.concatenate(
-            [np.linalg.norm(r[m], axis=1) for r, m in zip(residuals(x), used, strict=True)]
-        )
-        new = max(float(np.median(lengths)) / 1.1774, _EXACT_PX)
-        if abs(new - scale) < 1e-2 * scale:
+        x, left = fitted.x, kept(fitted.x)
+        before, scale = weights, max(robust_scale(left), _EXACT_PX)
+        weights = huber_weights(left, scale)
+        if np.abs(weights - before).max() < _STEADY:
             break
-        scale = new
-    freedom = max(2 * len(lengths) - len(x), 1)
-    weights = np.minimum(1.0, HUBER * 1.5 * scale / np.maximum(lengths, 1e-300))
-    variance = float(np.sum(weights * lengths**2)) / freedom
+    freedom = max(left.size - len(x), 1)
+    variance = float(np.sum(weights * np.sum(left**2, axis=1))) / freedom
     columns = np.linalg.norm(fitted.jac, axis=0)
     columns = np.where(columns > 0, columns, 1.0)
     scaled = fitted.jac / columns
@@ -231,9 +247,19 @@ def _similarity(xy: np.ndarray, uv: np.ndarray) -> tuple[complex, complex]:
     return complex(solution[0]), complex(solution[1])
 
 
+def _folds(views: Sequence[BoardView]) -> list[np.ndarray]:
+    """Fold of each point of each view: (column + 2 row) modulo 5."""
+    return [(view.index[:, 0] + 2 * view.index[:, 1]) % FOLDS for view in views]
+
+
+def _split(values: np.ndarray, views: Sequence[BoardView]) -> list[np.ndarray]:
+    """Values of all points [all points, ..] by view."""
+    return np.split(values, np.cumsum([len(view.index) for view in views])[:-1])
+
+
 def _with_heldout(views: Sequence[BoardView], fit: PlaneFit) -> PlaneFit:
-    """Cross-validate over the points: (column + 2 row) modulo 5 names the fold."""
-    folds = [(view.index[:, 0] + 2 * view.index[:, 1]) % FOLDS for view in views]
+    """Cross-validate over the points."""
+    folds = _folds(views)
     squares = [np.zeros(len(view.index)) for view in views]
     for k in range(FOLDS):
         held = _fit(views, fit.model, [fold != k for fold in folds], fit)

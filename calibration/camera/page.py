@@ -89,8 +89,9 @@ def _summary(result: CameraCalibration) -> str:
         parts.append(
             f"A {found.lens.name} lens was chosen from {len(found.views)} views of a board; views "
             f"that the fit did not see are {found.chosen.heldout_all_px:.3f} px off (root mean "
-            f"square), {found.chosen.heldout_half_px:.3f} px when only half of such a board places "
-            "it."
+            f"square over all, {len(found.outliers)} outliers too; "
+            f"{found.chosen.heldout_robust_px:.3f} px robust), {found.chosen.heldout_half_px:.3f} "
+            "px when only half of such a board places it."
         )
     if result.on_gel is not None:
         frame = result.on_gel.frame
@@ -126,21 +127,31 @@ def _lens_tables(result: CameraCalibration) -> list[Table]:
         ),
         Table(
             "Lenses compared [px]",
-            ("lens", "fit", "held out", "held out, half of a board", "worse by [px²]", "± [px²]"),
+            (
+                "lens",
+                "fit",
+                "held out",
+                "robust",
+                "held out, half of a board",
+                "worse by [px²]",
+                "± [px²]",
+            ),
             [
                 (
                     score.lens.name + (" (chosen)" if score is found.chosen else ""),
                     score.fit.rms_px,
                     score.heldout_all_px,
+                    score.heldout_robust_px,
                     score.heldout_half_px,
                     score.excess,
                     score.excess_error,
                 )
                 for score in found.scores
             ],
-            f"{found.folds}-fold over views. Of a held-out view only the pose is fitted: to all "
-            "its points, or to one half of them with the error taken on the other. The simplest "
-            "lens within one standard error of the best is chosen.",
+            f"{found.folds}-fold over views, all of them scored, also those that no fit takes "
+            "(robust: by the median error). Of a held-out view only the pose is "
+            "fitted: to all its points, or to one half of them with the error taken on the other. "
+            "The simplest lens within one standard error of the best is chosen.",
         ),
     ]
 

@@ -17,7 +17,9 @@ from calibration.markers.lattice import lattice_index
 from calibration.markers.neighbourhood import Neighbourhood
 
 _WIDE, _NARROW = 0.55, 0.35
-"""Gates in pitches: for a marker's own guess, and for what its neighbours say."""
+"""Gates in pitches: for a marker's own guess, and the narrowest for what its neighbours say."""
+_GATE_SIGMAS = 3.0
+"""Neighbours that scatter are believed within so many times their scatter, between these gates."""
 _ROUNDS = 6
 _SUPPORT = 1.2
 """Weight of matched neighbours from which on they are believed."""
@@ -54,11 +56,8 @@ def associate(
         said, scatter, support = around.extrapolate(moved, matched)
         trusted = (support >= _SUPPORT) & np.isfinite(said).all(axis=1)
         guess = np.where(trusted[:, None], before + said, expected)
-        gate = np.where(
-            trusted,
-            np.maximum(_NARROW * around.pitch_px, np.minimum(3.0 * scatter, _WIDE)),
-            _WIDE * around.pitch_px,
-        )
+        narrow, wide = _NARROW * around.pitch_px, _WIDE * around.pitch_px
+        gate = np.where(trusted, np.clip(_GATE_SIGMAS * scatter, narrow, wide), wide)
         again = _assign(guess, found, odd, gate)
         if (again == chosen).all():
             break

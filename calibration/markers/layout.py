@@ -191,8 +191,8 @@ def _covariance(
     slopes = _slopes(p, steps[inlier], weight[inlier])
     miss = _misses(p, steps[inlier], found[inlier], weight[inlier])
     inverse = np.linalg.inv(slopes.T @ slopes)
-    plain = inverse * float(miss @ miss) / max(len(miss) - 5, 1)
-    worst = plain
+    usual = np.sqrt(np.diag(inverse))
+    variance = np.diag(inverse) * float(miss @ miss) / max(len(miss) - 5, 1)
     for group in (lattice.row[numbered][inlier], lattice.column[numbered][inlier]):
         names = np.unique(group)
         shifts = []
@@ -210,9 +210,10 @@ def _covariance(
             count = len(shifts)
             deviation = np.array(shifts) - np.mean(shifts, axis=0)
             jackknife = (count - 1) / count * deviation.T @ deviation
-            larger = np.sqrt(np.maximum(np.diag(jackknife) / np.diag(worst), 1.0))
-            worst = worst * np.outer(larger, larger)
-    return worst
+            variance = np.maximum(variance, np.diag(jackknife))
+    # The correlations are those of independent errors.
+    scale = np.sqrt(variance) / usual
+    return inverse * np.outer(scale, scale)
 
 
 def _missing(lattice: Lattice, in_view: np.ndarray | None) -> tuple[tuple[int, int], ...]:

@@ -5,7 +5,8 @@ Residuals of one fit say what noise does. They do not say what the model cannot 
 too few terms, a channel whose light is no polynomial, a gel that sinks beside the ball otherwise
 than the law says. All of that moves circles without leaving larger residuals, so that it is tried:
 
-- one power less of everything in the map;
+- one power more of everything in the map: what the series still moves where it is cut off (one
+  power less says what it has moved already, on a gel of many colours three times as much);
 - without each of the channels in turn (the jackknife, B. Efron, The Jackknife, the Bootstrap and
   Other Resampling Plans, 1982, eq. 3.6);
 - with a skirt of ``OTHER_SKIRT``, the most that the colours of real presses ask for.
@@ -23,7 +24,7 @@ from calibration.targets.photometric import MapTerms, PhotometricFit, fit_contac
 from calibration.targets.polar import PolarSamples
 
 OTHER_SKIRT = 2.0
-COARSE_ROUNDS, OTHER_ROUNDS = 8, 4
+OTHER_ROUNDS = 5
 """Rounds of Gauss-Newton from circles that are nearly right."""
 MIN_SIGMA_PX = 0.05
 """Resampling moves circles of perfect presses by that much."""
@@ -48,24 +49,21 @@ def circle_covariances(
     def moved(
         samples: Sequence[PolarSamples],
         terms: MapTerms,
-        rounds: int,
         skirt: float | None = None,
     ) -> np.ndarray:
         other = fit_contacts(
-            samples, circles, ball_px, blur_px=fit.blur_px, terms=terms, iterations=rounds,
+            samples, circles, ball_px, blur_px=fit.blur_px, terms=terms, iterations=OTHER_ROUNDS,
             skirt=skirt,
         )  # fmt: skip
         return _shapes([contact.circle for contact in other.contacts]) - start
 
-    coarse = 1.4826 * _typical(moved(samples, terms.coarser(), COARSE_ROUNDS))
-    skirt = _typical(moved(samples, terms, OTHER_ROUNDS, OTHER_SKIRT))
-    without = np.stack(
-        [moved([_without(s, c) for s in samples], terms, OTHER_ROUNDS) for c in range(CHANNELS)]
-    )
+    finer = 1.4826 * _typical(moved(samples, terms.finer()))
+    skirt = _typical(moved(samples, terms, OTHER_SKIRT))
+    without = np.stack([moved([_without(s, c) for s in samples], terms) for c in range(CHANNELS)])
     channels = ((without - without.mean(axis=0)) ** 2).sum(axis=0) * (CHANNELS - 1) / CHANNELS
     channels[:, :2] = channels[:, :2].mean(axis=1, keepdims=True)
     channels = (channels + np.median(channels, axis=0)) / 2
-    common = coarse**2 + skirt**2 + MIN_SIGMA_PX**2
+    common = finer**2 + skirt**2 + MIN_SIGMA_PX**2
     covariances = []
     for contact, own in zip(fit.contacts, channels, strict=True):
         # Its correlations are kept: the residuals' covariance is scaled along u, v and radius.

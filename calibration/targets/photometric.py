@@ -59,9 +59,9 @@ class MapTerms:
             return cls(3, 0, False)
         return cls(4, 1, False) if count < 12 else cls(4, 2, True)
 
-    def coarser(self) -> MapTerms:
-        """One power less of everything: how far circles move then says what the map is worth."""
-        return MapTerms(max(2, self.degree - 1), max(0, self.place_degree - 1), False)
+    def finer(self) -> MapTerms:
+        """One power more of everything: how far circles move then says what the map leaves out."""
+        return MapTerms(self.degree + 1, self.place_degree + 1, self.drop_place)
 
     def values(
         self, nx: np.ndarray, ny: np.ndarray, drop: np.ndarray, u: np.ndarray, v: np.ndarray

@@ -110,16 +110,14 @@ def rest_background(
     """The background to render on: averaged with the untouched parts where the options say so."""
     if not options.average_background:
         return background.astype(np.float32)
-    averaged = average_background(
+    return average_background(
         background,
         [frame.image for frame in frames],
         [frame.circle for frame in frames],
         [drifts[frame.name] for frame in frames],
         grid,
+        mask,
     )
-    if mask is None:
-        return averaged
-    return np.where(mask[..., None], averaged, background.astype(np.float32))
 
 
 def _split(

@@ -97,7 +97,8 @@ def _print_summary(console: Console, result: CameraCalibration) -> None:
         found = result.intrinsics
         console.print(
             f"{found.lens.name} lens from {len(found.views)} views: held-out reprojection "
-            f"{found.chosen.heldout_all_px:.3f} px (root mean square; "
+            f"{found.chosen.heldout_all_px:.3f} px (root mean square, {len(found.outliers)} "
+            f"outliers counted; {found.chosen.heldout_robust_px:.3f} px robust, "
             f"{found.chosen.heldout_half_px:.3f} px with half of each held-out board)",
             highlight=False,
         )

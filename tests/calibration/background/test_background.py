@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 
 from calibration.background import Drift, fit_robust_drift
 from calibration.background.calibrate import calibrate_background
+from calibration.background.drift import PRIOR_SIGMA, normal_equations
 from calibration.background.drift_report import drift_remark, drift_spread
 from calibration.background.dust import dust_mask, speck_count
 from calibration.capture import ContactCircle, Press
@@ -84,6 +85,43 @@ def test_perfect_drift_is_exact() -> None:
     found = fit_robust_drift(drift(rough, np.array([0.7, 1.1, 1.0]), 5.0), rough)
     assert found.gain == pytest.approx([0.7, 1.1, 1.0], abs=5e-3)
     assert found.noise_levels < 0.4
+
+
+@pytest.mark.parametrize("sigma", [0.07, 0.2, 1.0, 10.0])
+@pytest.mark.parametrize("shade", [0.0, 3.0])
+def test_a_wider_prior_makes_no_gain_of_noise(
+    sigma: float, shade: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A background without shades of its own tells no gain, however little is known before."""
+    monkeypatch.setattr("calibration.background.drift.PRIOR_SIGMA", PRIOR_SIGMA * sigma / 0.07)
+    rng = np.random.default_rng(2)
+    # The slope over the image is what a gradient explains as well.
+    flat = add_gradient(np.full((150, 200, 3), 120.0), shade, 0.0)
+    noise = gaussian_filter(rng.normal(0, 1, (2, *flat.shape)), (0, 2, 2, 0))
+    noise *= 2.0 / noise.std()
+    found = fit_robust_drift(flat + noise[0] + 6.0, flat + noise[1])
+    assert found.gain == pytest.approx([1.0] * 3, abs=0.1)
+    assert np.abs(found.apply(flat) - flat - 6.0).mean() < 0.5
+
+
+@given(
+    seed=st.integers(0, 50), shades=st.floats(0.0, 40.0), noise=st.floats(0.1, 10.0),
+    sigma=st.floats(0.01, 1e3),
+)  # fmt: skip
+@settings(max_examples=40, deadline=None)
+def test_the_equations_of_the_drift_have_one_solution(
+    seed: int, shades: float, noise: float, sigma: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(-1, 1, (300, 2))
+    level = 100 + shades * rng.normal(size=300) + 5 * place[:, 0] + rng.normal(0, noise, 300)
+    design = np.column_stack([level, np.ones(300), place])
+    weight = rng.uniform(0, 1, 300)
+    prior = PRIOR_SIGMA * sigma / PRIOR_SIGMA[0]
+    normal, _ = normal_equations(design, rng.normal(size=300), weight, noise, prior)
+    scaled = normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)))
+    assert np.allclose(normal, normal.T)
+    assert np.linalg.eigvalsh(scaled).min() > 0
 
 
 def test_a_gradient_needs_a_whole_image() -> None:

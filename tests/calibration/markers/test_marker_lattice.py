@@ -224,6 +224,15 @@ def test_layout_sigmas_hold() -> None:
     assert (rms > 0.6).all()
 
 
+@pytest.mark.filterwarnings("error")
+def test_dots_that_fit_exactly_leave_no_doubt() -> None:
+    points = np.stack(np.meshgrid(20.0 * np.arange(5), 20.0 * np.arange(4)), -1).reshape(-1, 2)
+    fit = fit_layout(points, lattice_index(points))
+    assert fit.parameters == pytest.approx([20, 20, 0, 40, 30], abs=1e-9)
+    assert np.isfinite(fit.covariance).all()
+    assert [fit.sigma(k) for k in range(5)] == pytest.approx([0.0] * 5, abs=1e-9)
+
+
 def test_a_few_points_far_off_bend_no_layout() -> None:
     true = grid_points()
     moved = true.copy()

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well a lens predicts views that had no part in its fit.
+
+The views are dealt into k parts by their place in the manifest, before any image is read. Without
+one part, everything is done anew from the rest alone: views that do not fit are left out, focal
+lengths are tried, the lens is fitted. Of a held-out view only the pose of the board is fitted, and
+all of its points count, however far off they are: an outlier among the views that are fitted is
+none among those that are predicted. Two protocols: ``all`` fits that pose to all points of the view
+and scores all of them, as is usual; ``half`` fits it to every other point and scores the others,
+and the other way round, which no pose can flatter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.camera.board import BoardView
+from calibration.camera.bundle import BundleFit, fit_pose, initial_pose, rms, robust_scale
+from calibration.camera.bundle_search import LensFits, fit_lenses
+from calibration.camera.lens import Lens
+from taccel_lab.errors import InputError
+
+_ALIKE = 0.02
+"""Share of the best mean square error by which a simpler lens may be worse: 1 % of the error."""
+_MIN_TRAIN = 2
+"""Views that a lens can be fitted to at all."""
+
+
+@dataclass(frozen=True)
+class LensScore:
+    """How well one lens predicts views that it was not fitted to."""
+
+    lens: Lens
+    fit: BundleFit
+    """To all views that are no outliers."""
+    heldout_all_px: float
+    """Root mean square error of all points of all views, outliers too, ``all`` protocol."""
+    heldout_half_px: float
+    """The same by the ``half`` protocol."""
+    heldout_robust_px: float
+    """The root mean square that normal errors with the same median would have, ``all`` protocol:
+    what it would be without outliers."""
+    view_mse: np.ndarray
+    """Mean square held-out error of each view, ``half`` protocol, shape [view]: of those that are
+    fitted in the end."""
+    fold_parameters: np.ndarray
+    """Of the fits without each part, shape [fold, p]."""
+    excess: float = 0.0
+    """Mean difference of ``view_mse`` from the best lens."""
+    excess_error: float = 0.0
+    """Its standard error."""
+
+    @property
+    def within_one_error(self) -> bool:
+        """As good as the best lens, as far as these views can tell or anybody would notice."""
+        best = float(np.mean(self.view_mse)) - self.excess
+        return self.excess <= max(self.excess_error, _ALIKE * best)
+
+
+def fold_of_views(views: Sequence[BoardView], folds: int) -> np.ndarray:
+    """Part that each view is held out with, int, shape [view].
+
+    Its place in the manifest modulo ``folds``; each view is a part of its own where a part would
+    leave fewer than two views to fit.
+    """
+    places = np.array([i if view.place is None else view.place for i, view in enumerate(views)])
+    parts = places % folds
+    if len(views) - np.bincount(parts).max() < _MIN_TRAIN:
+        return np.arange(len(views))
+    return parts
+
+
+def score_lenses(
+    views: Sequence[BoardView],
+    fitted: LensFits,
+    folds: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[LensScore]:
+    """Cross-validate lenses.
+
+    Args:
+        views: All views, outliers too.
+        fitted: The lenses fitted to them; these fits have no part in the scores.
+        folds: Parts of the views.
+        progress: Told how many parts are done, and of how many, counting the fit to all.
+    """
+    parts = fold_of_views(views, folds)
+    names = np.unique(parts)
+    lenses = [fit.lens for fit in fitted.fits]
+    everything = [[np.zeros((0, 2))] * len(views) for _ in lenses]
+    halves = [[np.zeros((0, 2))] * len(views) for _ in lenses]
+    parameters: list[list[np.ndarray]] = [[] for _ in lenses]
+    for done, name in enumerate(names):
+        if progress is not None:
+            progress(done + 1, len(names) + 1)
+        train = fit_lenses(
+            [v for v, part in zip(views, parts, strict=True) if part != name], lenses
+        )
+        for k, fit in enumerate(train.fits):
+            parameters[k].append(fit.parameters)
+            for i in np.flatnonzero(parts == name).tolist():
+                everything[k][i], halves[k][i] = _heldout(views[i], fit.lens, fit.parameters)
+    if progress is not None:
+        progress(len(names) + 1, len(names) + 1)
+    used = {id(view) for view in fitted.views}
+    return [
+        LensScore(
+            fit.lens,
+            fit,
+            rms(np.concatenate(everything[k])),
+            rms(np.concatenate(halves[k])),
+            float(np.sqrt(2)) * robust_scale(np.concatenate(everything[k])),
+            np.array([
+                rms(r) ** 2 for r, view in zip(halves[k], views, strict=True) if id(view) in used
+            ]),
+            np.stack(parameters[k]),
+        )
+        for k, fit in enumerate(fitted.fits)
+    ]  # fmt: skip
+
+
+def compare_lenses(scores: Sequence[LensScore]) -> list[LensScore]:
+    """Fill in how much worse than the best lens each is, view by view."""
+    best = min(scores, key=lambda score: float(np.mean(score.view_mse)))
+    compared = []
+    for score in scores:
+        difference = score.view_mse - best.view_mse
+        error = float(difference.std(ddof=1) / np.sqrt(len(difference)))
+        # Differences below a millionth of a square pixel are rounding.
+        compared.append(
+            replace(score, excess=float(difference.mean()), excess_error=max(error, 1e-6))
+        )
+    return compared
+
+
+def _heldout(view: BoardView, lens: Lens, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals of a held-out view by both protocols, each [n, 2]."""
+    board = view.board_mm()
+    try:
+        start = initial_pose(view, lens, parameters)
+    except InputError:
+        # No pose explains such points: they are as far off as they lie from their own middle.
+        nothing = view.uv_px - view.uv_px.mean(axis=0)
+        return nothing, nothing
+    fitted = fit_pose(view, lens, parameters, start, robust=False)
+    full = view.uv_px - lens.project(board, parameters, fitted)
+    even = view.index.sum(axis=1) % 2 == 0
+    half = np.empty_like(full)
+    for part in (even, ~even):
+        if part.sum() < 4 or not _plane(view.index[part]):
+            half[~part] = full[~part]
+            continue
+        pose_of_part = fit_pose(view.take(part), lens, parameters, fitted, robust=False)
+        half[~part] = (view.uv_px - lens.project(board, parameters, pose_of_part))[~part]
+    return full, half
+
+
+def _plane(index: np.ndarray) -> bool:
+    centred = index - index.mean(axis=0)
+    return bool(np.linalg.matrix_rank(centred) == 2)
