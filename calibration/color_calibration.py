@@ -20,7 +20,6 @@ from calibration.color_heldout import (
     HeldoutFailure,
     HeldoutPress,
     HeldoutSet,
-    LabelShift,
     score_heldout,
     without_light,
 )
@@ -44,6 +43,7 @@ from calibration.result import Remark
 from calibration.surfaces.radial import RadialSurfaces
 from calibration.surfaces.types import PressSurface
 from calibration.surfaces.variation import moved_surfaces
+from calibration.targets.label_placement import LabelPlacement
 from calibration.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
@@ -156,7 +156,7 @@ class _Job:
                 mask=mask, progress=progress,
             )  # fmt: skip
         table = fit_taxim_table(self.frames, fit, grid, mask=mask) if self.plan.table else None
-        shift = LabelShift.of(captures.presses, [frame.circle for frame in self.frames])
+        shift = LabelPlacement.of(captures.presses, [frame.circle for frame in self.frames])
         held: list[HeldoutPress] = []
         failures: list[HeldoutFailure] = []
         if heldout is not None:

@@ -5,7 +5,7 @@ A render needs to know where the ball was, which no training says. Three answers
 to the kindest:
 
 - ``label``: by the label that came with the press, as the labels of the *training* presses lie
-  against where these were placed (``LabelShift``). Nothing of the image is used.
+  against where these were placed (``LabelPlacement``). Nothing of the image is used.
 - ``tiles``: by the frozen model on the even tiles of a checkerboard over the image; only the odd
   tiles are scored.
 - ``self``: by the frozen model on the very pixels that are scored. It takes the error of the circle
@@ -33,14 +33,13 @@ from calibration.surfaces.radial import RadialSurfaces
 from calibration.surfaces.types import PressSurface
 from calibration.surfaces.variation import moved_surfaces
 from calibration.targets import detect_contact
+from calibration.targets.label_placement import LabelPlacement
 from calibration.targets.tiles import even_tiles, filled_from
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
 
 Placement = Literal["label", "tiles", "self"]
 PLACEMENTS: tuple[Placement, ...] = ("label", "tiles", "self")
-SLOPE_PRIOR = 2.0
-"""Presses that the line of the radii counts a slope of one as."""
 SurfaceMaker = Callable[[CaptureSet, Sequence[ContactCircle]], list[PressSurface]]
 """Surfaces of presses in circles, in order; InputError for a circle that the ball cannot leave,
 SimulationError for one that does not converge."""
@@ -106,61 +105,6 @@ class HeldoutFailure:
     """None where nobody knows where to look: the worst of the other presses then counts."""
 
 
-@dataclass(frozen=True)
-class LabelShift:
-    """How labels lie against where the training presses were placed.
-
-    Centres are moved by the mean shift. Radii follow the straight line through the training
-    presses: labels of radii hold errors that placed radii do not, so that a large label is likely
-    too large (regression to the mean; W. A. Fuller, Measurement Error Models, 1987, section 1.1).
-    """
-
-    mean_px: np.ndarray
-    """Mean of placed minus label: u, v, radius [px], shape [3]."""
-    radius_slope: float
-    """Of placed over label radius, drawn to one by ``SLOPE_PRIOR`` presses."""
-    mean_radius_px: float
-    """Mean radius of the labels, about which the line turns."""
-    deviation_px: np.ndarray
-    """Standard deviation over the training presses, which a placement by label is off by, [3]."""
-    count: int
-
-    @classmethod
-    def of(cls, presses: Sequence[Press], placed: Sequence[ContactCircle]) -> LabelShift:
-        """From the training presses and where they were placed, those with labels."""
-        pairs = [
-            ((g.u_px, g.v_px, g.radius_px), (c.u_px, c.v_px, c.radius_px))
-            for press, c in zip(presses, placed, strict=True)
-            if (g := press.circle) is not None
-        ]
-        if not pairs:
-            return cls(np.zeros(3), 1.0, 0.0, np.zeros(3), 0)
-        labels, found = (np.array(values) for values in zip(*pairs, strict=True))
-        count, middle = len(labels), labels.mean(axis=0)
-        mean = found.mean(axis=0) - middle
-        label_r, found_r = labels[:, 2] - middle[2], found[:, 2] - found[:, 2].mean()
-        variance = label_r @ label_r
-        prior = SLOPE_PRIOR * variance / count
-        slope = float((label_r @ found_r + prior) / (variance + prior)) if variance > 0 else 1.0
-        left = found - labels - mean
-        left[:, 2] = found_r - slope * label_r
-        spread = left.std(axis=0, ddof=1) if count > 1 else np.zeros(3)
-        return cls(mean, slope, float(middle[2]), spread, count)
-
-    def applied(self, label: ContactCircle, ball_px: float) -> ContactCircle:
-        """Where a press with this label is taken to be, no larger than the ball."""
-        radius_px = label.radius_px
-        if self.count:
-            from_middle = label.radius_px - self.mean_radius_px
-            radius_px = self.mean_radius_px + float(self.mean_px[2])
-            radius_px += self.radius_slope * from_middle
-        return ContactCircle(
-            label.u_px + float(self.mean_px[0]),
-            label.v_px + float(self.mean_px[1]),
-            float(np.clip(radius_px, 3.0, EQUATOR_SLACK * ball_px)),
-        )
-
-
 def without_light(captures: CaptureSet, remove_drift: bool) -> dict[str, str]:
     """Held-out presses whose light cannot be told, by their labels alone: name and reason.
 
@@ -188,7 +132,7 @@ def _too_little_left(circle: ContactCircle, grid: PixelGrid, mask: np.ndarray) -
 def score_heldout(
     held: HeldoutSet,
     fit: ColorFit,
-    shift: LabelShift,
+    shift: LabelPlacement,
     library: RadialSurfaces,
 ) -> tuple[list[HeldoutPress], list[HeldoutFailure]]:
     """Place and score the held-out presses; ``fit`` and all that led to it stay as they are.
@@ -224,7 +168,7 @@ def _bare(presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]) -
 
 class _Job:
     def __init__(
-        self, held: HeldoutSet, fit: ColorFit, shift: LabelShift, library: RadialSurfaces
+        self, held: HeldoutSet, fit: ColorFit, shift: LabelPlacement, library: RadialSurfaces
     ) -> None:
         self.captures, self.make, self.split = held.captures, held.surfaces, held.split
         self.fit, self.shift, self.library = fit, shift, library

@@ -14,7 +14,6 @@ from calibration.color_heldout import (
     PLACEMENTS,
     HeldoutFailure,
     HeldoutPress,
-    LabelShift,
     Placement,
     mean_bare,
     mean_heldout,
@@ -23,6 +22,7 @@ from calibration.color_remarks import color_remarks
 from calibration.estimators.color import ColorFit, DriftChoice, Registration
 from calibration.evaluate import ImageScore, mean_score
 from calibration.result import Remark, judge
+from calibration.targets.label_placement import LabelPlacement
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
@@ -58,7 +58,7 @@ class ColorCalibration:
     """Presses that were held out and could not: they count as the bare background."""
     split: PressSplit | None
     """How the held-out presses were chosen; None where there are none."""
-    label_shift: LabelShift
+    label_shift: LabelPlacement
     train_names: list[str]
     noise_floor_l1: float
     """Mean difference of captures to the background beyond 3 contact radii [levels]; NaN when no

@@ -15,10 +15,11 @@ import pytest
 
 from calibration.capture import CaptureSet, ContactCircle, Press, load_captures
 from calibration.color_calibration import ColorPlan, calibrate_color
-from calibration.color_heldout import HeldoutSet, LabelShift
+from calibration.color_heldout import HeldoutSet
 from calibration.estimators.color import ColorFitOptions, register_presses
 from calibration.estimators.color import drift_choice as drift_choice_module
 from calibration.surfaces import PressSurface
+from calibration.targets.label_placement import LabelPlacement
 from calibration.targets.tiles import even_tiles, filled_from
 from taccel_lab.cli.calibrate.color import CalibrateColor
 from taccel_lab.errors import InputError, SimulationError
@@ -230,7 +231,7 @@ def test_labels_that_all_lie_to_one_side_are_shifted_by_what_training_says(
         values = np.array([press.circle.u_px, press.circle.v_px, press.circle.radius_px])
         presses.append(replace(press, circle=ContactCircle(*map(float, values - off + noise))))
     truth = [press.circle for press in captures.presses if press.circle is not None]
-    shift = LabelShift.of(presses, truth)
+    shift = LabelPlacement.of(presses, truth)
     assert shift.mean_px == pytest.approx(off, abs=0.3) and shift.count == 12
     assert (shift.deviation_px < 0.6).all() and (shift.deviation_px > 0.1).all()
     label = presses[0].circle
@@ -239,7 +240,7 @@ def test_labels_that_all_lie_to_one_side_are_shifted_by_what_training_says(
     assert placed.u_px == pytest.approx(label.u_px + shift.mean_px[0])
     assert shift.radius_slope == pytest.approx(1.0, abs=0.15)
     assert shift.applied(replace(label, radius_px=30.0), 20.0).radius_px == pytest.approx(20.6)
-    nothing = LabelShift.of([replace(p, circle=None) for p in presses], truth)
+    nothing = LabelPlacement.of([replace(p, circle=None) for p in presses], truth)
     assert nothing.count == 0 and nothing.applied(label, 20.0) == label
 
 
@@ -250,7 +251,7 @@ def test_radii_that_labels_scatter_are_drawn_to_their_mean() -> None:
     labels = [replace(c, radius_px=c.radius_px + float(x)) for c, x in zip(
         truth, rng.normal(1.0, 2.0, 30), strict=True)]  # fmt: skip
     presses = [Press(f"p{i}", "", "", c, lambda: np.zeros(0)) for i, c in enumerate(labels)]
-    shift = LabelShift.of(presses, truth)
+    shift = LabelPlacement.of(presses, truth)
     assert 0.0 < shift.radius_slope < 0.2
     placed = shift.applied(ContactCircle(50.0, 50.0, 25.0), 40.0)
     assert placed.radius_px == pytest.approx(20.0, abs=1.0)
