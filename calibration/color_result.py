@@ -157,6 +157,7 @@ class ColorCalibration:
     def _common_figures(self) -> dict[str, Any]:
         found: dict[str, Any] = {
             "failures": {item.name: item.reason for item in self.failures},
+            "heldout_failed": len(self.failures),
             "noise_floor_l1": self.noise_floor_l1,
             "train_disc_l1": self.fit.disc_l1_train,
             "left_out_disc_l1": self.left_out_l1,

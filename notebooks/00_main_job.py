@@ -61,8 +61,8 @@ print(f"{base.mesh.node_count} nodes, {base.mesh.tet_count} tets")
 # ## 2. Find the contact circles
 #
 # A quarter of the presses is set aside first, by names and labels: nothing looks at these images
-# before the colour model is frozen. Of the others nobody clicks a circle: the rim of each contact is
-# found in the image and compared with the labels.
+# before the colour model is frozen. For the others nobody clicks: the rim of each contact is found
+# in the image and compared with the labels.
 
 # %%
 from calibration.targets import choose_circles, compare_with_labels, resolve_contacts
