@@ -3,7 +3,7 @@
 
 Every set is imported as a user would, the command of each block runs on it, and the figures of
 its report are compared with goals. Figures of colours and normals are of presses that were chosen
-before any image was read and were seen when the model was frozen, one protocol for all sets; those of
+before any image was read and seen when the model was frozen, one protocol for all sets; those of
 lenses are of frames that the fit did not see. Sets that are not on this machine are left out and
 named.
 """

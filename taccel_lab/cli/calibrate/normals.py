@@ -23,8 +23,9 @@ class CalibrateNormals:
     """Fit the model from colour to surface normal to captured ball presses and write a profile.
 
     Inside a contact the ball gives the normal of every pixel; a small ensemble of networks learns
-    it from the change of colour around the pixel, with its own uncertainty. Every fourth press is
-    held out for the figures. `taccel-lab depth` then reads height maps from images.
+    it from the change of colour around the pixel, with its own uncertainty. Figures are of
+    presses that were chosen before any image was read, and are looked at when the model is frozen.
+    `taccel-lab depth` then reads height maps from images.
     """
 
     captures: Positional[Path]
