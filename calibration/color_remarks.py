@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.evaluate import mean_score
+from calibration.color_heldout import mean_bare
 from calibration.result import Remark, Severity
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ def color_remarks(result: ColorCalibration) -> list[Remark]:
     return [
         *_few(result),
         *_against_background(result),
+        *_failures(result),
         *_outliers(result),
         *_circles(result),
         *_light(result),
@@ -58,14 +59,14 @@ def _few(result: ColorCalibration) -> list[Remark]:
 
 
 def _against_background(result: ColorCalibration) -> list[Remark]:
-    if not result.heldout:
+    if not result.has_scores:
         text = "no press was held out, so that nothing tells how well the model does on others"
         if result.validated:
-            text = "no press was held out; the figures are those of the cross-validation"
+            text = "no press was held out; presses left out of single fits are the only figures"
             return [Remark(Severity.INFO, "nothing_held_out", text)]
         return [Remark(Severity.WARNING, "nothing_held_out", f"{text}; use --holdout-every 4")]
-    model = mean_score(result.heldout_counted())["crop_psnr_db"]
-    bare = mean_score([item.background_only for item in result.heldout])["crop_psnr_db"]
+    model = result.heldout_means()["crop_psnr_db"]
+    bare = mean_bare(result.heldout, result.failures)["crop_psnr_db"]
     if model - bare >= LEAST_GAIN_DB:
         return []
     return [
@@ -79,11 +80,23 @@ def _against_background(result: ColorCalibration) -> list[Remark]:
     ]
 
 
+def _failures(result: ColorCalibration) -> list[Remark]:
+    if not result.failures:
+        return []
+    named = "; ".join(f"{item.name}: {item.reason}" for item in result.failures)
+    count = len(result.failures)
+    return [
+        Remark(
+            Severity.WARNING,
+            "heldout_failed",
+            f"{count} of {count + len(result.heldout)} held-out presses could not be rendered and "
+            f"count as the bare background: {named}",
+        )
+    ]
+
+
 def _outliers(result: ColorCalibration) -> list[Remark]:
-    values = result.cross_validated_l1 or {
-        item.name: score.disc_l1
-        for item, score in zip(result.heldout, result.heldout_counted(), strict=True)
-    }
+    values = {**result.left_out_l1, **result.heldout_l1()}
     if len(values) < 5:
         return []
     median = float(np.median(list(values.values())))
@@ -122,7 +135,7 @@ def _circles(result: ColorCalibration) -> list[Remark]:
         )
     far = [
         name
-        for name, a, b in zip(result.press_names, result.start_circles, result.circles, strict=True)
+        for name, a, b in zip(result.train_names, result.start_circles, result.circles, strict=True)
         if np.hypot(b.u_px - a.u_px, b.v_px - a.v_px) > max(4.0, MOVED_RADII * a.radius_px)
     ]
     if far:
@@ -171,7 +184,7 @@ def _light(result: ColorCalibration) -> list[Remark]:
 def _spread(result: ColorCalibration) -> list[Remark]:
     if result.spread is None or not result.validated:
         return []
-    error = mean_score([result.counted(item) for item in result.validated])["disc_l1"]
+    error = float(np.mean(list(result.left_out_l1.values())))
     if result.spread.disc_levels < UNSURE_SHARE * error:
         return []
     return [

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.color_result import ColorCalibration, HeldoutRender
+from calibration.color_heldout import HeldoutPress, Placed, mean_bare
+from calibration.color_result import ColorCalibration
 from calibration.evaluate import ImageScore, crop_slices, mean_score
 from calibration.report import Page, Picture, Table
 from taccel_lab.interop.taxim_table_file import TABLE_FILE, TableFile, write_table
@@ -40,8 +41,9 @@ def color_page(result: ColorCalibration) -> Page:
             Picture(
                 "heldout",
                 partial(draw_heldout, result),
-                "Held-out presses from the worst to the best: capture, render, mean absolute error "
-                "over the channels. The circle is the one in which figures are taken.",
+                "Held-out presses from the worst to the best, placed as the quoted figures have "
+                "them: capture, render, mean absolute error over the channels. The circle is the "
+                "one in which figures are taken.",
             )
         )
     pictures += [
@@ -73,25 +75,31 @@ def _files(result: ColorCalibration) -> dict[str, Callable[[Path], None]]:
         return {}
     figures: dict[str, float] = {}
     if result.table_scores:
-        scores = mean_score([result.counted(item) for item in result.table_scores])
+        scores = mean_score([item.score for item in result.table_scores])
         figures = {f"heldout_{key}": scores[key] for key, _ in FIGURES}
         figures["heldout_presses"] = float(len(result.table_scores))
     size = (result.grid.width_px, result.grid.height_px)
     return {TABLE_FILE: partial(write_table, TableFile(result.table, size, figures))}
 
 
+PLACED_BY = {
+    "label": "placed by label",
+    "tiles": "by even tiles, odd scored",
+    "self": "placed by itself",
+}
+"""Columns of the held-out presses by how they were placed."""
+
+
 def figure_columns(result: ColorCalibration) -> dict[str, dict[str, float]]:
-    """Mean figures by what was rendered, for tables."""
-    columns: dict[str, list[ImageScore]] = {}
-    if result.heldout:
-        columns["rendered"] = [item.score for item in result.heldout]
-        columns["drift corrected"] = [item.score_drift_corrected for item in result.heldout]
-        columns["background only"] = [item.background_only for item in result.heldout]
+    """Mean figures by what was rendered, for tables; those that are quoted first."""
+    columns: dict[str, dict[str, float]] = {}
+    if result.has_scores:
+        for way in result.placements:
+            columns[PLACED_BY[way]] = result.heldout_means(way)
+        columns["background only"] = mean_bare(result.heldout, result.failures)
     if result.table_scores:
-        columns["Taxim's table"] = [result.counted(item) for item in result.table_scores]
-    if result.validated:
-        columns["cross-validated, all"] = [result.counted(item) for item in result.validated]
-    return {name: mean_score(scores) for name, scores in columns.items()}
+        columns["Taxim's table"] = mean_score([item.score for item in result.table_scores])
+    return columns
 
 
 def _summary(result: ColorCalibration) -> str:
@@ -101,11 +109,13 @@ def _summary(result: ColorCalibration) -> str:
         f"A network of {network} units was fitted to {len(result.train_names)} presses in "
         f"{result.fit.seconds:.0f} s; surfaces: {result.surface_provider}."
     ]
-    if result.heldout:
-        score = mean_score(result.heldout_counted())
+    if result.has_scores:
+        score = result.heldout_means()
         light = " in the light of each capture" if result.drift_corrected else ""
+        failed = f" ({len(result.failures)} of them failed)" if result.failures else ""
         parts.append(
-            f"{len(result.heldout)} presses that it never saw are rendered{light} at "
+            f"{len(result.heldout) + len(result.failures)} presses that nothing had seen before "
+            f"the model was frozen{failed} are rendered{light}, {PLACED_BY[result.placement]}, at "
             f"{score['crop_psnr_db']:.1f} dB in the crop around the contact and "
             f"{score['disc_l1']:.2f} levels of error inside it."
         )
@@ -127,9 +137,10 @@ def _tables(result: ColorCalibration) -> list[Table]:
                 "Figures",
                 ("figure", *columns),
                 [(label, *(column[key] for column in columns.values())) for key, label in FIGURES],
-                "Drift corrected: the render in the capture's own light, fitted beyond 3 contact "
-                "radii. Cross-validated: every press by a fit without it."
-                + (" Light drifts here, so that drift-corrected figures count in the last columns."
+                "Held-out presses; the first column is the one to quote. By label: where the label "
+                "puts the ball, plus the mean shift of the training labels. By itself: on the very "
+                "pixels that are scored, which flatters. Failures count as the bare background."
+                + (" Renders are in the capture's own light, fitted beyond 3 contact radii."
                    if result.drift_corrected else ""),
             )
         )  # fmt: skip
@@ -154,39 +165,40 @@ def _tables(result: ColorCalibration) -> list[Table]:
                         for scale, loss in losses
                     ),
                 ],
-                "Each press is placed by a fit that did not see it; held-out presses by the "
-                "finished model.",
+                "Each training press is placed by a fit to the other half of them.",
             )
         )
     return tables
 
 
 def _press_table(result: ColorCalibration) -> Table:
-    if result.validated:
-        scores = {item.name: result.counted(item) for item in result.validated}
-        title, caption = "Presses, by fits without them", "Worst first."
-    else:
-        scores = {
-            item.name: score
-            for item, score in zip(result.heldout, result.heldout_counted(), strict=True)
-        }
-        title, caption = "Held-out presses", "Worst first."
-    circles = dict(zip(result.press_names, result.circles, strict=True))
-    order = sorted(scores, key=lambda name: scores[name].crop_psnr_db)
+    rows = [
+        (item.name, "held out", _quoted(result, item).circle, _quoted(result, item).score)
+        for item in result.heldout
+    ]
+    rows += [
+        (item.name, "left out of a fit", circle, item.score)
+        for item, circle in zip(result.validated, result.circles, strict=False)
+    ]
+    rows.sort(key=lambda row: row[3].crop_psnr_db)
     return Table(
-        title,
-        ("press", "u [px]", "v [px]", "radius [px]", "PSNR crop [dB]", "SSIM crop", "L1 disc",
+        "Presses that the model rendering them never saw",
+        ("press", "", "u [px]", "v [px]", "radius [px]", "PSNR crop [dB]", "SSIM crop", "L1 disc",
          "L1 crop"),
         [
             (
-                name, circles[name].u_px, circles[name].v_px, circles[name].radius_px,
-                scores[name].crop_psnr_db, scores[name].crop_ssim, scores[name].disc_l1,
-                scores[name].crop_l1,
+                name, kind, circle.u_px, circle.v_px, circle.radius_px, score.crop_psnr_db,
+                score.crop_ssim, score.disc_l1, score.crop_l1,
             )
-            for name in order
+            for name, kind, circle, score in rows
         ],
-        caption,
+        "Worst first. Training presses that were left out of a fit are placed by the colours of "
+        "the others and tell which capture is off; only held-out ones are scores.",
     )  # fmt: skip
+
+
+def _quoted(result: ColorCalibration, item: HeldoutPress) -> Placed:
+    return item.placed[result.placement]
 
 
 @in_report_style
@@ -199,7 +211,7 @@ def draw_heldout(result: ColorCalibration) -> Figure:
     shown = None
     for column, (item, score) in enumerate(items):
         rows, columns = crop_slices(item.circle, result.grid)
-        render = item.corrected if result.drift_corrected else item.rendered
+        render = _quoted(result, item).shown
         error = np.abs(item.captured.astype(float) - render).mean(axis=-1)
         for axis, image in zip(axes[:2, column], (item.captured, render), strict=True):
             axis.imshow(np.clip(image[rows, columns] / 255.0, 0, 1))
@@ -223,11 +235,9 @@ def draw_heldout(result: ColorCalibration) -> Figure:
     return figure
 
 
-def _chosen(result: ColorCalibration) -> list[tuple[HeldoutRender, ImageScore]]:
-    pairs = sorted(
-        zip(result.heldout, result.heldout_counted(), strict=True),
-        key=lambda pair: pair[1].crop_psnr_db,
-    )
+def _chosen(result: ColorCalibration) -> list[tuple[HeldoutPress, ImageScore]]:
+    pairs = [(item, _quoted(result, item).score) for item in result.heldout]
+    pairs.sort(key=lambda pair: pair[1].crop_psnr_db)
     places = np.unique(np.linspace(0, len(pairs) - 1, min(SHOWN, len(pairs))).round().astype(int))
     return [pairs[i] for i in places]
 
@@ -244,17 +254,16 @@ def draw_coverage(result: ColorCalibration) -> Figure:
     from matplotlib.patches import Ellipse
 
     grid = result.grid
-    errors: dict[str, float] = result.cross_validated_l1 or {
-        item.name: score.disc_l1
-        for item, score in zip(result.heldout, result.heldout_counted(), strict=True)
-    }
+    errors = {**result.left_out_l1, **result.heldout_l1()}
+    contacts = dict(zip(result.train_names, result.circles, strict=True))
+    contacts |= {item.name: _quoted(result, item).circle for item in result.heldout}
     height = 6.4 * min(1.25, grid.height_px / grid.width_px)
     figure, axis = new_figure(7.6, height + 0.5)
     axis.imshow(np.clip(result.fit.background / 255.0, 0, 1))
     limits = (min(errors.values(), default=0.0), max(errors.values(), default=1.0))
     scale = ScalarMappable(Normalize(*limits), "plasma")
     ratio = grid.mm_per_px_x / grid.mm_per_px_y
-    for name, circle in zip(result.press_names, result.circles, strict=True):
+    for name, circle in contacts.items():
         color: Any = scale.to_rgba(np.array(errors[name])) if name in errors else GREY
         size = 2 * circle.radius_px
         axis.add_patch(

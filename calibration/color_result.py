@@ -9,44 +9,31 @@ from typing import Any
 import numpy as np
 
 from calibration.capture.captures import ContactCircle
+from calibration.capture.split import PressSplit
+from calibration.color_heldout import (
+    PLACEMENTS,
+    HeldoutFailure,
+    HeldoutPress,
+    Placement,
+    mean_bare,
+    mean_heldout,
+)
 from calibration.color_remarks import color_remarks
 from calibration.estimators.color import ColorFit, DriftChoice, Registration
 from calibration.evaluate import ImageScore, mean_score
 from calibration.result import Remark, judge
+from calibration.targets.label_placement import LabelPlacement
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 
 
 @dataclass(frozen=True)
-class HeldoutRender:
-    """A press the fit never saw: capture, render and figures."""
-
-    name: str
-    captured: np.ndarray
-    """RGB uint8, shape [height_px, width_px, 3]."""
-    rendered: np.ndarray
-    """RGB levels, float32, same shape."""
-    corrected: np.ndarray
-    """The render in the capture's light: drift fitted beyond 3 contact radii applied."""
-    circle: ContactCircle
-    """Circle in which the figures are taken."""
-    score: ImageScore
-    score_drift_corrected: ImageScore
-    """Of ``corrected``."""
-    background_only: ImageScore
-    """The captured background alone against the capture."""
-
-
-@dataclass(frozen=True)
 class PressScore:
-    """Figures of one press by a fit that never saw it."""
+    """Figures of one press, in the light of the capture where the fit took drift off."""
 
     name: str
-    plain: ImageScore
-    corrected: ImageScore
-    """With the capture's drift applied to the render."""
-    corrected_image: np.ndarray
+    score: ImageScore
 
 
 @dataclass(frozen=True)
@@ -65,7 +52,13 @@ class ColorCalibration:
     """Result of ``calibrate_color``."""
 
     fit: ColorFit
-    heldout: list[HeldoutRender]
+    heldout: list[HeldoutPress]
+    """Presses that were held out and could be rendered."""
+    failures: list[HeldoutFailure]
+    """Presses that were held out and could not: they count as the bare background."""
+    split: PressSplit | None
+    """How the held-out presses were chosen; None where there are none."""
+    label_shift: LabelPlacement
     train_names: list[str]
     noise_floor_l1: float
     """Mean difference of captures to the background beyond 3 contact radii [levels]; NaN when no
@@ -78,13 +71,13 @@ class ColorCalibration:
     valid_region: dict[str, tuple[float, float]]
     """Range of contact positions, tilts and displacements in the training presses."""
     circles: tuple[ContactCircle, ...]
-    """Circles that the surfaces belong to, of all presses in order."""
+    """Circles that the surfaces belong to, of the training presses in order."""
     start_circles: tuple[ContactCircle, ...]
-    """Circles that were simulated."""
-    press_names: tuple[str, ...]
+    """Circles of theirs that were simulated."""
     grid: PixelGrid
     validated: list[PressScore] = field(default_factory=list)
-    """All presses by fits without them; empty if not asked."""
+    """Training presses by fits without them, in the circles that the colours gave them: which are
+    worst, no score. Empty if not asked."""
     drift_choice: DriftChoice | None = None
     """None where the options alone said whether drift is taken off."""
     registration: Registration | None = None
@@ -103,20 +96,33 @@ class ColorCalibration:
         return self.fit.options.remove_drift
 
     @property
-    def cross_validated_l1(self) -> dict[str, float]:
-        """L1 in the disc of each press by a fit without it [levels]; empty if not asked."""
-        return {item.name: self.counted(item).disc_l1 for item in self.validated}
+    def left_out_l1(self) -> dict[str, float]:
+        """L1 in the disc of each training press by a fit without it [levels]; empty if not
+        asked."""
+        return {item.name: item.score.disc_l1 for item in self.validated}
 
-    def counted(self, item: PressScore) -> ImageScore:
-        """The figures that count: in the capture's light where drift was taken off."""
-        return item.corrected if self.drift_corrected else item.plain
+    @property
+    def has_scores(self) -> bool:
+        """Whether there are figures of held-out presses, be they of failures."""
+        return bool(self.heldout) or any(item.background_only for item in self.failures)
 
-    def heldout_counted(self) -> list[ImageScore]:
-        """The figures that count of the held-out presses."""
-        return [
-            item.score_drift_corrected if self.drift_corrected else item.score
-            for item in self.heldout
-        ]
+    @property
+    def placement(self) -> Placement:
+        """How the presses of the quoted figures were placed (``color_heldout``)."""
+        return "label" if all("label" in item.placed for item in self.heldout) else "tiles"
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """All ways in which the held-out presses were placed, the strictest first."""
+        return tuple(p for p in PLACEMENTS if all(p in item.placed for item in self.heldout))
+
+    def heldout_means(self, placement: Placement | None = None) -> dict[str, float]:
+        """Mean figures of the held-out presses, failures as the bare background."""
+        return mean_heldout(self.heldout, self.failures, placement or self.placement)
+
+    def heldout_l1(self) -> dict[str, float]:
+        """L1 in the disc of each held-out press, as quoted [levels]."""
+        return {item.name: item.placed[self.placement].score.disc_l1 for item in self.heldout}
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
@@ -126,36 +132,54 @@ class ColorCalibration:
     def figures(self) -> dict[str, Any]:
         """Means over the held-out presses and the table of presses, worst crop PSNR first."""
         common = self._common_figures()
-        if not self.heldout:
+        if not self.has_scores:
             return {"heldout": None, "background_only": None, "presses": [], **common}
-        worst_first = sorted(self.heldout, key=lambda item: item.score.crop_psnr_db)
+        way = self.placement
+        worst_first = sorted(self.heldout, key=lambda item: item.placed[way].score.crop_psnr_db)
         return {
-            "heldout": mean_score([item.score for item in self.heldout]),
-            "heldout_drift_corrected": mean_score(
-                [item.score_drift_corrected for item in self.heldout]
-            ),
-            "background_only": mean_score([item.background_only for item in self.heldout]),
-            "presses": [{"name": item.name, **vars(item.score)} for item in worst_first],
+            "heldout": self.heldout_means(),
+            "heldout_placed_by": way,
+            "heldout_by": {name: self.heldout_means(name) for name in self.placements},
+            "background_only": mean_bare(self.heldout, self.failures),
+            "presses": [
+                {
+                    "name": item.name,
+                    **vars(item.placed[way].score),
+                    "crop_psnr_db_by": {
+                        name: item.placed[name].score.crop_psnr_db for name in self.placements
+                    },
+                }
+                for item in worst_first
+            ],
             **common,
         }
 
     def _common_figures(self) -> dict[str, Any]:
         found: dict[str, Any] = {
+            "failures": {item.name: item.reason for item in self.failures},
+            "heldout_failed": len(self.failures),
             "noise_floor_l1": self.noise_floor_l1,
             "train_disc_l1": self.fit.disc_l1_train,
-            "cross_validated_disc_l1": self.cross_validated_l1,
+            "left_out_disc_l1": self.left_out_l1,
             "loss_curve": self.fit.loss_curve,
             "fit_seconds": self.fit.seconds,
             "drift_removed": self.drift_corrected,
         }
-        if self.validated:
-            found["cross_validated"] = mean_score([self.counted(item) for item in self.validated])
+        if self.split is not None:
+            found["split"] = self.split.figures()
+        if self.label_shift.count:
+            found["label_shift"] = {
+                "mean_px": self.label_shift.mean_px.tolist(),
+                "radius_slope": self.label_shift.radius_slope,
+                "deviation_px": self.label_shift.deviation_px.tolist(),
+                "presses": self.label_shift.count,
+            }
         if self.drift_choice is not None:
             found["drift_choice"] = asdict(self.drift_choice)
         if self.spread is not None:
             found["spread"] = asdict(self.spread)
         if self.table_scores:
-            found["taxim_table"] = mean_score([self.counted(item) for item in self.table_scores])
+            found["taxim_table"] = mean_score([item.score for item in self.table_scores])
         if self.registration is not None:
             found["circles"] = {
                 "scale": self.registration.scale,
@@ -164,7 +188,7 @@ class ColorCalibration:
                 **self.circle_changes(),
                 "presses": {
                     name: {"u_px": c.u_px, "v_px": c.v_px, "radius_px": c.radius_px}
-                    for name, c in zip(self.press_names, self.circles, strict=True)
+                    for name, c in zip(self.train_names, self.circles, strict=True)
                 },
             }
         return found
@@ -217,20 +241,19 @@ class ColorCalibration:
         train = list(self.fit.disc_l1_train.values())
         residuals = {"train_disc_l1_levels": float(np.mean(train))}
         spread = {"train_disc_l1_levels": float(np.std(train))}
-        if self.heldout:
-            for key, value in mean_score([item.score for item in self.heldout]).items():
+        if self.has_scores:
+            for key, value in self.heldout_means().items():
                 residuals[f"heldout_{key}"] = value
-            disc = [item.score.disc_l1 for item in self.heldout]
-            spread["heldout_disc_l1_levels"] = float(np.std(disc))
-            if self.drift_corrected:
-                for key, value in mean_score(self.heldout_counted()).items():
-                    residuals[f"heldout_drift_corrected_{key}"] = value
+            if self.heldout:
+                spread["heldout_disc_l1_levels"] = float(np.std(list(self.heldout_l1().values())))
+            residuals["heldout_self_placed_crop_psnr_db"] = self.heldout_means("self")[
+                "crop_psnr_db"
+            ]
+            residuals["heldout_failures"] = float(len(self.failures))
         if self.validated:
-            for key, value in mean_score([self.counted(v) for v in self.validated]).items():
-                residuals[f"cross_validated_{key}"] = value
-            values = list(self.cross_validated_l1.values())
-            residuals["cross_validated_disc_l1_levels"] = float(np.mean(values))
-            spread["cross_validated_disc_l1_levels"] = float(np.std(values))
+            values = list(self.left_out_l1.values())
+            residuals["left_out_disc_l1_levels"] = float(np.mean(values))
+            spread["left_out_disc_l1_levels"] = float(np.std(values))
         if self.spread is not None:
             spread["ensemble_disc_levels"] = self.spread.disc_levels
             spread["ensemble_ring_levels"] = self.spread.ring_levels
@@ -261,4 +284,10 @@ class ColorCalibration:
             parts.append("drift of the light taken off each frame")
         if self.registration is not None:
             parts.append("contact circles read again with the colours of the other presses")
+        if self.split is not None and self.has_scores:
+            parts.append(
+                f"{len(self.split.heldout) + len(self.split.gone)} presses held out by "
+                f"{self.split.by} (SHA-256 of their names {self.split.sha256[:16]}), placed by "
+                f"{self.placement}, {len(self.failures)} failed"
+            )
         return "; ".join(parts)

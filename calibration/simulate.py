@@ -51,6 +51,7 @@ def simulate_presses(
     processes: int | None = None,
     cache: bool = False,
     share: bool = False,
+    laws: dict[float, SharedLaw] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[PressSurface]:
     """Simulate the presses of ``captures`` and return their surfaces in order.
@@ -67,6 +68,8 @@ def simulate_presses(
         cache: Keep the outcomes in the user's cache folder, and take what is there.
         share: Simulate the presses of a ball that span the others only, and read the others off
             them, where one law explains those that were simulated (``surfaces.between``).
+        laws: With ``share``, the laws of earlier presses of this sensor by the radius of the ball
+            [mm]: they serve these presses too, and new ones are added.
         progress: Told how many presses are done, and of how many.
 
     Raises:
@@ -83,8 +86,9 @@ def simulate_presses(
         captures, circles, profile, physics, friction_coefficient, processes, cache, progress
     )
     if share:
-        for chosen in _of_ball(captures).values():
-            job.share(chosen)
+        laws = {} if laws is None else laws
+        for ball_mm, chosen in _of_ball(captures).items():
+            job.share(ball_mm, chosen, laws)
     job.simulate(range(len(circles)))
     return [surface for surface in job.surfaces if surface is not None]
 
@@ -109,24 +113,25 @@ class _Job:
         self.processes, self.cache, self.progress = processes, cache, progress
         self.surfaces: list[PressSurface | None] = [None] * len(circles)
 
-    def share(self, presses: Sequence[int]) -> None:
-        """Simulate those that span presses of one ball; the others too where one law holds."""
-        if len(presses) < SPANNING + MIN_OTHERS:
-            return
+    def share(self, ball_mm: float, presses: Sequence[int], laws: dict[float, SharedLaw]) -> None:
+        """Read presses of one ball off the law where it holds; without one, simulate those that
+        span them to find it."""
         circles = [self.circles[i] for i in presses]
-        spanning = [presses[k] for k in spanning_presses(circles)]
-        self.simulate(spanning, SPANNING_BATCH)
         grid = self.captures.grid
-        known = [surface for i in spanning if (surface := self.surfaces[i]) is not None]
-        law = SharedLaw.of(known, [self.circles[i] for i in spanning], grid)
-        if not law.holds:
+        if ball_mm not in laws:
+            if len(presses) < SPANNING + MIN_OTHERS:
+                return
+            spanning = [presses[k] for k in spanning_presses(circles)]
+            self.simulate(spanning, SPANNING_BATCH)
+            known = [surface for i in spanning if (surface := self.surfaces[i]) is not None]
+            laws[ball_mm] = SharedLaw.of(known, [self.circles[i] for i in spanning], grid)
+        if not laws[ball_mm].holds:
             return
-        press = self.captures.presses[presses[0]]
-        ball_px = (press.radius_mm or self.captures.ball_radius_mm) / grid.mm_per_px_x
+        ball_px = ball_mm / grid.mm_per_px_x
         for i, circle in zip(presses, circles, strict=True):
             if self.surfaces[i] is None:
                 radius_px = min(circle.radius_px, EQUATOR_SHARE * ball_px)
-                self.surfaces[i] = law.surface(circle, radius_px)
+                self.surfaces[i] = laws[ball_mm].surface(circle, radius_px)
         self._tell()
 
     def simulate(self, presses: Sequence[int], size: int | None = None) -> None:

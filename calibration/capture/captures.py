@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.capture.split import PressSplit, split_presses
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -77,6 +78,8 @@ class CaptureSet:
     grid: PixelGrid
     presses: tuple[Press, ...]
     provenance: dict[str, str]
+    heldout: tuple[str, ...] | None = None
+    """Names of the presses that the manifest holds out; None where it leaves that to the rule."""
 
     def __post_init__(self) -> None:
         if not self.presses:
@@ -95,24 +98,13 @@ class CaptureSet:
         """SHA-256 of every input by name, the background under ``background``."""
         return {"background": self.background_sha256} | {p.name: p.sha256 for p in self.presses}
 
-    def split(self, holdout_every: int) -> tuple[list[int], list[int]]:
-        """Indices of the presses to fit and to hold out.
+    def split(self, holdout_every: int) -> PressSplit:
+        """Presses to fit and to hold out, by names and labels alone (``split_presses``)."""
+        return split_presses(self.presses, holdout_every, self.heldout, self.source)
 
-        Every ``holdout_every``-th press is held out: 4 gives 3, 7, 11, ...; 0 holds none out.
-        """
-        if holdout_every == 0:
-            return list(range(len(self.presses))), []
-        if holdout_every < 2:
-            raise InputError(f"holdout_every must be 0 or at least 2, got {holdout_every}")
-        held = list(range(holdout_every - 1, len(self.presses), holdout_every))
-        if not held:
-            count = len(self.presses)
-            or_fewer = f" or 2 to {count}" if count > 2 else " or 2" if count == 2 else ""
-            raise InputError(
-                f"{self.source} holds {count} press{'es' if count != 1 else ''}, too few to hold "
-                f"out every {holdout_every}th; give more captures, or holdout_every of 0{or_fewer}"
-            )
-        return [i for i in range(len(self.presses)) if i not in held], held
+    def only(self, indices: Sequence[int]) -> CaptureSet:
+        """The set with some of its presses, in the order given."""
+        return replace(self, presses=tuple(self.presses[i] for i in indices))
 
 
 def check_circle(

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from calibration.capture.captures import CaptureSet, Press
 from calibration.capture.schema import BoardEntry, EdgeEntry, LandmarkEntry, RecordEntry, VideoEntry
+from calibration.capture.split import HOLDOUT_EVERY, PressSplit, split_presses
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -119,6 +120,20 @@ class CaptureFolder:
     markers: MarkerCaptures | None = None
     records: tuple[ForceRecord, ...] = ()
     provenance: dict[str, str] = field(default_factory=dict)
+    heldout: tuple[str, ...] | None = None
+    """Names of the presses that the manifest holds out; None where it leaves that to the rule."""
+
+    def split(self, holdout_every: int = HOLDOUT_EVERY) -> PressSplit:
+        """Presses to fit and to hold out, by names and labels alone (``split_presses``)."""
+        return split_presses(self.presses, holdout_every, self.heldout, self.source)
+
+    def fitted(self, holdout_every: int = HOLDOUT_EVERY) -> CaptureFolder:
+        """The folder without its held-out presses, for stages that only fit: with too few presses
+        to hold one out, it is the whole."""
+        if len(self.presses) < holdout_every:
+            return self
+        train = self.split(holdout_every).train
+        return replace(self, presses=tuple(self.presses[i] for i in train))
 
     def contents(self) -> dict[str, int]:
         """How many there are of each kind of capture."""
@@ -188,6 +203,8 @@ class CaptureFolder:
                 f"{self.source} holds no press of a ball of {radius:g} mm; the balls are of "
                 f"{', '.join(f'{r:g}' for r in self.ball_radii_mm())} mm"
             )
+        stated = self.heldout
+        of_others = {press.name for press in self.presses} - {press.name for press in presses}
         provenance = dict(self.provenance)
         if len(presses) < len(self.presses):
             provenance["left_out"] = f"{len(self.presses) - len(presses)} presses of other balls"
@@ -203,4 +220,5 @@ class CaptureFolder:
             grid=self.grid(mm_per_px),
             presses=presses,
             provenance=provenance,
+            heldout=None if stated is None else tuple(n for n in stated if n not in of_others),
         )

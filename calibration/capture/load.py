@@ -164,7 +164,22 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         else load_markers(folder, manifest.markers, background),
         records=tuple(load_record(folder, entry) for entry in manifest.records),
         provenance=provenance,
+        heldout=_heldout(manifest, manifest_path),
     )
+
+
+def _heldout(manifest: CaptureManifest, path: Path) -> tuple[str, ...] | None:
+    """Names that the manifest holds out; each has to be one of its presses."""
+    if manifest.split is None:
+        return None
+    known = {entry.name or Path(entry.image).stem for entry in manifest.presses}
+    unknown = [name for name in manifest.split.heldout if name not in known]
+    if unknown:
+        raise InputError(
+            f"{path}: [split] holds out {', '.join(unknown)}, but there is no such press; names "
+            "are those of the presses, or the stems of their images"
+        )
+    return tuple(manifest.split.heldout)
 
 
 def _load_mask(folder: Path, name: str | None, background: Frame | None) -> np.ndarray | None:

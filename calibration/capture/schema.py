@@ -174,6 +174,13 @@ class RecordEntry(_Strict):
     """Standard deviation of a force reading [N]."""
 
 
+class SplitEntry(_Strict):
+    """Which presses are held out for the figures, frozen before any image was looked at."""
+
+    heldout: list[str] = Field(min_length=1)
+    """Names of presses."""
+
+
 class CaptureManifest(_Strict):
     """Contents of ``captures.toml``, version 2; every part is optional but ``sensor``."""
 
@@ -200,6 +207,8 @@ class CaptureManifest(_Strict):
     """SHA-256 of the files that these were made of, by name (taccel-lab capture rectify)."""
     indenter: SphereIndenter | None = None
     presses: list[SpherePress] = Field(default_factory=list)
+    split: SplitEntry | None = None
+    """Presses that are held out; chosen by names and labels when missing."""
     boards: list[BoardEntry] = Field(default_factory=list)
     edges: list[EdgeEntry] = Field(default_factory=list)
     landmarks: list[LandmarkEntry] = Field(default_factory=list)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Captures of ball presses to the profile block ``normals``: colour and pixel to surface normal.
 
-Presses are split into those that are fitted and those that are held out; all figures are those of
-held-out presses, in the circles given with them and in those that were used.
+All figures are those of held-out presses, chosen before any image was read and read when the model
+is frozen: in the circles given with them, and in those as the training presses say that labels lie.
 """
 
 from __future__ import annotations
@@ -14,19 +14,23 @@ from typing import Any, Literal
 import numpy as np
 
 from calibration.background import fit_robust_drift
-from calibration.capture.captures import CaptureSet, ContactCircle
+from calibration.capture.captures import CaptureSet, ContactCircle, Press
+from calibration.capture.split import PressSplit
 from calibration.inverse.fit import InverseFit, InverseFitOptions, Progress, fit_normal_model
 from calibration.inverse.remarks import remarks_of
 from calibration.inverse.samples import FLAT_RADII, InverseFrame, Scene, usable_pixels
 from calibration.inverse.score import (
     HeldoutNormals,
     Reliability,
+    flat_guess,
     mean_of,
     reliability_of,
     score_heldout,
 )
 from calibration.result import Remark, judge
 from calibration.surfaces.types import PressSurface
+from calibration.targets import detect_contact
+from calibration.targets.label_placement import LabelPlacement
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, NormalsBlock, Provenance, SensorProfile
 
@@ -46,6 +50,10 @@ class NormalCalibration:
     background: np.ndarray
     """RGB levels, uint8, shape [height_px, width_px, 3]."""
     heldout: tuple[HeldoutNormals, ...]
+    failures: dict[str, str]
+    """Held-out presses that could not be read, and why: they count as a flat guess."""
+    split: PressSplit | None
+    """How the held-out presses were chosen; None where there are none."""
     baseline_deg: float | None
     """Mean held-out error of the single-pixel baseline in the circles as used [degrees]."""
     reliability: Reliability | None
@@ -62,6 +70,11 @@ class NormalCalibration:
     valid_region: dict[str, tuple[float, float]]
     remarks: tuple[Remark, ...] = ()
 
+    def heldout_means(self, circles: Literal["given", "used"]) -> dict[str, float]:
+        """Mean figures of the held-out presses, failures as flat guesses."""
+        scores = [getattr(item, circles) for item in self.heldout]
+        return mean_of(scores + [flat_guess(scores)] * len(self.failures))
+
     def figures(self) -> dict[str, Any]:
         """Means over the held-out presses and the table of presses, worst first."""
         rows = [
@@ -71,13 +84,15 @@ class NormalCalibration:
         held: dict[str, Any] | None = None
         if self.heldout:
             held = {
-                "in_given_circles": mean_of([item.given for item in self.heldout]),
-                "in_used_circles": mean_of([item.used for item in self.heldout]),
+                "in_given_circles": self.heldout_means("given"),
+                "in_used_circles": self.heldout_means("used"),
             }
         return {
             "verdict": judge(self.remarks),
             "remarks": [str(remark) for remark in self.remarks],
             "heldout": held,
+            "split": None if self.split is None else self.split.figures(),
+            "failures": self.failures,
             "pixel_baseline_deg": self.baseline_deg,
             "reliability": None if self.reliability is None else asdict(self.reliability),
             "presses": rows,
@@ -120,10 +135,10 @@ class NormalCalibration:
             residuals["left_out_angle_deg"] = float(np.mean(left_out))
             spread["left_out_angle_deg"] = float(np.std(left_out))
         if self.heldout:
-            for key, value in mean_of([item.used for item in self.heldout]).items():
+            for key, value in self.heldout_means("used").items():
                 residuals[f"heldout_{key}"] = value
-            given = [item.given.mean_deg for item in self.heldout]
-            residuals["heldout_in_given_circles_deg"] = float(np.mean(given))
+            residuals["heldout_in_given_circles_deg"] = self.heldout_means("given")["mean_deg"]
+            residuals["heldout_failures"] = float(len(self.failures))
             spread["heldout_angle_deg"] = float(np.std([i.used.mean_deg for i in self.heldout]))
         if not residuals:
             residuals["train_angle_deg"] = self.fit.curve[-1][1]
@@ -155,22 +170,25 @@ def calibrate_normals(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],
     surfaces: Sequence[PressSurface] | None = None,
+    heldout: CaptureSet | None = None,
     *,
+    split: PressSplit | None = None,
     rest_normals: np.ndarray | None = None,
-    holdout_every: int = 4,
     options: InverseFitOptions | None = None,
     drift: DriftMode = "auto",
     baseline: bool = True,
     circle_source: str = "given",
     progress: Progress | None = None,
 ) -> NormalCalibration:
-    """Fit the inverse model to the captures' training presses and score it on the others.
+    """Fit the inverse model to ``captures`` and score it on ``heldout``.
 
     Args:
+        captures: The training presses alone.
         circles: Contact circle of each press, in order.
         surfaces: Gel surface of each press, for the skirt around the contact; None leaves it out.
+        heldout: Presses that are read when the model is frozen; None leaves figures out.
+        split: How these were chosen, for the record.
         rest_normals: Normals of the undeformed face, shape [height_px, width_px, 3]; flat if None.
-        holdout_every: Every how-manieth press is held out.
         drift: Whether each frame is brought to the background's light; ``auto`` looks at the noise.
         baseline: Also fit the single-pixel baseline for comparison.
         circle_source: How the circles were chosen, for the record.
@@ -182,7 +200,6 @@ def calibrate_normals(
             f"{len(captures.presses)} presses need as many circles and surfaces, got "
             f"{len(circles)} and {0 if surfaces is None else len(surfaces)}"
         )
-    train, held = captures.split(holdout_every)
     mask = None if captures.mask.all() else captures.mask
     scene = Scene(
         captures.background.astype(np.float32),
@@ -193,11 +210,22 @@ def calibrate_normals(
     )
     frames, noise, with_drift = _frames(captures, circles, surfaces, scene, drift)
     options = replace(options or InverseFitOptions(), light_drift=with_drift)
-    training = [frames[i] for i in train]
+    training = frames
     fit = fit_normal_model(training, scene, options, progress=progress)
-    items = tuple(
-        score_heldout(fit.model, frames[i], captures.presses[i].circle, scene) for i in held
-    )
+    failures = {} if split is None else dict.fromkeys(split.gone, "it was left out of the captures")
+    items: list[HeldoutNormals] = []
+    labels = LabelPlacement.of(captures.presses, circles)
+    for press in () if heldout is None else heldout.presses:
+        image = press.image().astype(np.float32)
+        try:
+            circle = _placed(press, image, captures, labels)
+        except InputError as error:
+            failures[press.name] = str(error)
+            continue
+        if with_drift:
+            image = _without_drift(image, scene)
+        frame = InverseFrame(press.name, image, circle, press.sha256, None)
+        items.append(score_heldout(fit.model, frame, press.circle, scene))
     baseline_deg = None
     if baseline and items:
         plain = fit_normal_model(training, scene, replace(PIXEL_BASELINE, seed=options.seed))
@@ -206,7 +234,9 @@ def calibrate_normals(
     result = NormalCalibration(
         fit=fit,
         background=captures.background,
-        heldout=items,
+        heldout=tuple(items),
+        failures=failures,
+        split=split,
         baseline_deg=baseline_deg,
         reliability=reliability_of(items) if items else None,
         flat_noise_levels=noise,
@@ -229,10 +259,7 @@ def _frames(
 ) -> tuple[list[InverseFrame], tuple[float, float], bool]:
     """Frames, the noise where the gel is at rest before and after, and whether drift came off."""
     raw = [press.image().astype(np.float32) for press in captures.presses]
-    still = []
-    for image in raw:
-        found = fit_robust_drift(image, captures.background, scene.mask, gradient=False)
-        still.append(found.remove(image).astype(np.float32))
+    still = [_without_drift(image, scene) for image in raw]
     before, after = (
         float(np.median([_flat_noise(im, c, scene) for im, c in zip(images, circles, strict=True)]))
         for images in (raw, still)
@@ -246,6 +273,25 @@ def _frames(
         )
     ]
     return frames, (before, after), with_drift
+
+
+def _without_drift(image: np.ndarray, scene: Scene) -> np.ndarray:
+    """The frame in the light of the background, as the model will see new ones."""
+    found = fit_robust_drift(image, scene.background, scene.mask, gradient=False)
+    return found.remove(image).astype(np.float32)
+
+
+def _placed(
+    press: Press, image: np.ndarray, captures: CaptureSet, labels: LabelPlacement
+) -> ContactCircle:
+    """Circle to judge a held-out press in: by its label, or found without one."""
+    radius_mm = press.radius_mm or captures.ball_radius_mm
+    if press.circle is not None:
+        return labels.applied(press.circle, radius_mm / captures.grid.mm_per_px_x)
+    return detect_contact(
+        image, captures.background, captures.grid, mask=captures.mask, name=press.source,
+        ball_radius_mm=radius_mm,
+    ).circle  # fmt: skip
 
 
 def _flat_noise(image: np.ndarray, circle: ContactCircle, scene: Scene) -> float:

@@ -8,7 +8,6 @@ from functools import partial
 from calibration.inverse.normal_calibration import NormalCalibration
 from calibration.inverse.pictures import draw_errors, draw_reliability, draw_training
 from calibration.inverse.samples import Scene
-from calibration.inverse.score import mean_of
 from calibration.report import Page, Picture, Table
 
 
@@ -58,7 +57,7 @@ def _sentence(result: NormalCalibration) -> str:
     )
     if not result.heldout:
         return text + "No press was held out."
-    scores = mean_of([item.used for item in result.heldout])
+    scores = result.heldout_means("used")
     return text + (
         f"Normals of {len(result.heldout)} held-out presses are off by {scores['mean_deg']:.2f} "
         f"degrees on average (a flat guess by {scores['flat_deg']:.1f}), integrated depths by "
@@ -67,8 +66,8 @@ def _sentence(result: NormalCalibration) -> str:
 
 
 def _summary(result: NormalCalibration) -> Table:
-    given = mean_of([item.given for item in result.heldout])
-    used = mean_of([item.used for item in result.heldout])
+    given = result.heldout_means("given")
+    used = result.heldout_means("used")
     labels = {
         "mean_deg": "normals, mean [deg]",
         "median_deg": "median [deg]",
@@ -84,8 +83,11 @@ def _summary(result: NormalCalibration) -> Table:
         "Held-out presses",
         ["figure", "in the circles used", "in the circles given"],
         rows,
-        "Circles by hand are off by a pixel or more; that error is part of both columns, and the "
-        "larger part of the right one. Depths are aligned on the circle.",
+        "Chosen before any image was read, seen when the model was frozen. Circles used: labels "
+        "as the training presses say that labels lie; found in the image without one. Circles by "
+        "hand are off by a pixel or more; that error is part of both columns. Depths are aligned "
+        "on the circle. Presses that could not be read count as a flat guess: "
+        f"{', '.join(result.failures) or 'none'}.",
     )
 
 

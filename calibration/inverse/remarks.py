@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.inverse.samples import InverseFrame, Scene
-from calibration.inverse.score import mean_of
 from calibration.result import Remark, Severity
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ def remarks_of(
             "no press was held out, so nothing says how well unseen presses are read",
         )
     else:
-        scores = mean_of([item.used for item in result.heldout])
+        scores = result.heldout_means("used")
         share = scores["mean_deg"] / max(scores["flat_deg"], 1e-9)
         if share > GOOD_OVER_FLAT:
             remark(
@@ -64,6 +63,14 @@ def remarks_of(
                 f"{share:.0%} of what a flat guess is off; check the circles, the ball's radius "
                 "and the scale, or give more presses",
             )
+    if result.failures:
+        reasons = "; ".join(f"{name}: {why}" for name, why in result.failures.items())
+        remark(
+            Severity.WARNING,
+            "heldout_failed",
+            f"{len(result.failures)} held-out presses could not be read and count as a flat guess: "
+            f"{reasons}",
+        )
     ratio = None if result.reliability is None else result.reliability.ratio()
     if ratio is not None and not 1 / SURE_RATIO < ratio < SURE_RATIO:
         remark(

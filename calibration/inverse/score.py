@@ -51,7 +51,8 @@ class HeldoutNormals:
     given: AngleScore
     """In the circle given with the press, where there is one, else in that used."""
     used: AngleScore
-    """In the circle that was chosen for this press."""
+    """In the circle that the label puts there as the training presses say (``LabelPlacement``);
+    without a label, in the one found in the image."""
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,13 @@ def reliability_of(items: Sequence[HeldoutNormals]) -> Reliability:
         within_68=float((error <= WITHIN_68 * sigma).mean()),
         within_95=float((error <= radius95).mean()),
     )
+
+
+def flat_guess(scores: Sequence[AngleScore]) -> AngleScore:
+    """What a press counts as that cannot be read: a flat guess on the worst of the others."""
+    flat = max(score.flat_deg for score in scores)
+    depth = max(score.depth_mm for score in scores)
+    return AngleScore(flat, flat, flat, flat, depth, depth)
 
 
 def mean_of(scores: Sequence[AngleScore]) -> dict[str, float]:

@@ -105,16 +105,38 @@ def moved_surfaces(
     circles: Sequence[ContactCircle],
     library: RadialSurfaces,
 ) -> list[PressSurface]:
-    """Surfaces simulated at some circles as if simulated at others near them."""
+    """Surfaces simulated at some circles as if simulated at others near them.
+
+    The travel changes with what the gel sinks at the middle. Nobody simulated the force there: it
+    is NaN, and so is the residual.
+    """
     grid = library.grid
     moved = []
     for surface, at, circle in zip(surfaces, simulated, circles, strict=True):
+        if circle == replace(at, radius_px=surface.contact_radius_px):
+            moved.append(surface)
+            continue
         near = np.flatnonzero(circle.distance_px(grid) <= MOVED_RADII * circle.radius_px)
         normals, height = surface.normals.copy(), surface.height_m.copy()
         found, sunk = MovedPress.of(surface, at, library).at(circle, near)
         normals.reshape(-1, 3)[near] = found
         height.reshape(-1)[near] = surface.rest_height_m.reshape(-1)[near] + sunk * 1e-3
+        middle = np.zeros(1)
+        deeper_mm = (
+            library.profiles_at(surface.contact_radius_px, middle)[1]
+            - library.profiles_at(circle.radius_px, middle)[1]
+        )
         moved.append(
-            replace(surface, normals=normals, height_m=height, contact_radius_px=circle.radius_px)
+            replace(
+                surface,
+                normals=normals,
+                height_m=height,
+                contact_radius_px=circle.radius_px,
+                depth_mm=surface.depth_mm + float(deeper_mm[0]),
+                force_n=math.nan,
+                residual_n=math.nan,
+                provider=f"{surface.provider}, moved",
+                effort=None,
+            )
         )
     return moved

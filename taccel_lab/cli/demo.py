@@ -21,7 +21,6 @@ DEMO_SENSOR = "gelsight"
 DEMO_INDENTER = "sphere:2.0"
 DEMO_AT_MM = (1.0, -0.5)
 """A place where no capture was taken."""
-HOLDOUT_EVERY = 4
 
 
 @dataclass(frozen=True)
@@ -29,9 +28,9 @@ class Demo:
     """Real GelSight captures in, calibrated sensor profile and report out; takes some minutes.
 
     Designs the gel pad, finds the contact circles, simulates every captured press, fits the
-    colour model (every fourth press is held out), exports the profile, presses the calibrated
-    sensor once more and writes report.html and report.json. The captures are the GelSight ball
-    presses of the PyPI package taxim.
+    colour model (a quarter of the presses is held out before any image is read), exports the
+    profile, presses the calibrated sensor once more and writes report.html and report.json. The
+    captures are the GelSight ball presses of the PyPI package taxim.
     """
 
     out: Path = Path("out/demo")
@@ -67,7 +66,8 @@ class Demo:
 
     def _work(self, folder: Path, console: Console, clock: StageClock) -> DemoResults:
         from calibration.capture import find_taxim_pack, load_captures
-        from calibration.color_calibration import calibrate_color
+        from calibration.capture.split import HOLDOUT_EVERY
+        from calibration.color_calibration import HeldoutSet, calibrate_color
         from calibration.estimators.color import ColorFitOptions
         from calibration.simulate import simulate_presses
         from calibration.targets import choose_circles, resolve_contacts
@@ -86,7 +86,8 @@ class Demo:
         check_depth(self.depth_mm, load_sensor(DEMO_SENSOR))
         with clock.stage("loading the captures"):
             captures = load_captures(self.captures or find_taxim_pack())
-            captures.split(HOLDOUT_EVERY)
+            split = captures.split(HOLDOUT_EVERY)
+            training = captures.only(split.train)
         if captures.sensor != DEMO_SENSOR:
             raise InputError(
                 f"{captures.source} was captured with sensor {captures.sensor!r}; the demo takes "
@@ -96,22 +97,26 @@ class Demo:
             design = design_sensor(sensor_family(DEMO_SENSOR), None, folder / "design")
             base = on_grid(design.profile, captures.grid, captures.provenance)
         with clock.stage("finding the contact circles"):
-            contacts = resolve_contacts(captures)
-            circles = choose_circles(captures, contacts)
+            contacts = resolve_contacts(training)
+            circles = choose_circles(training, contacts)
         with (
             clock.stage("simulating the presses", spinner=False),
             count_progress(console, "simulating the presses") as progress,
         ):
-            surfaces = simulate_presses(captures, circles, base, progress=progress)
+            surfaces = simulate_presses(training, circles, base, progress=progress)
         with (
-            clock.stage("fitting the colour model", spinner=False),
+            clock.stage("fitting the colour model and scoring it", spinner=False),
             fit_progress(console, "fitting the colour model") as fit_bar,
         ):
             calibration = calibrate_color(
-                captures,
+                training,
                 circles,
                 surfaces,
-                holdout_every=HOLDOUT_EVERY,
+                HeldoutSet.of(
+                    captures,
+                    split,
+                    lambda presses, places: simulate_presses(presses, places, base),
+                ),
                 options=options,
                 progress=fit_bar,
             )
@@ -121,7 +126,7 @@ class Demo:
         with clock.stage("pressing the calibrated sensor", spinner=False):
             outcome, image = self._press(folder / "profile", folder / "press", console)
         return DemoResults(
-            captures=captures,
+            captures=training,
             design=design,
             contacts=contacts,
             circles=circles,
@@ -177,4 +182,5 @@ def _print_summary(console: Console, values: dict, clock: StageClock) -> None:
     ):
         table.add_row(label, format(held[key], style), format(bare[key], style))
     console.print(table)
+    console.print(f"held-out presses are {values['color']['facts']['held-out presses']}")
     console.print(f"{sum(clock.seconds.values()):.0f} s in all", highlight=False)

@@ -53,6 +53,7 @@ class DemoResults:
     """What the stages of the demo made."""
 
     captures: CaptureSet
+    """The presses that were fitted."""
     design: DesignResult
     contacts: list[DetectedContact]
     circles: list[ContactCircle]
@@ -67,7 +68,8 @@ def build_report(results: DemoResults, seconds: Mapping[str, float]) -> Report:
     """All sections; ``seconds`` are the stages' times."""
     captures = results.captures
     return Report(
-        title=f"{results.profile.sensor.name}: calibrated on {len(captures.presses)} real presses",
+        title=f"{results.profile.sensor.name}: calibrated on {len(captures.presses)} real presses, "
+        f"judged by {_heldout_count(results)} more",
         subtitle=(
             f"ball of {captures.ball_radius_mm:g} mm radius, "
             f"{captures.grid.width_px}x{captures.grid.height_px} px, "
@@ -85,6 +87,10 @@ def build_report(results: DemoResults, seconds: Mapping[str, float]) -> Report:
         remarks=_remarks(results),
         provenance=_provenance(results),
     )
+
+
+def _heldout_count(results: DemoResults) -> int:
+    return len(results.calibration.heldout) + len(results.calibration.failures)
 
 
 def _score(values: Mapping[str, float]) -> ColorScore:
@@ -105,25 +111,28 @@ def _cause(results: DemoResults) -> str:
 
 
 def _color(results: DemoResults) -> ColorSection:
-    from calibration.evaluate import mean_score
+    from calibration.color_heldout import mean_bare
+    from calibration.color_report import PLACED_BY
 
     calibration = results.calibration
+    way = calibration.placement
     frames = tuple(
         HeldoutFrame(
             name=item.name,
             real_rgb=item.captured,
-            rendered_rgb=item.rendered,
+            rendered_rgb=item.placed[way].shown,
             circle_px=(item.circle.u_px, item.circle.v_px, item.circle.radius_px),
-            score=_frame_score(item.score),
+            score=_frame_score(item.placed[way].score),
             background_score=_frame_score(item.background_only),
         )
         for item in calibration.heldout
     )
+    by = {name: calibration.heldout_means(name)["crop_psnr_db"] for name in calibration.placements}
     curve = np.asarray(calibration.fit.loss_curve, dtype=float)
     fit = calibration.fit
     return ColorSection(
-        heldout=_score(mean_score([item.score for item in calibration.heldout])),
-        background_only=_score(mean_score([item.background_only for item in calibration.heldout])),
+        heldout=_score(calibration.heldout_means()),
+        background_only=_score(mean_bare(calibration.heldout, calibration.failures)),
         frames=frames,
         train_count=len(calibration.train_names),
         discs=_discs(results),
@@ -135,6 +144,9 @@ def _color(results: DemoResults) -> ColorSection:
             "parameters": sum(value.size for value in fit.model.weights.values()),
             "fit time [s]": round(fit.seconds, 1),
             "surfaces": calibration.surface_provider,
+            "held-out presses": PLACED_BY[way],
+            **{f"crop PSNR, {PLACED_BY[name]} [dB]": round(by[name], 2) for name in by},
+            "held-out presses that failed": len(calibration.failures),
         },
     )
 

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from calibration.capture import CaptureSet, ContactCircle, Press
+from calibration.color_calibration import HeldoutSet, calibrate_color
+from calibration.color_result import ColorCalibration
 from calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
@@ -78,6 +82,36 @@ def synthetic_captures(
         provenance={},
     )
     return captures, surfaces
+
+
+def true_surfaces(captures: CaptureSet, circles: Sequence[ContactCircle]) -> list[PressSurface]:
+    """The surfaces that presses in these circles have."""
+    return [
+        analytic_surface(circle, captures.grid, captures.ball_radius_mm, decay_mm=1.0)
+        for circle in circles
+    ]
+
+
+def calibrated(
+    captures: CaptureSet,
+    surfaces: Sequence[PressSurface],
+    *,
+    holdout_every: int = 4,
+    heldout_names: tuple[str, ...] | None = None,
+    **more: Any,
+) -> ColorCalibration:
+    """``calibrate_color`` with the labels as circles, the rest of the presses held out."""
+    if heldout_names is not None:
+        captures = replace(captures, heldout=heldout_names)
+    split = captures.split(holdout_every)
+    training = captures.only(split.train)
+    return calibrate_color(
+        training,
+        [press.circle for press in training.presses if press.circle is not None],
+        [surfaces[i] for i in split.train],
+        HeldoutSet.of(captures, split, true_surfaces),
+        **more,
+    )
 
 
 def tiny_profile(grid: PixelGrid) -> SensorProfile:

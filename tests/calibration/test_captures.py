@@ -230,38 +230,8 @@ def test_accepted_circles_fit_image_and_ball(
     assert accepted == fits or near
 
 
-@given(count=st.integers(1, 40), every=st.integers(-2, 45))
-def test_split_is_a_partition(count: int, every: int) -> None:
-    captures = object.__new__(CaptureSet)
-    object.__setattr__(captures, "presses", tuple(range(count)))
-    object.__setattr__(captures, "source", "somewhere")
-    if every < 0 or every == 1 or every > count:
-        with pytest.raises(InputError):
-            captures.split(every)
-        return
-    train, held = captures.split(every)
-    assert sorted(train + held) == list(range(count))
-    assert held == [i for i in range(count) if every and i % every == every - 1]
-
-
-@pytest.mark.parametrize(
-    ("count", "words"),
-    [
-        (1, "holds 1 press, .* holdout_every of 0$"),
-        (2, "holds 2 presses, .* holdout_every of 0 or 2$"),
-        (3, "holdout_every of 0 or 2 to 3$"),
-    ],
-)
-def test_too_few_to_hold_out_says_what_is_allowed(count: int, words: str) -> None:
-    captures = object.__new__(CaptureSet)
-    object.__setattr__(captures, "presses", tuple(range(count)))
-    object.__setattr__(captures, "source", "somewhere")
-    with pytest.raises(InputError, match=words):
-        captures.split(4)
-
-
 def test_taxim_presses(taxim_captures: CaptureSet) -> None:
     assert len(taxim_captures.presses) == 48
     assert taxim_captures.grid == PixelGrid(640, 480, 0.0295, 0.0295)
-    train, held = taxim_captures.split(4)
-    assert held == list(range(3, 48, 4)) and len(train) == 36
+    split = taxim_captures.split(4)
+    assert len(split.train) == 36 and len(split.heldout) == 12 and split.by == "place"

@@ -13,7 +13,7 @@ import torch
 from calibration.background.average import average_background
 from calibration.background.drift import Drift, fit_drift
 from calibration.capture import CaptureSet
-from calibration.color_calibration import calibrate_color
+from calibration.color_calibration import ColorPlan, HeldoutSet, calibrate_color
 from calibration.estimators.color import (
     ColorFitOptions,
     ColorFrame,
@@ -26,10 +26,12 @@ from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from tests.calibration.synthetic import (
     GRID,
+    calibrated,
     flat_background,
     known_change,
     synthetic_captures,
     tiny_profile,
+    true_surfaces,
 )
 
 QUICK = ColorFitOptions(
@@ -53,22 +55,23 @@ def frames_of(captures: CaptureSet, surfaces: list[PressSurface]) -> list[ColorF
 
 def test_round_trip_recovers_the_colour_law() -> None:
     captures, surfaces = synthetic_captures(16, noise=1.0)
-    circles = [press.circle for press in captures.presses if press.circle is not None]
-    result = calibrate_color(captures, circles, surfaces, options=QUICK)
-    assert [item.name for item in result.heldout] == ["p3", "p7", "p11", "p15"]
+    result = calibrated(captures, surfaces, options=QUICK)
+    assert result.split == captures.split(4)
+    assert tuple(item.name for item in result.heldout) == captures.split(4).heldout_names
+    assert result.placement == "label" and result.placements == ("label", "tiles", "self")
     for item in result.heldout:
         surface = surfaces[int(item.name[1:])]
         truth = flat_background() + known_change(surface)
         disc = item.circle.distance_px(GRID) <= item.circle.radius_px
-        # The captures' noise has a mean absolute value of 0.8 levels, the law spans +-60.
-        assert np.abs(item.rendered - truth)[disc].mean() < 1.2
-        assert item.score.crop_psnr_db > item.background_only.crop_psnr_db + 12
-        assert item.score.crop_ssim > item.background_only.crop_ssim
+        for placed in item.placed.values():
+            # The captures' noise has a mean absolute value of 0.8 levels, the law spans +-60.
+            assert np.abs(placed.rendered - truth)[disc].mean() < 1.5
+            assert placed.score.crop_psnr_db > item.background_only.crop_psnr_db + 12
+            assert placed.score.crop_ssim > item.background_only.crop_ssim
     figures = result.figures()
-    assert isinstance(figures["heldout"], dict) and figures["heldout"]["disc_l1"] < 1.6
-    rows = figures["presses"]
-    assert isinstance(rows, list)
-    psnr = [row["crop_psnr_db"] for row in rows]
+    assert figures["heldout"] == figures["heldout_by"]["label"]
+    assert figures["heldout"]["disc_l1"] < 1.6
+    psnr = [row["crop_psnr_db"] for row in figures["presses"]]
     assert psnr == sorted(psnr)
 
 
@@ -176,6 +179,10 @@ def test_bad_fits_are_refused() -> None:
         ColorFitOptions(learning_rate=-1.0)
     with pytest.raises(InputError, match="3 presses need as many circles and surfaces"):
         calibrate_color(captures, [], surfaces)
+    circles = [press.circle for press in captures.presses if press.circle is not None]
+    held = HeldoutSet(captures.only([1]), true_surfaces, captures.split(2))
+    with pytest.raises(InputError, match="p1: held out and fitted at once"):
+        calibrate_color(captures, circles, surfaces, held)
     everything = np.zeros((GRID.height_px, GRID.width_px), dtype=bool)
     with pytest.raises(InputError, match="masked"):
         fit_color_model(
@@ -185,26 +192,29 @@ def test_bad_fits_are_refused() -> None:
 
 def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
     captures, surfaces = synthetic_captures(8)
-    circles = [press.circle for press in captures.presses if press.circle is not None]
-    result = calibrate_color(
-        captures, circles, surfaces, options=dataclasses.replace(QUICK, steps=60), folds=2
+    result = calibrated(
+        captures, surfaces, options=dataclasses.replace(QUICK, steps=60), plan=ColorPlan(folds=2)
     )
     save_profile(result.apply_to(tiny_profile(GRID)), tmp_path / "profile")
     loaded = load_profile(tmp_path / "profile")
     assert loaded.color is not None and loaded.color_weights is not None
     model = ColorModel(ColorModelConfig.from_dict(loaded.color.architecture), loaded.color_weights)
-    item, surface = result.heldout[0], surfaces[3]
+    item = result.heldout[0]
+    (surface,) = true_surfaces(captures, [item.placed["label"].circle])
     assert loaded.background_rgb is not None
     rendered = model.render(
         surface.normals, surface.displacement_mm(), surface.rest_normals, loaded.background_rgb
     )
-    assert np.array_equal(rendered, item.rendered)
+    assert np.array_equal(rendered, item.placed["label"].rendered)
     residuals = loaded.color.provenance.residuals
     assert residuals["heldout_disc_l1"] == pytest.approx(
-        np.mean([held.score.disc_l1 for held in result.heldout])
+        np.mean([held.placed["label"].score.disc_l1 for held in result.heldout])
     )
-    assert "cross_validated_disc_l1_levels" in loaded.color.provenance.spread
-    assert set(loaded.color.provenance.inputs) == {"background", "p0", "p1", "p2", "p4", "p5", "p6"}
+    assert "left_out_disc_l1_levels" in loaded.color.provenance.spread
+    assert result.split is not None
+    fitted = {press.name for press in captures.presses} - set(result.split.heldout_names)
+    assert set(loaded.color.provenance.inputs) == {"background", *fitted}
+    assert result.split.sha256[:16] in loaded.color.provenance.method
 
 
 def test_light_that_changes_within_the_image_asks_for_bands() -> None:

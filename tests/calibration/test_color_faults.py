@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureSet, ContactCircle
-from calibration.color_calibration import ColorPlan, calibrate_color
+from calibration.capture import CaptureSet
+from calibration.color_calibration import ColorPlan
 from calibration.color_report import color_page
 from calibration.color_result import ColorCalibration
 from calibration.estimators.color import ColorFitOptions, drift_choice
@@ -20,13 +20,13 @@ from calibration.result import Severity, Verdict, judge
 from calibration.surfaces import PressSurface
 from calibration.synthetic import add_noise, blur, drift, quantise, vignette
 from taccel_lab.errors import InputError
-from tests.calibration.synthetic import synthetic_captures
+from tests.calibration.synthetic import calibrated, synthetic_captures
 
 QUICK = ColorFitOptions(
     hidden=(24, 24), steps=300, batch_pixels=1024, disc_pixels=800, ring_pixels=500,
     far_pixels=150, learning_rate=8e-3,
 )  # fmt: skip
-PLAN = ColorPlan(holdout_every=4)
+PLAN = ColorPlan()
 
 
 def with_images(captures: CaptureSet, images: list[np.ndarray], **changes: object) -> CaptureSet:
@@ -37,15 +37,19 @@ def with_images(captures: CaptureSet, images: list[np.ndarray], **changes: objec
     return replace(captures, presses=presses, **changes)  # type: ignore[arg-type]
 
 
-def given_circles(captures: CaptureSet) -> list[ContactCircle]:
-    return [press.circle for press in captures.presses if press.circle is not None]
-
-
 def calibrate(
-    captures: CaptureSet, surfaces: list[PressSurface], plan: ColorPlan = PLAN, **changes: object
+    captures: CaptureSet,
+    surfaces: list[PressSurface],
+    plan: ColorPlan = PLAN,
+    holdout_every: int = 4,
+    **changes: object,
 ) -> ColorCalibration:
     options = replace(QUICK, **changes)  # type: ignore[arg-type]
-    return calibrate_color(captures, given_circles(captures), surfaces, options=options, plan=plan)
+    return calibrated(captures, surfaces, holdout_every=holdout_every, options=options, plan=plan)
+
+
+def heldout_l1(result: ColorCalibration) -> float:
+    return result.heldout_means()["disc_l1"]
 
 
 def codes(result: ColorCalibration) -> set[str]:
@@ -71,10 +75,7 @@ def test_more_noise_is_seen_in_the_figures_and_nothing_else(
         captures, [quantise(add_noise(p.image(), 6.0, rng)) for p in captures.presses]
     )
     quiet_result, noisy_result = calibrate(captures, surfaces), calibrate(noisy, surfaces)
-    quiet, loud = (
-        np.mean([score.disc_l1 for score in result.heldout_counted()])
-        for result in (quiet_result, noisy_result)
-    )
+    quiet, loud = heldout_l1(quiet_result), heldout_l1(noisy_result)
     # Mean absolute value of the noise: 0.8 of its deviation; the model adds little of its own.
     assert 0.8 * 6.0 < loud < 0.8 * 6.1 + quiet
     assert quiet < 2.5
@@ -95,7 +96,7 @@ def test_blur_and_vignetting_of_camera_and_lamps_are_learned(
         background=through_lens(captures.background),
     )
     result = calibrate(seen, surfaces)
-    assert np.mean([score.disc_l1 for score in result.heldout_counted()]) < 3.0
+    assert heldout_l1(result) < 3.0
     assert "explains_little" not in codes(result)
 
 
@@ -117,10 +118,7 @@ def test_drift_is_found_and_taken_off(sound: tuple[CaptureSet, list[PressSurface
     assert codes(result) == {"light_drifts"}
     left_in = calibrate(drifting, surfaces, replace(PLAN, drift="off"))
     assert not left_in.drift_corrected and "light_drifts" in codes(left_in)
-    with_it, without = (
-        np.mean([score.disc_l1 for score in found.heldout_counted()]) for found in (result, left_in)
-    )
-    assert with_it < 0.6 * without
+    assert heldout_l1(result) < 0.6 * heldout_l1(left_in)
     steady = calibrate(captures, surfaces, replace(PLAN, drift="auto"))
     assert steady.drift_choice is not None and not steady.drift_choice.remove
 
@@ -128,17 +126,20 @@ def test_drift_is_found_and_taken_off(sound: tuple[CaptureSet, list[PressSurface
 def test_an_outlier_is_named(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
     captures, surfaces = sound
     images = [press.image() for press in captures.presses]
-    images[5] = images[5][::-1, ::-1].copy()
+    split = captures.split(4)
+    turned = split.train[3]
+    images[turned] = images[turned][::-1, ::-1].copy()
     plan = replace(PLAN, folds=3, table=True)
     result = calibrate(with_images(captures, images), surfaces, plan)
     (remark,) = [r for r in result.remarks if r.code == "outliers"]
-    assert "p5" in remark.message and "p4" not in remark.message
+    name, other = (captures.presses[i].name for i in (turned, split.train[2]))
+    assert f"{name} (" in remark.message and f"{other} (" not in remark.message
     figures = result.figures()
-    assert set(figures["cross_validated_disc_l1"]) == {f"p{i}" for i in range(12)}
+    assert set(figures["left_out_disc_l1"]) == {captures.presses[i].name for i in split.train}
     assert figures["spread"]["fit_count"] == 3 and figures["spread"]["disc_levels"] > 0
     assert figures["taxim_table"]["disc_l1"] > 0
     provenance = result._color_provenance()
-    assert provenance.verdict == "usable" and any("p5" in text for text in provenance.remarks)
+    assert provenance.verdict == "usable" and any(name in text for text in provenance.remarks)
     assert provenance.spread["ensemble_disc_levels"] == figures["spread"]["disc_levels"]
 
 
@@ -168,7 +169,7 @@ def test_other_losses_learn_the_law_too(
 ) -> None:
     captures, surfaces = sound
     result = calibrate(captures, surfaces, loss=loss, steps=150)
-    assert np.mean([score.disc_l1 for score in result.heldout_counted()]) < 4.0
+    assert heldout_l1(result) < 4.0
 
 
 def test_bad_options_are_refused() -> None:
@@ -182,7 +183,7 @@ def test_without_held_out_presses_it_says_so(
     sound: tuple[CaptureSet, list[PressSurface]],
 ) -> None:
     captures, surfaces = sound
-    result = calibrate(captures, surfaces, replace(PLAN, holdout_every=0), steps=20)
+    result = calibrate(captures, surfaces, holdout_every=0, steps=20)
     (remark,) = result.remarks
     assert remark.code == "nothing_held_out" and remark.severity is Severity.WARNING
 
@@ -192,7 +193,7 @@ def test_a_model_of_three_presses_is_weak(
 ) -> None:
     captures, surfaces = sound
     few = replace(captures, presses=captures.presses[:3])
-    result = calibrate(few, surfaces[:3], replace(PLAN, holdout_every=0), steps=20)
+    result = calibrate(few, surfaces[:3], holdout_every=0, steps=20)
     assert {r.code: r.severity for r in result.remarks}["few_presses"] is Severity.ERROR
 
 
@@ -209,5 +210,5 @@ def test_the_page_shows_every_press(
     html = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert all(f"<td>p{i}</td>" in html for i in range(12))
     (presses,) = [table for table in page.tables if table.title.startswith("Presses")]
-    values = [row[4] for row in presses.rows]
+    values = [row[5] for row in presses.rows]
     assert values == sorted(values)

@@ -14,7 +14,7 @@ from calibration.estimators.color import (
     ColorFitOptions,
     ColorFrame,
     fit_color_model,
-    register_others,
+    place_press,
     register_presses,
     registration,
 )
@@ -100,9 +100,25 @@ def test_a_press_the_model_never_saw_is_placed(captures: CaptureSet) -> None:
     for frame in held:
         circle = replace(frame.circle, u_px=frame.circle.u_px + 2, v_px=frame.circle.v_px - 1.5)
         off.append(replace(frame, circle=circle, surface=simulated(circle)))
-    found = register_others(fit.model, fit.background, off, library, GRID, [NO_DRIFT, NO_DRIFT])
+    found = [place_press(fit.model, fit.background, f, library, GRID, NO_DRIFT) for f in off]
     for circle, frame in zip(found, held, strict=True):
         assert np.hypot(circle.u_px - frame.circle.u_px, circle.v_px - frame.circle.v_px) < 0.5
+
+
+def test_a_press_is_placed_by_the_pixels_that_are_given(captures: CaptureSet) -> None:
+    right = clicked_frames(captures, np.random.default_rng(3), off_px=0.0, scale=1.0)
+    training, held = right[:-1], right[-1]
+    fit = fit_color_model(training, captures.background, GRID, QUICK)
+    library = RadialSurfaces.of([f.surface for f in training], [f.circle for f in training], GRID)
+    rows, columns = np.indices((GRID.height_px, GRID.width_px)) // 8
+    even = (rows + columns) % 2 == 0
+    image = held.image.copy()
+    image[~even] = np.random.default_rng(0).integers(0, 256, image[~even].shape)
+
+    def placed(frame: ColorFrame) -> ContactCircle:
+        return place_press(fit.model, fit.background, frame, library, GRID, NO_DRIFT, mask=even)
+
+    assert placed(held) == placed(replace(held, image=image))
 
 
 def test_masked_pixels_have_no_effect_and_runs_agree(

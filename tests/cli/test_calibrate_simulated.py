@@ -28,18 +28,18 @@ def test_captures_become_a_profile_that_can_be_pressed(
     assert calibrate(captures, out, *options) == 0
     captured = capsys.readouterr()
     color = json.loads(captured.out)["color"]
-    assert "found circles against 5 labels" in captured.err
+    assert "found circles against 4 labels" in captured.err
     for key in ("crop_psnr_db", "crop_ssim", "disc_l1", "full_l1"):
         assert np.isfinite(color["heldout"][key]) and np.isfinite(color["background_only"][key])
     assert color["heldout"]["disc_l1"] < 0.6 * color["background_only"]["disc_l1"]
     assert color["heldout"]["crop_psnr_db"] > color["background_only"]["crop_psnr_db"] + 3
-    assert [row["name"] for row in color["presses"]] == ["p3"]
+    assert [row["name"] for row in color["presses"]] == ["p0"]
 
     profile = load_profile(out)
     assert profile.grid() == GRID
     assert profile.color is not None
     assert "finite elements, friction 0" in profile.color.provenance.method
-    assert set(profile.color.provenance.inputs) >= {"background", "p0", "p1", "p2", "p4"}
+    assert set(profile.color.provenance.inputs) >= {"background", "p1", "p2", "p3", "p4"}
     assert sorted(os.listdir(out.parent)) == ["unit", "unit_report"]
 
     pressed = tmp_path / "press"

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from calibration.capture.folder import CaptureFolder
 from calibration.capture.importers import (
     cube_edges,
     feats,
@@ -25,6 +26,7 @@ from calibration.capture.importers.draft import Draft, ImportOptions
 from calibration.capture.importers.layout import Layout
 from calibration.capture.load import load_capture_folder
 from calibration.capture.schema import MANIFEST_NAME
+from calibration.capture.split import HOLDOUT_EVERY
 from calibration.capture.taxim_pack import find_taxim_pack
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_directory
@@ -100,8 +102,9 @@ def import_captures(
 ) -> list[Path]:
     """Write ``source`` as capture folders of version 2; returns their paths.
 
-    Images keep their bytes. A source of several sensors or sets becomes one folder each below
-    ``out``. Every folder is loaded once, so that what is written can be used.
+    Images keep their bytes, and the manifest says which presses are held out. A source of several
+    sensors or sets becomes one folder each below ``out``. Every folder is loaded once, so that what
+    is written can be used.
 
     Raises:
         InputError: Something in ``source`` cannot be used, or ``out`` holds foreign files.
@@ -116,11 +119,22 @@ def import_captures(
             folder.mkdir(exist_ok=True)
             draft.write(folder)
             try:
-                load_capture_folder(folder)
+                freeze_split(load_capture_folder(folder), folder / MANIFEST_NAME)
             except InputError as error:
                 text = str(error).replace(str(folder), str(source))
                 raise InputError(f"{text} (imported as {draft.source})") from error
     return [out / draft.part for draft in drafts]
+
+
+def freeze_split(captures: CaptureFolder, manifest: Path) -> None:
+    """Write into ``manifest`` which presses are held out, so that no later change moves them."""
+    import tomli_w
+
+    if captures.heldout is not None or len(captures.presses) < HOLDOUT_EVERY:
+        return
+    names = list(captures.split().heldout_names)
+    text = manifest.read_text(encoding="utf-8")
+    manifest.write_text(text + "\n" + tomli_w.dumps({"split": {"heldout": names}}), "utf-8")
 
 
 def import_taxim(out: Path | str, pack: Path | str | None = None) -> Path:

@@ -12,7 +12,7 @@ from calibration.estimators.color.frames import ColorFrame
 from calibration.estimators.color.options import ColorFitOptions, Loss, Progress
 from calibration.estimators.color.registration import (
     Registration,
-    register_others,
+    place_press,
     register_presses,
 )
 
@@ -30,6 +30,6 @@ __all__ = [
     "disc_l1",
     "fit_color_model",
     "fold_fits",
-    "register_others",
+    "place_press",
     "register_presses",
 ]

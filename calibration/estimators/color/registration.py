@@ -122,24 +122,22 @@ def register_presses(
     return Registration(circles, sigma, scale, losses)
 
 
-def register_others(
+def place_press(
     model: ColorModel,
     rest_image: np.ndarray,
-    frames: Sequence[ColorFrame],
+    frame: ColorFrame,
     library: RadialSurfaces,
     grid: PixelGrid,
-    drifts: Sequence[Drift],
+    drift: Drift,
     *,
-    scale: float = 1.0,
     mask: np.ndarray | None = None,
-) -> list[ContactCircle]:
-    """Place presses that a model never saw; nothing but their circles is taken from them."""
-    circles = []
-    for frame, drift in zip(frames, drifts, strict=True):
-        moved = MovedPress.of(frame.surface, frame.circle, library)
-        start = replace(frame.circle, radius_px=frame.circle.radius_px * scale)
-        circles.append(_place(model, rest_image, frame, moved, drift, grid, mask, start, start)[0])
-    return circles
+) -> ContactCircle:
+    """Circle of a press that a model never saw, from the one that ``frame`` comes with.
+
+    Nothing but the circle is taken from its image, and from pixels where ``mask`` is true alone.
+    """
+    moved = MovedPress.of(frame.surface, frame.circle, library)
+    return _place(model, rest_image, frame, moved, drift, grid, mask, frame.circle, frame.circle)[0]
 
 
 def _best_scale(

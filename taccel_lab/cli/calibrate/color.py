@@ -13,12 +13,15 @@ from tyro.conf import Positional
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from rich.console import Console
 
     from calibration.capture import CaptureSet, ContactCircle
     from calibration.color_result import ColorCalibration
     from calibration.result import Remark
     from calibration.surfaces import PressSurface
+    from calibration.surfaces.between import SharedLaw
     from taccel_lab.profile import SensorProfile
 
 ASKED_ELSEWHERE = frozenset({"sensor_unknown"})
@@ -30,8 +33,9 @@ class CalibrateColor:
     """Fit the pixel-to-colour model to captured ball presses and write a profile.
 
     Every press is simulated to get the gel's surface under it; the model then learns the colour
-    of each pixel from position, normal and displacement. Figures are of held-out presses, and of
-    all presses by fits without them. Simulations are kept, so that a second run takes the fit only.
+    of each pixel from position, normal and displacement. Figures are of presses that were chosen
+    before any image was read, and are looked at when the model is frozen. Simulations are kept, so
+    that a second run takes the fit only.
     """
 
     captures: Positional[Path]
@@ -49,13 +53,14 @@ class CalibrateColor:
     """Dimensions of the gel that differ from the catalogue's, such as thickness_mm=2.5; not with
     --base."""
     holdout_every: int = 4
-    """Every how-manieth press is held out for the figures; 0 holds none out."""
+    """One press in so many is held out for the figures, by place and by names that are drawn like
+    lots; 0 holds none out. What [split] in captures.toml holds out wins."""
     circles: Literal["fused", "labels", "detected"] = "fused"
     """Contact circles to start from: those given, those found in the images, or the better estimate
-    from both. A press without a given circle takes the one found. Figures always refer to the
-    given circles where there are any."""
+    from both. A press without a given circle takes the one found. Held-out presses take no part:
+    their given circles alone place them for the figures, or half of their pixels."""
     register: bool = True
-    """Read the circles again with the colours of the other presses; needs 8 presses to fit."""
+    """Read the circles again with the colours of the other fitted presses; needs 8 of them."""
     surface: Literal["simulated", "each", "cap", "hertz"] = "simulated"
     """Gel surface under a press: the simulation of the presses that span all others, from which the
     others are read where one law holds; the simulation of each; or a closed form."""
@@ -76,8 +81,8 @@ class CalibrateColor:
     validation_every: int = 0
     """Every how-manieth fitted press is kept back to stop the fit early; 0 for none."""
     ensemble: int = 3
-    """Fits that each leave some presses out: they cross-validate all presses, and their spread says
-    how sure the model is; 0 skips them."""
+    """Fits that each leave some of the fitted presses out: they name captures that are off, and
+    their spread says how sure the model is; 0 skips them."""
     table: bool = True
     """Fit Taxim's table too: its figures stand in the report, and the table itself beside it, as
     polycalib.npz, for `taccel-lab export --to taxim --table`."""
@@ -90,14 +95,14 @@ class CalibrateColor:
         import warp as wp
         from rich.console import Console
 
-        from calibration.color_calibration import ColorPlan, calibrate_color
+        from calibration.color_calibration import ColorPlan, HeldoutSet, calibrate_color
         from calibration.color_report import color_page
         from calibration.estimators.color import ColorFitOptions
         from taccel_lab.cli.calibrate.base import report_folder, require_outputs, write_results
         from taccel_lab.cli.calibrate.contacts import contact_circles
         from taccel_lab.cli.calibrate.findings import refusing_with
         from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import fit_progress
+        from taccel_lab.cli.progress import count_progress, fit_progress
 
         wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
         console = Console(stderr=True)
@@ -114,23 +119,25 @@ class CalibrateColor:
             position_bands=self.position_bands,
         )
         captures, base, remarks = self._captures(console)
-        captures.split(self.holdout_every)
+        split = captures.split(self.holdout_every)
         with refusing_with(remarks):
-            captures, circles, left_out = contact_circles(
-                captures, self.circles, console, cache=self.cache
+            training, circles, left_out = contact_circles(
+                captures.only(split.train), self.circles, console, cache=self.cache
             )
-        surfaces = self._surfaces(captures, circles, base, console)
+        surfaces = Surfaces(self.surface, base, self.cache)
+        with count_progress(console, "simulating the presses") as progress:
+            simulated = surfaces(training, circles, progress)
         with fit_progress(console, "fitting the colour model") as progress:
             result = calibrate_color(
-                captures,
+                training,
                 circles,
-                surfaces,
+                simulated,
+                HeldoutSet.of(captures, split, surfaces),
                 options=options,
                 plan=ColorPlan(
-                    holdout_every=self.holdout_every,
                     drift=self.drift,
                     register=self.register,
-                    folds=min(self.ensemble, len(captures.presses)),
+                    folds=min(self.ensemble, len(training.presses)),
                     table=self.table,
                 ),
                 remarks=(*remarks, *left_out),
@@ -188,26 +195,34 @@ class CalibrateColor:
         base = on_grid(design.profile, captures.grid, captures.provenance)
         return captures, base, [*findings, *design.remarks]
 
-    def _surfaces(
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Surfaces of presses in circles; one law of simulated presses serves later ones too."""
+
+    kind: Literal["simulated", "each", "cap", "hertz"]
+    base: SensorProfile
+    cache: bool = True
+    laws: dict[float, SharedLaw] = field(default_factory=dict)
+
+    def __call__(
         self,
         captures: CaptureSet,
-        circles: list[ContactCircle],
-        base: SensorProfile,
-        console: Console,
+        circles: Sequence[ContactCircle],
+        progress: Callable[[int, int], None] | None = None,
     ) -> list[PressSurface]:
-        if self.surface in ("simulated", "each"):
+        if self.kind in ("simulated", "each"):
             from calibration.simulate import simulate_presses
-            from taccel_lab.cli.progress import count_progress
 
-            with count_progress(console, "simulating the presses") as progress:
-                return simulate_presses(
-                    captures,
-                    circles,
-                    base,
-                    cache=self.cache,
-                    share=self.surface == "simulated",
-                    progress=progress,
-                )
+            return simulate_presses(
+                captures,
+                circles,
+                self.base,
+                cache=self.cache,
+                share=self.kind == "simulated",
+                laws=self.laws,
+                progress=progress,
+            )
         from calibration.surfaces import analytic_surface
 
         return [
@@ -215,7 +230,7 @@ class CalibrateColor:
                 circle,
                 captures.grid,
                 press.radius_mm or captures.ball_radius_mm,
-                skirt=self.surface,
+                skirt=self.kind,
             )
             for press, circle in zip(captures.presses, circles, strict=True)
         ]
@@ -227,14 +242,15 @@ def _print_figures(console: Console, result: ColorCalibration) -> None:
     from calibration.color_report import FIGURES, figure_columns
 
     columns = figure_columns(result)
-    if not result.heldout:
+    if not result.has_scores:
         console.print("no press was held out, so there are no figures of held-out presses")
     if not columns:
         return
     table = Table(
         "figure",
         *columns,
-        title=f"{len(result.heldout)} held-out presses, {len(result.train_names)} fitted",
+        title=f"{len(result.heldout) + len(result.failures)} held-out presses, "
+        f"{len(result.failures)} failed, {len(result.train_names)} fitted",
         title_justify="left",
     )
     for key, label in FIGURES:

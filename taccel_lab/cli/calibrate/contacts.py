@@ -21,7 +21,8 @@ def contact_circles(
 ) -> tuple[CaptureSet, list[ContactCircle], list[Remark]]:
     """The presses with a contact, their circles, and a remark on presses left out.
 
-    Contacts are looked for in all presses, so that empty frames are told; how far they lie from
+    ``captures`` are the training presses: they are explained together. All of them are looked at,
+    so that empty frames are told; how far they lie from
     labels is printed. ``labels`` needs a label of every press. With ``cache``, contacts that an
     earlier run or stage found in these images are taken as they are.
     """

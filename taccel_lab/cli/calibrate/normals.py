@@ -23,8 +23,9 @@ class CalibrateNormals:
     """Fit the model from colour to surface normal to captured ball presses and write a profile.
 
     Inside a contact the ball gives the normal of every pixel; a small ensemble of networks learns
-    it from the change of colour around the pixel, with its own uncertainty. Every fourth press is
-    held out for the figures. `taccel-lab depth` then reads height maps from images.
+    it from the change of colour around the pixel, with its own uncertainty. Figures are of
+    presses that were chosen before any image was read, and are looked at when the model is frozen.
+    `taccel-lab depth` then reads height maps from images.
     """
 
     captures: Positional[Path]
@@ -36,11 +37,12 @@ class CalibrateNormals:
     report: Path | None = None
     """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
     holdout_every: int = 4
-    """Every how-manieth press is held out for the figures; 0 holds none out."""
+    """One press in so many is held out for the figures, by place and by names that are drawn like
+    lots; 0 holds none out. What [split] in captures.toml holds out wins."""
     circles: Literal["fused", "labels", "detected"] = "fused"
     """Contact circles to train with: those given, those found in the images, or the better estimate
-    from both. A press without a given circle takes the one found. The report gives figures in
-    the given circles as well."""
+    from both. A press without a given circle takes the one found. Held-out presses are judged in
+    their given circles."""
     skirt: Literal["hertz", "simulated", "none"] = "hertz"
     """Normals of the gel that sinks around a contact: a closed form; the simulation of every press
     (minutes), which absolute depths need most; or none, which leaves those pixels out."""
@@ -85,20 +87,24 @@ class CalibrateNormals:
         )
         job = open_job(self.captures, self.out, self.base, self.report)
         captures, base = presses_on_camera(job.folder, job.base)
-        captures.split(self.holdout_every)
+        split = captures.split(self.holdout_every)
+        heldout = captures.only(split.heldout) if split.heldout else None
         lost = lost_blocks(job.base, base)
         findings = capture_findings(job.folder, "normals", job.console)
         rest = rest_surface(base.mesh, captures.grid)
         with refusing_with(findings):
-            captures, circles, left_out = contact_circles(captures, self.circles, job.console)
+            captures, circles, left_out = contact_circles(
+                captures.only(split.train), self.circles, job.console
+            )
         surfaces = self._surfaces(captures, circles, base, job.console)
         with fit_progress(job.console, "fitting the inverse model") as progress:
             result = calibrate_normals(
                 captures,
                 circles,
                 surfaces,
+                heldout,
+                split=split,
                 rest_normals=None if rest.is_flat else rest.normals,
-                holdout_every=self.holdout_every,
                 options=options,
                 drift=self.drift,
                 circle_source=self.circles,
@@ -139,13 +145,11 @@ class CalibrateNormals:
 
 
 def _print_summary(console: Console, result: NormalCalibration) -> None:
-    from calibration.inverse.score import mean_of
-
     if not result.heldout:
         console.print("no press was held out, so there are no figures")
         return
-    used = mean_of([item.used for item in result.heldout])
-    given = mean_of([item.given for item in result.heldout])
+    used = result.heldout_means("used")
+    given = result.heldout_means("given")
     console.print(
         f"{len(result.heldout)} held-out presses, {len(result.train_names)} fitted in "
         f"{result.fit.seconds:.0f} s",

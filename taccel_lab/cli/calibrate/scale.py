@@ -46,7 +46,8 @@ class CalibrateScale:
         job = open_job(self.captures, self.out, self.base, self.report)
         folder = job.folder
         with stage_progress(job.console) as progress:
-            result = calibrate_scale(folder, job.base, progress=progress)
+            # Held-out presses say nothing before the colours are scored, the scale included.
+            result = calibrate_scale(folder.fitted(), job.base, progress=progress)
         _ = result.scale  # Refuses captures that only limit the scale before anything is written.
         job.write(result, scale_page(result, folder))
         if self.json:

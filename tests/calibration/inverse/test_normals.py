@@ -56,7 +56,16 @@ def calibrated(
     captures: CaptureSet, surfaces: list[PressSurface] | None, **changes: object
 ) -> NormalCalibration:
     settings = {"options": QUICK, "baseline": False} | changes
-    return calibrate_normals(captures, circles_of(captures), surfaces, **settings)  # type: ignore[arg-type]
+    split = captures.split(4)
+    training = captures.only(split.train)
+    return calibrate_normals(
+        training,
+        circles_of(training),
+        None if surfaces is None else [surfaces[i] for i in split.train],
+        captures.only(split.heldout),
+        split=split,
+        **settings,  # type: ignore[arg-type]
+    )
 
 
 def with_images(captures: CaptureSet, change: object) -> CaptureSet:
@@ -78,8 +87,8 @@ def clean() -> tuple[CaptureSet, list[PressSurface], NormalCalibration]:
 def test_perfect_captures_are_read_to_the_networks_precision(
     clean: tuple[CaptureSet, list[PressSurface], NormalCalibration],
 ) -> None:
-    _, surfaces, result = clean
-    assert [item.name for item in result.heldout] == ["p3", "p7", "p11", "p15"]
+    captures, surfaces, result = clean
+    assert tuple(item.name for item in result.heldout) == captures.split(4).heldout_names
     for item in result.heldout:
         # A level of 255, which the images are rounded to, is about half a degree here.
         assert item.used.mean_deg < 1.5
@@ -123,7 +132,6 @@ def test_a_few_presses_do_not_make_a_good_model(count: int, verdict: Verdict) ->
         surfaces,
         options=replace(QUICK, steps=20),
         baseline=False,
-        holdout_every=0,
     )
     assert judge(r for r in result.remarks if r.code == "few_presses") is verdict
 
@@ -133,9 +141,7 @@ def test_wrong_circles_show_in_the_shifts() -> None:
     circles = circles_of(captures)
     circles[4] = replace(circles[4], u_px=circles[4].u_px + 5)
     surfaces[4] = analytic_surface(circles[4], GRID, BALL_RADIUS_MM, decay_mm=1.0)
-    result = calibrate_normals(
-        captures, circles, surfaces, options=QUICK, baseline=False, holdout_every=0
-    )
+    result = calibrate_normals(captures, circles, surfaces, options=QUICK, baseline=False)
     worst = max(result.fit.label_shifts, key=lambda k: result.fit.label_shifts[k].length_px)
     assert worst == "p4"
     assert result.fit.label_shifts["p4"].du_px == pytest.approx(-5, abs=1.5)
@@ -161,6 +167,40 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
     for name, weight in one.fit.model.weights.items():
         assert np.array_equal(weight, two.fit.model.weights[name])
     assert [i.used for i in one.heldout] == [i.used for i in two.heldout]
+
+
+def test_held_out_images_reach_nothing_that_is_fitted_and_none_is_lost() -> None:
+    captures, surfaces = synthetic_captures(8)
+    split = captures.split(4)
+    short = replace(QUICK, steps=20)
+
+    def noise(image: np.ndarray, i: int) -> np.ndarray:
+        spoilt = np.random.default_rng(i).integers(0, 256, image.shape, dtype=np.uint8)
+        return spoilt if i in split.heldout else image
+
+    clean = calibrated(captures, surfaces, options=short)
+    spoilt = calibrated(with_images(captures, noise), surfaces, options=short)
+    for name, weight in clean.fit.model.weights.items():
+        assert np.array_equal(weight, spoilt.fit.model.weights[name])
+    assert clean.flat_noise_levels == spoilt.flat_noise_levels
+    assert clean.heldout_means("used") != spoilt.heldout_means("used")
+    bare = replace(
+        captures,
+        presses=tuple(
+            replace(p, circle=None, read=partial(np.copy, captures.background))
+            if i == split.heldout[0]
+            else p
+            for i, p in enumerate(captures.presses)
+        ),
+        heldout=split.heldout_names,
+    )
+    lost = calibrated(bare, surfaces, options=short)
+    assert set(lost.failures) == {split.heldout_names[0]}
+    (other,) = lost.heldout
+    assert lost.heldout_means("used")["mean_deg"] == pytest.approx(
+        (other.used.mean_deg + other.used.flat_deg) / 2
+    )
+    assert "heldout_failed" in {remark.code for remark in lost.remarks}
 
 
 def test_drifting_light_is_taken_off() -> None:
@@ -204,7 +244,8 @@ def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> N
     off = [np.mean([item.used.mean_deg for item in result.heldout]) for result in results]
     assert off[1] < 0.7 * off[0], off
     save_profile(results[1].apply_to(flat_profile(GRID)), tmp_path / "profile")
-    found = SurfaceReader(load_profile(tmp_path / "profile")).read(striped.presses[3].image())
+    held = striped.presses[striped.split(4).heldout[0]]
+    found = SurfaceReader(load_profile(tmp_path / "profile")).read(held.image())
     assert found.normals == pytest.approx(results[1].heldout[0].predicted.normals, abs=1e-6)
 
 
@@ -216,17 +257,19 @@ def test_profile_reads_what_the_calibration_read(
     profile = load_profile(tmp_path / "profile")
     assert profile.normals is not None
     provenance = profile.normals.provenance
-    assert set(provenance.inputs) == {"background"} | {f"p{i}" for i in range(16) if i % 4 != 3}
+    held = captures.split(4).heldout
+    assert set(provenance.inputs) == {"background"} | {f"p{i}" for i in range(16) if i not in held}
+    assert provenance.residuals["heldout_failures"] == 0
     assert provenance.residuals["heldout_mean_deg"] < 1.5
     assert provenance.verdict == judge(result.remarks).value
     reader = SurfaceReader(profile)
     item = result.heldout[0]
-    found = reader.read(captures.presses[3].image())
+    found = reader.read(captures.presses[held[0]].image())
     assert found.normals == pytest.approx(item.predicted.normals, abs=1e-6)
     depth_mm = -1e3 * found.rise_m
-    assert depth_mm.max() == pytest.approx(surfaces[3].depth_mm, rel=0.08)
+    assert depth_mm.max() == pytest.approx(surfaces[held[0]].depth_mm, rel=0.08)
     figures = found.figures(profile)
-    circle = captures.presses[3].circle
+    circle = captures.presses[held[0]].circle
     assert circle is not None
     assert figures["deepest_px"] == pytest.approx([circle.u_px, circle.v_px], abs=2.5)
     still = reader.read(np.asarray(profile.background_rgb))
@@ -315,6 +358,6 @@ def test_bad_fits_are_refused() -> None:
         SampleOptions(max_zoom=0.5)
     nothing = replace(captures, mask=np.zeros((120, 160), dtype=bool))
     with pytest.raises(InputError, match=r"masked|usable"):
-        calibrated(nothing, surfaces, holdout_every=0, drift="off")
+        calibrate_normals(nothing, circles_of(nothing), surfaces, options=QUICK, drift="off")
     with pytest.raises(InputError, match="neither a normals nor a depth_response"):
         SurfaceReader(tiny_profile(GRID))

@@ -48,10 +48,13 @@ def labelled(
 
 
 def heldout(captures: CaptureSet) -> tuple[dict[str, float], float]:
-    circles = [press.circle for press in captures.presses if press.circle is not None]
+    split = captures.split(4)
+    training = captures.only(split.train)
+    circles = [press.circle for press in training.presses if press.circle is not None]
     result = calibrate_normals(
-        captures, circles, hertz_skirts(captures, circles), baseline=False, circle_source="labels"
-    )
+        training, circles, hertz_skirts(training, circles), captures.only(split.heldout),
+        split=split, baseline=False, circle_source="labels",
+    )  # fmt: skip
     assert result.reliability is not None
     return result.figures()["heldout"]["in_given_circles"], result.reliability.ratio()
 
