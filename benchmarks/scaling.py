@@ -21,7 +21,7 @@ from benchmarks.scenes import SceneOptions, build_scene
 from benchmarks.scenes.base import BenchScene, make_config, straight
 from benchmarks.scenes.peg import GEL
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.scene import Ball, KinematicBody, Scene, SoftBody, box_mesh
+from taccel_lab.scene import Ball, Element, KinematicBody, Scene, SoftBody, box_mesh
 
 SPACING_M = 40e-3
 """Between the sensors of a row."""
@@ -56,7 +56,9 @@ def all_points(options: Scaling) -> Iterator[Point]:
 
 def press_scene(cells: tuple[int, int, int], ball_m: float) -> BenchScene:
     """A ball on a block of 24 x 24 x 6 mm."""
-    gel = SoftBody(block_mesh(cells, (24e-3, 24e-3, 6e-3), jitter=0.1, seed=1), GEL)
+    gel = SoftBody(
+        block_mesh(cells, (24e-3, 24e-3, 6e-3), jitter=0.1, seed=1), GEL, element=Element.LINEAR
+    )
     scene = Scene(gel, KinematicBody(Ball(ball_m), FRICTION, name="ball"))
     path = _down(ball_m, 1e-3, 5)[:, None]
     return BenchScene("press", "a ball on a block", scene, _config(), path, "generated")
@@ -65,7 +67,7 @@ def press_scene(cells: tuple[int, int, int], ball_m: float) -> BenchScene:
 def punch_scene(side_m: float) -> BenchScene:
     """A flat punch of a given side on a fine block: contacts grow with its area."""
     cells, size = (24, 24, 3), (24e-3, 24e-3, 4e-3)
-    gel = SoftBody(block_mesh(cells, size, jitter=0.1, seed=1), GEL)
+    gel = SoftBody(block_mesh(cells, size, jitter=0.1, seed=1), GEL, element=Element.LINEAR)
     punch = box_mesh((side_m, side_m, 4e-3))
     scene = Scene(gel, KinematicBody(punch, FRICTION, name="punch"))
     path = _down(2e-3, 0.2e-3, 4)[:, None]
@@ -79,7 +81,7 @@ def row_of_sensors(count: int) -> BenchScene:
     gels, bodies, paths = [], [], []
     for i, x in enumerate(places):
         frame = KinematicBody(None, name=f"mount {i}")
-        gels.append(SoftBody(mesh, GEL, name=f"gel {i}", mount=frame.name))
+        gels.append(SoftBody(mesh, GEL, name=f"gel {i}", mount=frame.name, element=Element.LINEAR))
         bodies += [frame, KinematicBody(Ball(8e-3), FRICTION, name=f"ball {i}")]
         down = _down(8e-3, 1e-3, 5)
         down[:, 0] += x

@@ -24,7 +24,15 @@ from benchmarks.scenes.peg import (
 )
 from benchmarks.scenes.threads import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
 from taccel_lab.geometry import TetMesh
-from taccel_lab.scene import AffineBody, KinematicBody, Scene, SoftBody, TimeStepping, TriangleMesh
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    KinematicBody,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    TriangleMesh,
+)
 
 DT_S = 1 / 50
 DENSITY = 1000.0
@@ -54,7 +62,14 @@ def build(options: SceneOptions) -> BenchScene:
     middle = height + (nut.vertices_m[:, 2].min() + nut.vertices_m[:, 2].max()) / 2
     scene = Scene(
         [
-            SoftBody(gel, GEL, name=side, mount=f"{side} mount", friction_coefficient=GEL_FRICTION)
+            SoftBody(
+                gel,
+                GEL,
+                name=side,
+                mount=f"{side} mount",
+                friction_coefficient=GEL_FRICTION,
+                element=Element.LINEAR,
+            )
             for side in sides
         ],
         [

@@ -24,6 +24,7 @@ from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (
     AffineBody,
+    Element,
     KinematicBody,
     Scene,
     SoftBody,
@@ -126,6 +127,7 @@ def build(options: SceneOptions) -> BenchScene:
                 mount=f"mount of {name}",
                 friction_coefficient=GEL_FRICTION,
                 surface=Surface(layer=GEL_LAYER, collides_with=BALL_LAYER),
+                element=Element.LINEAR,
             )
             for name, place in zip(names, places, strict=True)
         ],

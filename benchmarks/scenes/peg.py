@@ -22,6 +22,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.scene import (
     AffineBody,
+    Element,
     FixedJoint,
     KinematicBody,
     Material,
@@ -163,7 +164,12 @@ def peg_scene(
     names = ("left", "right")
     gels = [
         SoftBody(
-            parts.gel, GEL, name=name, mount=f"{name} mount", friction_coefficient=GEL_FRICTION
+            parts.gel,
+            GEL,
+            name=name,
+            mount=f"{name} mount",
+            friction_coefficient=GEL_FRICTION,
+            element=Element.LINEAR,
         )
         for name in names
     ]

@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.scenes.base import BenchScene, SceneOptions, make_config, straight
 from benchmarks.scenes.pads import pad
 from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.scene import Ball, KinematicBody, Material, Scene, SoftBody
+from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
 
 FRICTION = 0.5
 
@@ -49,7 +49,7 @@ def build(options: SceneOptions, name: str) -> BenchScene:
     else:
         mesh, source = pad(int(name.removeprefix("press_")), options.source)
     scene = Scene(
-        SoftBody(mesh, GEL, name="gel"),
+        SoftBody(mesh, GEL, name="gel", element=Element.LINEAR),
         KinematicBody(Ball(motion.ball_m), FRICTION, name="ball"),
         options.env_count,
     )

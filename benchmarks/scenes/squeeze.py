@@ -10,7 +10,7 @@ from benchmarks.scenes.frames import facing, pose
 from benchmarks.scenes.pads import pad
 from benchmarks.scenes.peg import GEL, GRAVITY
 from benchmarks.scenes.teddy import PARTS_M, teddy_mesh
-from taccel_lab.scene import KinematicBody, Material, Plane, Scene, SoftBody, TimeStepping
+from taccel_lab.scene import Element, KinematicBody, Material, Plane, Scene, SoftBody, TimeStepping
 
 DT_S = 1 / 50
 TEDDY = Material(young_modulus_pa=2e4, poisson_ratio=0.4, density_kg_m3=250.0)
@@ -37,9 +37,17 @@ def build(options: SceneOptions) -> BenchScene:
                 name="bear",
                 friction_coefficient=FRICTION,
                 initial_pose=np.array([0, 0, CLEARANCE_M, 0, 0, 0, 1.0]),
+                element=Element.LINEAR,
             ),
             *(
-                SoftBody(gel, GEL, name=side, mount=f"{side} mount", friction_coefficient=FRICTION)
+                SoftBody(
+                    gel,
+                    GEL,
+                    name=side,
+                    mount=f"{side} mount",
+                    friction_coefficient=FRICTION,
+                    element=Element.LINEAR,
+                )
                 for side in sides
             ),
         ],

@@ -88,7 +88,7 @@ class SoftBody:
     mount: str | None = None
     """Kinematic body whose frame the mesh is given in, and which the bonded nodes follow exactly;
     fixed in the world when None."""
-    element: Element = Element.LINEAR
+    element: Element = Element.QUADRATIC
     self_contact: bool = False
     surface: Surface = Surface()
     initial_pose: np.ndarray | None = None

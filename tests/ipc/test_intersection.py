@@ -178,7 +178,9 @@ def in_scene(made: Scene, shifts: dict[str, list[float]]) -> set[tuple[str, str,
 def test_any_two_bodies() -> None:
     box = box_mesh((1e-3, 1e-3, 1e-3))
     gels = [
-        SoftBody(block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3)), SOFT, FREE, name=name)
+        SoftBody(
+            block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3)), SOFT, FREE, name=name, element=Element.LINEAR
+        )
         for name in ("left", "right")
     ]
     gels[1] = replace(gels[1], initial_pose=pose(3e-3, 0, 0))
@@ -212,7 +214,7 @@ def test_any_two_bodies() -> None:
 
 def test_a_body_that_crosses_itself() -> None:
     mesh = block_mesh((6, 1, 1), (6e-3, 1e-3, 0.5e-3))
-    strip = SoftBody(mesh, SOFT, FREE, self_contact=True)
+    strip = SoftBody(mesh, SOFT, FREE, self_contact=True, element=Element.LINEAR)
     model = Scene(strip, time=DYNAMIC).finalize()
     state = initial_state(model)
     x = state.positions.numpy()[0]

@@ -14,6 +14,7 @@ from taccel_lab.outputs.surface_load import SurfaceLoadReader
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     KinematicBody,
     Material,
     Scene,
@@ -60,7 +61,9 @@ def test_an_affine_body_turns_like_a_rigid_one() -> None:
 
 def test_a_soft_body_sums_its_lumped_masses_and_a_kinematic_one_has_none() -> None:
     mesh = block_mesh((2, 2, 2), SIZE, jitter=0.2)
-    soft = SoftBody(mesh, Material(1e5, 0.4), bonded_nodes=np.array([], dtype=int))
+    soft = SoftBody(
+        mesh, Material(1e5, 0.4), bonded_nodes=np.array([], dtype=int), element=Element.LINEAR
+    )
     model = Scene(soft, KinematicBody(Ball(1e-2)), time=DYNAMIC).finalize()
     state = initial_state(model, everywhere(1, pose(0, 0, 0.1)))
     x = state.positions.numpy()[0]
@@ -80,7 +83,7 @@ def test_a_soft_body_sums_its_lumped_masses_and_a_kinematic_one_has_none() -> No
 def test_tractions_times_areas_are_the_forces() -> None:
     """A uniform pressure on the top of a block, rim included, and a drag along x."""
     mesh = block_mesh((4, 4, 2), SIZE, jitter=0.2)
-    model = Scene(SoftBody(mesh, Material(1e5, 0.4))).finalize()
+    model = Scene(SoftBody(mesh, Material(1e5, 0.4), element=Element.LINEAR)).finalize()
     x = (mesh.nodes_m * [1.2, 1.0, 0.9])[None]
     top = mesh.region_faces(1)
     normal, drag = pressure_forces(x, top, 2e3), traction_forces(x, top, np.array([500.0, 0, 0]))

@@ -15,6 +15,7 @@ from taccel_lab.outputs import Outputs, to_torch
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -65,7 +66,7 @@ def pressed() -> Pressed:
         )
     ]
     model = Scene(
-        SoftBody(mesh, Material(1e5, 0.45), friction_coefficient=0.5),
+        SoftBody(mesh, Material(1e5, 0.45), friction_coefficient=0.5, element=Element.LINEAR),
         KinematicBody(Ball(1e-3), 0.5, name="ball"),
         2,
         TimeStepping(False, DT, tuple(G)),
@@ -230,7 +231,9 @@ def test_only_an_update_reads_anew(pressed: Pressed) -> None:
 
 def test_a_scene_without_friction_reads_zero() -> None:
     mesh = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
-    model = Scene(SoftBody(mesh, Material(1e5, 0.4)), KinematicBody(Ball(1e-3))).finalize()
+    model = Scene(
+        SoftBody(mesh, Material(1e5, 0.4), element=Element.LINEAR), KinematicBody(Ball(1e-3))
+    ).finalize()
     solver = SolverIPC(model)
     state = initial_state(model, pose(0, 0, 1.1e-3)[None, None])
     solver.step(state, pose(0, 0, 0.9e-3)[None, None])

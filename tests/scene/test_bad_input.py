@@ -13,6 +13,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -127,23 +128,26 @@ def test_gravity_without_inertia_is_not_silently_ignored() -> None:
 
 def test_scenes() -> None:
     with pytest.raises(InputError, match="env_count must be at least 1, got 0"):
-        Scene(SoftBody(MESH, GEL), env_count=0)
+        Scene(SoftBody(MESH, GEL, element=Element.LINEAR), env_count=0)
     with pytest.raises(InputError, match=r"rest_positions_m has shape \(2, 18, 3\).*\(3, 18, 3\)"):
-        Scene(SoftBody(MESH, GEL, rest_positions_m=np.zeros((2, 18, 3))), env_count=3)
+        Scene(
+            SoftBody(MESH, GEL, rest_positions_m=np.zeros((2, 18, 3)), element=Element.LINEAR),
+            env_count=3,
+        )
     with pytest.raises(InputError, match="at least three bonded nodes"):
-        Scene(SoftBody(MESH, GEL, bonded_nodes=np.array([0, 1])))
+        Scene(SoftBody(MESH, GEL, bonded_nodes=np.array([0, 1]), element=Element.LINEAR))
 
 
 @pytest.mark.parametrize("node", [-1, 18])
 def test_bonded_nodes_must_exist(node: int) -> None:
     bonded = np.array([0, 2, 4, node])
     with pytest.raises(InputError, match="bonded_nodes"):
-        Scene(SoftBody(MESH, GEL, bonded_nodes=bonded)).finalize()
+        Scene(SoftBody(MESH, GEL, bonded_nodes=bonded, element=Element.LINEAR)).finalize()
 
 
 def test_every_node_bonded_leaves_nothing_to_solve() -> None:
     with pytest.raises(InputError, match="bonded"):
-        Scene(SoftBody(MESH, GEL, bonded_nodes=np.arange(18))).finalize()
+        Scene(SoftBody(MESH, GEL, bonded_nodes=np.arange(18), element=Element.LINEAR)).finalize()
 
 
 def test_rest_shapes_of_environments() -> None:
@@ -153,7 +157,9 @@ def test_rest_shapes_of_environments() -> None:
     for bad, words in ((inverted, "environment 1 is inverted"), (good * NAN, "environment 1")):
         rest = np.stack([good, bad])
         with pytest.raises(InputError, match=words):
-            Scene(SoftBody(MESH, GEL, rest_positions_m=rest), env_count=2).finalize()
+            Scene(
+                SoftBody(MESH, GEL, rest_positions_m=rest, element=Element.LINEAR), env_count=2
+            ).finalize()
 
 
 def test_collision_surfaces_must_be_manifold() -> None:
@@ -162,7 +168,7 @@ def test_collision_surfaces_must_be_manifold() -> None:
         np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]]),
     )
     with pytest.raises(InputError, match=r"not manifold: 1 edges .* two faces.*\(0, 1\)"):
-        Scene(SoftBody(MESH, GEL), (KinematicBody(fan),)).finalize()
+        Scene(SoftBody(MESH, GEL, element=Element.LINEAR), (KinematicBody(fan),)).finalize()
 
 
 @pytest.mark.parametrize(
@@ -176,7 +182,9 @@ def test_collision_surfaces_must_be_manifold() -> None:
     ],
 )
 def test_poses(poses: np.ndarray, words: str) -> None:
-    model = Scene(SoftBody(MESH, GEL), (KinematicBody(Ball(1e-3)),)).finalize()
+    model = Scene(
+        SoftBody(MESH, GEL, element=Element.LINEAR), (KinematicBody(Ball(1e-3)),)
+    ).finalize()
     with pytest.raises(InputError, match=words):
         as_poses(model, poses)
     with pytest.raises(InputError, match=words):

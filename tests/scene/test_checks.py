@@ -17,6 +17,7 @@ from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -33,7 +34,11 @@ from taccel_lab.scene.gaps import SurfacePairs, edge_edge_distances, point_trian
 from taccel_lab.state import State, initial_state
 from tests.verification.blocks import everywhere, pose
 
-GEL = SoftBody(block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.2), Material(1e5, 0.45))
+GEL = SoftBody(
+    block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.2),
+    Material(1e5, 0.45),
+    element=Element.LINEAR,
+)
 DYNAMIC = TimeStepping(quasi_static=False)
 
 
@@ -79,7 +84,7 @@ def test_each_body_is_checked_and_named() -> None:
     mesh = GEL.mesh
     big = TetMesh(mesh.nodes_m * 1e4, mesh.tets, mesh.faces, mesh.face_regions)
     with pytest.raises(InputError, match=r"body 0 \('gel'\) is 30 m across.*millimetres"):
-        check_scene(Scene(SoftBody(big, GEL.material)))
+        check_scene(Scene(SoftBody(big, GEL.material, element=Element.LINEAR)))
     sheet = KinematicBody(TriangleMesh(good.vertices_m, good.faces[2:]), name="sheet")
     check_scene(Scene(GEL, sheet))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.scene import Material, MaterialField, MaterialModel, SoftBody
+from taccel_lab.scene import Element, Material, MaterialField, MaterialModel, SoftBody
 from tests.verification.blocks import block_mesh
 
 MOONEY = MaterialModel.MOONEY_RIVLIN
@@ -91,9 +91,9 @@ def test_bad_fields_are_refused(arguments: dict, message: str) -> None:
 
 def test_a_field_belongs_to_a_mesh() -> None:
     mesh = block_mesh((1, 1, 1), (1e-3, 1e-3, 1e-3))
-    SoftBody(mesh, MaterialField(np.full(6, 1e5), 0.4))
+    SoftBody(mesh, MaterialField(np.full(6, 1e5), 0.4), element=Element.LINEAR)
     with pytest.raises(InputError, match="moduli of 5 tets, the mesh has 6 tets"):
-        SoftBody(mesh, MaterialField(np.full(5, 1e5), 0.4))
+        SoftBody(mesh, MaterialField(np.full(5, 1e5), 0.4), element=Element.LINEAR)
 
 
 def test_a_field_keeps_its_own_values() -> None:

@@ -16,6 +16,7 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     FixedJoint,
     KinematicBody,
     Material,
@@ -72,8 +73,14 @@ def full_scene(count: int) -> Scene:
     cube = box_mesh((1e-3,) * 3)
     return Scene(
         [
-            SoftBody(MESH, GEL, rest_positions_m=rest, initial_pose=poses(count, 1)),
-            SoftBody(MESH, GEL, name="mounted", mount="frame"),
+            SoftBody(
+                MESH,
+                GEL,
+                rest_positions_m=rest,
+                initial_pose=poses(count, 1),
+                element=Element.LINEAR,
+            ),
+            SoftBody(MESH, GEL, name="mounted", mount="frame", element=Element.LINEAR),
         ],
         [
             KinematicBody(Ball(1e-3), name="ball", surface=Surface(environments=(0, count - 1))),
@@ -183,7 +190,7 @@ def test_slices_cover_all_environments_evenly(env_count: int, world_size: int) -
 
 
 def test_wrong_parts_are_refused() -> None:
-    scene = Scene(SoftBody(MESH, GEL), env_count=3)
+    scene = Scene(SoftBody(MESH, GEL, element=Element.LINEAR), env_count=3)
     with pytest.raises(InputError, match="at least 1 part, got 0"):
         split_scene(scene, 0)
     with pytest.raises(InputError, match="3 environments cannot be split into 4 parts"):

@@ -8,7 +8,7 @@ import pytest
 
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model.build import build_model
-from taccel_lab.scene import AffineBody, Material, Scene, SoftBody, TimeStepping, box_mesh
+from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody, TimeStepping, box_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
 
@@ -16,7 +16,10 @@ from taccel_lab.state import initial_state
 @pytest.mark.parametrize("method", ["ssor", "arrow", "arrow-shared", "cg"])
 def test_results_are_the_same(method: str) -> None:
     gel = SoftBody(
-        block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3)), Material(1e5, 0.4), friction_coefficient=0.5
+        block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3)),
+        Material(1e5, 0.4),
+        friction_coefficient=0.5,
+        element=Element.LINEAR,
     )
     cube = AffineBody(
         box_mesh((3e-3, 3e-3, 3e-3)),

@@ -14,6 +14,7 @@ from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -49,7 +50,7 @@ def model_of(envs: list[int], scheme: TimeScheme = TimeScheme.EULER) -> Model:
         initial_velocity_m_s=(0.0, 0.0, -0.05),
     )
     return Scene(
-        SoftBody(MESH, Material(1e5, 0.4), friction_coefficient=0.4),
+        SoftBody(MESH, Material(1e5, 0.4), friction_coefficient=0.4, element=Element.LINEAR),
         KinematicBody(Ball(1e-3), 0.4, name="ball"),
         len(envs),
         TimeStepping(False, 2e-3, (0, 0, -9.81), scheme),

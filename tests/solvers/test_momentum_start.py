@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.scene import KinematicBody, Material, Scene, SoftBody, TimeStepping, box_mesh
+from taccel_lab.scene import (
+    Element,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    box_mesh,
+)
 from taccel_lab.solvers import SolverConfig, SolverIPC, newton
 from taccel_lab.state import initial_state
 
@@ -19,6 +27,7 @@ def drag() -> tuple[np.ndarray, list[int]]:
         Material(1e5, 0.4),
         mount="hand",
         friction_coefficient=0.3,
+        element=Element.LINEAR,
     )
     table = KinematicBody(box_mesh((60e-3, 60e-3, 4e-3)), 0.3, name="table")
     time = TimeStepping(quasi_static=False, dt_s=5e-3)

@@ -11,6 +11,7 @@ import pytest
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -41,23 +42,26 @@ CUBE = AffineBody(box_mesh((1e-3,) * 3), initial_pose=pose(0, 0, 6e-4))
 @pytest.mark.parametrize(
     ("scene", "expected"),
     [
-        (Scene(SoftBody(MESH, GEL)), {"elasticity"}),
+        (Scene(SoftBody(MESH, GEL, element=Element.LINEAR)), {"elasticity"}),
         (
-            Scene(SoftBody(MESH, GEL), KinematicBody(Ball(1e-3))),
+            Scene(SoftBody(MESH, GEL, element=Element.LINEAR), KinematicBody(Ball(1e-3))),
             {"elasticity", "prescribed motion", "search of balls", "gates of held faces"},
         ),
         (
-            Scene(SoftBody(MESH, GEL), KinematicBody(box_mesh((1e-3,) * 3), 0.5)),
+            Scene(
+                SoftBody(MESH, GEL, element=Element.LINEAR),
+                KinematicBody(box_mesh((1e-3,) * 3), 0.5),
+            ),
             {"elasticity", "prescribed motion", "search in body frames", "friction"}
             | {"gates of held faces"},
         ),
         (
-            Scene(SoftBody(MESH, GEL, self_contact=True)),
+            Scene(SoftBody(MESH, GEL, self_contact=True, element=Element.LINEAR)),
             {"elasticity", "search among soft bodies", "self-contact"},
         ),
         (
             Scene(
-                SoftBody(MESH, Material(1e5, 0.4, damping_time_s=0.01)),
+                SoftBody(MESH, Material(1e5, 0.4, damping_time_s=0.01), element=Element.LINEAR),
                 planes=Plane(),
                 time=DYNAMIC,
             ),
@@ -75,7 +79,7 @@ def test_only_what_the_scene_needs_is_on(scene: Scene, expected: set[str]) -> No
 
 
 def test_the_plan_reads_like_a_table() -> None:
-    scene = Scene(SoftBody(MESH, GEL), KinematicBody(Ball(1e-3)))
+    scene = Scene(SoftBody(MESH, GEL, element=Element.LINEAR), KinematicBody(Ball(1e-3)))
     solver = SolverIPC(scene.finalize())
     lines = solver.plan.describe().splitlines()
     assert len(lines) == len(solver.plan.entries)
@@ -86,7 +90,7 @@ def test_the_plan_reads_like_a_table() -> None:
 
 
 def test_a_load_joins_the_plan_when_it_is_set() -> None:
-    model = Scene(SoftBody(MESH, GEL)).finalize()
+    model = Scene(SoftBody(MESH, GEL, element=Element.LINEAR)).finalize()
     solver, state = SolverIPC(model), initial_state(model)
     solver.step(state)
     assert not solver.plan.is_on("external loads")

@@ -13,6 +13,7 @@ from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -87,7 +88,7 @@ def test_objects_differ_by_environment() -> None:
         initial_pose=pose(0, 0, 0.9e-3),
         surface=Surface(environments=(1,)),
     )
-    gel = SoftBody(MESH, GEL)
+    gel = SoftBody(MESH, GEL, element=Element.LINEAR)
     both = Scene(gel, env_count=2, time=dynamic(), affine_bodies=[one, other])
     solver, state = run(both, 8)
     for env, body in enumerate((one, other)):
@@ -137,7 +138,8 @@ def test_coefficients_combine_by_the_harmonic_mean(
     first: float | None, second: float | None, expected: float
 ) -> None:
     scene = Scene(
-        SoftBody(MESH, GEL, friction_coefficient=first), KinematicBody(Ball(1e-3), second)
+        SoftBody(MESH, GEL, friction_coefficient=first, element=Element.LINEAR),
+        KinematicBody(Ball(1e-3), second),
     )
     assert scene.friction_between(*scene.bodies) == pytest.approx(expected)
     assert scene.friction_between(*scene.bodies[::-1]) == pytest.approx(expected)
@@ -152,7 +154,9 @@ def test_thickness_keeps_bodies_apart() -> None:
 
 
 def test_too_many_contacts_are_flagged_in_their_environment() -> None:
-    model = Scene(SoftBody(MESH, GEL), KinematicBody(Ball(1e-3)), env_count=2).finalize()
+    model = Scene(
+        SoftBody(MESH, GEL, element=Element.LINEAR), KinematicBody(Ball(1e-3)), env_count=2
+    ).finalize()
     start = np.stack([pose(0, 0, 1.3e-3)[None], pose(0, 0, 1.02e-3)[None]])
     target = np.stack([pose(0, 0, 1.2e-3)[None], pose(0, 0, 0.6e-3)[None]])
     solver, state = SolverIPC(model, SolverConfig(max_collisions=3)), initial_state(model, start)
@@ -177,7 +181,7 @@ def test_environments_in_another_order_are_bitwise_the_same() -> None:
     def positions(order: list[int]) -> np.ndarray:
         places = np.stack([pose(1e-4 * e, 0, 0.52e-3, (0, 0, 1), 7.0 * e) for e in order])
         scene = Scene(
-            SoftBody(MESH, GEL, friction_coefficient=0.5),
+            SoftBody(MESH, GEL, friction_coefficient=0.5, element=Element.LINEAR),
             KinematicBody(Ball(0.8e-3), 0.3),
             len(order),
             dynamic(),
@@ -195,14 +199,17 @@ def test_environments_in_another_order_are_bitwise_the_same() -> None:
     [
         ({"affine_bodies": cube("a", pose(0, 0, 0))}, "quasi_static=False"),
         ({"pair_friction": {("gel", "nobody"): 0.3}}, "'nobody', which 0 bodies are called"),
-        ({"soft_bodies": SoftBody(MESH, GEL, mount="hand")}, "mount 'hand'"),
+        (
+            {"soft_bodies": SoftBody(MESH, GEL, mount="hand", element=Element.LINEAR)},
+            "mount 'hand'",
+        ),
         ({"soft_bodies": ()}, "at least one soft or affine body"),
         ({"pair_friction": {("gel", "ball"): -1.0}}, r"must lie in \[0, 10\]"),
     ],
 )
 def test_bad_scenes_are_refused(settings: dict, message: str) -> None:
     good = {
-        "soft_bodies": SoftBody(MESH, GEL),
+        "soft_bodies": SoftBody(MESH, GEL, element=Element.LINEAR),
         "kinematic_bodies": KinematicBody(Ball(1e-3), name="ball"),
     }
     with pytest.raises(InputError, match=message):
@@ -224,14 +231,16 @@ def test_bad_scenes_are_refused(settings: dict, message: str) -> None:
         (lambda: KinematicBody(Ball(1e-3), 11.0), r"\[0, 10\]"),
         (
             lambda: Scene(
-                SoftBody(MESH, GEL),
+                SoftBody(MESH, GEL, element=Element.LINEAR),
                 KinematicBody(Ball(1e-3), surface=Surface(environments=(0, 5))),
                 env_count=3,
             ),
             r"must lie in \[0, 2\]",
         ),
         (
-            lambda: SoftBody(MESH, GEL, mount="hand", initial_pose=pose(0, 0, 0)),
+            lambda: SoftBody(
+                MESH, GEL, mount="hand", initial_pose=pose(0, 0, 0), element=Element.LINEAR
+            ),
             "has a mount",
         ),
         (
@@ -250,7 +259,9 @@ def test_bad_bodies_are_refused(make, message: str) -> None:
 
 
 def test_unused_kinematic_poses_have_a_default() -> None:
-    model = Scene(SoftBody(MESH, GEL), KinematicBody(None, name="frame"), env_count=2).finalize()
+    model = Scene(
+        SoftBody(MESH, GEL, element=Element.LINEAR), KinematicBody(None, name="frame"), env_count=2
+    ).finalize()
     state = initial_state(model)
     np.testing.assert_array_equal(
         state.poses.numpy().reshape(2, 1, 7), everywhere(2, pose(0, 0, 0))

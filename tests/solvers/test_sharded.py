@@ -14,6 +14,7 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -56,7 +57,13 @@ def scene_of(joint: bool = False) -> Scene:
         drive=PositionDrive(1e-5, 1e-8, target=0.02 * np.arange(ENVS)),
     )
     return Scene(
-        SoftBody(MESH, Material(1e5, 0.4), rest_positions_m=RESTS, friction_coefficient=0.4),
+        SoftBody(
+            MESH,
+            Material(1e5, 0.4),
+            rest_positions_m=RESTS,
+            friction_coefficient=0.4,
+            element=Element.LINEAR,
+        ),
         [
             KinematicBody(Ball(1e-3), 0.5, "ball", Surface(environments=(0, 1, 3))),
             KinematicBody(box_mesh((2e-3,) * 3), 0.5, "block", Surface(environments=(2, 4))),
@@ -195,6 +202,7 @@ def test_the_size_of_a_mounted_gel_does_not_matter_elsewhere() -> None:
             rest_positions_m=rests,
             mount="mount",
             friction_coefficient=0.5,
+            element=Element.LINEAR,
         ),
         [KinematicBody(None, name="mount"), KinematicBody(Ball(1e-3), 0.5)],
         len(rests),

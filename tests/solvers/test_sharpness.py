@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.ipc.friction import friction_gradient, friction_hessian, friction_potential
-from taccel_lab.scene import Ball, KinematicBody, Material, Scene, SoftBody
+from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
 from tests.verification.blocks import block_mesh, pose
@@ -47,7 +47,10 @@ def test_the_parabola_lies_above_the_potential(seed: int, scale: float) -> None:
 def test_a_rough_press_takes_few_iterations() -> None:
     """86 when written; 135 with the Newton matrix of friction alone."""
     gel = SoftBody(
-        block_mesh((10, 10, 4), (6e-3, 6e-3, 2.5e-3)), Material(1e5, 0.45), friction_coefficient=1.0
+        block_mesh((10, 10, 4), (6e-3, 6e-3, 2.5e-3)),
+        Material(1e5, 0.45),
+        friction_coefficient=1.0,
+        element=Element.LINEAR,
     )
     model = Scene(gel, KinematicBody(Ball(2e-3), 1.0)).finalize()
     solver = SolverIPC(model, SolverConfig())

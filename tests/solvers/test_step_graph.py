@@ -11,6 +11,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (
     AffineBody,
+    Element,
     KinematicBody,
     Material,
     Scene,
@@ -31,6 +32,7 @@ def cube_on_a_gel(env_count: int = 2) -> Scene:
         Material(1e5, 0.4),
         mount="hand",
         friction_coefficient=0.5,
+        element=Element.LINEAR,
     )
     cube = AffineBody(
         box_mesh((3e-3, 3e-3, 3e-3)),

@@ -7,7 +7,7 @@ import numpy as np
 
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, free_block, grid_tets, labelled
-from taccel_lab.scene import KinematicBody, Material, Scene, SoftBody, TimeStepping
+from taccel_lab.scene import Element, KinematicBody, Material, Scene, SoftBody, TimeStepping
 from taccel_lab.scene.primitives import TriangleMesh, sphere_mesh
 
 __all__ = [
@@ -55,5 +55,7 @@ def scene(
     bonded: np.ndarray | None = None,
 ) -> Scene:
     """A scene with the usual gel."""
-    soft = SoftBody(mesh, Material(young_pa, poisson, density), bonded, rest_m)
+    soft = SoftBody(
+        mesh, Material(young_pa, poisson, density), bonded, rest_m, element=Element.LINEAR
+    )
     return Scene(soft, tuple(bodies), env_count, time or TimeStepping())

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from taccel_lab.geometry import TetMesh
-from taccel_lab.scene import Material, Scene, SoftBody
+from taccel_lab.scene import Element, Material, Scene, SoftBody
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
@@ -31,7 +31,7 @@ def random_block(seed: int) -> TetMesh:
 
 def solve_inside(mesh: TetMesh, held: np.ndarray, target: np.ndarray, tolerance_n: float) -> tuple:
     """Equilibrium of the other nodes while the nodes ``held`` are at ``target`` [node_count, 3]."""
-    model = Scene(SoftBody(mesh, MATERIAL, bonded_nodes=held)).finalize()
+    model = Scene(SoftBody(mesh, MATERIAL, bonded_nodes=held, element=Element.LINEAR)).finalize()
     solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=tolerance_n))
     state = initial_state(model, NO_BODIES)
     # The others start off the solution, so that the solver has work to do, but in no tet inverted.
@@ -117,7 +117,7 @@ def test_simple_shear(shear: float) -> None:
 def test_uniform_compression(ratio: float) -> None:
     """p = mu (s - 1/s) + 3 lambda ln(s) / s for F = s I."""
     mesh = random_block(3)
-    made = Scene(SoftBody(mesh, MATERIAL)).finalize()
+    made = Scene(SoftBody(mesh, MATERIAL, element=Element.LINEAR)).finalize()
     assembly = Assembly(made, SolverConfig(), NO_BODIES)
     x = mesh.nodes_m * ratio
     gradient = assembly.elastic_gradient(x[None])[0]
@@ -130,7 +130,7 @@ def test_uniform_compression(ratio: float) -> None:
 @given(seed=st.integers(0, 10_000), shift=st.floats(-1.0, 1.0))
 def test_rigid_motion_costs_nothing(seed: int, shift: float) -> None:
     mesh = random_block(4)
-    made = Scene(SoftBody(mesh, MATERIAL)).finalize()
+    made = Scene(SoftBody(mesh, MATERIAL, element=Element.LINEAR)).finalize()
     assembly = Assembly(made, SolverConfig(), NO_BODIES)
     turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))

@@ -154,11 +154,11 @@ def colliding(soft: bool) -> Free:
     stepping = TimeStepping(quasi_static=False, dt_s=1e-3)
     gap = 2e-4
     place = pose(0.3 * SIDE, 0.1 * SIDE, gap + 0.5 * SIDE, (0, 0, 1), 15.0)
-    one = SoftBody(MESH, SOFT, initial_velocity_m_s=(0.1, 0.0, 0.5))
+    one = SoftBody(MESH, SOFT, initial_velocity_m_s=(0.1, 0.0, 0.5), element=Element.LINEAR)
     if soft:
         # The mesh hangs below its frame's origin.
         place[2] += 0.5 * SIDE
-        other = SoftBody(MESH, SOFT, name="other", initial_pose=place)
+        other = SoftBody(MESH, SOFT, name="other", initial_pose=place, element=Element.LINEAR)
         scene = Scene((one, other), time=stepping)
     else:
         cube = AffineBody(box_mesh((SIDE, SIDE, SIDE)), initial_pose=place)

@@ -16,6 +16,7 @@ from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -94,8 +95,10 @@ def gel_on_gel(
     surface = Surface(**options)
     return Scene(
         [
-            SoftBody(lower, GEL, name="lower", surface=surface),
-            SoftBody(upper, GEL, name="upper", mount="hand", surface=surface),
+            SoftBody(lower, GEL, name="lower", surface=surface, element=Element.LINEAR),
+            SoftBody(
+                upper, GEL, name="upper", mount="hand", surface=surface, element=Element.LINEAR
+            ),
         ],
         KinematicBody(None, name="hand"),
     )
@@ -185,7 +188,13 @@ def hairpin(self_contact: bool) -> Scene:
     x += np.where(along > arm + arc, along - arm - arc, 0)
     nodes = np.column_stack([x, -straight.nodes_m[:, 1], -away * np.cos(angle)])
     mesh = touchable(replace(straight, nodes_m=nodes))
-    strip = SoftBody(mesh, GEL, np.flatnonzero(along < 0.3 * arm), self_contact=self_contact)
+    strip = SoftBody(
+        mesh,
+        GEL,
+        np.flatnonzero(along < 0.3 * arm),
+        self_contact=self_contact,
+        element=Element.LINEAR,
+    )
     return Scene(strip, KinematicBody(box_mesh((4e-3, 3e-3, 0.5e-3)), name="plate"))
 
 
@@ -228,7 +237,7 @@ def test_a_mat_twisted_by_two_turns() -> None:
     held = np.flatnonzero(mesh.nodes_m[:, 0] < -length / 2 + 1e-9)
     jaw = box_mesh((1.2e-3, 1.2 * width, 0.5e-3))
     jaws = [KinematicBody(jaw, 5.0, name=name) for name in ("upper jaw", "lower jaw")]
-    made = Scene(SoftBody(mesh, GEL, held, self_contact=True), jaws)
+    made = Scene(SoftBody(mesh, GEL, held, self_contact=True, element=Element.LINEAR), jaws)
 
     def gripped(gap: float, deg: float) -> np.ndarray:
         angle = np.deg2rad(deg)
@@ -254,7 +263,14 @@ def test_a_mat_twisted_by_two_turns() -> None:
 def test_a_cube_squeezed_to_a_fifth_of_its_height(friction: float, lowest: float) -> None:
     side = 2e-3
     mesh = touchable(block_mesh((5, 5, 5), (side, side, side), jitter=0.1))
-    cube = SoftBody(mesh, GEL, FREE, self_contact=True, initial_pose=pose(0, 0, side + 3e-5))
+    cube = SoftBody(
+        mesh,
+        GEL,
+        FREE,
+        self_contact=True,
+        initial_pose=pose(0, 0, side + 3e-5),
+        element=Element.LINEAR,
+    )
     made = Scene(
         cube,
         KinematicBody(box_mesh((8e-3, 8e-3, 0.5e-3)), friction, name="plate"),
@@ -330,7 +346,7 @@ def test_a_knife_between_the_nodes_of_a_gel() -> None:
     def placed(z: float, x: float = 0.0) -> np.ndarray:
         return everywhere(1, pose(x, 0, z, (1, 0.1, 0), 180))
 
-    run = Watched(Scene(SoftBody(mesh, GEL), knife), placed(3e-5 + 4e-4))
+    run = Watched(Scene(SoftBody(mesh, GEL, element=Element.LINEAR), knife), placed(3e-5 + 4e-4))
     forces = []
     for z in (1e-4, -1e-4, -3e-4, -5e-4):
         run.step(placed(z))

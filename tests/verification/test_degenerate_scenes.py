@@ -14,6 +14,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.scene import (
     AffineBody,
+    Element,
     KinematicBody,
     Material,
     Scene,
@@ -103,6 +104,7 @@ def test_soft_bodies_in_degenerate_contact(name: str) -> None:
         friction_coefficient=0.2,
         initial_pose=pose(*place),
         initial_velocity_m_s=(along, 0.0, -0.3),
+        element=Element.LINEAR,
     )
     run = Watched(
         in_time(2e-3, soft_bodies=body, kinematic_bodies=KinematicBody(fixed, 0.2, name="fixed")),
@@ -141,6 +143,7 @@ def test_a_block_slides_over_a_seam(soft: bool) -> None:
                 name="block",
                 initial_pose=pose(-8e-3, 0, 8e-3 + 0.9 * dhat),
                 initial_velocity_m_s=(speed, 0, 0),
+                element=Element.LINEAR,
             )
         }
     else:
@@ -198,6 +201,7 @@ def test_a_mat_falls_on_knives(cells: int) -> None:
         friction_coefficient=0.3,
         initial_pose=pose(0.3e-3, 0.2e-3, 0.5e-3, (0, 0, 1), 7),
         initial_velocity_m_s=(0, 0, -0.2),
+        element=Element.LINEAR,
     )
     run = Watched(
         in_time(5e-3, soft_bodies=body, kinematic_bodies=knives),
@@ -237,6 +241,7 @@ def test_a_ball_is_drawn_through_two_rollers(cells: int) -> None:
         name="ball",
         friction_coefficient=1.0,
         initial_pose=pose(0, 0, rest + 2e-4),
+        element=Element.LINEAR,
     )
     cylinder = cylinder_mesh(roller, 14e-3, 48)
     rollers = [KinematicBody(cylinder, 1.0, name=name) for name in ("left", "right")]

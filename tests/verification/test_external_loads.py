@@ -142,7 +142,9 @@ def test_weight_as_forces_is_gravity() -> None:
     ends = []
     for as_forces in (False, True):
         time = TimeStepping(False, 0.01, (0, 0, 0) if as_forces else tuple(g))
-        model = Scene(SoftBody(mesh, Material(1e5, 0.4)), time=time).finalize()
+        model = Scene(
+            SoftBody(mesh, Material(1e5, 0.4), element=Element.LINEAR), time=time
+        ).finalize()
         solver, state = SolverIPC(model, TIGHT), initial_state(model)
         if as_forces:
             state.load(model, model.masses.numpy()[..., None] * g)

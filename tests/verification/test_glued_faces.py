@@ -161,7 +161,9 @@ def test_a_body_pressed_through_a_gel_stops_at_its_glued_back(
 
 def test_a_body_from_behind_is_stopped_by_faces_that_are_prescribed_like_itself() -> None:
     """Neither gives way: the step fails, the body stays."""
-    model = Scene(SoftBody(MESH, SOFT), KinematicBody(Ball(1e-3))).finalize()
+    model = Scene(
+        SoftBody(MESH, SOFT, element=Element.LINEAR), KinematicBody(Ball(1e-3))
+    ).finalize()
     start = pose(0, 0, BACK - 1.1e-3)
     solver, state = SolverIPC(model, HASTY), initial_state(model, everywhere(1, start))
     assert step(solver, state, pose(0, 0, BACK - 1.05e-3)).converged[0]
@@ -173,7 +175,7 @@ def test_the_mount_of_a_gel_may_coincide_with_its_glued_back() -> None:
     plate = box_mesh((4e-3, 4e-3, 1e-3))
     plate = TriangleMesh(plate.vertices_m + [0, 0, BACK - 0.5e-3], plate.faces)
     bodies = [KinematicBody(plate, name="plate"), KinematicBody(Ball(2e-3), name="ball")]
-    model = Scene(SoftBody(MESH, SOFT, mount="plate"), bodies).finalize()
+    model = Scene(SoftBody(MESH, SOFT, mount="plate", element=Element.LINEAR), bodies).finalize()
     start = [pose(0, 0, 0), pose(0, 0, 2e-3 + 5e-5)]
     solver, state = SolverIPC(model), initial_state(model, everywhere(1, *start))
     report = step(solver, state, pose(0, 0, 1e-4), pose(0, 0, 2e-3 - 2e-4))
@@ -183,7 +185,7 @@ def test_the_mount_of_a_gel_may_coincide_with_its_glued_back() -> None:
 
 def test_a_glued_back_is_stopped_by_a_plane() -> None:
     """The mount is driven into the floor, back first."""
-    soft = SoftBody(MESH, SOFT, mount="mount")
+    soft = SoftBody(MESH, SOFT, mount="mount", element=Element.LINEAR)
     scene = Scene(soft, KinematicBody(None, name="mount"), planes=Plane((0, 0, BACK - 1e-4)))
     model = scene.finalize()
     solver, state = SolverIPC(model, HASTY), initial_state(model, everywhere(1, pose(0, 0, 0)))

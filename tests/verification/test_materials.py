@@ -16,6 +16,7 @@ from scipy.optimize import brentq
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.scene import (
     Ball,
+    Element,
     KinematicBody,
     Material,
     MaterialField,
@@ -95,7 +96,7 @@ def test_uniaxial_stretch_with_free_sides(model: MaterialModel, stretch: float) 
     end = x0 > x0.max() - 1e-9
     held = np.flatnonzero(end | (x0 < x0.min() + 1e-9))
     target = mesh.nodes_m * [stretch, w, w]
-    x, assembly = solved(SoftBody(mesh, material(model), held), target)
+    x, assembly = solved(SoftBody(mesh, material(model), held, element=Element.LINEAR), target)
     np.testing.assert_allclose(x, target, atol=1e-9 * SIZE[0])
     pull = assembly.elastic_gradient(x[None])[0, end].sum(axis=0)
     area = SIZE[1] * SIZE[2]
@@ -124,7 +125,9 @@ def shear_energy_and_stress(model: MaterialModel, g: float) -> tuple[float, floa
 def test_simple_shear(model: MaterialModel, shear: float) -> None:
     mesh = block_mesh((3, 3, 3), SIZE, jitter=0.2, seed=2)
     target = mesh.nodes_m + shear * mesh.nodes_m[:, 2:] * [1, 0, 0]
-    x, assembly = solved(SoftBody(mesh, material(model), np.unique(mesh.faces)), target)
+    x, assembly = solved(
+        SoftBody(mesh, material(model), np.unique(mesh.faces), element=Element.LINEAR), target
+    )
     volume = float(np.prod(SIZE))
     energy, stress = shear_energy_and_stress(model, shear)
     assert assembly.elastic_energy(x[None])[0] == pytest.approx(energy * volume, rel=1e-8)
@@ -163,7 +166,7 @@ def test_a_body_of_two_materials_is_the_sum_of_two_bodies(model: MaterialModel) 
     count = mesh.node_count
 
     def assembled(body_mesh, tet_material, positions) -> tuple:
-        body = SoftBody(body_mesh, tet_material, np.array([0, 1, 2]))
+        body = SoftBody(body_mesh, tet_material, np.array([0, 1, 2]), element=Element.LINEAR)
         assembly = Assembly(Scene(body).finalize(), SolverConfig(), NO_BODIES)
         return (
             assembly.elastic_energy(positions[None])[0],
@@ -207,7 +210,10 @@ def test_a_uniform_field_is_the_uniform_material() -> None:
     x = (mesh.nodes_m * [1.1, 0.95, 0.9])[None]
     fields = (material(MaterialModel.NEO_HOOKEAN), MaterialField(np.full(48, YOUNG), NU))
     made = [
-        Assembly(Scene(SoftBody(mesh, m)).finalize(), SolverConfig(), NO_BODIES) for m in fields
+        Assembly(
+            Scene(SoftBody(mesh, m, element=Element.LINEAR)).finalize(), SolverConfig(), NO_BODIES
+        )
+        for m in fields
     ]
     np.testing.assert_array_equal(*(a.elastic_gradient(x) for a in made))
     np.testing.assert_array_equal(*(a.elastic_hessian(x, PSD_NONE) for a in made))
@@ -220,7 +226,7 @@ def press(tet_material: Material | MaterialField, friction: float = 0.4) -> np.n
     """Normal force [N] of a ball at ``DEPTHS`` and after a drag at the last one."""
     mesh = block_mesh((6, 6, 3), (6e-3, 6e-3, 2.4e-3), jitter=0.15)
     body = KinematicBody(Ball(1.5e-3), friction)
-    model = Scene(SoftBody(mesh, tet_material), (body,)).finalize()
+    model = Scene(SoftBody(mesh, tet_material, element=Element.LINEAR), (body,)).finalize()
     solver = SolverIPC(model, SolverConfig())
     state = initial_state(model, everywhere(1, pose(0, 0, 1.6e-3)))
     forces = []

@@ -57,9 +57,11 @@ def test_moving_the_gel_or_the_ball_is_the_same_press(friction: float) -> None:
     """Press, then shear by the same relative motion; compared in the frame of the gel."""
     config = SolverConfig(dhat_m=DHAT, relative_tolerance=1e-7)
     path = [(0.0, 0.2e-3), (0.0, 0.4e-3), (0.1e-3, 0.4e-3)]
-    fixed = Scene(SoftBody(MESH, GEL), KinematicBody(Ball(RADIUS), friction)).finalize()
+    fixed = Scene(
+        SoftBody(MESH, GEL, element=Element.LINEAR), KinematicBody(Ball(RADIUS), friction)
+    ).finalize()
     moved = Scene(
-        SoftBody(MESH, GEL, mount="hand"),
+        SoftBody(MESH, GEL, mount="hand", element=Element.LINEAR),
         [KinematicBody(Ball(RADIUS), friction), KinematicBody(None, name="hand")],
     ).finalize()
     solvers = [SolverIPC(model, config) for model in (fixed, moved)]
@@ -96,7 +98,7 @@ def test_the_mount_feels_the_mass_of_the_gel() -> None:
     """Accelerated steadily, elastic forces at the bonded nodes carry the free mass: F = m a."""
     a, dt = 5.0, 2e-3
     damped = Material(3e5, 0.4, 1000.0, damping_time_s=5e-3)
-    soft = SoftBody(MESH, damped, mount="hand")
+    soft = SoftBody(MESH, damped, mount="hand", element=Element.LINEAR)
     time = TimeStepping(quasi_static=False, dt_s=dt)
     model = Scene(soft, KinematicBody(None, name="hand"), time=time).finalize()
     solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-9))
@@ -118,7 +120,12 @@ def test_two_mounted_gels_lift_a_peg() -> None:
     """Friction alone carries the weight, and the peg keeps its place between the gels."""
     side, dt, g = 6e-3, 0.02, 9.81
     names = ("left", "right")
-    gels = [SoftBody(MESH, GEL, name=n, mount=f"{n} jaw", friction_coefficient=1.0) for n in names]
+    gels = [
+        SoftBody(
+            MESH, GEL, name=n, mount=f"{n} jaw", friction_coefficient=1.0, element=Element.LINEAR
+        )
+        for n in names
+    ]
     jaws = [KinematicBody(None, name=f"{n} jaw") for n in names]
     peg = AffineBody(box_mesh((side, 5e-3, 12e-3)), name="peg", friction_coefficient=1.0)
     time = TimeStepping(quasi_static=False, dt_s=dt, gravity_m_s2=(0, 0, -g))

@@ -171,6 +171,7 @@ def test_gels_of_unlike_elements_press_on_each_other() -> None:
         Material(2e5, 0.4),
         name="upper",
         mount="hand",
+        element=Element.LINEAR,
     )
     model = Scene([lower, upper], KinematicBody(None, name="hand")).finalize()
     assert len(model.elastic) == 2

@@ -85,7 +85,11 @@ class Slope:
             # A gel glued to a tilted back plate.
             mesh = block_mesh((8, 8, 2), (2 * SIDE, 2 * SIDE, SIDE / 2))
             bodies["soft_bodies"] = SoftBody(
-                mesh, Material(2e5, 0.45, DENSITY), friction_coefficient=MU, mount="back"
+                mesh,
+                Material(2e5, 0.45, DENSITY),
+                friction_coefficient=MU,
+                mount="back",
+                element=Element.LINEAR,
             )
             bodies["kinematic_bodies"] = KinematicBody(None, name="back")
             poses = everywhere(1, np.append(np.zeros(3), turn))
@@ -221,7 +225,7 @@ def test_halved_steps_of_a_press_creep_no_further(monkeypatch: pytest.MonkeyPatc
         mesh = block_mesh((4, 4, 2), (8e-3, 8e-3, 2e-3))
         ball = KinematicBody(Ball(4e-3), 0.5)
         config = SolverConfig(dhat_m=DHAT, relative_tolerance=1e-5, friction_eps_m=2e-5)
-        model = Scene(SoftBody(mesh, Material(1e5, 0.4)), ball).finalize()
+        model = Scene(SoftBody(mesh, Material(1e5, 0.4), element=Element.LINEAR), ball).finalize()
         solver = SolverIPC(model, config)
         path = [(0, 4.1e-3), (0, 3.7e-3), (1e-4, 3.7e-3)] + 4 * [(1e-4, 3.7e-3)]
         state = initial_state(model, everywhere(1, pose(0, 0, path[0][1])))
@@ -250,7 +254,7 @@ def test_the_range_of_the_other_kind_of_scene_is_refused(
 ) -> None:
     mesh = block_mesh((1, 1, 1), (1e-3, 1e-3, 1e-3))
     time = TimeStepping(quasi_static=quasi_static)
-    model = Scene(SoftBody(mesh, Material(1e5, 0.3)), time=time).finalize()
+    model = Scene(SoftBody(mesh, Material(1e5, 0.3), element=Element.LINEAR), time=time).finalize()
     with pytest.raises(InputError, match=f"{option} means nothing.*{says}"):
         SolverIPC(model, replace(SolverConfig(), **{option: 1e-4}))
 

@@ -10,6 +10,7 @@ from taccel_lab.geometry.block import free_block
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import (
     AffineBody,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -39,6 +40,7 @@ def resting(soft: bool, floor: str, slope: float, mu: float) -> Outputs:
             free_block((3, 3, 3), SIDE),
             Material(1e6, 0.3, DENSITY),
             initial_pose=pose(1e-3, 2e-3, SIDE + start),
+            element=Element.LINEAR,
         )
         bodies = {"soft_bodies": body}
     else:

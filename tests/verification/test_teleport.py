@@ -15,6 +15,7 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (
     AffineBody,
     Ball,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -32,7 +33,11 @@ from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
 from tests.verification.blocks import everywhere, pose
 
-GEL = SoftBody(block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.15), Material(1e5, 0.4))
+GEL = SoftBody(
+    block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.15),
+    Material(1e5, 0.4),
+    element=Element.LINEAR,
+)
 HASTY = SolverConfig(max_newton_iterations=60, max_substep_halvings=2)
 
 

@@ -17,7 +17,7 @@ from benchmarks.stress.families.common import (
     settings,
 )
 from benchmarks.stress.shapes import about, after, pose, soft_box, stiff_shape, wedge
-from taccel_lab.scene import AffineBody, KinematicBody, Plane, Scene, SoftBody, TimeScheme
+from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody, TimeScheme
 
 SMALLEST_GAP = 1e-9
 
@@ -66,7 +66,15 @@ def thin_gap(draw: Draw) -> Case:
         start = pose((0, 0, -side))[None, None]
     else:
         mesh = bonded_block(draw, "gel", (8e-3, 8e-3, 3e-3))
-        soft.append(SoftBody(mesh, material(draw, "gel"), name="gel", friction_coefficient=0.5))
+        soft.append(
+            SoftBody(
+                mesh,
+                material(draw, "gel"),
+                name="gel",
+                friction_coefficient=0.5,
+                element=Element.LINEAR,
+            )
+        )
     scene = Scene(soft, kinematic, affine_bodies=stiff, planes=planes, time=stepping)
     return Case(scene, config, 4, start, closed=stepping.scheme is TimeScheme.EULER)
 

@@ -18,7 +18,7 @@ from benchmarks.stress.families.common import (
     settings,
 )
 from benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape, turned
-from taccel_lab.scene import AffineBody, KinematicBody, Plane, Scene, SoftBody, TimeScheme
+from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody, TimeScheme
 
 GEL = (6e-3, 6e-3, 2e-3)
 
@@ -145,7 +145,14 @@ def pile(draw: Draw) -> Case:
     floor = Plane(friction_coefficient=0.5)
     if draw.chance("soft floor", 0.4):
         mesh = bonded_block(draw, "gel", (8e-3, 8e-3, 2e-3))
-        gels = [SoftBody(mesh, material(draw, "gel", (1e4, 1e7)), friction_coefficient=mu)]
+        gels = [
+            SoftBody(
+                mesh,
+                material(draw, "gel", (1e4, 1e7)),
+                friction_coefficient=mu,
+                element=Element.LINEAR,
+            )
+        ]
         floor = replace(floor, point_m=(0.0, 0.0, -2.5e-3))
     scene = Scene(gels, affine_bodies=bodies, planes=floor, time=stepping)
     return Case(scene, config, 8, closed=stepping.scheme is TimeScheme.EULER)

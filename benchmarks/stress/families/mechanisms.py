@@ -22,6 +22,7 @@ from benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, st
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
+    Element,
     FixedJoint,
     Joint,
     KinematicBody,
@@ -205,7 +206,7 @@ def no_way(draw: Draw) -> Case:
     pusher = KinematicBody(shape, friction(draw), name="pusher")
     if kind == "through the gel":
         mesh = bonded_block(draw, "gel", (5e-3, 5e-3, 2e-3))
-        gel = SoftBody(mesh, material(draw, young_pa=(1e3, 1e7)))
+        gel = SoftBody(mesh, material(draw, young_pa=(1e3, 1e7)), element=Element.LINEAR)
         scene = Scene(gel, pusher, time=maybe_in_time(draw))
         path = [pose((x, 0, z), turn)[None, None] for z in (2e-4 - low, -5e-3 - high)]
     else:

@@ -18,7 +18,7 @@ from benchmarks.stress.families.common import (
     settings,
 )
 from benchmarks.stress.shapes import about, after, pose, reach, soft_box
-from taccel_lab.scene import KinematicBody, Plane, Scene, SoftBody, box_mesh
+from taccel_lab.scene import Element, KinematicBody, Plane, Scene, SoftBody, box_mesh
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import State
 
@@ -37,7 +37,9 @@ def twist(draw: Draw) -> Case:
     jaws = [
         KinematicBody(jaw, draw.between(f"friction {k}", 1, 5), name=f"jaw {k}") for k in (0, 1)
     ]
-    strip = SoftBody(mesh, material(draw, young_pa=(1e4, 1e7)), held, self_contact=True)
+    strip = SoftBody(
+        mesh, material(draw, young_pa=(1e4, 1e7)), held, self_contact=True, element=Element.LINEAR
+    )
     turns = draw.choose("deg a step", (15.0, 30.0, 45.0, 60.0))
 
     def gripped(gap: float, deg: float) -> np.ndarray:

@@ -16,7 +16,16 @@ from benchmarks.stress.referees import Finding, Referees, Taken, take
 from benchmarks.stress.shapes import pose
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs
-from taccel_lab.scene import Ball, KinematicBody, Material, Scene, SoftBody, TimeStepping, box_mesh
+from taccel_lab.scene import (
+    Ball,
+    Element,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    box_mesh,
+)
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.state import State, initial_state
@@ -28,7 +37,11 @@ class Step:
     """A box presses a gel in one dynamic step; faults are planted into what it left."""
 
     def __init__(self, shape: object = None, expect: Callable | None = None) -> None:
-        gel = SoftBody(block_mesh((3, 3, 2), (4e-3, 4e-3, 2e-3), 0.1), Material(1e5, 0.4))
+        gel = SoftBody(
+            block_mesh((3, 3, 2), (4e-3, 4e-3, 2e-3), 0.1),
+            Material(1e5, 0.4),
+            element=Element.LINEAR,
+        )
         body = KinematicBody(shape or box_mesh((1.1e-3, 1.2e-3, 1e-3)))  # type: ignore[arg-type]
         time = TimeStepping(quasi_static=False, dt_s=1e-2)
         config = SolverConfig(dhat_m=DHAT)

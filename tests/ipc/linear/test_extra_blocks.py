@@ -12,6 +12,7 @@ from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.motion import newton_system
 from taccel_lab.scene import (
     AffineBody,
+    Element,
     KinematicBody,
     Material,
     Scene,
@@ -105,7 +106,9 @@ def test_blocks_of_all_kinds_of_nodes_are_j_transposed_h_j() -> None:
     """Soft, bonded, mounted, affine and kinematic nodes: H in terms of the unknowns, and the rest
     on the right-hand side."""
     rng = np.random.default_rng(1)
-    gel = SoftBody(block_mesh((1, 1, 1), (1e-3,) * 3), Material(1e5, 0.4), mount="hand")
+    gel = SoftBody(
+        block_mesh((1, 1, 1), (1e-3,) * 3), Material(1e5, 0.4), mount="hand", element=Element.LINEAR
+    )
     bodies = [AffineBody(box_mesh((2e-3, 1e-3, 1e-3))), AffineBody(sphere_mesh(1e-3, 1e-3))]
     model = Scene(
         gel,

@@ -26,6 +26,7 @@ from taccel_lab.ipc.potentials.contact import ContactPotential
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
+    Element,
     KinematicBody,
     Material,
     Plane,
@@ -56,13 +57,15 @@ def touchable(mesh: TetMesh) -> TetMesh:
 def block(cells: tuple[int, int, int], seed: int, at: np.ndarray, **options: Any) -> SoftBody:
     """A soft block whose upper face is at z = 0 in its own frame."""
     mesh = touchable(block_mesh(cells, SIZE, jitter=0.2, seed=seed))
-    return SoftBody(mesh, SOFT, bonded_nodes=NONE, initial_pose=at, **options)
+    return SoftBody(
+        mesh, SOFT, bonded_nodes=NONE, initial_pose=at, element=Element.LINEAR, **options
+    )
 
 
 def folded() -> SoftBody:
     """A strip to be bent until its ends face each other."""
     mesh = touchable(block_mesh((6, 1, 1), (3e-3, 0.4e-3, 0.3e-3), jitter=0.1, seed=1))
-    return SoftBody(mesh, SOFT, bonded_nodes=NONE, self_contact=True)
+    return SoftBody(mesh, SOFT, bonded_nodes=NONE, self_contact=True, element=Element.LINEAR)
 
 
 UP = 0.5e-3 + 0.06 * DHAT
@@ -276,7 +279,14 @@ def test_thickness_counts_once_for_each_body() -> None:
         upper = touchable(block_mesh((3, 3, 1), (0.5e-3, 0.5e-3, 0.5e-3), jitter=0.2))
         bodies = [
             block((2, 2, 1), 1, pose(0, 0, 0), name="below", surface=surface),
-            SoftBody(upper, SOFT, NONE, initial_pose=pose(0, 0, high), surface=surface),
+            SoftBody(
+                upper,
+                SOFT,
+                NONE,
+                initial_pose=pose(0, 0, high),
+                surface=surface,
+                element=Element.LINEAR,
+            ),
         ]
         model = Scene(bodies, time=FREE).finalize()
         x = initial_state(model).positions.numpy()[0]
@@ -290,7 +300,7 @@ def test_thickness_counts_once_for_each_body() -> None:
 def test_neighbours_at_rest_exert_nothing() -> None:
     """A self-contact mesh far finer than dhat."""
     mesh = touchable(block_mesh((8, 8, 4), (4e-4, 4e-4, 2e-4), jitter=0.25))
-    body = SoftBody(mesh, SOFT, bonded_nodes=NONE, self_contact=True)
+    body = SoftBody(mesh, SOFT, bonded_nodes=NONE, self_contact=True, element=Element.LINEAR)
     model = Scene(body, time=FREE).finalize()
     x = initial_state(model).positions.numpy()[0]
     problem = Dense(model, Contact(model, x), x)

@@ -189,6 +189,7 @@ def test_bodies_of_one_law_and_element_share_a_group() -> None:
         block_mesh((2, 1, 1), SIZE),
         MaterialField(np.linspace(1e5, 2e5, 12), 0.3),
         name="second",
+        element=Element.LINEAR,
     )
     third = gel(MESH, Element.QUADRATIC)
     made = forces(first, second, third)

@@ -147,7 +147,7 @@ def test_environments_may_take_steps_of_their_own_length() -> None:
 
 def test_only_damped_bodies_are_in_a_damped_group() -> None:
     bodies = [
-        SoftBody(MESH, Material(YOUNG, NU, damping_time_s=tau), name=str(i))
+        SoftBody(MESH, Material(YOUNG, NU, damping_time_s=tau), name=str(i), element=Element.LINEAR)
         for i, tau in enumerate((0.1, 0.0, 0.3))
     ]
     model = Scene(bodies, time=TimeStepping(quasi_static=False, dt_s=DT)).finalize()
@@ -200,7 +200,7 @@ def test_a_damped_press_converges(friction: float, tolerance: float) -> None:
     mesh = block_mesh((5, 5, 3), (5e-3, 5e-3, 2.4e-3), jitter=0.15)
     forces = []
     for tau in (0.0, 0.06):
-        soft = SoftBody(mesh, Material(YOUNG, NU, damping_time_s=tau))
+        soft = SoftBody(mesh, Material(YOUNG, NU, damping_time_s=tau), element=Element.LINEAR)
         time = TimeStepping(quasi_static=False, dt_s=DT)
         model = Scene(soft, (KinematicBody(Ball(1.5e-3), friction),), time=time).finalize()
         solver = SolverIPC(model)
@@ -232,4 +232,4 @@ def test_bad_damping_is_refused(kind: type, value: float) -> None:
 
 def test_quasi_static_damping_is_refused() -> None:
     with pytest.raises(InputError, match="damping_time_s needs quasi_static=False"):
-        Scene(SoftBody(MESH, Material(YOUNG, NU, damping_time_s=0.1)))
+        Scene(SoftBody(MESH, Material(YOUNG, NU, damping_time_s=0.1), element=Element.LINEAR))
