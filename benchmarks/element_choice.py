@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ import warp as wp
 from benchmarks.machine import describe_run
 from cad.mesh.structured import structured_gel_mesh
 from cad.parts.gel_pad import GelPad
-from taccel_lab.envs import PressEnv, parse_indenter
+from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.output import atomic_file, write_json
 from taccel_lab.scene import Element, Material
 
@@ -74,7 +74,7 @@ def press(element: Element, layers: int, poisson_ratio: float) -> PressFigures:
         Material(YOUNG_PA, poisson_ratio),
         parse_indenter("sphere:4.0"),
         np.zeros((1, 2)),
-        element=element,
+        physics=replace(PHYSICS[Accuracy.DEFAULT], element=element),
     )
     reports, forces = [], []
     started = time.process_time()

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,19 +38,26 @@ def press(
 ) -> dict[str, Any]:
     """One press; figures of each step."""
     from sensors.press_mesh import press_mesh
-    from taccel_lab.envs import PressEnv, PressMeshOptions, parse_indenter
-    from taccel_lab.scene import Material
-    from taccel_lab.solvers import SolverConfig
+    from taccel_lab.envs import (
+        PHYSICS,
+        Accuracy,
+        PressEnv,
+        PressMeshOptions,
+        parse_indenter,
+    )
+    from taccel_lab.scene import Element, Material
 
     core, rings, layers = mesh
-    options = PressMeshOptions(core=core, rings=rings, layers=layers)
+    options = PressMeshOptions(10.0, core=core, rings=rings, layers=layers)
+    physics = replace(PHYSICS[Accuracy.DEFAULT], element=Element.LINEAR, dhat_m=2e-5)
     env = PressEnv(
         press_mesh("gelsight", {}, (1.0, -0.5), 1.26, options),
         Material(1.5e5, poisson_ratio),
         parse_indenter("sphere:2.0"),
         np.array([[1.0, -0.5]]),
         friction_coefficient=friction,
-        config=SolverConfig(capture=capture),
+        physics=physics,
+        config=physics.solver(capture=capture),
         device=DEVICE,
     )
     reports = [env.move_to(STEP_MM * (i + 1)) for i in range(STEP_COUNT)]

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.envs import PressEnv, parse_indenter
+from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import Element, Material, MaterialField, MaterialModel
@@ -24,6 +24,13 @@ DOWN = np.array([[[0.0, 0.0, -1.0]]])
 MOONEY = Material(3e5, 0.47, model=MaterialModel.MOONEY_RIVLIN, mooney_ratio=0.4)
 
 
+@pytest.fixture(autouse=True)
+def held_back_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slopes are those of the force at one place of the tool: no correction for the gap, which
+    comes in steps of its tolerance."""
+    monkeypatch.setattr("taccel_lab.envs.press.SETBACK_ROUNDS", 1)
+
+
 def press(
     material: Material | MaterialField,
     depth_mm: float | Sequence[float] = 0.6,
@@ -33,8 +40,8 @@ def press(
 ) -> PressEnv:
     depths = np.atleast_1d(depth_mm)
     env = PressEnv(
-        MESH, material, parse_indenter(indenter), np.zeros((len(depths), 2)), element=element,
-        config=config,
+        MESH, material, parse_indenter(indenter), np.zeros((len(depths), 2)),
+        physics=replace(PHYSICS[Accuracy.DEFAULT], element=element), config=config,
     )  # fmt: skip
     env.move_to(depths)
     return env

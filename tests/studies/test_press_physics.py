@@ -13,7 +13,7 @@ from studies.metrics.edge_sharpness import rise_width
 from studies.metrics.two_point import contrast
 from studies.press_batch import REFERENCE_PA, simulate
 from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
-from taccel_lab.scene import Element, Material
+from taccel_lab.scene import Material
 from tests.studies.quick import THICK, coarse, jobs, pressed
 
 NU = 0.46
@@ -68,7 +68,6 @@ def test_positions_do_not_depend_on_the_modulus(friction: float) -> None:
             np.zeros((1, 2)),
             friction_coefficient=job.friction,
             gel_from_press=job.gel_from_press[None],
-            element=Element.QUADRATIC,
         )
         depth = press.full_depth_mm(float(env.thickness_m[0]) * 1e3)
         for point in press.waypoints():

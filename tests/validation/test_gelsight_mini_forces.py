@@ -19,7 +19,7 @@ import pytest
 from cad.mesh.structured import structured_gel_mesh
 from cad.parts.gel_pad import GelPad
 from taccel_lab.envs import PressEnv, parse_indenter
-from taccel_lab.scene import Element, Material
+from taccel_lab.scene import Material
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
 MEASURED = DATA / "gsmini_feats_calib" / "force_indentation.json"
@@ -51,7 +51,6 @@ def simulated_forces(depths_mm: list[float], poisson_ratio: float) -> np.ndarray
         Material(UNIT_MODULUS_PA, poisson_ratio),
         parse_indenter("sphere:7.5"),
         np.zeros((1, 2)),
-        element=Element.QUADRATIC,
     )
     assert env.model.soft_count == 2005  # with 12,969 nodes forces are 1.2 % lower
     forces = []
