@@ -86,6 +86,7 @@ class Press:
         import time
 
         from taccel_lab.envs import PressPath, parse_indenter, profile_material, simulate_press
+        from taccel_lab.envs.fitted_physics import physics_difference
         from taccel_lab.output import atomic_directory, require_replaceable
         from taccel_lab.signals.rest_surface import rest_surface
 
@@ -97,6 +98,9 @@ class Press:
         profile = load_sensor(self.sensor)
         stated = profile.material.friction_coefficient
         friction = stated if self.friction is None else self.friction
+        note = physics_difference(profile.material, physics, friction)
+        if note is not None:
+            console.print(f"note: {note}", highlight=False)
         check_depth(self.depth_mm, profile)
         model = _color_model(profile)
         gel = self._mesh(profile, indenter, physics)
@@ -121,7 +125,7 @@ class Press:
         if model is not None and profile.background_rgb is not None:
             rgb = outcome.render(model, profile.background_rgb)
         with atomic_directory(self.out) as folder:
-            _write(folder, self, profile, outcome, rgb, friction, seconds)
+            _write(folder, self, profile, outcome, rgb, friction, seconds, note)
         return outcome, rgb
 
     def _physics(self) -> PressPhysics:
@@ -255,6 +259,7 @@ def _write(
     rgb: Any,
     friction: float,
     seconds: float,
+    note: str | None,
 ) -> None:
     import numpy as np
 
@@ -334,6 +339,7 @@ def _write(
             ),
             "mesh": {"node_count": outcome.mesh.node_count, "tet_count": outcome.mesh.tet_count},
             "physics": outcome.physics.record(),
+            "differs_from_calibration": note,
             "press": outcome.figures(),
             "indenter_pose": outcome.indenter_pose,
             "seconds": seconds,
