@@ -42,9 +42,7 @@ class State:
         """An independent copy."""
         history = self.history
         if history is not None:
-            history = StepHistory(
-                wp.clone(history.positions), wp.clone(history.velocities), wp.clone(history.dts)
-            )
+            history = StepHistory(*map(wp.clone, history.arrays()))
         forces, wrenches = self.external_forces, self.wrenches
         return State(
             positions=wp.clone(self.positions),
@@ -61,8 +59,8 @@ class State:
         mine = [self.positions, self.velocities, self.poses]
         theirs = [other.positions, other.velocities, other.poses]
         if self.history is not None and other.history is not None:
-            mine += [self.history.positions, self.history.velocities, self.history.dts]
-            theirs += [other.history.positions, other.history.velocities, other.history.dts]
+            mine += self.history.arrays()
+            theirs += other.history.arrays()
         for target, source in zip(mine, theirs, strict=True):
             value = target.numpy()
             value[mask] = source.numpy()[mask]

@@ -29,12 +29,13 @@ class Snapshot:
     velocities: np.ndarray
     poses: np.ndarray
     history: tuple[np.ndarray, ...]
-    """Positions, velocities and length of the step before; empty without BDF2."""
+    """Positions and velocities one step earlier, length of the step before and the contact forces
+    at its end; empty without BDF2."""
 
     @classmethod
     def of(cls, state: State) -> Snapshot:
         h = state.history
-        history = () if h is None else (h.positions, h.velocities, h.dts)
+        history = () if h is None else h.arrays()
         return cls(
             positions=state.positions.numpy().copy(),
             velocities=state.velocities.numpy().copy(),
@@ -45,12 +46,17 @@ class Snapshot:
     def arrays(self) -> list[tuple[str, np.ndarray]]:
         """All arrays [env_count, ...] by name."""
         names = ("previous positions", "previous velocities", "previous step length")
+        names += ("previous contact forces",)
         own = [
             ("positions", self.positions),
             ("velocities", self.velocities),
             ("poses", self.poses),
         ]
         return own + list(zip(names, self.history, strict=False))
+
+
+def _part(pair: tuple[float, float]) -> float:
+    return pair[0] / pair[1]
 
 
 class Balance:
@@ -96,15 +102,22 @@ class Balance:
         ]
 
     def residual(
-        self, env: int, before: Snapshot, now: Snapshot, contact: np.ndarray, load: np.ndarray
+        self,
+        env: int,
+        before: Snapshot,
+        now: Snapshot,
+        normal: np.ndarray,
+        friction: np.ndarray,
+        load: np.ndarray,
     ) -> tuple[float, float]:
-        """(force that is left, what is allowed) [N].
+        """(force that is left, what is allowed) of the body that is furthest from it [N]: sums of
+        magnitudes over its nodes.
 
-        ``contact``: force of contact and friction on each node [N], [node_count, 3]; ``load``: the
+        ``normal``, ``friction``: forces of contact on each node [N], [node_count, 3]; ``load``: the
         same of what the user set. Only for steps taken as a whole, or quasi-static.
         """
         x, dt = now.positions[env], self.scene.time.dt_s
-        total = -(contact + load)
+        total = -(normal + friction + load)
         noise = 0.0
         forces = self.soft[env % self.model.rest_count]
         for body, nodes in zip(forces, self.soft_nodes(), strict=True):
@@ -114,21 +127,30 @@ class Balance:
             share = 1 + body.damping_time_s / dt
             noise += share * body.stiffness_n_m * np.abs(x[nodes]).max()
         if not self.scene.time.quasi_static:
-            total += self._inertia(env, before, x)
+            total += self._inertia(env, before, now)
         total, stiff = self._reduced(total, x)
         noise += stiff
-        here = self.present[env][self.bodies[self.judged]]
-        left = float(np.linalg.norm(total[self.judged[here]]))
-        return left, 8 * np.finfo(float).eps * noise
+        noise *= 8 * np.finfo(float).eps
+        sizes, forces_n = np.linalg.norm(total, axis=1), np.linalg.norm(normal, axis=1)
+        worst = (0.0, self.allowance(0.0))
+        for body in np.unique(self.bodies[self.judged]):
+            if self.present[env][body]:
+                rows = self.judged[self.bodies[self.judged] == body]
+                force = min(forces_n[self.bodies == body].sum(), 0.5 * forces_n.sum())
+                allowed = self.allowance(float(force)) + np.sqrt(len(rows)) * noise
+                worst = max(worst, (float(sizes[rows].sum()), float(allowed)), key=_part)
+        return worst
 
-    def _inertia(self, env: int, before: Snapshot, x: np.ndarray) -> np.ndarray:
+    def _inertia(self, env: int, before: Snapshot, now: Snapshot) -> np.ndarray:
         """Mass times acceleration, less the weight [N]."""
+        x = now.positions[env]
         dt = self.scene.time.dt_s
         x0, v0 = before.positions[env], before.velocities[env]
         ratio = 0.0
         if self.scene.time.scheme is TimeScheme.BDF2 and before.history:
             last = before.history[2][env]
-            if last > 0 and dt <= (1 + 2**0.5) * last:
+            # A step over an impact is one of implicit Euler, and leaves no past.
+            if last > 0 and now.history[2][env] > 0 and dt <= (1 + 2**0.5) * last:
                 ratio = dt / last
         span, carry = dt * (1 + ratio) / (1 + 2 * ratio), ratio**2 / (1 + 2 * ratio)
         if carry > 0:
@@ -156,6 +178,6 @@ class Balance:
         return total, noise
 
     def allowance(self, contact_force_n: float) -> float:
-        """Residual that the settings of the solver allow [N], rounding aside."""
+        """Residual that the settings of the solver allow a body [N], rounding aside."""
         c = self.config
         return max(c.absolute_tolerance_n, c.relative_tolerance * contact_force_n)

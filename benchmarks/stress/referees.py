@@ -167,9 +167,8 @@ class Referees:
         whole = taken.report.substeps[env] == 1
         if not (whole or self.model.scene.time.quasi_static) or not len(self.balance.judged):
             return []
-        contact = taken.normal[env] + taken.friction[env]
-        left, noise = self.balance.residual(env, taken.before, taken.now, contact, taken.load[env])
-        allowed = self.balance.allowance(_contact_force(taken, env)) + noise
+        forces = (taken.normal[env], taken.friction[env], taken.load[env])
+        left, allowed = self.balance.residual(env, taken.before, taken.now, *forces)
         self.residual_ratio = max(self.residual_ratio, left / allowed)
         self.balanced_steps += 1
         if left <= 1.01 * allowed:

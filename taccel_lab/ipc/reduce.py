@@ -98,29 +98,35 @@ def _slope_kernel(
         totals[env] = total_of_block
 
 
+@wp.func
+def lane_lengths(
+    env: int, lane: int, vectors: wp.array2d(dtype=wp.vec3d), first: int, end: int
+) -> wp.float64:
+    """Sum of the lengths of every so manyth vector of a range."""
+    total = wp.vec2d()
+    for i in range(first + lane, end, wp.block_dim()):
+        total = add_compensated(total, wp.length(vectors[env, i]))
+    return compensated_total(total)
+
+
 @wp.kernel
-def _norms_kernel(
+def _body_sums_kernel(
     active: wp.array(dtype=wp.int32),
     reduced: wp.array2d(dtype=wp.vec3d),
     contact: wp.array2d(dtype=wp.vec3d),
-    residuals: wp.array(dtype=wp.float64),
-    contact_forces: wp.array(dtype=wp.float64),
+    rows: wp.array(dtype=wp.vec2i),
+    nodes: wp.array(dtype=wp.vec2i),
+    residuals: wp.array2d(dtype=wp.float64),
+    contact_forces: wp.array2d(dtype=wp.float64),
 ):
-    env, lane = wp.tid()
+    env, body, lane = wp.tid()
     if active[env] == 0:
         return
-    squares = wp.vec2d()
-    for i in range(lane, reduced.shape[1], wp.block_dim()):
-        squares = add_compensated(squares, wp.length_sq(reduced[env, i]))
-    lengths = wp.vec2d()
-    for i in range(lane, contact.shape[1], wp.block_dim()):
-        lengths = add_compensated(lengths, wp.length(contact[env, i]))
-    square = block_total(compensated_total(squares))
-    length = block_total(compensated_total(lengths))
+    residual = block_total(lane_lengths(env, lane, reduced, rows[body][0], rows[body][1]))
+    force = block_total(lane_lengths(env, lane, contact, nodes[body][0], nodes[body][1]))
     if lane == 0:
-        residuals[env] = wp.sqrt(square)
-        # Action and reaction: half of the sum over both sides of all contacts.
-        contact_forces[env] = wp.float64(0.5) * length
+        residuals[env, body] = residual
+        contact_forces[env, body] = force
 
 
 def launch_rows(kernel: wp.Kernel, inputs: list, outputs: list) -> None:
@@ -151,12 +157,25 @@ def slopes(active: wp.array, gradients: list[wp.array], direction: wp.array, out
     launch_rows(_slope_kernel, [active, *gradients, direction], [out])
 
 
-def force_norms(
+def force_sums(
     active: wp.array,
     reduced: wp.array,
     contact_gradient: wp.array,
+    rows: wp.array,
+    nodes: wp.array,
     residuals: wp.array,
     contact_forces: wp.array,
 ) -> None:
-    """Norm of the gradient by the unknowns [N], and the sum of all contact forces [N]."""
-    launch_rows(_norms_kernel, [active, reduced, contact_gradient], [residuals, contact_forces])
+    """Sums of the magnitudes of the gradient by the unknowns [N] and of the contact forces on the
+    nodes [N] of each body, [env_count, body_count].
+
+    ``rows``, ``nodes``: ranges of each body in the two gradients, vec2i, [body_count].
+    """
+    wp.launch_tiled(
+        _body_sums_kernel,
+        dim=[len(active), len(rows)],
+        inputs=[active, reduced, contact_gradient, rows, nodes],
+        outputs=[residuals, contact_forces],
+        block_dim=BLOCK_THREADS,
+        device=active.device,
+    )

@@ -162,6 +162,19 @@ class Model:
         found = [target.radii_m for target in self.targets[self.affine.count :]]
         return np.stack(found, axis=1) if found else np.zeros((self.rest_count, 0))
 
+    def body_rows(self) -> np.ndarray:
+        """First row of each body in the Newton system and the one after the last, int64, shape
+        [body_count, 2]; empty ranges for prescribed bodies."""
+        rows = np.zeros((len(self.bodies), 2), dtype=np.int64)
+        free, first = self.free_nodes.numpy(), self.free_count - 4 * self.affine.count
+        for index, body in enumerate(self.bodies):
+            if body.kind is BodyKind.SOFT:
+                rows[index] = np.searchsorted(free, body.nodes)
+            elif body.kind is BodyKind.AFFINE:
+                rows[index] = first, first + 4
+                first += 4
+        return rows
+
     def body_id(self, name: str) -> int:
         """Id of the one body of that name; KeyError names what there is."""
         found = [i for i, body in enumerate(self.bodies) if body.name == name]

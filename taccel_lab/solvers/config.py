@@ -33,9 +33,10 @@ class SolverConfig:
     """Contact pressure at about half of dhat; when None the largest Young's modulus of the soft
     bodies, and 1 MPa in a scene without any."""
     relative_tolerance: float = 1e-4
-    """Force residual over the sum of nodal contact forces at which a step has converged."""
+    """Force residual of a body over its contact force at which it has converged, sums of magnitudes
+    over its nodes both; a step has converged where all bodies have."""
     absolute_tolerance_n: float = 1e-7
-    """Force residual that is always good enough."""
+    """Force residual of a body that is always good enough."""
     max_newton_iterations: int = 200
     max_cg_iterations: int = 2000
     max_line_search_cuts: int = 40

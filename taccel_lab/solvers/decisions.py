@@ -21,6 +21,7 @@ _INVERSION = wp.constant(int(EnvStatus.INVERSION))
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
 _JOINT = wp.constant(int(EnvStatus.JOINT))
 _TOUCHING = wp.constant(int(EnvStatus.TOUCHING))
+_IMPACT = wp.constant(int(EnvStatus.IMPACT))
 _SKIPPED = wp.constant(int(EnvStatus.SKIPPED))
 
 
@@ -34,10 +35,34 @@ def stop(env: int, status: int, p: Progress):
 
 
 @wp.func
-def tolerance(env: int, p: Progress, r: Rules) -> wp.float64:
-    """Force residual at which an environment has converged [N]."""
-    force = wp.max(r.absolute_tolerance, r.relative_tolerance * p.contact_force[env])
-    return wp.max(force, r.affine_rounding + p.rounding[env])
+def weigh(env: int, p: Progress, r: Rules):
+    """Find the largest force residual of a body, the largest one over what is allowed that body (at
+    most 1 where all have converged), and the contact force of the environment.
+
+    Residual and contact force are sums of magnitudes both, over the same body: the resultant on it
+    is in doubt by no more than the part of its contact force that the tolerance says, however large
+    the forces on other bodies are, and however fine the mesh is.
+    """
+    total = wp.float64(0.0)
+    for body in range(p.body_forces.shape[1]):
+        total += p.body_forces[env, body]
+    # Action and reaction: half of the sum over both sides of all contacts.
+    total = wp.float64(0.5) * total
+    rounding = wp.max(r.absolute_tolerance, r.affine_rounding + p.rounding[env])
+    residual = wp.float64(0.0)
+    excess = wp.float64(0.0)
+    for body in range(p.body_forces.shape[1]):
+        found = p.body_residuals[env, body]
+        force = wp.min(p.body_forces[env, body], total)
+        ratio = found / wp.max(rounding, r.relative_tolerance * force)
+        # What is not a number is worse than anything, and stays.
+        if not (found <= residual) and not wp.isnan(residual):
+            residual = found
+        if not (ratio <= excess) and not wp.isnan(excess):
+            excess = ratio
+    p.contact_force[env] = total
+    p.residual[env] = residual
+    p.excess[env] = excess
 
 
 # Beginning and end of a step -----------------------------------------------------------------
@@ -65,6 +90,7 @@ def begin_kernel(
     p.lags[env] = 0
     p.joint_rounds[env] = 0
     p.residual[env] = wp.float64(wp.inf)
+    p.excess[env] = wp.float64(wp.inf)
     p.contact_force[env] = zero
     p.min_distance[env] = wp.float64(wp.inf)
     p.violation[env] = zero
@@ -78,7 +104,7 @@ def begin_kernel(
     p.before[env] = zero
     p.boost[env] = one
     p.sharpness[env] = one
-    p.last_residual[env] = wp.float64(wp.inf)
+    p.last_excess[env] = wp.float64(wp.inf)
     if p.who[env] == 0:
         return
     p.status[env] = _RUNNING
@@ -138,7 +164,8 @@ def stop_overflowed_kernel(mask: wp.array(dtype=wp.int32), room: ListRoom, p: Pr
 def close_kernel(p: Progress):
     """``active`` becomes those that have converged, ``chosen`` those that are to be rolled back.
 
-    What has converged with an element turned inside out by this step is no result.
+    What has converged with an element turned inside out by this step is no result, nor is a step of
+    BDF2 that met an impact.
     """
     env = wp.tid()
     p.active[env] = 0
@@ -146,6 +173,8 @@ def close_kernel(p: Progress):
     if p.who[env] != 0:
         if p.status[env] == _CONVERGED and p.inverted_after[env] > p.inverted_before[env]:
             p.status[env] = _INVERSION
+        if p.status[env] == _CONVERGED and p.refused[env] != 0:
+            p.status[env] = _IMPACT
         if p.status[env] == _CONVERGED:
             p.active[env] = 1
         else:
@@ -192,13 +221,13 @@ def settle(env: int, p: Progress, r: Rules):
     settled = p.active[env] != 0 and p.progress[env] >= wp.float64(1.0) and p.chosen[env] == 0
     p.chosen[env] = 0
     if settled:
-        enough = tolerance(env, p, r)
+        enough = wp.float64(1.0)
         if r.has_friction == 0:
-            if p.residual[env] <= enough:
+            if p.excess[env] <= enough:
                 stop(env, _CONVERGED, p)
         else:
             enough = wp.max(enough, wp.float64(0.1) * p.lag_change[env])
-            if p.residual[env] <= enough or p.damping[env] < wp.float64(1.0):
+            if p.excess[env] <= enough or p.damping[env] < wp.float64(1.0):
                 p.chosen[env] = 1
                 p.freezing[0] = 1
     if r.has_friction == 0:
@@ -215,12 +244,13 @@ def judge_kernel(p: Progress, r: Rules):
     p.chosen[env] = 0
     if p.active[env] == 0:
         return
+    weigh(env, p, r)
     if not (p.min_distance[env] > wp.float64(0.0)):
         stop(env, _TOUCHING, p)
     elif not wp.isfinite(p.residual[env]):
         stop(env, _NOT_A_NUMBER, p)
     elif r.has_joints != 0:
-        if p.progress[env] >= wp.float64(1.0) and p.residual[env] <= tolerance(env, p, r):
+        if p.progress[env] >= wp.float64(1.0) and p.excess[env] <= wp.float64(1.0):
             p.chosen[env] = 1
             p.closing[0] = 1
     else:
@@ -247,6 +277,8 @@ def judge_joints_kernel(violations: wp.array(dtype=wp.float64), p: Progress, r: 
 def settle_kernel(p: Progress, r: Rules):
     """After the joints were looked at."""
     env = wp.tid()
+    if p.active[env] != 0:
+        weigh(env, p, r)
     settle(env, p, r)
 
 
@@ -261,16 +293,17 @@ def judge_friction_kernel(p: Progress, r: Rules):
     if p.chosen[env] == 0:
         return
     one = wp.float64(1.0)
-    residual = p.residual[env]
+    weigh(env, p, r)
+    excess = p.excess[env]
     damping = p.damping[env]
-    if residual > (one - wp.float64(0.1) * damping) * p.lag_change[env]:
+    if excess > (one - wp.float64(0.1) * damping) * p.lag_change[env]:
         p.damping[env] = wp.max(wp.float64(0.5) * damping, wp.float64(0.05))
     else:
         p.damping[env] = wp.min(wp.float64(1.5) * damping, one)
-    p.lag_change[env] = residual
-    p.last_residual[env] = wp.float64(wp.inf)
+    p.lag_change[env] = excess
+    p.last_excess[env] = wp.float64(wp.inf)
     p.lags[env] += 1
-    if residual <= tolerance(env, p, r):
+    if excess <= one:
         stop(env, _CONVERGED, p)
     elif p.lags[env] >= r.max_lags:
         stop(env, _FRICTION, p)

@@ -34,7 +34,7 @@ from taccel_lab.ipc.motion import (
 from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.ipc.potentials.inversion import find_inversions
-from taccel_lab.ipc.reduce import force_norms
+from taccel_lab.ipc.reduce import force_sums
 from taccel_lab.solvers import decisions, search_decisions
 from taccel_lab.solvers.free_flight import start_in_free_flight
 from taccel_lab.solvers.line_search import search_line
@@ -126,6 +126,9 @@ class StepRun:
         if s.silent:
             p.inverted_after.zero_()
             find_inversions(s.silent, p.who, state.positions, p.inverted_after)
+        if s.inertia is not None and state.history is not None:
+            least = s.config.absolute_tolerance_n
+            s.inertia.find_jumps(p.body_forces, state.history, least, p.refused)
         self.decide(decisions.close_kernel, p)
         self.commit(p.chosen, s.previous, s.start_poses)
         embed_vertices(self.model, state.positions)
@@ -133,7 +136,12 @@ class StepRun:
             s.joints.end_step(p.active, state.positions)
         if s.inertia is not None:
             s.inertia.end_step(
-                p.active, s.previous, state.positions, state.velocities, state.history
+                p.active,
+                s.previous,
+                state.positions,
+                state.velocities,
+                state.history,
+                p.body_forces,
             )
         else:
             measure_velocities(p.active, s.previous, state.positions, s.dts, state.velocities)
@@ -225,7 +233,8 @@ class StepRun:
         s, p = self.s, self.p
         gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
         reduce_gradient(self.model, mask, gradients, s.reduced)
-        force_norms(mask, s.reduced, s.contact_gradient, p.residual, p.contact_force)
+        sums = [p.body_residuals, p.body_forces]
+        force_sums(mask, s.reduced, s.contact_gradient, s.body_rows, s.body_nodes, *sums)
 
     def judge(self) -> None:
         """Stop environments that have converged or cannot go on."""

@@ -49,6 +49,8 @@ class Progress:
     """Mask of those with an inverted element at the start, in materials that bear it."""
     inverted_after: wp.array(dtype=wp.int32)
     """The same at the end."""
+    refused: wp.array(dtype=wp.int32)
+    """Mask of those in which BDF2 met an impact."""
     status: wp.array(dtype=wp.int32)
     """``EnvStatus``."""
     newton: wp.array(dtype=wp.int32)
@@ -57,8 +59,14 @@ class Progress:
     joint_rounds: wp.array(dtype=wp.int32)
     cuts: wp.array(dtype=wp.int32)
     """Cuts of the present line search."""
+    body_residuals: wp.array2d(dtype=wp.float64)
+    """Sum of the magnitudes of the force residual of each body [N], [env_count, body_count]."""
+    body_forces: wp.array2d(dtype=wp.float64)
+    """Sum of the magnitudes of the contact forces on the nodes of each body [N], the same shape."""
     residual: wp.array(dtype=wp.float64)
-    """Force residual [N]."""
+    """Largest force residual of a body [N]."""
+    excess: wp.array(dtype=wp.float64)
+    """Largest force residual of a body over what is allowed that body."""
     contact_force: wp.array(dtype=wp.float64)
     """Sum of the contact forces on one side [N]."""
     min_distance: wp.array(dtype=wp.float64)
@@ -74,7 +82,7 @@ class Progress:
     """Part of the remaining motion that the next one asks for."""
     trial_progress: wp.array(dtype=wp.float64)
     lag_change: wp.array(dtype=wp.float64)
-    """Residual after friction was last frozen anew [N]."""
+    """``excess`` after friction was last frozen anew."""
     damping: wp.array(dtype=wp.float64)
     """Longest step while freezing alternates."""
     margin: wp.array(dtype=wp.float64)
@@ -87,8 +95,8 @@ class Progress:
     """How much of the curvature of friction the next direction counts, see ``friction_hessian``."""
     boost: wp.array(dtype=wp.float64)
     """Multiple of Newton's direction that is searched along."""
-    last_residual: wp.array(dtype=wp.float64)
-    """Force residual one iteration earlier [N]; infinite after friction was frozen anew."""
+    last_excess: wp.array(dtype=wp.float64)
+    """``excess`` one iteration earlier; infinite after friction was frozen anew."""
     bend: wp.array(dtype=wp.float64)
     """Largest angle by which the search direction turns an affine body [rad]."""
     deviation: wp.array(dtype=wp.float64)
@@ -134,7 +142,10 @@ class Progress:
 
 
 _REPORTED_INTS = ("status", "newton", "cg", "lags")
-_REPORTED_FLOATS = ("residual", "contact_force", "min_distance", "violation", "smallest_step")
+_REPORTED_FLOATS = ("residual", "excess", "contact_force", "min_distance") + (
+    "violation",
+    "smallest_step",
+)
 
 
 class ProgressArrays:
@@ -143,6 +154,7 @@ class ProgressArrays:
     def __init__(
         self,
         env_count: int,
+        body_count: int,
         radii_m: np.ndarray,
         energy_rounding_j: np.ndarray,
         device: wp.Device,
@@ -166,7 +178,7 @@ class ProgressArrays:
             setattr(self.data, name, ints[i])
         for name in ("who", "active", "waiting", "chosen", "moving", "turning"):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
-        for name in ("joint_rounds", "cuts", "inverted_before", "inverted_after"):
+        for name in ("joint_rounds", "cuts", "inverted_before", "inverted_after", "refused"):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
         for name in (
             ("progress", "goal", "stride", "trial_progress", "lag_change", "damping", "margin")
@@ -178,7 +190,7 @@ class ProgressArrays:
                 "deviation",
                 "reach",
                 "boost",
-                "last_residual",
+                "last_excess",
             )
         ):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.float64, device=device))
@@ -186,6 +198,9 @@ class ProgressArrays:
         radii = np.tile(radii_m, (env_count // len(radii_m), 1))
         self.data.radii = wp.array(radii, dtype=wp.float64, device=device)
         self.data.turns = wp.zeros_like(self.data.radii)
+        for name in ("body_residuals", "body_forces"):
+            sums = wp.zeros((env_count, body_count), dtype=wp.float64, device=device)
+            setattr(self.data, name, sums)
         for name in ("any_turning", "any_flight"):
             setattr(self.data, name, wp.zeros(1, dtype=wp.int32, device=device))
         self.data.any_curved = wp.zeros(1, dtype=wp.int32, device=device)

@@ -35,6 +35,8 @@ class EnvStatus(IntEnum):
     """The environment was not asked for."""
     OVERLAP = 11
     """Bodies overlapped before the first step, see ``SolverIPC.step``."""
+    IMPACT = 12
+    """BDF2 met an impact: the solver takes the step again by implicit Euler at once."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,12 @@ class StepReport:
     """Sum over the step of the (batched) CG iterations while the environment was active."""
     friction_lags: np.ndarray
     residual_n: np.ndarray
-    """Euclidean norm of the force residual at the end, friction re-frozen [N]."""
+    """Force residual at the end, friction re-frozen: the largest sum of magnitudes over the nodes
+    of a body [N]."""
+    residual_ratio: np.ndarray
+    """The largest of a body over what is allowed that body, at most 1 where the step converged.
+    ``SolverIPC.progress.data`` has ``body_residuals`` and ``body_forces``, [env_count, body_count].
+    """
     contact_force_n: np.ndarray
     """Sum of the magnitudes of the nodal contact forces on one side, the scale of the tolerance
     [N]."""
@@ -90,6 +97,7 @@ class StepReport:
                 for name in (
                     "status",
                     "residual_n",
+                    "residual_ratio",
                     "contact_force_n",
                     "min_distance_m",
                     "joint_violation_m",

@@ -8,7 +8,7 @@ import warp as wp
 
 from taccel_lab.ipc.capacity import ListRoom, overflows
 from taccel_lab.ipc.kinematics import turn_within
-from taccel_lab.solvers.decisions import stop, tolerance
+from taccel_lab.solvers.decisions import stop
 from taccel_lab.solvers.progress import Progress, Rules
 from taccel_lab.solvers.report import EnvStatus
 
@@ -34,10 +34,10 @@ def boosted(env: int, p: Progress) -> wp.float64:
     one = wp.float64(1.0)
     if p.progress[env] < one or p.damping[env] < one:
         return one
-    ratio = p.residual[env] / p.last_residual[env]
+    ratio = p.excess[env] / p.last_excess[env]
     if ratio < wp.float64(0.7) or ratio > wp.float64(2.0):
         return one
-    if p.cuts[env] > 0 or p.alpha[env] < one or p.last_residual[env] == wp.float64(wp.inf):
+    if p.cuts[env] > 0 or p.alpha[env] < one or p.last_excess[env] == wp.float64(wp.inf):
         return one
     return wp.min(wp.float64(4.0) * p.boost[env], wp.float64(LARGEST_BOOST))
 
@@ -77,8 +77,8 @@ def aim_kernel(p: Progress, r: Rules, linear_tolerances: wp.array(dtype=wp.float
     if progress < one:
         p.moving[env] = 1
     p.boost[env] = boosted(env, p)
-    p.last_residual[env] = p.residual[env]
-    ratio = tolerance(env, p, r) / wp.max(p.residual[env], wp.float64(1.0e-300))
+    p.last_excess[env] = p.excess[env]
+    ratio = one / wp.max(p.excess[env], wp.float64(1.0e-300))
     linear_tolerances[env] = wp.clamp(
         wp.float64(0.3) * ratio, wp.float64(1.0e-6), wp.float64(1.0e-2)
     )

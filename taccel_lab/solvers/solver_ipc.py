@@ -123,8 +123,17 @@ class SolverIPC:
         self.target_poses = wp.zeros_like(self.trial_poses)
         self.start_poses = wp.zeros_like(self.trial_poses)
         self.end_poses = wp.zeros_like(self.trial_poses)
+        self.body_rows = wp.array(model.body_rows(), dtype=wp.vec2i, device=device)
+        """Range of each body in ``reduced``, vec2i, shape [body_count]."""
+        ranges = [body.nodes for body in model.bodies]
+        self.body_nodes = wp.array(ranges, dtype=wp.vec2i, device=device)
+        """Range of each body in the nodes, vec2i, shape [body_count]."""
         self.progress = ProgressArrays(
-            model.env_count, model.kinematic_radii_m, self._energy_rounding(), device
+            model.env_count,
+            len(model.bodies),
+            model.kinematic_radii_m,
+            self._energy_rounding(),
+            device,
         )
         self.rules = make_rules(
             self.config,
@@ -263,7 +272,8 @@ class SolverIPC:
     def _attempt(self, state: State, who: np.ndarray, dt: float) -> StepReport:
         """One undivided step of length dt in the environments ``who``, to ``end_poses``.
 
-        Where the lists of contacts are too short it is taken again when they have grown.
+        Where the lists of contacts are too short it is taken again when they have grown, and where
+        BDF2 met an impact by implicit Euler.
         """
         if (state.external_forces is not None or state.wrenches is not None) and self.load is None:
             self.load = ExternalLoad(self.model)
@@ -279,10 +289,17 @@ class SolverIPC:
             self.graphs.launch(state)
             part = self._read_report(who)
             report = part if report is None else report.retaken(part, who)
-            who = part.status == EnvStatus.CONTACT_OVERFLOW
-            if not who.any() or not grow_all(self.lists):
+            short = part.status == EnvStatus.CONTACT_OVERFLOW
+            grown = bool(short.any()) and grow_all(self.lists)
+            if grown:
+                self.graphs.clear()
+            impacts = part.status == EnvStatus.IMPACT
+            if impacts.any():
+                assert state.history is not None
+                state.history.forget(impacts)
+            who = impacts | short if grown else impacts
+            if not who.any():
                 return report
-            self.graphs.clear()
 
     @property
     def lists(self) -> list[GrowingList]:
@@ -298,6 +315,7 @@ class SolverIPC:
             cg_iterations=found["cg"].astype(np.int64),
             friction_lags=found["lags"].astype(np.int64),
             residual_n=found["residual"],
+            residual_ratio=found["excess"],
             contact_force_n=found["contact_force"],
             min_distance_m=found["min_distance"],
             smallest_step=found["smallest_step"],
