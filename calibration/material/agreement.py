@@ -27,6 +27,8 @@ DISAGREEMENT = 0.1
 """Difference of the moduli of two records that is spoken of when it also exceeds their errors."""
 FEW = 2
 """Points beyond the fitted numbers from which residuals say something."""
+TOUCH_SAID_MM = 0.005
+"""Shift of first touch from which it is said where presses reproduce a record."""
 UNSURE = 0.25
 """Relative half width of an interval that calls for a remark."""
 LEANING_ERROR = 0.02
@@ -86,7 +88,19 @@ def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[
                     "the gel's thickness and where the depth is counted from",
                 )
             )
-        touch = fit.touch_mm(i) if f"touch_{i}" in fit.solution.names else 0.0
+        touch = fit.touch_mm(i)
+        if abs(touch) > TOUCH_SAID_MM:
+            low, high = fit.touch_interval_mm(i)
+            remarks.append(
+                Remark(
+                    Severity.INFO,
+                    "press_depth",
+                    f"{item.name}: a press of the profile gives its forces at depths "
+                    f"{abs(touch):.3f} mm {'larger' if touch < 0 else 'smaller'} than recorded: "
+                    f"first touch lies {touch:+.3f} mm from the record's zero "
+                    f"({low:+.3f} to {high:+.3f})",
+                )
+            )
         if abs(touch) > 0.1 and abs(touch) > 3 * fit.solution.sigma_of(f"touch_{i}"):
             remarks.append(
                 Remark(

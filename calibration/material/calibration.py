@@ -27,6 +27,19 @@ Fit = SlideFit | TangentialFit | DampingFit
 
 
 @dataclass(frozen=True)
+class Predicted:
+    """What a tool is predicted to feel at a depth."""
+
+    depth_mm: float
+    press_n: float
+    """Of a press of the profile so far past first touch."""
+    press_interval95_n: tuple[float, float]
+    reading_n: float
+    """Of a reading where the record, whose zero may be off, calls the depth this."""
+    reading_interval95_n: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class MaterialCalibration:
     """Parameters that the captures tell; the others stay as they were."""
 
@@ -174,10 +187,7 @@ class MaterialCalibration:
                     "relative_residual": fit.relative_residuals(i),
                     "touch_mm": fit.touch_mm(i),
                     "touch_interval95_mm": fit.touch_interval_mm(i),
-                    "predicted": [
-                        {"depth_mm": depth, "force_n": force, "interval95_n": interval}
-                        for depth, force, interval in self.predicted(i)
-                    ],
+                    "predicted": [vars(item) for item in self.predicted(i)],
                 }
                 for i, item in enumerate(fit.points)
             ]
@@ -259,23 +269,24 @@ class MaterialCalibration:
             held["friction_coefficient"] = self.used_friction
         return held
 
-    def predicted(self, index: int) -> list[tuple[float, float, tuple[float, float]]]:
-        """Depth past first touch [mm], force [N] and its 95 % interval for the tool of a record."""
+    def predicted(self, index: int) -> list[Predicted]:
+        """Forces of the tool of a record at depths up to its deepest."""
         if self.stiffness is None:
             return []
         fit = self.stiffness.fit
-        deepest = fit.points[index].deepest_mm
+        depths = fit.points[index].deepest_mm * np.linspace(0.2, 1.0, PREDICTED)
+        forces = fit.tables[index].force_n(
+            depths, fit.young_modulus_pa, fit.poisson_ratio, fit.mooney_ratio
+        )
         return [
-            (
+            Predicted(
                 depth,
-                float(
-                    fit.tables[index].force_n(
-                        np.array([depth]), fit.young_modulus_pa, fit.poisson_ratio, fit.mooney_ratio
-                    )[0]
-                ),
+                float(force),
                 self.stiffness.force_interval_n(index, depth),
+                float(fit.predicted_n(index, np.array([depth]))[0]),
+                self.stiffness.reading_interval_n(index, depth),
             )
-            for depth in (deepest * np.linspace(0.2, 1.0, PREDICTED)).tolist()
+            for depth, force in zip(depths.tolist(), forces, strict=True)
         ]
 
     def fitted_with(self) -> FittedWith:

@@ -72,16 +72,33 @@ def material_page(result: MaterialCalibration) -> Page:
         tables.append(
             Table(
                 "Forces of presses",
-                ["indenter", "depth [mm]", "force [N]", "95 % from", "to"],
                 [
-                    [item.tool.description, depth, force, *interval]
-                    for i, item in enumerate(fit.points)
-                    for depth, force, interval in result.predicted(i)
+                    "indenter",
+                    "depth [mm]",
+                    "press [N]",
+                    "95 % from",
+                    "to",
+                    "reading [N]",
+                    "95 % from",
+                    "to",
                 ],
-                "Depth past first touch, as taccel-lab press takes it; friction "
-                f"{result.used_friction:g}. The interval is over all that the records leave open: "
-                "first touch, Poisson's ratio, friction, noise.",
-            )
+                [
+                    [
+                        item.tool.description,
+                        p.depth_mm,
+                        p.press_n,
+                        *p.press_interval95_n,
+                        p.reading_n,
+                        *p.reading_interval95_n,
+                    ]
+                    for i, item in enumerate(fit.points)
+                    for p in result.predicted(i)
+                ],
+                "Press: of this profile, so far past first touch as taccel-lab press --depth-mm "
+                f"says, friction {result.used_friction:g}. Reading: where the record, whose zero "
+                "may be off, calls the depth this. Intervals are over all that the records leave "
+                "open: first touch, Poisson's ratio, friction, noise.",
+            )  # fmt: skip
         )
         tables.append(
             Table(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The material of a GelSight Mini gel from measured press forces (FEATS, MIT licence).
 
-Three points of a ball of 7.5 mm radius: one modulus explains them within 3 %; they do not tell
-Poisson's ratio, and the calibration has to say so.
+Three points of a ball of 7.5 mm radius: one modulus explains them, but they tell neither Poisson's
+ratio nor friction, and the calibration has to say so. Presses of the profile give the points again.
 """
 
 from __future__ import annotations
@@ -16,16 +16,23 @@ import pytest
 
 from calibration.capture import load_capture_folder
 from calibration.material import MaterialOptions, calibrate_material
-from calibration.material.setup import QUICK
+from calibration.material.calibration import MaterialCalibration
 from calibration.result import Verdict, judge
 from sensors.profile import catalogue_profile
+from taccel_lab.cli.app import main
+from taccel_lab.envs.physics import PHYSICS, Accuracy
+from taccel_lab.profile import save_profile
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
 MEASURED = DATA / "gsmini_feats_calib" / "force_indentation.json"
+pytestmark = pytest.mark.skipif(
+    not MEASURED.is_file(), reason=f"measured forces not found at {MEASURED}"
+)
 
 
-@pytest.mark.skipif(not MEASURED.is_file(), reason=f"measured forces not found at {MEASURED}")
-def test_one_modulus_within_three_per_cent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def feats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The points as a capture folder, and an empty cache."""
     monkeypatch.setenv("TACCEL_LAB_CACHE", str(tmp_path / "cache"))
     data = json.loads(MEASURED.read_text())
     rows = zip(data["indentation_mm"], data["normal_force_N"], strict=True)
@@ -36,20 +43,70 @@ def test_one_modulus_within_three_per_cent(tmp_path: Path, monkeypatch: pytest.M
         'schema_version = 2\nsensor = "gelsight_mini"\nsource = "FEATS"\n[[records]]\n'
         'file = "press.csv"\nkind = "indentation"\ntool = { kind = "sphere", radius_mm = 7.5 }\n'
     )
+    return tmp_path
+
+
+def calibrated(feats: Path, options: MaterialOptions) -> MaterialCalibration:
+    """The fit; its profile lies in the folder ``profile``."""
     base = catalogue_profile("gelsight_mini")
-    found = calibrate_material(
-        load_capture_folder(tmp_path), base, MaterialOptions(effort=QUICK, fixed={"friction": 0.0})
-    )
-    assert found.indentation is not None and found.young_modulus_pa is not None
-    assert np.abs(found.indentation.relative_residuals(0)).max() < 0.03
+    found = calibrate_material(load_capture_folder(feats), base, options)
+    save_profile(found.apply_to(base), feats / "profile")
+    return found
+
+
+def pressed_n(feats: Path, depth_mm: float, *options: str) -> float:
+    """Force of ``taccel-lab press`` on the calibrated profile [N]."""
+    out = feats / f"press_{depth_mm:.3f}"
+    command = ["press", str(feats / "profile"), "--indenter", "sphere:7.5"]
+    assert main([*command, "--depth-mm", repr(depth_mm), "--out", str(out), *options]) == 0
+    return float(json.loads((out / "press.json").read_text())["press"]["force_n"])
+
+
+def require_closed_loop(feats: Path, found: MaterialCalibration, *options: str) -> None:
+    """Presses at the calibrated depths meet the points within 3 %, which lie in the intervals
+    stated for readings; a press lies in that stated for presses."""
+    assert found.stiffness is not None
+    fit = found.stiffness.fit
+    (item,) = fit.points
+    for depth, force in zip(item.depth_mm.tolist(), item.force_n.tolist(), strict=True):
+        assert pressed_n(feats, depth - fit.touch_mm(0), *options) == pytest.approx(force, rel=0.03)
+        low, high = found.stiffness.reading_interval_n(0, depth)
+        assert low < force < high
+    low, high = found.stiffness.force_interval_n(0, depth)
+    assert low < pressed_n(feats, depth, *options) < high
+
+
+def test_one_modulus_without_friction_within_three_per_cent(feats: Path) -> None:
+    fixed = {"nu": 0.46, "friction": 0.0}
+    found = calibrated(feats, MaterialOptions(physics=PHYSICS[Accuracy.FAST], fixed=fixed))
+    assert found.stiffness is not None and found.young_modulus_pa is not None
+    assert np.abs(found.stiffness.fit.relative_residuals(0)).max() < 0.02
+    assert max(abs(item.relative) for item in found.stiffness.held_out) < 0.06
+    # Gent's formula gives 0.41 to 0.47 MPa for the vendor's 55 Shore 00, which is known to 10 %.
     low, high = found.young_modulus_pa.interval95
-    # Gent's formula for the vendor's 55 Shore 00 gives 0.41 to 0.47 MPa; for nu = 0.46 the layer is
-    # a little softer than for 0.48, so the modulus is a little higher.
-    assert 4.1e5 < low < 5.0e5 < high < 5.6e5
-    assert found.poisson_ratio is None
-    assert {"nu_untold", "young_given_nu"} <= {remark.code for remark in found.remarks}
-    assert judge(found.remarks) is Verdict.GOOD
+    assert low < 4.7e5 < high
+    require_closed_loop(feats, found, "--accuracy", "fast")
+
+
+@pytest.mark.slow
+def test_what_three_points_do_not_tell(feats: Path) -> None:
+    found = calibrated(feats, MaterialOptions())
+    codes = {remark.code for remark in found.remarks}
+    assert {"nu_untold", "young_given_nu", "few_points", "friction_assumed"} <= codes
+    assert judge(found.remarks) is Verdict.USABLE
+    assert found.poisson_ratio is None and found.friction is None
+    residuals = found.residuals()
+    # In sample 0.65 %, which three points and two numbers make look better than it is.
+    assert residuals["indentation_held_out_worst_relative"] < 0.06
+    assert residuals["indentation_held_out_worst_relative"] > 2 * residuals[
+        "indentation_worst_relative"
+    ]  # fmt: skip
+    base = catalogue_profile("gelsight_mini")
     block = found.apply_to(base).material
-    assert block.young_modulus_pa == found.young_modulus_pa.value
     assert block.poisson_ratio == base.material.poisson_ratio
+    assert block.friction_coefficient == found.used_friction
+    low, high = block.provenance.interval["young_modulus_pa"]
+    # With nu of 0.45 to 0.495 alone it goes from 0.50 to 0.43 MPa.
+    assert low < 4.3e5 and 5.0e5 < high
     assert block.provenance.valid_region["depth_mm"] == (0.5, 1.5)
+    require_closed_loop(feats, found)
