@@ -7,10 +7,10 @@ Lamps that age, and cameras that are set up anew, change each channel c to
 
 ``change`` being the colour change that the profile's model gives for the frame. Aged lamps have
 response = gain; the two are fitted apart since the background may hold light that is not the
-lamps'. All frames are fitted at once by least squares with Tukey's biweight; the normal equations
-of each frame are kept, so that leaving a frame out costs nothing (the delete-one jackknife,
-B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982, gives the standard
-deviations).
+lamps'. All frames are fitted at once by least squares with Tukey's biweight, and again without
+each one, weights and all, so that a frame has no part in what predicts it; from these fits the
+delete-one jackknife (B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982) gives
+the standard deviations.
 """
 
 from __future__ import annotations
@@ -168,30 +168,31 @@ def _fit_channel(
         local.append(moved @ basis)
     change = [w - d @ NO_CHANGE for w, d in zip(wanted, designs, strict=True)]
     prior_sigma = np.delete(PRIOR_SIGMA, 1) if tie else PRIOR_SIGMA
-    step = np.zeros(basis.shape[1])
-    normals: list[np.ndarray] = []
-    sides: list[np.ndarray] = []
-    scale = 1.0
-    for _ in range(ITERATIONS):
-        left = [c - d @ step for c, d in zip(change, local, strict=True)]
-        every = np.abs(np.concatenate(left))
-        scale = max(1.4826 * float(np.median(every)), 0.05)
-        normals, sides = [], []
-        for d, c, e, ok in zip(local, change, left, inside, strict=True):
-            weight = ok * np.clip(1 - (e / (BIWEIGHT * scale)) ** 2, 0, 1) ** 2
-            normals.append((d * weight[:, None]).T @ d)
-            sides.append((d * weight[:, None]).T @ c)
-        prior = np.diag((scale / prior_sigma) ** 2)
-        step = np.linalg.solve(np.sum(normals, axis=0) + prior, np.sum(sides, axis=0))
 
-    def finish(normal: np.ndarray, side: np.ndarray) -> np.ndarray:
-        found = basis @ np.linalg.solve(normal + prior, side)
+    def fitted(used: list[int]) -> np.ndarray:
+        design, target = (np.concatenate([part[k] for k in used]) for part in (local, change))
+        ok = np.concatenate([inside[k] for k in used])
+        found = basis @ _biweight_fit(design, target, ok, prior_sigma)
         found[2] -= found[0] * mean_level
         return NO_CHANGE + found
 
-    whole, wanted_side = np.sum(normals, axis=0), np.sum(sides, axis=0)
-    left_out = [finish(whole - n, wanted_side - s) for n, s in zip(normals, sides, strict=True)]
-    return finish(whole, wanted_side), left_out
+    every = list(range(len(wanted)))
+    return fitted(every), [fitted([k for k in every if k != left]) for left in every]
+
+
+def _biweight_fit(
+    design: np.ndarray, change: np.ndarray, inside: np.ndarray, prior_sigma: np.ndarray
+) -> np.ndarray:
+    """Coefficients [p] of ``design`` [n, p] that explain ``change`` [n] where it is ``inside``."""
+    step = np.zeros(design.shape[1])
+    for _ in range(ITERATIONS):
+        left = np.abs(change - design @ step)
+        scale = max(1.4826 * float(np.median(left)), 0.05)
+        weight = inside * np.clip(1 - (left / (BIWEIGHT * scale)) ** 2, 0, 1) ** 2
+        weighed = design * weight[:, None]
+        prior = np.diag((scale / prior_sigma) ** 2)
+        step = np.linalg.solve(weighed.T @ design + prior, weighed.T @ change)
+    return step
 
 
 def _light(channels: Sequence[np.ndarray]) -> LightChange:

@@ -45,7 +45,7 @@ class TrackFigures:
     step_in_pitches: float
     """The same over the pitch; near 0.5 a dot cannot be told from its neighbour."""
     common_step_in_pitches: float
-    """Largest median way of all markers between two frames, over the pitch."""
+    """Largest median way of the seen markers between two frames, over the pitch."""
     unseen_frames: tuple[int, ...]
     """Frames in which fewer than half of the markers are seen."""
     seen_share: float
@@ -71,9 +71,10 @@ def track_figures(name: str, tracks: MarkerTracks) -> TrackFigures:
     step = np.where(
         tracks.seen[1:] & tracks.seen[:-1],
         np.linalg.norm(np.diff(tracks.uv_px, axis=0), axis=2),
-        0.0,
+        np.nan,
     )
-    largest_step = float(step.max(initial=0.0))
+    largest_step = float(np.nan_to_num(step).max(initial=0.0))
+    common_step = float(np.nan_to_num([_median(row) for row in step]).max(initial=0.0))
     pitch_px = Neighbourhood.of(tracks.rest_px).pitch_px
     back = _return_frame(median)
     return TrackFigures(
@@ -87,7 +88,7 @@ def track_figures(name: str, tracks: MarkerTracks) -> TrackFigures:
         largest_median_px=float(np.nanmax(median)) if np.isfinite(median).any() else 0.0,
         largest_step_px=largest_step,
         step_in_pitches=largest_step / pitch_px,
-        common_step_in_pitches=float(np.median(step, axis=1).max(initial=0.0)) / pitch_px,
+        common_step_in_pitches=common_step / pitch_px,
         unseen_frames=tuple(np.flatnonzero(tracks.seen.mean(axis=1) < _HALF).tolist()),
         seen_share=float(tracks.seen.mean()),
         lost_share=float((tracks.status == Status.LOST).mean()),

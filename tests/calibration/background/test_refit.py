@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calibration.background.light_change import RefitFrame
+from calibration.background.light_change import RefitFrame, fit_light_change
 from calibration.background.refit import Refit, refit_profile
 from calibration.capture import ContactCircle
 from calibration.surfaces import analytic_surface
@@ -124,6 +124,22 @@ def test_noise_within_its_own_sigma() -> None:
     # Student's t of 4 degrees of freedom: 95 % within 2.8.
     assert np.mean(np.abs(off) < 2.8) > 0.8
     assert np.median(np.abs(off)) > 0.1
+
+
+def test_a_spoilt_frame_leaves_the_fit_without_it_bit_for_bit_as_it_is() -> None:
+    profile = old_profile()
+    old = np.asarray(profile.background_rgb, dtype=np.float64)
+    frames = new_frames(profile, noise=1.0)
+    clean = fit_light_change(frames, old)
+    noise = np.random.default_rng(1).uniform(0, 255, old.shape)
+    spoilt = [dataclasses.replace(f, image=noise) if k == 2 else f for k, f in enumerate(frames)]
+    found = fit_light_change(spoilt, old)
+    for name in ("gain", "response", "offset", "gradient"):
+        before, after = getattr(clean.left_out[2], name), getattr(found.left_out[2], name)
+        assert np.array_equal(after, before)
+        assert not np.array_equal(
+            getattr(found.left_out[1], name), getattr(clean.left_out[1], name)
+        )
 
 
 def test_masked_pixels_have_no_effect() -> None:

@@ -137,6 +137,23 @@ def test_what_tracks_cannot_tell_is_said() -> None:
     assert "motion_aliases" not in remarks
 
 
+def test_unseen_markers_do_not_slow_the_common_motion() -> None:
+    """A jump of all dots, most of which are covered while it lasts: the seen ones tell it."""
+    true = np.repeat(REST[None], 6, axis=0)
+    true[3:] += (0.48 * PITCH, 0.0)
+    tracks = follow(true[:1])
+    whole = np.repeat(tracks.rest_px[None], 6, axis=0)
+    whole[3:] += (0.48 * PITCH, 0.0)
+    status = np.full(whole.shape[:2], Status.SEEN, dtype=np.uint8)
+    status[3:, ::5] = status[3:, 1::5] = status[3:, 2::5] = Status.PREDICTED
+    sigma = np.full_like(whole, 0.01)
+    jumped = replace(tracks, uv_px=whole, sigma_px=sigma, status=status)
+    figures = track_figures("covered", jumped)
+    assert figures.common_step_in_pitches == pytest.approx(0.48, rel=0.02)
+    codes = {r.code: r.severity for r in track_remarks(figures)}
+    assert codes["motion_aliases"] is Severity.ERROR
+
+
 def test_a_marker_that_leaves_for_long_is_lost() -> None:
     away = REST + (0.0, 22.0)
     steps = [REST + (0.0, 22.0 * t / 4) for t in range(5)]
