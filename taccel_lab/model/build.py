@@ -243,6 +243,16 @@ def _affine_arrays(scene: Scene, layout: _Layout, put: Put) -> AffineArrays:
             wp.float64,
         ),
         vertex_starts=put(np.array([r[0] for r in ranges] + ends), wp.int32),
+        have_joints=put(
+            np.array(
+                [
+                    any(body.name in (joint.first, joint.second) for joint in scene.joints)
+                    for body in scene.affine_bodies
+                ],
+                dtype=np.int32,
+            ),
+            wp.int32,
+        ),
         properties=layout.properties,
         first_control=layout.first_control,
         count=layout.affine_count,

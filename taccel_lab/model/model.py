@@ -74,6 +74,8 @@ class AffineArrays:
     """Young's modulus times volume [J], float64, shape [affine_count]."""
     vertex_starts: wp.array
     """First vertex node, and the one after the last body's, int32, shape [affine_count + 1]."""
+    have_joints: wp.array
+    """1 for a body with joints, int32, shape [affine_count]."""
     properties: list[MassProperties]
     first_control: int
     """Node number of the first control node."""

@@ -11,6 +11,7 @@ from taccel_lab.ipc.affine.bent_step import (
     LARGEST_TURN,
     SMALLEST_TURN,
     bend_steps,
+    find_pivots,
     measure_turns,
 )
 from taccel_lab.ipc.affine.embedding import embed_vertices
@@ -32,7 +33,8 @@ def search_line(run: StepRun) -> None:
     s, p, state = run.s, run.p, run.state
     if s.affine is not None:
         x, way = state.positions, s.displacements
-        measure_turns(run.model, p.active, x, way, p.bend, p.deviation)
+        find_pivots(run.model, p.active, x, s.contact_gradient, s.pivots)
+        measure_turns(run.model, p.active, s.pivots, x, way, p.bend, p.deviation)
         run.decide(search_decisions.bend_kernel, SMALLEST_TURN, p)
     run.find_candidates(s.target_poses, p.reach)
     limit_step(run.model, p.active, s.candidates, state.positions, s.displacements, p.limit)
@@ -64,7 +66,7 @@ def _try(run: StepRun) -> None:
     advance_positions(p.waiting, state.positions, s.displacements, p.alpha, s.trial)
     if s.affine is not None:
         x, way = state.positions, s.displacements
-        bend_steps(run.model, p.waiting, p.bend, p.alpha, x, way, s.trial)
+        bend_steps(run.model, p.waiting, p.bend, p.alpha, s.pivots, x, way, s.trial)
         embed_vertices(run.model, s.trial)
     place_kinematic_nodes(run.model, s.trial_poses, s.trial, p.waiting)
     if run.model.kinematic or s.affine is not None:

@@ -111,6 +111,9 @@ class SolverIPC:
         """d(friction)/dx at the end of the step [N]; the force on a node is its negative."""
         self.path = nodal() if model.kinematic or self.affine else self.trial
         """Way of a trial in which a body turns [m]."""
+        pivots = (model.env_count, model.affine.count)
+        self.pivots = wp.zeros(pivots, dtype=wp.vec3d, device=device)
+        """What each affine body turns about in a step, from its centre [m]."""
         self.reduced = wp.zeros((model.env_count, model.free_count), dtype=wp.vec3d, device=device)
         """Gradient of the total energy by the unknowns [N]."""
         self.dts = wp.zeros(model.env_count, dtype=wp.float64, device=device)
