@@ -98,7 +98,7 @@ def material_page(result: MaterialCalibration) -> Page:
                 f"says, friction {result.used_friction:g}. Reading: where the record, whose zero "
                 "may be off, calls the depth this. Intervals are over all that the records leave "
                 "open: first touch, Poisson's ratio, friction, noise.",
-            )  # fmt: skip
+            )
         )
         tables.append(
             Table(
