@@ -156,15 +156,15 @@ def simulate_press(
 
     env.follow(path, keep)
     load = Outputs(env.solver).update(env.state).surface_load
-    dhat = env.solver.config.dhat_m
+    pressures = load.pressures.numpy()[:, : env.model.soft_count].copy()
     pose = env.poses[0, 0]
     if isinstance(indenter.shape, Ball):
         surface = SphereSurface(pose[:3], indenter.shape.radius_m, grid)
     else:
         vertices = env.state.positions.numpy()[:, env.model.soft_count :].copy()
         surface = HeightFieldSurface.from_mesh(vertices, indenter.shape.faces, grid)
-    fused = SignalFusedSurface(env.mesh, grid, contact_gap_m=dhat, device=device)
-    fused.update(env.positions.copy(), surface)
+    fused = SignalFusedSurface(env.mesh, grid, device=device)
+    fused.update(env.positions.copy(), surface, pressures)
     rest = SignalHeightMap(env.mesh, grid, device=device)
     rest.update(env.mesh.nodes_m[None])
     corners = env.positions[0][mesh.tets]
@@ -175,7 +175,7 @@ def simulate_press(
         steps=steps,
         positions_m=env.positions[0].copy(),
         contact_forces_n=env.contact_forces[0].copy(),
-        contact_pressures_pa=load.pressures.numpy()[0, : env.model.soft_count].copy(),
+        contact_pressures_pa=pressures[0],
         indenter_pose=pose,
         height_m=fused.height_m[0],
         rest_height_m=rest.height_m[0],
