@@ -19,15 +19,15 @@ object itself instead draws a moat around it: 25 um over an element are 5 degree
 
 What is in contact is told by the recovered pressure, not by a gap below the barrier's range: nodes
 hang below chords by more than a short range, and then a contact of 1.4 mm seemed to be one of 0.3
-to 0.7 mm. Nodes with more than half of the largest pressure of their patch are in contact; those that
-are 1.5 times as far from the object as any of them are open; between lies the edge, where the open
-gaps say. So a part of a patch that is pressed weakly beside a strong one can be told by gaps alone.
+to 0.7 mm. Nodes with more than half of the largest pressure of their patch are in contact; those
+that are 1.5 times as far from the object as any of them are open; between lies the edge, where the
+open gaps say. So a part of a patch that is pressed weakly beside a strong one is told by gaps.
 
 Contact radius of balls of 2 and 8 mm, 0.4 to 1 mm deep, quadratic tets, 3 to 5 elements to the
 largest contact radius, dhat 20 to 2 um, at the same force: within 1.3 % of their mean. That of the
-2 mm ball 0.4 mm deep is 1.5 to 3.8 % less than on a mesh of 37,000 nodes, most with dhat 20 um on the
-coarse mesh. In contact the slope is that of the ball to 1.3 degrees (that of g0). 0.05 to 0.1 s a
-frame of 640x480 px with 0.2 mm elements.
+2 mm ball 0.4 mm deep is 1.5 to 3.8 % less than on a mesh of 37,000 nodes, most with dhat 20 um on
+the coarse mesh. In contact the slope is that of the ball to 1.3 degrees (that of g0). 0.05 to 0.1 s
+a frame of 640x480 px with 0.2 mm elements.
 """
 
 from __future__ import annotations
