@@ -33,7 +33,6 @@ LOAD_N = 0.5
 """Load at which figures are read, where they are read at a load."""
 VIRTUAL_PITCH_MM = 1.0
 """Pitch of the points that stand for markers on a gel without."""
-DHAT_M = 2e-5
 _PROFILE_PX = 401
 _CONTACT_PX = 161
 
@@ -158,8 +157,8 @@ def contact_radius_mm(record: PressRecord) -> np.ndarray:
     grid = PixelGrid(*2 * [_CONTACT_PX], *2 * [2 * half / (_CONTACT_PX - 1)])
     points = np.stack([record.in_press(record.positions_m(step)) for step in range(count)])
     centers = np.stack([record.in_press(pose[:3]) for pose in record.indenter_poses[:count]])
-    fused = SignalFusedSurface(record.mesh, grid, contact_gap_m=DHAT_M, device=record.device)
-    fused.update(points, SphereSurface(centers, ball.radius_m, grid))
+    fused = SignalFusedSurface(record.mesh, grid, device=record.device)
+    fused.update(points, SphereSurface(centers, ball.radius_m, grid), record.pressures_pa[:count])
     return fused.contact_radius_m * 1e3
 
 

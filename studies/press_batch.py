@@ -96,6 +96,7 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
             break
         wrench, poses, positions = env.wrench, env.poses[:, 0], env.positions
         force, peaks = env.press_force, outputs.update(env.state).bond_peak()[0].numpy()
+        pressures = outputs.surface_load.pressures.numpy()[:, : env.model.soft_count]
         for i in np.flatnonzero(~failed).tolist():
             frame = jobs[i].gel_from_press
             moment = wrench[i, 3:] - np.cross(frame[:3], wrench[i, :3])
@@ -108,6 +109,7 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
                 "torque_nm": float(moment @ axis),
                 "indenter_poses": poses[i],
                 "moved_m": (positions[i] - rest[i]).astype(np.float32),
+                "pressures_pa": pressures[i].astype(np.float32),
                 "bond_peak_pa": peaks[i],
                 "residual_n": report.residual_n[i],
                 "newton_iterations": report.newton_iterations[i],
@@ -145,7 +147,7 @@ _SHAPES: dict[str, tuple[int, ...]] = {
 
 def _stacked(steps: list[dict[str, np.ndarray | float]], node_count: int) -> dict[str, np.ndarray]:
     """Arrays over the steps; of length 0 where there is none."""
-    shapes = {**_SHAPES, "moved_m": (node_count, 3)}
+    shapes = {**_SHAPES, "moved_m": (node_count, 3), "pressures_pa": (node_count,)}
     return {
         name: np.array([step[name] for step in steps]).reshape(-1, *shape)
         for name, shape in shapes.items()

@@ -97,6 +97,7 @@ def simulate_batch(batch: PressBatch) -> BatchOutcome:
     import warp as wp
 
     from taccel_lab.envs import Indenter, PressEnv, profile_material
+    from taccel_lab.outputs import Outputs
     from taccel_lab.scene import Ball
 
     wp.config.log_level = wp.LOG_ERROR
@@ -112,11 +113,14 @@ def simulate_batch(batch: PressBatch) -> BatchOutcome:
         physics=batch.physics,
     )
     search = DepthSearch(batch.target_mm, ball_mm, batch.tolerance_mm)
+    outputs = Outputs(env.solver)
     reports: list[StepReport] = []
     while True:
         reports += _press(env, search.depth_mm, STEP_MM if batch.friction > 0 else FREE_STEP_MM)
+        load = outputs.update(env.state).surface_load
+        pressures = load.pressures.numpy()[:, : env.model.soft_count]
         radii = [
-            _contact_radius_mm(env, i, _window(batch.at_mm[i], 1.4 * ball_mm), ball_mm)
+            _contact_radius_mm(env, i, pressures, _window(batch.at_mm[i], 1.4 * ball_mm), ball_mm)
             for i in range(count)
         ]
         if search.update(np.array(radii)):
@@ -191,10 +195,13 @@ def _window(at_mm: np.ndarray, reach_mm: float) -> PixelGrid:
     )
 
 
-def _contact_radius_mm(env: PressEnv, index: int, window: PixelGrid, ball_mm: float) -> float:
+def _contact_radius_mm(
+    env: PressEnv, index: int, pressures_pa: np.ndarray, window: PixelGrid, ball_mm: float
+) -> float:
     from taccel_lab.signals import SignalFusedSurface, SphereSurface
 
-    signal = SignalFusedSurface(env.mesh, window, contact_gap_m=env.solver.config.dhat_m)
+    signal = SignalFusedSurface(env.mesh, window)
     sphere = SphereSurface(env.poses[index, 0, :3], ball_mm * 1e-3, window)
-    signal.update(env.positions[index : index + 1], sphere)
+    here = slice(index, index + 1)
+    signal.update(env.positions[here], sphere, pressures_pa[here])
     return float(signal.contact_radius_m[0] * 1e3)

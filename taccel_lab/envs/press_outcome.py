@@ -171,15 +171,15 @@ def simulate_press(
 
     env.follow(path, keep)
     load = Outputs(env.solver).update(env.state).surface_load
-    dhat = env.solver.config.dhat_m
+    pressures = load.pressures.numpy()[:, : env.model.soft_count].copy()
     pose = env.poses[0, 0]
     if isinstance(indenter.shape, Ball):
         surface = SphereSurface(pose[:3], indenter.shape.radius_m, grid)
     else:
         vertices = env.state.positions.numpy()[:, env.model.soft_count :].copy()
         surface = HeightFieldSurface.from_mesh(vertices, indenter.shape.faces, grid)
-    fused = SignalFusedSurface(env.mesh, grid, contact_gap_m=dhat, device=device)
-    fused.update(env.positions.copy(), surface)
+    fused = SignalFusedSurface(env.mesh, grid, device=device)
+    fused.update(env.positions.copy(), surface, pressures)
     rest = SignalHeightMap(env.mesh, grid, device=device)
     rest.update(env.mesh.nodes_m[None])
     height_m, normals = fused.height_m[0], fused.normals[0]
@@ -200,7 +200,7 @@ def simulate_press(
         height_error_m=float(error.height_m[0]),
         positions_m=env.positions[0].copy(),
         contact_forces_n=env.contact_forces[0].copy(),
-        contact_pressures_pa=load.pressures.numpy()[0, : env.model.soft_count].copy(),
+        contact_pressures_pa=pressures[0],
         indenter_pose=pose,
         setback_m=float(env.setback_m[0]),
         height_m=height_m,

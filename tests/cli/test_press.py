@@ -88,6 +88,7 @@ def test_press_on_a_sensor_of_the_catalogue(
         assert set(signals.files) == {
             "height_m", "rest_height_m", "normals", "rest_normals", "contact_mask",
             "contact_forces_n",
+            "contact_pressures_pa",
         }  # fmt: skip
         assert signals["height_m"].shape == signals["contact_mask"].shape == (480, 640)
         assert signals["normals"].shape == (480, 640, 3)

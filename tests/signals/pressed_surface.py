@@ -117,6 +117,14 @@ class PressedSphere:
         cap = self.center_m[2] - np.sqrt(self.radius_m**2 - inner**2)
         return np.where(r < self.contact_radius_m, cap, np.interp(r, at, rise))
 
+    def pressures(self, mesh: TetMesh, positions: np.ndarray) -> np.ndarray:
+        """Hertz's ellipse at the nodes of the contact face, peak 1 Pa, shape [1, node]."""
+        result = np.zeros((1, mesh.node_count))
+        top = mesh.region_nodes(Region.CONTACT)
+        r = self.distance_xy(positions[0, top, 0], positions[0, top, 1]) / self.contact_radius_m
+        result[0, top] = np.sqrt(np.maximum(1 - r**2, 0))
+        return result
+
     def normals(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """True outward unit normals, shape [..., 3]."""
         r = self.distance_xy(x, y)

@@ -24,9 +24,10 @@ PAD_HALF_MM = (5.2, 4.2)
 
 def _press(sphere: PressedSphere, element_mm: float, seed: int = 0) -> SignalFusedSurface:
     mesh = flat_pad(element_mm, PAD_HALF_MM, seed)
-    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=0.0)
+    signal = SignalFusedSurface(mesh, GRID)
     surface = SphereSurface(sphere.center_m, sphere.radius_m, GRID)
-    signal.update(shaped(mesh, sphere.height), surface)
+    positions = shaped(mesh, sphere.height)
+    signal.update(positions, surface, sphere.pressures(mesh, positions))
     return signal
 
 
@@ -73,12 +74,13 @@ def test_contact_radius_is_found_within_a_fraction_of_an_element(contact_mm, see
 def test_contact_radius_grows_with_the_press():
     """A search for the depth of a labelled radius needs a monotone answer."""
     mesh = flat_pad(0.2, PAD_HALF_MM)
-    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=0.0)
+    signal = SignalFusedSurface(mesh, GRID)
     found = []
     for contact in np.linspace(1.2e-3, 1.4e-3, 9):
         sphere = PressedSphere(float(contact))
         surface = SphereSurface(sphere.center_m, sphere.radius_m, GRID)
-        signal.update(shaped(mesh, sphere.height), surface)
+        positions = shaped(mesh, sphere.height)
+        signal.update(positions, surface, sphere.pressures(mesh, positions))
         found.append(signal.contact_radius_m[0])
     assert (np.diff(found) > 0).all()
     assert found[-1] - found[0] == pytest.approx(0.2e-3, rel=0.1)
@@ -104,9 +106,10 @@ def test_slope_is_the_derivative_of_the_fused_height():
     sphere = PressedSphere(1.5e-3)
     grid = PixelGrid(500, 40, 0.01, 0.01)
     mesh = flat_pad(0.25, PAD_HALF_MM)
-    signal = SignalFusedSurface(mesh, grid, contact_gap_m=0.0)
+    signal = SignalFusedSurface(mesh, grid)
     surface = SphereSurface(sphere.center_m, sphere.radius_m, grid)
-    signal.update(shaped(mesh, sphere.height), surface)
+    positions = shaped(mesh, sphere.height)
+    signal.update(positions, surface, sphere.pressures(mesh, positions))
     step = 0.01e-3
     along_x = (signal.height_m[0, :, 2:] - signal.height_m[0, :, :-2]) / (2 * step)
     error = np.abs(along_x - signal.slope[0, :, 1:-1, 0])
@@ -135,29 +138,34 @@ def _hovering(sphere: PressedSphere, mesh: TetMesh, dhat: float) -> np.ndarray:
 
 @pytest.mark.parametrize("contact_mm", [0.9, 1.5])
 def test_barrier_gap_and_chords_do_not_move_the_edge(contact_mm):
-    sphere, dhat = PressedSphere(contact_mm * 1e-3), 20e-6
+    sphere = PressedSphere(contact_mm * 1e-3)
     mesh = flat_pad(0.2, PAD_HALF_MM)
-    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=dhat)
-    signal.update(
-        _hovering(sphere, mesh, dhat), SphereSurface(sphere.center_m, sphere.radius_m, GRID)
-    )
-    assert signal.contact_radius_m[0] == pytest.approx(contact_mm * 1e-3, abs=0.03e-3)
-    errors = _errors(signal, sphere)
-    assert errors["disc_deg"] < 0.8 and errors["ring_deg"] < 2.0
-    # In contact the surface is the ball's, a barrier's gap (and the chord's few um) lower.
-    x, y = pixel_xy(GRID)
-    r = sphere.distance_xy(x, y)
-    inside = r < sphere.contact_radius_m - 0.2e-3
-    layer = np.hypot(r, signal.height_m[0] - sphere.center_m[2]) - sphere.radius_m
-    assert np.ptp(layer[inside]) < 1e-9
-    assert dhat < layer[inside].mean() < dhat + 5e-6
+    signal = SignalFusedSurface(mesh, GRID)
+    surface = SphereSurface(sphere.center_m, sphere.radius_m, GRID)
+    radii = []
+    for dhat in (20e-6, 10e-6, 5e-6, 2e-6):
+        positions = _hovering(sphere, mesh, dhat)
+        signal.update(positions, surface, sphere.pressures(mesh, positions))
+        radii.append(signal.contact_radius_m[0])
+        assert radii[-1] == pytest.approx(contact_mm * 1e-3, rel=0.03)
+        errors = _errors(signal, sphere)
+        assert errors["disc_deg"] < 0.8 and errors["ring_deg"] < 2.0
+        # In contact the surface is the ball's, as much lower as the rim's nodes hover and hang.
+        x, y = pixel_xy(GRID)
+        r = sphere.distance_xy(x, y)
+        inside = r < sphere.contact_radius_m - 0.2e-3
+        layer = np.hypot(r, signal.height_m[0] - sphere.center_m[2]) - sphere.radius_m
+        assert np.ptp(layer[inside]) < 1e-9
+        assert 0.4 * dhat < layer[inside].mean() < dhat + 5e-6
+    assert np.ptp(radii) < 0.02 * contact_mm * 1e-3
 
 
 def test_without_contact_the_gel_surface_is_untouched():
     mesh = flat_pad(0.4, PAD_HALF_MM)
     positions = shaped(mesh, lambda x, y: 0.1 * x)
-    fused = SignalFusedSurface(mesh, GRID, contact_gap_m=1e-6)
-    fused.update(positions, SphereSurface(np.array([0, 0, 3e-3]), 2e-3, GRID))
+    fused = SignalFusedSurface(mesh, GRID)
+    nothing = np.zeros((1, mesh.node_count))
+    fused.update(positions, SphereSurface(np.array([0, 0, 3e-3]), 2e-3, GRID), nothing)
     plain = SignalHeightMap(mesh, GRID)
     plain.update(positions)
     assert np.array_equal(fused.height_m, plain.height_m)
@@ -177,11 +185,18 @@ def test_texture_finer_than_the_mesh_shows_in_contact_only():
         -0.3e-3,
         -0.3e-3 * np.exp(-(np.maximum(np.abs(px), np.abs(py)) - 1.5e-3) / 0.5e-3),
     )
-    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=12e-6)
-    signal.update(shaped(mesh, flat), HeightFieldSurface(stamp, GRID))
+    signal = SignalFusedSurface(mesh, GRID)
+    positions = shaped(mesh, flat)
+    positions[0, mesh.region_nodes(Region.CONTACT), 2] -= 12e-6
+    pressures = np.zeros((1, mesh.node_count))
+    pressures[0, mesh.region_nodes(Region.CONTACT)] = 1.0
+    pressures[:, (np.abs(positions[0, :, :2]) > 1.5e-3).any(axis=1)] = 0.0
+    signal.update(positions, HeightFieldSurface(stamp, GRID), pressures)
     inner = np.maximum(np.abs(x), np.abs(y)) < 0.9e-3
     outer = np.maximum(np.abs(x), np.abs(y)) > 3.0e-3
-    assert np.abs(signal.height_m[0] - stamp + 12e-6)[inner].max() < 1e-9
+    # As much lower as the nodes are: 12 um and, in the mean, half a groove.
+    below = (stamp - signal.height_m[0])[inner]
+    assert np.ptp(below) < 1e-9 and 12e-6 < below.mean() < 22e-6
     assert np.isfinite(signal.height_m).all() and np.isfinite(signal.normals).all()
     assert np.abs(signal.height_m[0])[outer].max() < 30e-6
 
@@ -199,8 +214,9 @@ def test_a_sphere_mesh_gives_the_sphere():
     difference = (surface.height_m[0] - exact)[inside]
     assert difference.min() > -1e-12 and difference.max() < 12e-6
     mesh = flat_pad(0.2, PAD_HALF_MM)
-    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=12e-6)
-    signal.update(shaped(mesh, sphere.height), surface)
+    signal = SignalFusedSurface(mesh, GRID)
+    positions = shaped(mesh, sphere.height)
+    signal.update(positions, surface, sphere.pressures(mesh, positions))
     assert signal.contact_radius_m[0] == pytest.approx(1.2e-3, abs=0.06e-3)
     true = sphere.normals(x, y)
     assert np.sqrt((angle_deg(signal.normals[0], true)[r < 1.0e-3] ** 2).mean()) < 2.0
@@ -212,12 +228,16 @@ def test_environments_do_not_mix():
     # The third ball hovers over the rest shape.
     positions = np.concatenate([*(shaped(mesh, s.height) for s in spheres), mesh.nodes_m[None]])
     centers = np.stack([*(s.center_m for s in spheres), [0.0, 0.0, 2.5e-3]])
-    signal = SignalFusedSurface(mesh, GRID, contact_gap_m=5e-6)
-    signal.update(positions, SphereSurface(centers, 2e-3, GRID))
+    signal = SignalFusedSurface(mesh, GRID)
+    pressures = np.zeros((3, mesh.node_count))
+    for env, sphere in enumerate(spheres):
+        pressures[env] = sphere.pressures(mesh, positions[env : env + 1])[0]
+    signal.update(positions, SphereSurface(centers, 2e-3, GRID), pressures)
     together = signal.height_m.copy(), signal.contact_radius_m.copy()
     assert together[1][2] == 0.0 and (together[0][2] == 0.0).all()
     for env in range(3):
-        signal.update(positions[env : env + 1], SphereSurface(centers[env], 2e-3, GRID))
+        here = slice(env, env + 1)
+        signal.update(positions[here], SphereSurface(centers[env], 2e-3, GRID), pressures[here])
         assert np.array_equal(together[0][env], signal.height_m[0])
         assert together[1][env] == signal.contact_radius_m[0]
     assert together[1][1] > together[1][0] + 0.4e-3
@@ -231,8 +251,10 @@ def test_a_contact_cut_by_the_image_says_so():
 
 def test_bad_input_is_refused():
     mesh = flat_pad(0.4, PAD_HALF_MM)
-    with pytest.raises(InputError, match="contact_gap_m"):
-        SignalFusedSurface(mesh, GRID, contact_gap_m=-1e-6)
+    surface = SphereSurface(np.zeros(3), 1e-3, GRID)
+    for wrong in (np.zeros((1, 3)), np.full((1, mesh.node_count), np.nan)):
+        with pytest.raises(InputError, match="pressures_pa"):
+            SignalFusedSurface(mesh, GRID).update(mesh.nodes_m[None], surface, wrong)
     with pytest.raises(InputError, match="radius_m"):
         SphereSurface(np.zeros(3), 0.0, GRID)
     with pytest.raises(InputError, match="center_m"):
