@@ -11,9 +11,9 @@ import numpy as np
 from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from cad.mesh.structured_plan import MIN_SQUEEZE
 from sensors.registry import sensor_family
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressMeshOptions
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.press_mesh_options import DEFAULT_PRESS_MESH, PressMeshOptions
 
 LARGEST_LAYER_RATIO = 4.0
 """Thickest layer over the one above it."""
@@ -27,7 +27,7 @@ def press_mesh(
     parameters: Mapping[str, Any],
     at_mm: tuple[float, float],
     contact_mm: float | tuple[float, float],
-    options: PressMeshOptions = PHYSICS[Accuracy.DEFAULT].mesh,
+    options: PressMeshOptions = DEFAULT_PRESS_MESH,
 ) -> TetMesh:
     """Gel pad of a catalogue sensor, graded around the contact at gel xy ``at_mm``.
 

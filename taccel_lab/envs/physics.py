@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from taccel_lab.geometry.press_mesh_options import DEFAULT_PRESS_MESH, PressMeshOptions
 from taccel_lab.scene import Element
 from taccel_lab.solvers import SolverConfig
 
@@ -25,28 +26,12 @@ class Accuracy(StrEnum):
 
 
 @dataclass(frozen=True)
-class PressMeshOptions:
-    """Resolution around a press, in units of the contact radius."""
-
-    elements_per_radius: float = 10 / 3
-    """Elements along the contact radius."""
-    fine_radii: float = 1.9
-    """Radius of the fine part in contact radii: the gel sinks visibly that far around a press."""
-    core: int = 4
-    rings: int = 10
-    layers: int = 3
-    """Core, rings and layers of ``structured_gel_mesh``; they set the number of nodes."""
-    top_layer: float = 1.0
-    """Thickness of the uppermost layer in contact radii, where the number of layers allows it."""
-
-
-@dataclass(frozen=True)
 class PressPhysics:
     """All that decides a simulated press besides sensor, material, tool, friction and path."""
 
     accuracy: Accuracy = Accuracy.DEFAULT
     element: Element = Element.QUADRATIC
-    mesh: PressMeshOptions = PressMeshOptions()
+    mesh: PressMeshOptions = DEFAULT_PRESS_MESH
     dhat_m: float = 1e-5
     """Gap at which contact begins."""
     relative_tolerance: float = 1e-4

@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How finely a gel is meshed around a press; which press takes which is in ``envs.physics``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class PressMeshOptions:
+    """Resolution around a press, in units of the contact radius."""
+
+    elements_per_radius: float = 10 / 3
+    """Elements along the contact radius."""
+    fine_radii: float = 1.9
+    """Radius of the fine part in contact radii: the gel sinks visibly that far around a press."""
+    core: int = 4
+    rings: int = 10
+    layers: int = 3
+    """Core, rings and layers of ``structured_gel_mesh``; they set the number of nodes."""
+    top_layer: float = 1.0
+    """Thickness of the uppermost layer in contact radii, where the number of layers allows it."""
+
+
+DEFAULT_PRESS_MESH = PressMeshOptions()
