@@ -114,7 +114,7 @@ CASES = (
     ),
     Case(
         "GelSight Mini (FEATS)", "gsmini_feats_calib", "", "material",
-        (Figure("worst residual", "residuals.indentation_worst_relative", 0.03),),
+        (Figure("worst point, left out", "residuals.indentation_held_out_worst_relative", 0.03),),
     ),
 )  # fmt: skip
 

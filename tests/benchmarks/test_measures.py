@@ -28,8 +28,8 @@ def test_an_error_row() -> None:
     assert row["ms_per_step"]["count"] == 2
     assert row["residual"]["worst_over_contact_force"] <= 1e-4
     assert other["residual"]["worst_over_contact_force"] > 1e-4
-    # The gap of contact makes the ball larger by about its range: per cents of the force.
-    assert 1 < row["error"]["force_percent"] < 10
+    # The gap of contact makes the ball larger by about its range: a part of a per cent here.
+    assert 0.3 < row["error"]["force_percent"] < 10
     assert 0 < row["error"]["height_rms_um"] <= row["error"]["height_max_um"] < 20
     assert 0 < row["error"]["marker_rms_um"] <= row["error"]["marker_max_um"] < 20
     # Without any difference there is no error.

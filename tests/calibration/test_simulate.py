@@ -31,7 +31,7 @@ from taccel_lab.profile import SensorProfile
 BALL_MM = 2.0
 TOLERANCE_MM = 0.007
 GRID = PixelGrid(96, 72, 0.1, 0.1)
-COARSE = PHYSICS[Accuracy.FAST]
+DEFAULT = PHYSICS[Accuracy.DEFAULT]
 # Contacts of 0.8, 1.2 and 1.0 mm at places where the dome leans.
 CIRCLES = (
     ContactCircle(30.0, 40.0, 8.0),
@@ -162,7 +162,7 @@ def base(profile: SensorProfile, captures: CaptureSet) -> SensorProfile:
 
 @pytest.fixture(scope="module")
 def surfaces(captures: CaptureSet, base: SensorProfile) -> list[PressSurface]:
-    return simulate_presses(captures, CIRCLES, base, physics=COARSE, processes=1)
+    return simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1)
 
 
 def test_contact_meets_the_circle(surfaces: list[PressSurface]) -> None:
@@ -211,7 +211,7 @@ def test_friction_is_named_and_matters(
 ) -> None:
     one = replace(captures, presses=captures.presses[:1])
     (rough,) = simulate_presses(
-        one, CIRCLES[:1], base, physics=COARSE, friction_coefficient=0.8, processes=1
+        one, CIRCLES[:1], base, physics=DEFAULT, friction_coefficient=0.8, processes=1
     )
     assert rough.provider == "finite elements, friction 0.8"
     assert surfaces[0].provider == "finite elements, friction 0"
@@ -233,7 +233,7 @@ def test_order_and_progress_with_several_processes(
             captures,
             CIRCLES,
             base,
-            physics=COARSE,
+            physics=DEFAULT,
             processes=processes,
             progress=lambda done, total, told=told: told.append((done, total)),
         )
@@ -251,18 +251,18 @@ def test_order_and_progress_with_several_processes(
 def test_circle_larger_than_the_ball_is_refused(captures: CaptureSet, base: SensorProfile) -> None:
     circles = [CIRCLES[0], ContactCircle(48.0, 36.0, 21.0), CIRCLES[2]]
     with pytest.raises(InputError, match=r"memory: p1: contact radius 21 px is 2\.100 mm"):
-        simulate_presses(captures, circles, base, physics=COARSE, processes=1)
+        simulate_presses(captures, circles, base, physics=DEFAULT, processes=1)
 
 
 def test_a_view_past_the_pad_is_refused(captures: CaptureSet, base: SensorProfile) -> None:
     wide = replace(captures, grid=PixelGrid(96, 72, 0.26, 0.26), ball_radius_mm=5.0)
     with pytest.raises(InputError, match=r"memory: .* shows 24\.7 x 18\.5 mm, more than the pad"):
-        simulate_presses(wide, CIRCLES, base, physics=COARSE, processes=1)
+        simulate_presses(wide, CIRCLES, base, physics=DEFAULT, processes=1)
 
 
 def test_a_circle_for_every_press(captures: CaptureSet, base: SensorProfile) -> None:
     with pytest.raises(InputError, match="2 contact circles for 3 presses"):
-        simulate_presses(captures, CIRCLES[:2], base, physics=COARSE, processes=1)
+        simulate_presses(captures, CIRCLES[:2], base, physics=DEFAULT, processes=1)
 
 
 def test_a_press_to_the_equator(captures: CaptureSet, base: SensorProfile) -> None:
@@ -284,10 +284,10 @@ def test_kept_presses_are_bitwise_those_that_were_simulated(
     tmp_path: Path,
 ) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
-    first = simulate_presses(captures, CIRCLES, base, physics=COARSE, processes=1, cache=True)
+    first = simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1, cache=True)
     (kept,) = (tmp_path / "presses").iterdir()
     monkeypatch.setattr(simulate, "simulate_batch", fail)
-    again = simulate_presses(captures, CIRCLES, base, physics=COARSE, processes=1, cache=True)
+    again = simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1, cache=True)
     for one, two, three in zip(surfaces, first, again, strict=True):
         for name in ("height_m", "normals", "rest_height_m", "rest_normals"):
             assert np.array_equal(getattr(one, name), getattr(two, name))
@@ -296,9 +296,9 @@ def test_kept_presses_are_bitwise_those_that_were_simulated(
     # Anything else that matters asks for a simulation of its own.
     stiffer = base.material.model_copy(update={"young_modulus_pa": 9e5})
     for other, circles, physics in (
-        (replace(base, material=stiffer), CIRCLES, COARSE),
-        (base, (CIRCLES[1], *CIRCLES[1:]), COARSE),
-        (base, CIRCLES, PHYSICS[Accuracy.DEFAULT]),
+        (replace(base, material=stiffer), CIRCLES, DEFAULT),
+        (base, (CIRCLES[1], *CIRCLES[1:]), DEFAULT),
+        (base, CIRCLES, PHYSICS[Accuracy.FAST]),
     ):
         with pytest.raises(SimulationError, match="made up"):
             simulate_presses(captures, circles, other, physics=physics, processes=1, cache=True)
@@ -307,16 +307,16 @@ def test_kept_presses_are_bitwise_those_that_were_simulated(
         pytest.warns(UserWarning, match="are damaged"),
         pytest.raises(SimulationError, match="made up"),
     ):
-        simulate_presses(captures, CIRCLES, base, physics=COARSE, processes=1, cache=True)
+        simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1, cache=True)
 
 
 def test_without_friction_one_step_ends_where_many_do(
     captures: CaptureSet, base: SensorProfile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = replace(captures, presses=captures.presses[:1])
-    (at_once,) = simulate_presses(one, CIRCLES[:1], base, physics=COARSE, processes=1)
+    (at_once,) = simulate_presses(one, CIRCLES[:1], base, physics=DEFAULT, processes=1)
     monkeypatch.setattr(press_batch, "FREE_STEP_MM", 0.05)
-    (slowly,) = simulate_presses(one, CIRCLES[:1], base, physics=COARSE, processes=1)
+    (slowly,) = simulate_presses(one, CIRCLES[:1], base, physics=DEFAULT, processes=1)
     assert at_once.effort is not None and slowly.effort is not None
     assert at_once.effort.newton_iterations < 0.6 * slowly.effort.newton_iterations
     assert np.abs(at_once.height_m - slowly.height_m).max() < 2e-6
@@ -348,14 +348,14 @@ def test_presses_that_are_spanned_are_not_simulated(
     monkeypatch.setattr(simulate, "simulate_batch", counted)
     told: list[tuple[int, int]] = []
     shared = simulate_presses(
-        many, circles, base, physics=COARSE, processes=1, share=True,
+        many, circles, base, physics=DEFAULT, processes=1, share=True,
         progress=lambda done, total: told.append((done, total)),
     )  # fmt: skip
     assert sorted(simulated) == spanning_presses(circles) and len(simulated) == SPANNING
     assert told == [(3, 10), (6, 10), (10, 10)]
     chosen = [i for i in range(10) if i not in simulated][:3]
     few = replace(many, presses=tuple(many.presses[i] for i in chosen))
-    each = simulate_presses(few, [circles[i] for i in chosen], base, physics=COARSE, processes=1)
+    each = simulate_presses(few, [circles[i] for i in chosen], base, physics=DEFAULT, processes=1)
     for i, surface in zip(chosen, each, strict=True):
         near = circles[i].distance_px(GRID) <= 2.5 * circles[i].radius_px
         cosine = (shared[i].normals * surface.normals).sum(axis=-1)
@@ -370,12 +370,12 @@ def test_presses_that_follow_no_common_law_are_all_simulated(
 ) -> None:
     many, circles = many_presses(captures, 9)
     monkeypatch.setattr(simulate.SharedLaw, "holds", property(lambda self: False))
-    found = simulate_presses(many, circles, base, physics=COARSE, processes=1, share=True)
+    found = simulate_presses(many, circles, base, physics=DEFAULT, processes=1, share=True)
     assert {surface.provider for surface in found} == {"finite elements, friction 0"}
 
 
 def test_few_presses_are_all_simulated(captures: CaptureSet, base: SensorProfile) -> None:
-    found = simulate_presses(captures, CIRCLES, base, physics=COARSE, processes=1, share=True)
+    found = simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1, share=True)
     assert all(surface.provider == "finite elements, friction 0" for surface in found)
 
 
@@ -387,7 +387,7 @@ def test_a_cache_that_cannot_be_written_is_named(
     monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
     one = replace(captures, presses=captures.presses[:1])
     with pytest.raises(InputError, match=CACHE_VARIABLE):
-        simulate_presses(one, CIRCLES[:1], base, physics=COARSE, processes=1, cache=True)
+        simulate_presses(one, CIRCLES[:1], base, physics=DEFAULT, processes=1, cache=True)
 
 
 def test_a_stiff_skin_spreads_the_dent() -> None:
@@ -399,7 +399,7 @@ def test_a_stiff_skin_spreads_the_dent() -> None:
         assert len(profile.material.layers) == 1
         one = flat_captures("9dtact", (ContactCircle(48.0, 36.0, 10.0),))
         (surface,) = simulate_presses(
-            one, [ContactCircle(48.0, 36.0, 10.0)], profile, physics=COARSE, processes=1
+            one, [ContactCircle(48.0, 36.0, 10.0)], profile, physics=DEFAULT, processes=1
         )
         forces[skin_mpa] = surface.force_n
     assert forces[2.0] > 1.2 * forces[0.2]
@@ -414,7 +414,7 @@ def test_a_failed_press_stops_everything(
 ) -> None:
     monkeypatch.setattr(simulate, "simulate_batch", fail)
     with pytest.raises(SimulationError, match="made up"):
-        simulate_presses(captures, CIRCLES, base, physics=COARSE, processes=1)
+        simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1)
 
 
 def test_a_failure_in_a_worker_keeps_its_message(
@@ -422,5 +422,5 @@ def test_a_failure_in_a_worker_keeps_its_message(
 ) -> None:
     monkeypatch.setattr(simulate, "BATCH", 2)
     with pytest.raises(InputError, match="core = 5 is odd"):
-        odd = replace(COARSE, mesh=replace(COARSE.mesh, core=5))
+        odd = replace(DEFAULT, mesh=replace(DEFAULT.mesh, core=5))
         simulate_presses(captures, CIRCLES, base, physics=odd, processes=2)

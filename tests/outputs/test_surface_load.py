@@ -91,7 +91,6 @@ def test_pressure_on_a_bonded_pad_is_that_of_a_fine_mesh() -> None:
             Material(1.5e5, 0.46),
             parse_indenter("sphere:2.0"),
             np.array([at_mm]),
-            element=Element.QUADRATIC,
             config=SolverConfig(dhat_m=5e-6),
         )
         env.move_to(depth_mm)

@@ -13,11 +13,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sensors.press_mesh import PressMeshOptions, press_mesh
-from taccel_lab.envs import Indenter, PressEnv
+from sensors.press_mesh import press_mesh
+from taccel_lab.envs import Indenter, PressEnv, PressMeshOptions
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.outputs import Outputs
-from taccel_lab.scene import Ball, Element, Material
+from taccel_lab.scene import Ball, Material
 from taccel_lab.signals import (
     ContactSurface,
     SignalFusedSurface,
@@ -30,6 +30,7 @@ from tests.signals.pressed_surface import angle_deg, pixel_xy
 
 GRID = PixelGrid(640, 480, 0.0295, 0.0295)
 BALL_M = 2e-3
+FINE = PressMeshOptions(elements_per_radius=6.0, core=8, rings=14)
 DEPTHS_MM = (0.4, 0.8, 1.1, 1.4, 1.6, 1.8, 2.2)
 """The last goes past the ball's equator."""
 PRESSES = {
@@ -91,14 +92,13 @@ def press(request) -> _Press:
 
 
 def _simulate(friction: float, at_mm: tuple[float, float], depths_mm: tuple[float, ...]) -> _Press:
-    mesh = press_mesh("gelsight", {}, at_mm, 1.85)
+    mesh = press_mesh("gelsight", {}, at_mm, 1.85, FINE)
     env = PressEnv(
         mesh,
         Material(1.5e5, 0.46),
         Indenter("ball", Ball(BALL_M)),
         np.array([at_mm]),
         friction_coefficient=friction,
-        element=Element.QUADRATIC,
     )
     outputs = Outputs(env.solver)
     positions, forces, centers, pressures = [], [], [], []
@@ -225,13 +225,12 @@ def test_contact_radius_is_that_of_the_nodes(press):
 
 def test_contact_radius_follows_small_changes_of_depth():
     """The depth search takes secants of it: no steps from node to node."""
-    mesh = press_mesh("gelsight", {}, (3.0, 2.0), 1.85)
+    mesh = press_mesh("gelsight", {}, (3.0, 2.0), 1.85, FINE)
     env = PressEnv(
         mesh,
         Material(1.5e5, 0.46),
         Indenter("ball", Ball(BALL_M)),
         np.array([[3.0, 2.0]]),
-        element=Element.QUADRATIC,
     )
     signal, outputs = SignalFusedSurface(env.mesh, GRID), Outputs(env.solver)
     depths = np.linspace(1.5, 1.7, 9)
@@ -263,7 +262,6 @@ def _radius_at(dhat_m: float, options: PressMeshOptions) -> tuple[float, float]:
         Material(1.5e5, 0.46),
         Indenter("ball", Ball(BALL_M)),
         np.zeros((1, 2)),
-        element=Element.QUADRATIC,
         config=SolverConfig(dhat_m=dhat_m),
     )
     env.move_to(depth_mm)

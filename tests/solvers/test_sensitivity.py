@@ -28,7 +28,7 @@ MOONEY = Material(3e5, 0.47, model=MaterialModel.MOONEY_RIVLIN, mooney_ratio=0.4
 def held_back_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     """Slopes are those of the force at one place of the tool: no correction for the gap, which
     comes in steps of its tolerance."""
-    monkeypatch.setattr("taccel_lab.envs.press.SETBACK_ROUNDS", 1)
+    monkeypatch.setattr("taccel_lab.envs.press.SETBACK_TOLERANCE", 1e9)
 
 
 def press(

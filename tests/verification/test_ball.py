@@ -8,7 +8,7 @@ import pytest
 
 from sensors.press_mesh import PressMeshOptions, press_mesh
 from taccel_lab.envs import Indenter, PressEnv
-from taccel_lab.scene import Ball, Element, Material, TriangleMesh, sphere_mesh
+from taccel_lab.scene import Ball, Material, TriangleMesh, sphere_mesh
 from taccel_lab.solvers import SolverConfig
 
 RADIUS_M = 2e-3
@@ -24,7 +24,6 @@ def force_n(shape: Ball | TriangleMesh, dhat_m: float, size: float, depth_mm: fl
         Material(1.5e5, 0.46),
         Indenter("ball", shape),
         np.array([AT_MM]),
-        element=Element.QUADRATIC,
         config=SolverConfig(dhat_m=dhat_m),
     )
     env.move_to(depth_mm)

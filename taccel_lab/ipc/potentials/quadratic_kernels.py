@@ -11,9 +11,9 @@ F is linear in the element: with F_c the gradient at corner c and barycentric co
 point, F = sum_c l_c F_c, and grad N of corner i is (4 l_i - 1) b_i, of the middle of edge ij
 4 (l_j b_i + l_i b_j), where b_i are the gradients of the barycentric coordinates.
 
-An element may turn inside out near a corner while all its points are in order. In materials that do
-not bear inversion a guard on the volume ratio at the corners (corner_guard.py) keeps it from that;
-it is zero above a ratio of 0.2.
+An element may turn inside out near a corner or an edge while all its points are in order. In
+materials that do not bear inversion a guard on the volume ratio there (corner_guard.py) keeps it
+from that; it is zero above a ratio of 0.2.
 
 Negative eigenvalues of the matrix are lifted at each point, for the shape energy plus the pressure
 times the dilatation (of which only a bounded part counts, see quadratic_points.py); what the mean
@@ -41,10 +41,17 @@ OTHER = wp.constant(wp.float64((5.0 - 5.0**0.5) / 20.0))
 OWN_LESS_OTHER = wp.constant(wp.float64(5.0**0.5 / 5.0))
 
 GUARD_WEIGHT = wp.constant(wp.float64(1.0 / 40.0))
-"""Part of the volume that a corner stands for: as in the cubic rule with corners [ibid.]."""
+"""Part of the volume that a guarded point stands for: as in the cubic rule with corners [ibid.]."""
+GUARDED = wp.constant(16)
+"""Guarded points: the corners and the thirds of the edges, without which a sharp tool that dents a
+face turns the edges of its tets inside out."""
 
 mat44i = wp.types.matrix(shape=(4, 4), dtype=wp.int32)
 mat103d = wp.types.matrix(shape=(10, 3), dtype=wp.float64)
+
+EDGE_STARTS = wp.constant(wp.types.vector(length=6, dtype=wp.int32)(0, 1, 0, 0, 1, 2))
+EDGE_ENDS = wp.constant(wp.types.vector(length=6, dtype=wp.int32)(1, 2, 2, 3, 3, 3))
+"""Corners of the edges, in the order of their middle nodes."""
 
 MIDDLES = wp.constant(mat44i(0, 4, 6, 7, 4, 1, 5, 8, 6, 5, 2, 9, 7, 8, 9, 3))
 """Local node in the middle of the edge of two corners; a corner itself on the diagonal."""
@@ -178,6 +185,44 @@ def shape_gradients(
 
 
 @wp.func
+def guarded_ends(point: int):
+    """Corners that a guarded point lies between: a third of the way from the first to the second,
+    or both the same."""
+    if point < 4:
+        return point, point
+    edge = (point - 4) / 2
+    if point % 2 == 0:
+        return EDGE_STARTS[edge], EDGE_ENDS[edge]
+    return EDGE_ENDS[edge], EDGE_STARTS[edge]
+
+
+@wp.func
+def guarded_deformation(
+    env: int, tet: int, point: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
+) -> wp.mat33d:
+    """F at a guarded point: F is linear."""
+    near, far = guarded_ends(point)
+    f = corner_deformation(env, tet, near, positions, d)
+    if far != near:
+        third = wp.float64(1.0) / wp.float64(3.0)
+        f += third * (corner_deformation(env, tet, far, positions, d) - f)
+    return f
+
+
+@wp.func
+def guarded_gradients(env: int, tet: int, point: int, turn: wp.mat33d, d: ElementData) -> mat103d:
+    """As ``shape_gradients``, at a guarded point."""
+    none = wp.float64(0.0)
+    one = wp.float64(1.0)
+    near, far = guarded_ends(point)
+    rows = shape_gradients(env, tet, near, none, one, turn, d)
+    if far != near:
+        third = wp.float64(1.0) / wp.float64(3.0)
+        rows += third * (shape_gradients(env, tet, far, none, one, turn, d) - rows)
+    return rows
+
+
+@wp.func
 def row_of(m: mat103d, i: int) -> wp.vec3d:
     """Row i."""
     return wp.vec3d(m[i, 0], m[i, 1], m[i, 2])
@@ -248,9 +293,8 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
             q += 1
         guarded = wp.float64(0.0)
         q = int(0)
-        while q < 4:
-            corner = corner_deformation(env, tet, q, positions, d)
-            guarded += guard(wp.determinant(corner))[0]
+        while q < GUARDED:
+            guarded += guard(wp.determinant(guarded_deformation(env, tet, q, positions, d)))[0]
             q += 1
         volume_part = volumetric(mean)
         energies[env, tet] = (
@@ -335,12 +379,12 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         local_gradients[env, tet, 8] = m_3 * b_1 + m_1 * b_3
         local_gradients[env, tet, 9] = m_3 * b_2 + m_2 * b_3
         q = int(0)
-        while q < 4:
-            corner = corner_deformation(env, tet, q, positions, d)
-            push = guard(wp.determinant(corner))[1]
+        while q < GUARDED:
+            f = guarded_deformation(env, tet, q, positions, d)
+            push = guard(wp.determinant(f))[1]
             if push != wp.float64(0.0):
-                stress = (factor * GUARD_WEIGHT * d.moduli.mu[tet] * push) * cofactor(corner)
-                rows = shape_gradients(env, tet, q, wp.float64(0.0), wp.float64(1.0), stress, d)
+                stress = (factor * GUARD_WEIGHT * d.moduli.mu[tet] * push) * cofactor(f)
+                rows = guarded_gradients(env, tet, q, stress, d)
                 for a in range(d.nodes.shape[1]):
                     local_gradients[env, tet, a] = local_gradients[env, tet, a] + row_of(rows, a)
             q += 1
@@ -390,14 +434,12 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
             q += 1
         guard_weight = factor * GUARD_WEIGHT * d.moduli.mu[tet]
         q = int(0)
-        while q < 4:
-            corner = corner_deformation(env, tet, q, positions, d)
-            guarded = guard(wp.determinant(corner))
+        while q < GUARDED:
+            f = guarded_deformation(env, tet, q, positions, d)
+            guarded = guard(wp.determinant(f))
             if guarded[1] != wp.float64(0.0):
-                h = guard_hessian(corner, guarded[1], guarded[2], psd_mode)
-                shapes = shape_gradients(
-                    env, tet, q, wp.float64(0.0), wp.float64(1.0), wp.transpose(h.frame), d
-                )
+                h = guard_hessian(f, guarded[1], guarded[2], psd_mode)
+                shapes = guarded_gradients(env, tet, q, wp.transpose(h.frame), d)
                 add_point_blocks(env, tet, guard_weight, h, shapes, node_count, blocks)
             q += 1
 

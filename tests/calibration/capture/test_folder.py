@@ -188,9 +188,10 @@ def test_guide_of_every_sensor(sensor: str) -> None:
     assert manifest.sensor == sensor and manifest.indenter is not None
     assert manifest.indenter.radius_mm == plan.ball_radius_mm
     (forces,) = [step for step in plan.steps if step.title == "Force against depth"]
-    assert forces.count.startswith("2 balls") and "mm radius and one of" in forces.equipment
-    wide = [line for line in plan.manifest.splitlines() if "indentation_wide" in line]
-    assert len(wide) == 1  # a second ball, to be filled in
+    assert forces.count.startswith("1 flat punch, 1 ball")
+    assert "flat round punch" in forces.equipment and "ball of at most" in forces.equipment
+    second = [line for line in plan.manifest.splitlines() if "indentation_ball" in line]
+    assert len(second) == 1  # to be filled in
     blocks = " ".join(step.block for step in plan.steps)
     assert ("markers" in blocks) == (manifest.markers is not None)
     assert ("depth" in blocks) != ("color" in blocks)
