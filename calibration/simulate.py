@@ -30,7 +30,7 @@ from calibration.surfaces.press_batch import (
 )
 from calibration.surfaces.types import PressSurface
 from sensors.registry import sensor_family
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
+from taccel_lab.envs.physics import SURFACE_PHYSICS, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.rest_surface import rest_surface
@@ -46,7 +46,7 @@ def simulate_presses(
     circles: Sequence[ContactCircle],
     profile: SensorProfile,
     *,
-    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
+    physics: PressPhysics = SURFACE_PHYSICS,
     friction_coefficient: float = 0.0,
     processes: int | None = None,
     cache: bool = False,
@@ -60,7 +60,7 @@ def simulate_presses(
         captures: Ball radius, pixel grid and names.
         circles: Contact circle of each press [px].
         profile: The designed sensor: family, parameters and material, that of a skin included.
-        physics: How presses are simulated: as by ``press``.
+        physics: How presses are simulated: as by ``press``, on a finer mesh.
         friction_coefficient: Between ball and gel. Frictionless presses fit best what the images
             of real ball presses show: the slope beside the contact that they imply falls off as
             without friction (docs/captures.md).

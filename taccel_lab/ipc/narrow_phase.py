@@ -23,9 +23,11 @@ from taccel_lab.ipc.lanes import listed
 
 wp.set_module_options({"enable_backward": False})
 
-BALL_GUARD_SHARE = wp.constant(wp.float64(0.1))
-"""Part of its area with which a face guards against a ball. Whole faces take a fifth more Newton
-iterations where a gel rubs (86, not 71), since the guard then carries more of the load."""
+BALL_GUARD_SHARE = wp.constant(wp.float64(1.0))
+"""Part of its area with which a face guards against a ball. With a tenth, a ball between the nodes
+of a coarse gel sat so deep in the guard's range that steps had to be halved: of fifty rough presses
+by ten bodies 86 % were solved in one part, with whole faces 92 %. Where nodes are closer to one
+another than the ball's dent is wide, the force is the same to 1e-7."""
 
 
 @wp.struct

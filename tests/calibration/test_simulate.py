@@ -22,7 +22,7 @@ from calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
 from calibration.surfaces.press_batch import BatchOutcome, PressBatch
 from sensors.profile import catalogue_profile
 from taccel_lab.cli.calibrate.base import on_grid
-from taccel_lab.envs import PHYSICS, Accuracy
+from taccel_lab.envs.physics import PHYSICS, SURFACE_PHYSICS, Accuracy
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.output import CACHE_VARIABLE
@@ -31,7 +31,7 @@ from taccel_lab.profile import SensorProfile
 BALL_MM = 2.0
 TOLERANCE_MM = 0.007
 GRID = PixelGrid(96, 72, 0.1, 0.1)
-DEFAULT = PHYSICS[Accuracy.DEFAULT]
+DEFAULT = SURFACE_PHYSICS
 # Contacts of 0.8, 1.2 and 1.0 mm at places where the dome leans.
 CIRCLES = (
     ContactCircle(30.0, 40.0, 8.0),
