@@ -27,7 +27,7 @@ enters once with coefficient
 and only where that is not zero. On a convex body exactly one feature of it remains per node.
 
 A ball is a node with a radius: the nodes of the other body measure their contact with it, and its
-faces guard with a part of their areas. A plane meets the nodes of the other body.
+faces guard with theirs. A plane meets the nodes of the other body.
 
 Within one body the faces around a node do not exist for it, and no pair repels beyond half of its
 distance at rest: neighbours at rest exert no force, however fine the mesh is.
@@ -52,7 +52,7 @@ from taccel_lab.ipc.collision_lists import (
     collision_gap,
     contact_geometry,
 )
-from taccel_lab.ipc.contact_roles import body_ranks, self_ranges
+from taccel_lab.ipc.contact_roles import body_kappas, body_ranks, self_ranges
 from taccel_lab.ipc.lanes import lane_count
 from taccel_lab.ipc.narrow_phase import (
     ContactSurface,
@@ -90,7 +90,7 @@ class Collisions(GrowingList):
     def __init__(
         self,
         model: Model,
-        kappa: float,
+        kappa: float | None,
         dhat: float,
         capacity: int | None = None,
         limit: int = 1 << 20,
@@ -98,7 +98,8 @@ class Collisions(GrowingList):
         super().__init__(model.env_count, model.device, limit)
         self.model = model
         self.kappa = kappa
-        """Barrier stiffness [Pa]: contact pressure at a gap of about half of dhat."""
+        """Barrier stiffness of all contacts [Pa], contact pressure at a gap of about half of dhat;
+        None where the bodies in contact decide (``body_kappas``)."""
         self.dhat = dhat
         """Gap at which contact begins [m]."""
         self.guard = GUARD_FRACTION * dhat
@@ -120,7 +121,9 @@ class Collisions(GrowingList):
         surface.rest_positions = model.rest_positions
         surface.self_ranges = self_ranges(model, self.dhat)
         surface.body_ranks = wp.array(body_ranks(model), dtype=wp.int32, device=model.device)
-        surface.kappa, surface.dhat, surface.guard = self.kappa, self.dhat, self.guard
+        kappas, surface.stiff_kappa = body_kappas(model, self.kappa)
+        surface.body_kappas = wp.array(kappas, dtype=wp.float64, device=model.device)
+        surface.dhat, surface.guard = self.dhat, self.guard
         return surface
 
     def _allocate(self, capacity: int) -> None:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which surface of a pair measures the contact, and how far a body keeps from itself."""
+"""Which surface of a pair measures the contact, how stiff its contact is, and how far a body keeps
+from itself."""
 
 from __future__ import annotations
 
@@ -12,6 +13,28 @@ from taccel_lab.scene import SoftBody
 from taccel_lab.scene.primitives import unique_edges
 
 wp.set_module_options({"enable_backward": False})
+
+
+STIFF_KAPPA_PA = 1e6
+"""Contact stiffness of a scene without soft bodies."""
+
+
+def body_kappas(model: Model, kappa: float | None) -> tuple[np.ndarray, float]:
+    """Contact stiffness that each body asks for [Pa], float64, shape [body_count], and that between
+    bodies that ask for none [Pa].
+
+    ``kappa`` where one is given; else Young's modulus of a soft body, 0 for the others, and between
+    these the largest modulus of the scene. A gel is thus pressed the same whatever else is in the
+    scene: with the largest modulus for all contacts, the layer in front of a soft gel beside one a
+    million times as stiff was nearly dhat thick, which raised its force by 3 %.
+    """
+    if kappa is not None:
+        return np.full(len(model.scene.bodies), kappa), kappa
+    kappas = [
+        body.material.largest_young_modulus_pa if isinstance(body, SoftBody) else 0.0
+        for body in model.scene.bodies
+    ]
+    return np.array(kappas), max(kappas, default=0.0) or STIFF_KAPPA_PA
 
 
 def body_ranks(model: Model) -> np.ndarray:

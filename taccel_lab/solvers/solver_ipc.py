@@ -36,8 +36,6 @@ from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.step_graph import StepGraphs
 from taccel_lab.state import State, as_poses, initial_state
 
-STIFF_KAPPA_PA = 1e6
-"""Contact stiffness of a scene without soft bodies."""
 HALVING_HELPS = [
     EnvStatus.NO_CONVERGENCE,
     EnvStatus.LINE_SEARCH,
@@ -55,8 +53,6 @@ class SolverIPC:
         self.model = model
         self.config = config or SolverConfig()
         scene = model.scene
-        moduli = [body.material.largest_young_modulus_pa for body in scene.soft_bodies]
-        kappa = self.config.kappa_pa or max(moduli, default=STIFF_KAPPA_PA)
         self.elastic = [ElasticPotential(model, group) for group in model.elastic]
         """One for each group of elements that share a law and a kind."""
         self.invertible = [part for part in self.elastic if part.group.law in BEARS_INVERSION]
@@ -79,7 +75,7 @@ class SolverIPC:
         """Built by the first step of a state with external forces."""
         limit = self.config.max_collisions
         self.candidates = Candidates(model, limit=limit)
-        self.collisions = Collisions(model, kappa, self.config.dhat_m, limit=limit)
+        self.collisions = Collisions(model, self.config.kappa_pa, self.config.dhat_m, limit=limit)
         self.contact = ContactPotential(model, self.collisions)
         static_range = self.config.static_range_m(scene.time)
         self.friction = (

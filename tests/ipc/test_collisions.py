@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.ipc.collisions import EDGE_EDGE, GUARD_FRACTION
-from taccel_lab.ipc.narrow_phase import BALL_GUARD_SHARE
 from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh, sphere_mesh
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import initial_state
@@ -117,9 +116,9 @@ def test_the_nodes_of_a_surface_measure_a_ball_and_its_faces_guard() -> None:
     guarded = np.array(
         [ipctk.point_triangle_distance(poses[0, 0, :3], *x[0, f]) ** 0.5 for f in faces]
     )
-    guard, share = GUARD_FRACTION * DHAT, float(BALL_GUARD_SHARE)
+    guard = GUARD_FRACTION * DHAT
     contact = total(nodes, model.surface.node_areas.numpy()[0, on_gel], DHAT)
-    expected = KAPPA * (contact + total(guarded, share * face_areas(x[0], faces), guard))
+    expected = KAPPA * (contact + total(guarded, face_areas(x[0], faces), guard))
     assert contact > 0 and expected > KAPPA * contact
     assert assembly.contact_energy(x)[0] == pytest.approx(expected, rel=1e-10)
     in_reach = (nodes < radius + DHAT).sum() + (guarded < radius + guard).sum()

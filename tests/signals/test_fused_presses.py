@@ -15,7 +15,6 @@ import pytest
 
 from sensors.press_mesh import press_mesh
 from taccel_lab.envs import Indenter, PressEnv, PressMeshOptions
-from taccel_lab.envs.physics import SURFACE_PHYSICS
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Ball, Material
@@ -31,7 +30,7 @@ from tests.signals.pressed_surface import angle_deg, pixel_xy
 
 GRID = PixelGrid(640, 480, 0.0295, 0.0295)
 BALL_M = 2e-3
-FINE = SURFACE_PHYSICS.mesh
+FINE = PressMeshOptions(elements_per_radius=6.0, core=8, rings=12)
 DEPTHS_MM = (0.4, 0.8, 1.1, 1.4, 1.6, 1.8, 2.2)
 """The last goes past the ball's equator."""
 PRESSES = {

@@ -16,7 +16,7 @@ from taccel_lab.state import initial_state
 from tests.verification.blocks import everywhere, pose
 
 MESH = block_mesh((4, 4, 2), (6e-3, 6e-3, 2e-3), jitter=0.1)
-CONFIG = SolverConfig(kappa_pa=1e4, absolute_tolerance_n=1e-10)
+CONFIG = SolverConfig(absolute_tolerance_n=1e-10)
 ASIDE = 0.05
 """Where the second gel is [m]."""
 
