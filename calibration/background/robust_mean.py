@@ -3,9 +3,10 @@
 
 A median of each pixel would do, but it is noisier than the mean by a quarter (sqrt(pi / 2) for many
 images). Here the median only says which image is off where: the smoothed difference from it, over
-all channels, has to stand out of its own scatter (Tukey's biweight, as in ``drift``). Smoothing
-leaves a sixth of a pixel's noise, so that weak but wide things are found, and the weights hardly
-depend on the noise of the pixel that they weigh: the noise is 1.02 times the plain mean's.
+all channels, has to stand out of its own scatter (Tukey's biweight, as in ``drift``, beyond its
+reach). Smoothing leaves a sixth of a pixel's noise, so that weak but wide things are found, and
+the weights hardly depend on the noise of the pixel that they weigh: the noise is that of the plain
+mean.
 """
 
 from __future__ import annotations
@@ -66,7 +67,10 @@ def robust_mean(
     reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
     total, count = np.zeros(middle.shape), np.zeros(middle.shape[:2])
     for image, where, distance in zip(images, seen, distances, strict=True):
-        weight = np.where(where, np.clip(1 - (distance / reach) ** 2, 0.0, 1.0) ** 2, 0.0)
+        # Whole up to the reach, so that light which differs a little from frame to frame averages
+        # as in a plain mean; what stands out goes to zero as smoothly as the biweight does.
+        beyond = np.clip(distance / reach - 1, 0.0, 1.0)
+        weight = np.where(where, (1 - beyond**2) ** 2, 0.0)
         total += weight[..., None] * np.where(where[..., None], image, 0.0)
         count += weight
     known = count[..., None] >= MIN_WEIGHT
