@@ -24,9 +24,8 @@ from taccel_lab.ipc.collision_lists import (
     collision_gap,
 )
 from taccel_lab.ipc.collisions import Collisions
-from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_cross_sq, edge_edge_mollifier
 from taccel_lab.ipc.lanes import lane_count, listed
-from taccel_lab.ipc.potentials.contact import is_mollified
+from taccel_lab.ipc.potentials.contact import mollifier
 
 wp.set_module_options({"enable_backward": False})
 
@@ -47,15 +46,7 @@ def _gap_work_kernel(
         gap = collision_gap(pair, nodes, geometry)
         reach = lists.ranges[env, slot]
         force = -contact_potential_d1(gap, reach, lists.stiffnesses[env, slot])
-        threshold = lists.thresholds[env, slot]
-        if is_mollified(env, nodes, threshold, positions):
-            cross_sq = edge_edge_cross_sq(
-                positions[env, nodes[0]],
-                positions[env, nodes[1]],
-                positions[env, nodes[2]],
-                positions[env, nodes[3]],
-            )
-            force *= edge_edge_mollifier(cross_sq, threshold)
+        force *= mollifier(env, nodes, lists.thresholds[env, slot], positions)
         total += force * gap
     work[env, lane] = total
 

@@ -63,6 +63,22 @@ def is_mollified(
 
 
 @wp.func
+def mollifier(
+    env: int, nodes: wp.vec4i, threshold: wp.float64, positions: wp.array2d(dtype=wp.vec3d)
+) -> wp.float64:
+    """Factor of an edge pair that is nearly parallel; 1 for all other collisions."""
+    if not is_mollified(env, nodes, threshold, positions):
+        return wp.float64(1.0)
+    cross_sq = edge_edge_cross_sq(
+        positions[env, nodes[0]],
+        positions[env, nodes[1]],
+        positions[env, nodes[2]],
+        positions[env, nodes[3]],
+    )
+    return edge_edge_mollifier(cross_sq, threshold)
+
+
+@wp.func
 def stencil_size(kind: int) -> int:
     """Distinct nodes of a collision kind."""
     if kind == 1:
@@ -114,16 +130,7 @@ def contact_energy(
     pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
     gap = collision_gap(pair, nodes, geometry)
     energy = contact_potential(gap, lists.ranges[env, slot], lists.stiffnesses[env, slot])
-    threshold = lists.thresholds[env, slot]
-    if is_mollified(env, nodes, threshold, positions):
-        cross_sq = edge_edge_cross_sq(
-            positions[env, nodes[0]],
-            positions[env, nodes[1]],
-            positions[env, nodes[2]],
-            positions[env, nodes[3]],
-        )
-        energy *= edge_edge_mollifier(cross_sq, threshold)
-    return energy
+    return energy * mollifier(env, nodes, lists.thresholds[env, slot], positions)
 
 
 @wp.kernel
