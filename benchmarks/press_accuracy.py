@@ -144,7 +144,7 @@ def prepare(folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     for case in cases():
-        half = tool(case.tool).contact_half_mm(case.depth_mm)
+        half = tool(case.tool).contact_mm(case.depth_mm)
         arrays: dict[str, Any] = {"case": json.dumps(asdict(case))}
         for setting, physics in SETTINGS.items():
             mesh = press_mesh(case.family, {}, AT_MM, half, physics.mesh)

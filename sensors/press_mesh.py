@@ -4,12 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from cad.mesh.columns import FoldedMeshError
+from cad.mesh.contact_plan import ContactOutline
 from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
-from cad.mesh.structured_plan import MIN_SQUEEZE
+from cad.mesh.structured import MIN_FOCUS_EDGE_MM
+from cad.mesh.structured_plan import rim_distances_mm, rim_rings
+from cad.parts.height_pad import HeightPad
 from sensors.registry import sensor_family
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
@@ -18,51 +23,150 @@ from taccel_lab.geometry.press_mesh_options import DEFAULT_PRESS_MESH, PressMesh
 LARGEST_LAYER_RATIO = 4.0
 """Thickest layer over the one above it."""
 LARGEST_CONTACT_MM = 4.0
-"""Half width of the largest contact that a mesh is graded for."""
+"""Radius of the largest disc that a mesh is graded for."""
 LEAST_CONTACT_MM = 0.05
+"""Least radius or half width that a mesh is graded for."""
+STEP_OF_TOP = 0.4
+"""First step outside an outline over the thickness of the uppermost layer."""
+BACK_SHARE, BACK_STEPS = 0.6, 5.0
+"""A contact's least half width at the back, as a part of the thickness, and how much longer the
+steps beside it are there."""
+_ROOM_SIDES = 64
+"""Lines that stand for the border of what a focus may cover of a pad."""
+_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 def press_mesh(
     family: str,
     parameters: Mapping[str, Any],
     at_mm: tuple[float, float],
-    contact_mm: float | tuple[float, float],
+    contact_mm: float | np.ndarray,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
 ) -> TetMesh:
     """Gel pad of a catalogue sensor, graded around the contact at gel xy ``at_mm``.
 
-    ``contact_mm`` is the contact's radius, or its half widths along gel x and y, see
-    ``Indenter.contact_half_mm``. All meshes of the same options share tets, faces and regions
-    bitwise, whatever the place. Raises InputError for an unknown family or a place too close to
-    the pad's edge.
+    ``contact_mm`` is the contact's radius, or its convex outline about the place, [n, 2], see
+    ``Indenter.contact_mm``. All meshes of the same options and kind of contact share tets, faces
+    and regions bitwise, whatever the place. Raises InputError for an unknown family or a place too
+    close to the pad's edge.
     """
     found = sensor_family(family)
     pad = found.pad(found.parameters(parameters))
-    return focused_gel_mesh(pad, press_focus(at_mm, contact_mm, pad.thickness_mm, options))
+    if np.ndim(contact_mm) == 0:
+        focus = _disc_focus(at_mm, float(contact_mm), pad.thickness_mm, options)
+    elif isinstance(pad, HeightPad):
+        focus = _outline_focus(at_mm, np.asarray(contact_mm), pad, options)
+        try:
+            return focused_gel_mesh(pad, focus)
+        except FoldedMeshError:
+            # Some long contacts beside an edge leave no room for rings: even ones, of the same
+            # connectivity. What that costs is in the estimate of the press's error.
+            focus = replace(focus, outlines=None)
+    else:
+        radius = float(np.abs(contact_mm).max())
+        focus = _disc_focus(at_mm, radius, pad.thickness_mm, options)
+    return focused_gel_mesh(pad, focus)
 
 
-def press_focus(
-    at_mm: tuple[float, float],
-    contact_mm: float | tuple[float, float],
-    thickness_mm: float,
-    options: PressMeshOptions,
+def _disc_focus(
+    at_mm: tuple[float, float], radius_mm: float, thickness_mm: float, options: PressMeshOptions
 ) -> FocusOptions:
-    """Where and how finely a pad of some thickness [mm] is meshed for a contact."""
-    if not (np.asarray(contact_mm) > 0).all():
-        raise InputError(f"contact_mm must be half widths above 0 mm, got {contact_mm}")
-    half = np.clip(np.broadcast_to(contact_mm, (2,)), LEAST_CONTACT_MM, LARGEST_CONTACT_MM)
-    largest, least = float(half.max()), float(half.min())
-    x, y = (float(v) for v in np.maximum(half / largest, MIN_SQUEEZE))
+    if not radius_mm > 0:
+        raise InputError(f"contact_mm must be a radius above 0 mm, got {radius_mm:g}")
+    radius = float(np.clip(radius_mm, LEAST_CONTACT_MM, LARGEST_CONTACT_MM))
     return FocusOptions(
         at_mm=at_mm,
-        radius_mm=options.fine_radii * largest,
-        size_mm=largest / options.elements_per_radius,
+        radius_mm=options.fine_radii * radius,
+        size_mm=radius / options.elements_per_radius,
         core=options.core,
         rings=options.rings,
         layers=options.layers,
-        layer_ratio=_layer_ratio(options.layers, options.top_layer * least / thickness_mm),
-        squeeze=(x, y),
+        layer_ratio=_layer_ratio(options.layers, options.top_layer * radius / thickness_mm),
     )
+
+
+def _outline_focus(
+    at_mm: tuple[float, float], contact_mm: np.ndarray, pad: HeightPad, options: PressMeshOptions
+) -> FocusOptions:
+    if contact_mm.ndim != 2 or contact_mm.shape[1] != 2 or not np.isfinite(contact_mm).all():
+        raise InputError("contact_mm must be a radius, or an outline of finite xy in mm, [n, 2]")
+    o = options.outline
+    rim = float(rim_distances_mm(pad)[0])
+    along = pad.outline.perimeter_mm * np.arange(_ROOM_SIDES) / _ROOM_SIDES
+    places, normals = pad.outline.at_mm(along)
+    room = places - (rim + MIN_FOCUS_EDGE_MM) * normals
+    points = _clipped(_thickened(contact_mm) + at_mm, room, normals)
+    if len(points) < 3:
+        # Beside the pad; the place itself is refused with its distance from the edge.
+        points = LEAST_CONTACT_MM * _SQUARE + at_mm
+    points = _thickened(points)
+    center = _centroid(points)
+    half = np.abs(points - center).max(axis=0)
+    size = float(np.sqrt(half.prod()))
+    top = o.top * np.sqrt(size * pad.thickness_mm)
+    # At the back a contact has spread.
+    wider = np.maximum(1.0, BACK_SHARE * pad.thickness_mm / half)
+    back = _clipped(center + wider * (points - center), room, normals)
+    radius = float(np.clip(size, LEAST_CONTACT_MM, LARGEST_CONTACT_MM))
+    step = STEP_OF_TOP * top
+    return FocusOptions(
+        at_mm=(float(center[0]), float(center[1])),
+        radius_mm=options.fine_radii * radius,
+        size_mm=radius / options.elements_per_radius,
+        core=o.core,
+        rings=o.inner + o.outer + rim_rings(pad),
+        layers=o.layers,
+        layer_ratio=_layer_ratio(o.layers, top / pad.thickness_mm),
+        outlines=(
+            ContactOutline(points - center, step, o.inner),
+            ContactOutline(_without_short_sides(back - center), BACK_STEPS * step, o.inner),
+        ),
+    )
+
+
+def _thickened(points: np.ndarray) -> np.ndarray:
+    """Convex hull of points [mm], counter-clockwise, at least twice ``LEAST_CONTACT_MM`` wide."""
+    from scipy.spatial import ConvexHull
+
+    # A hair's width, so that points on one line have a hull too.
+    points = (np.unique(np.round(points, 6), axis=0)[:, None] + 1e-6 * _SQUARE).reshape(-1, 2)
+    hull = ConvexHull(points)
+    across = hull.equations[:, :2] @ points.T
+    short = LEAST_CONTACT_MM - 0.5 * float(np.ptp(across, axis=1).min())
+    if short > 0:
+        points = (points[:, None] + short * _SQUARE).reshape(-1, 2)
+        hull = ConvexHull(points)
+    return _without_short_sides(points[hull.vertices])
+
+
+def _without_short_sides(polygon: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(polygon - np.roll(polygon, 1, axis=0), axis=1)
+    return polygon[length > 1e-4]
+
+
+def _clipped(polygon: np.ndarray, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """What of a convex polygon lies on the inner side of all lines through places with outward
+    normals, each [n, 2] (Sutherland and Hodgman 1974)."""
+    for place, normal in zip(places, normals, strict=True):
+        outside = (polygon - place) @ normal
+        if not (outside > 0).any():
+            continue
+        kept: list[np.ndarray] = []
+        for i in range(len(polygon)):
+            j = (i + 1) % len(polygon)
+            if outside[i] <= 0:
+                kept.append(polygon[i])
+            if (outside[i] <= 0) != (outside[j] <= 0):
+                part = outside[i] / (outside[i] - outside[j])
+                kept.append(polygon[i] + part * (polygon[j] - polygon[i]))
+        polygon = np.array(kept).reshape(-1, 2)
+    return polygon
+
+
+def _centroid(polygon: np.ndarray) -> np.ndarray:
+    following = np.roll(polygon, -1, axis=0)
+    area = polygon[:, 0] * following[:, 1] - polygon[:, 1] * following[:, 0]
+    return ((polygon + following) * area[:, None]).sum(axis=0) / (3 * area.sum())
 
 
 def _layer_ratio(layers: int, top_share: float) -> float:

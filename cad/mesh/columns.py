@@ -10,6 +10,10 @@ import numpy as np
 from taccel_lab.errors import InputError
 
 
+class FoldedMeshError(InputError):
+    """A structured mesh that folds over itself."""
+
+
 def level_fractions(layers: int, ratio: np.ndarray) -> np.ndarray:
     """Height of each level over the back as a fraction, 0 to 1, shape [layers + 1, ...].
 
@@ -29,12 +33,12 @@ def check_unfolded(
     remedy: str = "with a focus, move it away from the edge or make focus_radius_mm or spread "
     "smaller; without one, make the window smaller",
 ) -> None:
-    """Raise InputError with the place, and the remedy, for tets that are flat or inside out."""
+    """Raise FoldedMeshError with the place and the remedy where tets are flat or inside out."""
     p = nodes_mm[tets]
     volume = np.linalg.det(p[:, 1:] - p[:, :1]) / 6
     if (volume <= 0).any():
         x, y, z = p[int(volume.argmin())].mean(axis=0)
-        raise InputError(
+        raise FoldedMeshError(
             f"{int((volume <= 0).sum())} of {len(tets)} tets of the structured mesh fold over, the "
             f"worst at x {x:.2f}, y {y:.2f}, z {z:.2f} mm; {remedy}"
         )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cad.mesh.contact_plan import ContactOutline
 from cad.mesh.dome import even_dome_mesh, focused_dome_mesh
 from cad.mesh.even import even_gel_mesh
 from cad.mesh.structured import structured_gel_mesh
@@ -38,8 +39,9 @@ class FocusOptions:
     layers: int = 4
     layer_ratio: float = 1.5
     """Thickness of a layer over that of the one above it, at the contact."""
-    squeeze: tuple[float, float] = (1.0, 1.0)
-    """Factors that narrow the fine part along x and y, for long contacts; domes go without."""
+    outlines: tuple[ContactOutline, ContactOutline] | None = None
+    """What the rings follow around the contact instead of circles, at the contact face and at the
+    back; domes go without."""
 
 
 def gel_mesh(
@@ -74,7 +76,7 @@ def focused_gel_mesh(pad: Pad, focus: FocusOptions) -> TetMesh:
             rings=focus.rings,
             layers=focus.layers,
             layer_ratio=focus.layer_ratio,
-            squeeze=focus.squeeze,
+            outlines=focus.outlines,
         )
     if isinstance(pad, DomePad):
         return focused_dome_mesh(

@@ -10,14 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from cad.mesh.columns import check_range, check_unfolded, level_fractions
-from cad.mesh.structured_plan import (
-    MIN_SQUEEZE,
-    Focus,
-    focus_plan,
-    rim_distances_mm,
-    rim_rings,
-    squeezed_plan,
-)
+from cad.mesh.contact_plan import ContactOutline, contact_plan
+from cad.mesh.structured_plan import Focus, focus_plan, rim_distances_mm, rim_rings
 from cad.mesh.structured_topology import grid_topology, ring_of_node
 from cad.mesh.tet_smoothing import Sheet, improve_worst_tets
 from cad.parts.height_pad import HeightPad
@@ -44,16 +38,17 @@ def structured_gel_mesh(
     layers: int = 4,
     layer_ratio: float = 1.5,
     spread: float = 2.0,
-    squeeze: tuple[float, float] = (1.0, 1.0),
+    outlines: tuple[ContactOutline, ContactOutline] | None = None,
     window_ring: int | None = None,
 ) -> TetMesh:
     """Mesh ``pad`` with an O-grid plan of (core + 1)^2 + 4 core rings nodes and layers + 1 levels.
 
     Elements of ``focus_size_mm`` fill a disc of ``focus_radius_mm`` about ``focus_mm`` (xy in the
     gel frame [mm]) at the contact face, grow outside it, and are ``spread`` times as wide at the
-    back. For a long contact ``squeeze`` narrows that disc along x and y by these factors. Tets,
-    faces, regions and layers are the same arrays wherever the focus lies and for all pads of one
-    kind of rim and skin. The window follows the ring ``window_ring`` and is only approximate: both
+    back. With ``outlines`` at the contact face and at the back rings follow those instead, see
+    ``contact_plan``. Tets, faces, regions
+    and layers are the same arrays wherever the focus lies and for all pads of one kind of rim and
+    skin. The window follows the ring ``window_ring`` and is only approximate: both
     parts of the back are glued, so that no result depends on it.
 
     Layers grow by ``layer_ratio`` from the contact face down; a skin on the contact face is the
@@ -68,8 +63,6 @@ def structured_gel_mesh(
         raise InputError(f"core = {core} is odd; use an even number so that the corners match")
     check_range("layer_ratio", layer_ratio, 1.0, 4.0)
     check_range("spread", spread, 1.0, 10.0)
-    for value in squeeze:
-        check_range("squeeze", value, MIN_SQUEEZE, 1.0)
     edge_rings = rim_rings(pad)
     if rings < edge_rings + 3:
         raise InputError(
@@ -87,20 +80,28 @@ def structured_gel_mesh(
     topology = grid_topology(core, rings, layers, window_ring)
     focus = _checked_focus(pad, focus_mm, focus_radius_mm, focus_size_mm)
     wide = Focus(focus.center_mm, focus.radius_mm * spread, focus.size_mm * spread)
-    top = focus_plan(pad, core, rings, focus)
-    bottom = focus_plan(pad, core, rings, wide)
-    if squeeze != (1.0, 1.0):
-        top, bottom = (squeezed_plan(pad, plan, focus, squeeze) for plan in (top, bottom))
+    around = (None, None) if outlines is None else tuple(outline.round for outline in outlines)
+    top = focus_plan(pad, core, rings, focus, around[0])
+    bottom = focus_plan(pad, core, rings, wide, around[1])
     # Far from the focus the cells are wide: thin layers there would only make slivers.
-    far = np.linalg.norm((top - focus.center_mm) / squeeze, axis=1) - focus.radius_mm
+    center = np.asarray(focus.center_mm)
+    if outlines is None:
+        far = np.linalg.norm(top - center, axis=1) - focus.radius_mm
+        kept = far < _KEPT_RADII * focus.radius_mm
+    else:
+        free = rings - edge_rings
+        top = contact_plan(top, core, free, center, outlines[0])
+        bottom = contact_plan(bottom, core, free, center, outlines[1])
+        far = outlines[0].distance_mm(top - center)
+        kept = far < pad.thickness_mm
     ratio = layer_ratio ** (1 - np.clip(far / pad.thickness_mm, 0, 1))
     nodes = _stack_levels(pad, top, bottom, level_fractions(layers - skin_layers, ratio))
-    free = _movable(pad, core, rings, layers)
+    movable = _movable(pad, core, rings, layers)
     # Fine cells of the contact face stay as they are.
-    free[-len(top) :][far < _KEPT_RADII * focus.radius_mm] = False
+    movable[-len(top) :][kept] = False
     sheet = Sheet(np.arange(len(nodes) - len(top), len(nodes)), pad.height_mm)
     nodes = improve_worst_tets(
-        nodes, topology.tets, free, wanted_deg=WANTED_DEG, powers=_POWERS, sheet=sheet
+        nodes, topology.tets, movable, wanted_deg=WANTED_DEG, powers=_POWERS, sheet=sheet
     )
     check_unfolded(nodes, topology.tets)
     regions = topology.face_regions.copy()

@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 
 from cad.mesh.conformal import DiscMap, disc_automorphism, disc_map
+from cad.mesh.contact_plan import EllipticMap
 from cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii
 from cad.mesh.outline_nodes import outline_anchors
 from cad.mesh.plan_smoothing import smooth_plan
@@ -28,10 +29,6 @@ _SEEN_WEIGHT = 0.8
 _MAX_EVEN = 0.7
 """Share of the rings that may fill the focus; the others lead out to the outline."""
 _SIDE_SAMPLES = 400
-MIN_SQUEEZE = 0.05
-"""Narrowest fine part over its length: narrower cells would have no quality left."""
-_FADE_SHARE = 0.6
-"""Part of the way to the outline over which a squeezed plan becomes the plain one."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +38,20 @@ class Focus:
     center_mm: tuple[float, float]
     radius_mm: float
     size_mm: float
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """In which direction things are seen from a focus."""
+
+    center: complex
+    around: EllipticMap | None
+
+    def angle(self, xy: np.ndarray) -> np.ndarray:
+        """Angles of points [mm], [n, 2]."""
+        if self.around is None:
+            return np.angle(xy @ [1, 1j] - self.center)
+        return np.angle(self.around.forward(xy - [self.center.real, self.center.imag]))
 
 
 def rim_distances_mm(pad: HeightPad) -> np.ndarray:
@@ -67,8 +78,13 @@ def rim_rings(pad: HeightPad) -> int:
     return len(rim_distances_mm(pad)) - 1
 
 
-def focus_plan(pad: HeightPad, core: int, rings: int, focus: Focus) -> np.ndarray:
+def focus_plan(
+    pad: HeightPad, core: int, rings: int, focus: Focus, around: EllipticMap | None = None
+) -> np.ndarray:
     """Plan graded around a focus: even rings inside it, growing ones from there to the outline.
+
+    Nodes on the outline are spread as seen from the focus, or from the line between the foci of
+    ``around``; with that the core's corners lie at odd multiples of 45 degrees.
 
     A polar grid of the unit disc, moved to the focus and mapped conformally onto the pad.
     Returns xy [mm], shape [(core + 1)^2 + 4 core rings, 2].
@@ -81,14 +97,17 @@ def focus_plan(pad: HeightPad, core: int, rings: int, focus: Focus) -> np.ndarra
     slope = chart.slope_mm(center)
     per_mm = 1 / (abs(slope) * (1 - abs(center) ** 2))
     count = 4 * core
-    corner_angles = _corner_angles(pad.outline, border, chart, center, focus, slope)
+    see = _Sight(complex(*focus.center_mm), around)
+    corner_angles = _corner_angles(pad.outline, border, chart, center, see, slope)
     step = 2 * np.pi / count
     # Turn the grid so that the corners of the outline are as near to nodes as they can be.
     turn = float(np.angle(np.exp(1j * corner_angles * count).mean())) / count
+    if around is not None:
+        turn = -float(np.angle(slope))
     theta = turn + step * (np.arange(count) - round((0.75 * np.pi + turn) / step))
     half_arcs = _half_arcs(border, core)
     corners = _corner_indices(corner_angles, float(theta[0]), core, half_arcs)
-    outline, normals = _outline_nodes(pad.outline, corners, half_arcs, core, focus.center_mm)
+    outline, normals = _outline_nodes(pad.outline, corners, half_arcs, core, see)
     inner = outline - normals * setback
     boundary = np.angle(disc_automorphism(chart.disc_from_plan(inner @ [1, 1j]), -center))
     boundary = _unwrap_near(boundary, theta)
@@ -118,29 +137,6 @@ def focus_plan(pad: HeightPad, core: int, rings: int, focus: Focus) -> np.ndarra
     return np.concatenate([xy, *(outline - normals * d for d in distances[1:])])
 
 
-def squeezed_plan(
-    pad: HeightPad, plan: np.ndarray, focus: Focus, squeeze: tuple[float, float]
-) -> np.ndarray:
-    """A plan [mm], [n, 2], drawn together about the focus along x and y by factors, for contacts
-    that are longer than wide; the outline and the rings along it stay where they are.
-
-    Along each axis t -> s t + (1 - s) t^3, with t the share of the way to the bounding box, which
-    is monotonous and has the slope s at the focus.
-    """
-    centre = np.asarray(focus.center_mm)
-    low, high = pad.outline.bounds_mm()
-    s = np.asarray(squeeze)
-    way = plan - centre
-    reach = np.where(way < 0, centre - low, high - centre)
-    t = np.clip(np.abs(way) / reach, 0.0, 1.0)
-    drawn = np.sign(way) * reach * (s * t + (1 - s) * t**3)
-    rim = float(rim_distances_mm(pad)[0])
-    fade = _FADE_SHARE * (float(pad.inside_distance_mm(centre)) - rim)
-    u = np.clip((pad.inside_distance_mm(plan) - rim) / fade, 0.0, 1.0)
-    weight = (u * u * (3 - 2 * u))[:, None]
-    return centre + way + weight * (drawn - way)
-
-
 def _unwrap_near(angle: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Add full turns so that every angle is the one nearest to its reference."""
     return angle - 2 * np.pi * np.round((angle - reference) / (2 * np.pi))
@@ -167,7 +163,7 @@ def _half_arcs(border: PadOutline, core: int) -> np.ndarray:
 
 
 def _corner_angles(
-    outline: PadOutline, border: PadOutline, chart: DiscMap, center: complex, focus: Focus,
+    outline: PadOutline, border: PadOutline, chart: DiscMap, center: complex, see: _Sight,
     slope: complex,
 ) -> np.ndarray:  # fmt: skip
     """Angle in the disc at which the grid should meet each outline corner, shape [4].
@@ -177,8 +173,8 @@ def _corner_angles(
     """
     inner = border.at_mm(outline_anchors(border))[0] @ [1, 1j]
     conformal = np.angle(disc_automorphism(chart.disc_from_plan(inner), -center))
-    plan = outline.at_mm(outline_anchors(outline))[0] @ [1, 1j]
-    seen = _unwrap_near(np.angle((plan - complex(*focus.center_mm)) / slope), conformal)
+    plan = outline.at_mm(outline_anchors(outline))[0]
+    seen = _unwrap_near(see.angle(plan) - np.angle(slope), conformal)
     return (1 - _SEEN_WEIGHT) * conformal + _SEEN_WEIGHT * seen
 
 
@@ -204,12 +200,12 @@ def _corner_indices(
 
 def _outline_nodes(
     outline: PadOutline, corners: np.ndarray, half_arcs: np.ndarray, core: int,
-    center_mm: tuple[float, float],
+    see: _Sight,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Nodes on the outline [mm] and their outward normals, each shape [4 core, 2].
 
     ``corners`` are the ring indices of the anchors. Between corner arcs the nodes are spaced
-    between equal lengths and, seen from ``center_mm``, equal angles.
+    between equal lengths and, as seen, equal angles.
     """
     count = 4 * core
     anchors = outline_anchors(outline)
@@ -221,7 +217,7 @@ def _outline_nodes(
         ahead, behind = half_arcs[k], half_arcs[(k + 1) % 4]
         begin, end = ends[k] + halves[k], ends[k + 1] - halves[k + 1]
         cells = int(corners[(k + 1) % 4] - corners[k] + (count if k == 3 else 0)) - ahead - behind
-        middle = _spaced(outline, begin, end, cells, np.asarray(center_mm))
+        middle = _spaced(outline, begin, end, cells, see)
         before = ends[k] + halves[k] * np.arange(ahead) / max(ahead, 1)
         after = end + halves[k + 1] * np.arange(1, behind) / max(behind, 1)
         found = np.concatenate([before, begin + (end - begin) * middle, [end], after])
@@ -231,13 +227,10 @@ def _outline_nodes(
     return outline.at_mm(lengths)
 
 
-def _spaced(
-    outline: PadOutline, begin: float, end: float, cells: int, center: np.ndarray
-) -> np.ndarray:
+def _spaced(outline: PadOutline, begin: float, end: float, cells: int, see: _Sight) -> np.ndarray:
     """Fractions of the length from ``begin`` to ``end`` of the first ``cells`` nodes there."""
     t = np.linspace(0, 1, _SIDE_SAMPLES + 1)
-    offset = outline.at_mm(begin + (end - begin) * t)[0] - center
-    angle = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
+    angle = np.unwrap(see.angle(outline.at_mm(begin + (end - begin) * t)[0]))
     even = np.arange(cells) / cells
     seen = np.interp(angle[0] + (angle[-1] - angle[0]) * even, angle, t)
     return _ANGLE_WEIGHT * seen + (1 - _ANGLE_WEIGHT) * even

@@ -35,14 +35,16 @@ class Indenter:
     """As given on the command line."""
     shape: Ball | TriangleMesh
 
-    def contact_half_mm(self, depth_mm: float) -> tuple[float, float]:
-        """About how far the contact of a press reaches along x and y on either side [mm]: the
-        shape's section at half of the depth, which for a ball is Hertz's radius."""
+    def contact_mm(self, depth_mm: float) -> float | np.ndarray:
+        """About how far the contact of a press reaches [mm], by the shape's section at half of the
+        depth: its radius for a ball, which is Hertz's, else its convex outline in the indenter's
+        plane, counter-clockwise, shape [n, 2]."""
         half = 0.5 * depth_mm * 1e-3
         if isinstance(self.shape, Ball):
             radius = self.shape.radius_m
-            reach = math.sqrt(half * (2 * radius - half)) if half < radius else radius
-            return reach * 1e3, reach * 1e3
+            return 1e3 * (math.sqrt(half * (2 * radius - half)) if half < radius else radius)
+        from scipy.spatial import ConvexHull
+
         vertices = self.shape.vertices_m
         level = vertices[:, 2].min() + half
         ends = vertices[self.shape.edges()]
@@ -50,9 +52,8 @@ class Indenter:
         cut = ends[below[:, 0] != below[:, 1]]
         rise = cut[:, 1] - cut[:, 0]
         crossing = cut[:, 0] + ((level - cut[:, 0, 2]) / rise[:, 2])[:, None] * rise
-        section = np.concatenate([vertices[vertices[:, 2] <= level], crossing])
-        x, y = np.abs(section[:, :2]).max(axis=0) * 1e3
-        return float(x), float(y)
+        section = np.concatenate([vertices[vertices[:, 2] <= level], crossing])[:, :2] * 1e3
+        return section[ConvexHull(section).vertices]
 
 
 def parse_indenter(text: str) -> Indenter:

@@ -12,7 +12,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from taccel_lab.geometry.press_mesh_options import DEFAULT_PRESS_MESH, PressMeshOptions
+from taccel_lab.geometry.press_mesh_options import (
+    DEFAULT_PRESS_MESH,
+    OutlineMeshOptions,
+    PressMeshOptions,
+)
 from taccel_lab.scene import Element
 from taccel_lab.solvers import SolverConfig
 
@@ -50,11 +54,19 @@ class PressPhysics:
 
 
 PHYSICS: dict[Accuracy, PressPhysics] = {
-    Accuracy.FAST: PressPhysics(Accuracy.FAST, mesh=PressMeshOptions(rings=6)),
+    Accuracy.FAST: PressPhysics(
+        Accuracy.FAST, mesh=PressMeshOptions(rings=6, outline=OutlineMeshOptions(outer=4, layers=3))
+    ),
     Accuracy.DEFAULT: PressPhysics(),
     Accuracy.REFERENCE: PressPhysics(
         Accuracy.REFERENCE,
-        mesh=PressMeshOptions(elements_per_radius=9.0, core=10, rings=16, layers=5),
+        mesh=PressMeshOptions(
+            elements_per_radius=9.0,
+            core=10,
+            rings=16,
+            layers=5,
+            outline=OutlineMeshOptions(core=8, inner=5, outer=11, layers=6, top=0.04),
+        ),
         dhat_m=3e-6,
         relative_tolerance=1e-5,
     ),

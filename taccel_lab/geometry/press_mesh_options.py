@@ -7,6 +7,22 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class OutlineMeshOptions:
+    """Resolution around a contact with an outline: of a punch, an edge, any mesh. Rows of nodes lie
+    on the outline and close to each other on both sides of it."""
+
+    core: int = 4
+    inner: int = 2
+    """Rings between the core and the outline, those on it included."""
+    outer: int = 6
+    """Rings from there to the rings along the pad's own edge."""
+    layers: int = 4
+    top: float = 0.1
+    """Thickness of the uppermost layer, as a part of the geometric mean of the contact's half
+    widths and the gel's thickness."""
+
+
+@dataclass(frozen=True)
 class PressMeshOptions:
     """Resolution around a press, in units of the contact radius."""
 
@@ -20,6 +36,8 @@ class PressMeshOptions:
     """Core, rings and layers of ``structured_gel_mesh``; they set the number of nodes."""
     top_layer: float = 1.0
     """Thickness of the uppermost layer in contact radii, where the number of layers allows it."""
+    outline: OutlineMeshOptions = OutlineMeshOptions()
+    """What tools with an outline take instead."""
 
 
 DEFAULT_PRESS_MESH = PressMeshOptions()

@@ -20,6 +20,10 @@ from taccel_lab.geometry import Region, TetMesh
 SMALL = PressMeshOptions(elements_per_radius=4.0, core=6, rings=10, layers=3)
 
 
+RECTANGLE = np.array([[-0.1, -3.0], [0.1, -3.0], [0.1, 3.0], [-0.1, 3.0]])
+TRIANGLE = np.array([[-2.5, -1.4], [2.5, -1.4], [0.0, 2.9]])
+
+
 def contact_edges(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     """Midpoints [mm] and lengths [mm] of the contact face's edges."""
     corners = mesh.nodes_m[mesh.region_faces(Region.CONTACT)] * 1e3
@@ -87,10 +91,58 @@ def test_every_family_has_one(name: str) -> None:
         (("gelsight", {}, (40.0, 0.0), 1.0), r"focus_mm = \(40, 0\)"),
         (("gelsight", {}, (0.0, math.nan), 1.0), "focus_mm"),
         (("gelsight", {}, (0.0, 0.0), 0.0), r"contact_mm .* above 0 mm, got 0"),
-        (("gelsight", {}, (0.0, 0.0), (1.0, -1.0)), r"contact_mm .* above 0 mm"),
+        (("gelsight", {}, (0.0, 0.0), np.ones(4)), r"contact_mm must be a radius, or an outline"),
+        (("gelsight", {}, (0.0, 0.0), np.full((4, 2), np.nan)), r"an outline of finite xy"),
+        (("gelsight", {}, (11.5, 0.0), RECTANGLE), r"lies .* inside the pad's edge"),
         (("gelsight", {}, (0.0, 0.0), math.nan), "contact_mm .* got nan"),
     ],
 )
 def test_refused(arguments: tuple, message: str) -> None:
     with pytest.raises(InputError, match=message):
         press_mesh(*arguments, SMALL)
+
+
+def disc(radius_mm: float) -> np.ndarray:
+    angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    return radius_mm * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+@pytest.mark.parametrize(
+    "outline", [RECTANGLE, TRIANGLE, disc(2.0)], ids=["long", "sharp", "round"]
+)
+def test_edges_of_the_mesh_lie_on_the_outline_and_are_short_across_it(outline: np.ndarray) -> None:
+    at_mm = np.array([1.0, -0.5])
+    mesh = press_mesh("flat_pad", {}, (1.0, -0.5), outline)
+    places, lengths = contact_edges(mesh)
+    ahead = np.roll(outline, -1, axis=0) - outline
+    normal = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    outside = ((places[:, None, :2] - at_mm - outline) * normal).sum(axis=2).max(axis=1)
+    on = np.abs(outside) < 2e-3
+    # Edges on the outline go all around; each is that of two faces.
+    assert lengths[on].sum() / 2 == pytest.approx(np.linalg.norm(ahead, axis=1).sum(), rel=0.03)
+    size = math.sqrt(np.prod(np.abs(outline).max(axis=0)))
+    beside = lengths[(outside > 5e-3) & (outside < 0.05 * math.sqrt(4.0 * size))]
+    assert beside.min() < 0.06 * math.sqrt(4.0 * size)
+
+
+@settings(max_examples=20)
+@given(
+    name=st.sampled_from(["flat_pad", "gelsight_mini", "digit", "9dtact"]),
+    x=st.floats(-6.0, 6.0),
+    y=st.floats(-6.0, 6.0),
+    wide=st.floats(0.05, 4.0),
+    long=st.floats(0.05, 6.0),
+    turn=st.floats(0.0, math.pi),
+)
+def test_outlines_of_any_shape_share_arrays(
+    name: str, x: float, y: float, wide: float, long: float, turn: float
+) -> None:
+    """Also those that reach beyond the pad."""
+    corners = np.array([[-wide, -long], [wide, -long], [wide, long], [-wide, long]])
+    rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    mesh = press_mesh(name, {}, (x, y), corners @ rotation)
+    plain = press_mesh(name, {}, (0.0, 0.0), disc(1.5))
+    assert np.array_equal(mesh.tets, plain.tets)
+    assert np.array_equal(mesh.face_regions, plain.face_regions)
+    assert (mesh.volumes_m3() > 0).all()

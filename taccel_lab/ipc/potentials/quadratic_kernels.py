@@ -42,9 +42,12 @@ OWN_LESS_OTHER = wp.constant(wp.float64(5.0**0.5 / 5.0))
 
 GUARD_WEIGHT = wp.constant(wp.float64(1.0 / 40.0))
 """Part of the volume that a guarded point stands for: as in the cubic rule with corners [ibid.]."""
-GUARDED = wp.constant(16)
-"""Guarded points: the corners and the thirds of the edges, without which a sharp tool that dents a
-face turns the edges of its tets inside out."""
+GUARDED = wp.constant(28)
+"""Guarded points: the corners, and four points of each edge. Sharp tools that dent a face turn
+edges of its tets inside out, beside a corner or further along: J is cubic there."""
+GUARDED_PARTS = wp.constant(wp.vec2d(1.0 / 6.0, 2.0 / 5.0))
+"""Where they lie from either end of an edge, as parts of its length; the gaps between them are
+narrower towards the corners, where J falls most steeply."""
 
 mat44i = wp.types.matrix(shape=(4, 4), dtype=wp.int32)
 mat103d = wp.types.matrix(shape=(10, 3), dtype=wp.float64)
@@ -186,14 +189,18 @@ def shape_gradients(
 
 @wp.func
 def guarded_ends(point: int):
-    """Corners that a guarded point lies between: a third of the way from the first to the second,
-    or both the same."""
+    """Corners that a guarded point lies between, and how far it is from the first to the second as
+    a part of the edge; a corner is both."""
     if point < 4:
-        return point, point
-    edge = (point - 4) / 2
-    if point % 2 == 0:
-        return EDGE_STARTS[edge], EDGE_ENDS[edge]
-    return EDGE_ENDS[edge], EDGE_STARTS[edge]
+        return point, point, wp.float64(0.0)
+    edge = (point - 4) / 4
+    start = EDGE_STARTS[edge]
+    end = EDGE_ENDS[edge]
+    kind = (point - 4) % 4
+    if kind < 2:
+        start = EDGE_ENDS[edge]
+        end = EDGE_STARTS[edge]
+    return start, end, GUARDED_PARTS[kind % 2]
 
 
 @wp.func
@@ -201,11 +208,10 @@ def guarded_deformation(
     env: int, tet: int, point: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
 ) -> wp.mat33d:
     """F at a guarded point: F is linear."""
-    near, far = guarded_ends(point)
+    near, far, part = guarded_ends(point)
     f = corner_deformation(env, tet, near, positions, d)
     if far != near:
-        third = wp.float64(1.0) / wp.float64(3.0)
-        f += third * (corner_deformation(env, tet, far, positions, d) - f)
+        f += part * (corner_deformation(env, tet, far, positions, d) - f)
     return f
 
 
@@ -214,11 +220,10 @@ def guarded_gradients(env: int, tet: int, point: int, turn: wp.mat33d, d: Elemen
     """As ``shape_gradients``, at a guarded point."""
     none = wp.float64(0.0)
     one = wp.float64(1.0)
-    near, far = guarded_ends(point)
+    near, far, part = guarded_ends(point)
     rows = shape_gradients(env, tet, near, none, one, turn, d)
     if far != near:
-        third = wp.float64(1.0) / wp.float64(3.0)
-        rows += third * (shape_gradients(env, tet, far, none, one, turn, d) - rows)
+        rows += part * (shape_gradients(env, tet, far, none, one, turn, d) - rows)
     return rows
 
 

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``Indenter.contact_mm``: how far a contact reaches, for the mesh of a press."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from taccel_lab.envs import parse_indenter
+
+
+@pytest.mark.parametrize(("depth_mm", "radius_mm"), [(0.5, 0.968), (5.0, 2.0)])
+def test_the_radius_of_a_ball_is_hertz(depth_mm: float, radius_mm: float) -> None:
+    found = parse_indenter("sphere:2.0").contact_mm(depth_mm)
+    assert found == pytest.approx(radius_mm, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "depth_mm", "half_mm"),
+    [
+        ("cylinder:1.5", 0.5, (1.5, 1.5)),
+        ("box:6x8", 0.5, (3.0, 4.0)),
+        ("roller:2x6", 0.5, (0.968, 3.0)),
+        ("edge:90x6", 0.4, (0.2, 3.0)),
+        ("edge:60x5", 0.4, (0.2 * math.tan(math.radians(30)), 2.5)),
+        ("pair:0.25x0.5", 0.4, (0.25 + 0.25 + math.sqrt(0.25**2 - 0.05**2), 0.245)),
+    ],
+)
+def test_the_outline_of_a_tool(text: str, depth_mm: float, half_mm: tuple[float, float]) -> None:
+    outline = parse_indenter(text).contact_mm(depth_mm)
+    assert isinstance(outline, np.ndarray)
+    assert np.abs(outline).max(axis=0) == pytest.approx(half_mm, rel=0.02)
+    ahead = np.roll(outline, -1, axis=0) - outline
+    turn = ahead[:, 0] * np.roll(ahead, -1, axis=0)[:, 1]
+    turn -= ahead[:, 1] * np.roll(ahead, -1, axis=0)[:, 0]
+    assert (turn > 0).all()
