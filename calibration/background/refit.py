@@ -60,6 +60,9 @@ class Refit:
     background: np.ndarray
     """New background, RGB levels, float32, shape [height_px, width_px, 3]."""
     errors: tuple[FrameError, ...]
+    """Of the fitted frames, each by a fit without it."""
+    heldout: tuple[FrameError, ...]
+    """Of presses that had no part in anything."""
     remarks: tuple[Remark, ...]
     inputs: dict[str, str]
     source: str
@@ -85,6 +88,7 @@ class Refit:
             "offset_rgb": change.offset.tolist(),
             "gradient_rgb": change.gradient.tolist(),
             "frames": [vars(error) for error in self.errors],
+            "heldout": [vars(error) for error in self.heldout],
         }
 
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
@@ -160,8 +164,11 @@ def refit_profile(
     source: str,
     surface_provider: str,
     mask: np.ndarray | None = None,
+    heldout: Sequence[RefitFrame] = (),
 ) -> Refit:
     """Fit today's light to new ``frames`` of the sensor of ``profile``.
+
+    Presses of ``heldout`` have no part in it; the finished correction is scored on them.
 
     Raises InputError when the profile has no background, or when the frames cannot tell the
     correction: too few, no contact although the profile has a colour model, a response that the
@@ -187,12 +194,15 @@ def refit_profile(
     old = old.astype(np.float64)
     fit = fit_light_change(frames, old, mask)
     errors = tuple(
-        _error(frame, fit.left_out[k], frames, k, old, mask) for k, frame in enumerate(frames)
+        _error(frame, change, _new_background(frames, change, old, mask, k), old, mask)
+        for k, (frame, change) in enumerate(zip(frames, fit.left_out, strict=True))
     )
+    background = _new_background(frames, fit.change, old, mask, None)
     refit = Refit(
         fit=fit,
-        background=_new_background(frames, fit.change, old, mask, None),
+        background=background,
         errors=errors,
+        heldout=tuple(_error(frame, fit.change, background, old, mask) for frame in heldout),
         remarks=_remarks(fit, frames, errors, old, mask),
         inputs={frame.name: frame.sha256 for frame in frames},
         source=source,
@@ -261,13 +271,13 @@ def _new_background(
 def _error(
     frame: RefitFrame,
     change: LightChange,
-    frames: Sequence[RefitFrame],
-    k: int,
+    new: np.ndarray,
     old: np.ndarray,
     mask: np.ndarray | None,
 ) -> FrameError:
+    """How far a frame is off with the old background, and with a new one and its change."""
     usable = np.ones(old.shape[:2], bool) if mask is None else mask
-    background = _new_background(frames, change, old, mask, k).astype(np.float64)
+    background = new.astype(np.float64)
     before, after = old, background
     if frame.change is not None:
         before = np.clip(old + frame.change, 0, 255)

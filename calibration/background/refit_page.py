@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.background.refit import CHANNELS, Refit
+from calibration.background.refit import CHANNELS, FrameError, Refit
 from calibration.report import Page, Picture, Table
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import BLUE, GREY, in_report_style, new_figure
@@ -32,11 +33,9 @@ def refit_page(result: Refit, old: SensorProfile) -> Page:
         )
         for c, name in enumerate(CHANNELS)
     ]
-    frames = [
-        (e.name, "press" if e.pressed else "untouched", e.before, e.after, e.whole_before,
-         e.whole_after)
-        for e in sorted(result.errors, key=lambda e: -e.after)
-    ]  # fmt: skip
+    frames = _rows(result.errors)
+    heldout = _rows(result.heldout)
+    columns = ("frame", "kind", "before", "after", "whole before", "whole after")
     return Page(
         title="Refit to the light of today",
         summary=(
@@ -58,9 +57,22 @@ def refit_page(result: Refit, old: SensorProfile) -> Page:
             ),
             Table(
                 "Frames left out of the fit",
-                ("frame", "kind", "before", "after", "whole before", "whole after"),
+                columns,
                 frames,
                 caption="Mean absolute error [levels of 255], worst first.",
+            ),
+            *(
+                [
+                    Table(
+                        "Held-out presses",
+                        columns,
+                        heldout,
+                        caption="Presses without any part in the refit, by their labels or, "
+                        "without one, where their own images show them.",
+                    )
+                ]
+                if heldout
+                else []
             ),
         ),
         pictures=(
@@ -73,6 +85,15 @@ def refit_page(result: Refit, old: SensorProfile) -> Page:
         ),
         figures=result.figures(),
     )  # fmt: skip
+
+
+def _rows(errors: Sequence[FrameError]) -> list[tuple[str | float, ...]]:
+    """Worst first."""
+    return [
+        (e.name, "press" if e.pressed else "untouched", e.before, e.after, e.whole_before,
+         e.whole_after)
+        for e in sorted(errors, key=lambda e: -e.after)
+    ]  # fmt: skip
 
 
 @in_report_style

@@ -26,8 +26,9 @@ class CalibrateRefit:
 
     Fits gain, offset and gradient of the background and the response of the colour model, a channel
     each, and says how far frames that were left out of the fit are off before and after. Refuses
-    when the frames cannot tell, and when nothing is gained. The profile stays of the same kind:
-    the model's last layer is scaled.
+    when the frames cannot tell, and when nothing is gained. Of four presses or more a quarter has
+    no part in it and is scored in the end. The profile stays of the same kind: the model's last
+    layer is scaled.
     """
 
     profile: Positional[Path]
@@ -73,13 +74,14 @@ class CalibrateRefit:
         surfaces: Surfaces | Literal["hertz"] = "hertz"
         if self.surface == "simulated":
             surfaces = _simulated(profile, console)
-        frames, provider = refit_frames(profile, folder, surfaces)
+        new = refit_frames(profile, folder, surfaces)
         result = refit_profile(
             profile,
-            frames,
+            new.fitted,
             source=folder.provenance.get("source", folder.source),
-            surface_provider=provider,
+            surface_provider=new.surface_provider,
             mask=folder.mask,
+            heldout=new.heldout,
         )
         write_results(result, refit_page(result, profile), profile, self.out, report, console)
         if self.json:

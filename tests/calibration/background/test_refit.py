@@ -10,6 +10,7 @@ import pytest
 
 from calibration.background.light_change import RefitFrame, fit_light_change
 from calibration.background.refit import Refit, refit_profile
+from calibration.background.refit_page import refit_page
 from calibration.capture import ContactCircle
 from calibration.surfaces import analytic_surface
 from calibration.synthetic import add_gradient, add_noise, drift, poison, quantise
@@ -189,3 +190,22 @@ def test_what_five_frames_cannot_tell_is_refused() -> None:
         refit(profile, wild)
     with pytest.raises(InputError, match="nothing to refit"):
         refit(profile.without("background"), same)
+
+
+def test_held_out_presses_are_scored_and_change_nothing() -> None:
+    profile = old_profile()
+    frames = new_frames(profile, 7, noise=1.0)
+    plain = refit(profile, frames[:5])
+    result = refit_profile(
+        profile, frames[:5], source="test", surface_provider="made up", heldout=frames[5:]
+    )
+    assert np.array_equal(result.background, plain.background)
+    assert np.array_equal(result.fit.change.response, plain.fit.change.response)
+    assert result.errors == plain.errors and plain.heldout == ()
+    assert [error.name for error in result.heldout] == ["new5", "new6"]
+    for error in result.heldout:
+        assert error.after < 1.5 and error.before > 5
+    assert len(result.figures()["heldout"]) == 2
+    titles = [table.title for table in refit_page(result, profile).tables]
+    assert "Held-out presses" in titles
+    assert "Held-out presses" not in [t.title for t in refit_page(plain, profile).tables]
