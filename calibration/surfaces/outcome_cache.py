@@ -19,7 +19,7 @@ from taccel_lab import __version__
 from taccel_lab.errors import InputError
 from taccel_lab.output import CACHE_VARIABLE, atomic_file, cache_folder, content_key
 
-RECIPE = 3
+RECIPE = 4
 """Raised whenever the same press comes out otherwise."""
 _NAMES = tuple(field.name for field in fields(BatchOutcome))
 

@@ -206,6 +206,20 @@ def test_surfaces_lie_under_their_circles(surfaces: list[PressSurface]) -> None:
         assert surface.normals[row, inside, 0] == pytest.approx(expected, abs=0.05)
 
 
+def test_in_contact_the_surface_is_the_ball_without_bumps(surfaces: list[PressSurface]) -> None:
+    """Nodes of quadratic faces hover at heights of their own within the barrier's range: a surface
+    through them is off by more than a degree here, and by three under deeper presses."""
+    for circle, surface in zip(CIRCLES, surfaces, strict=True):
+        x_mm = (np.arange(GRID.width_px)[None, :] - circle.u_px) * GRID.mm_per_px_x
+        y_mm = (np.arange(GRID.height_px)[:, None] - circle.v_px) * GRID.mm_per_px_y
+        away = circle.distance_px(GRID)
+        below = np.sqrt(np.maximum(BALL_MM**2 - x_mm**2 - y_mm**2, 0.0))
+        ball = np.stack([-x_mm + 0 * below, -y_mm + 0 * below, below], axis=-1) / BALL_MM
+        inside = away < 0.8 * circle.radius_px
+        cosine = (surface.normals * ball).sum(axis=-1)[inside]
+        assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 0.7
+
+
 def test_friction_is_named_and_matters(
     captures: CaptureSet, base: SensorProfile, surfaces: list[PressSurface]
 ) -> None:
