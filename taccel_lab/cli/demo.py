@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from calibration.surfaces.between import SharedLaw
     from taccel_lab.cli.demo_report import DemoResults
 
 DEMO_SENSOR = "gelsight"
@@ -27,8 +29,8 @@ DEMO_AT_MM = (1.0, -0.5)
 class Demo:
     """Real GelSight captures in, calibrated sensor profile and report out; takes some minutes.
 
-    Designs the gel pad, finds the contact circles, simulates every captured press, fits the
-    colour model (a quarter of the presses is held out before any image is read), exports the
+    Designs the gel pad, finds the contact circles, simulates the captured presses, fits the colour
+    model (a quarter of the presses is held out before any image is read), exports the
     profile, presses the calibrated sensor once more and writes report.html and report.json. The
     captures are the GelSight ball presses of the PyPI package taxim.
     """
@@ -103,7 +105,10 @@ class Demo:
             clock.stage("simulating the presses", spinner=False),
             count_progress(console, "simulating the presses") as progress,
         ):
-            surfaces = simulate_presses(training, circles, base, progress=progress)
+            # As calibrate color does: one law serves the others, the held-out presses too.
+            laws: dict[float, SharedLaw] = {}
+            simulated = partial(simulate_presses, profile=base, share=True, laws=laws)
+            surfaces = simulated(training, circles, progress=progress)
         with (
             clock.stage("fitting the colour model and scoring it", spinner=False),
             fit_progress(console, "fitting the colour model") as fit_bar,
@@ -112,11 +117,7 @@ class Demo:
                 training,
                 circles,
                 surfaces,
-                HeldoutSet.of(
-                    captures,
-                    split,
-                    lambda presses, places: simulate_presses(presses, places, base),
-                ),
+                HeldoutSet.of(captures, split, simulated),
                 options=options,
                 progress=fit_bar,
             )
