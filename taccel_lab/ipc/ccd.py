@@ -253,6 +253,44 @@ def edge_edge_ccd(
 
 
 @wp.func
+def point_point_ccd(
+    p: wp.vec3d,
+    q: wp.vec3d,
+    dp: wp.vec3d,
+    dq: wp.vec3d,
+    thickness: wp.float64,
+    slackness: wp.float64,
+    t_max: wp.float64,
+) -> CCDResult:
+    """Time at which two moving points are down to the slackness over a distance; closed form."""
+    zero = wp.float64(0.0)
+    r = q - p
+    v = dq - dp
+    floor = thickness + _ROUNDING * (wp.length(r) + wp.length(v))
+    gap = wp.length(r) - floor
+    result = CCDResult()
+    result.toi = t_max
+    closing = -wp.dot(r, v)
+    if closing <= zero:
+        return result
+    if not (gap > zero):
+        result.toi = zero
+        result.status = CCD_START
+        return result
+    kept = floor + slackness * gap
+    # |r|^2 - kept^2 from the gap, which is far smaller than the two.
+    c = (wp.float64(1.0) - slackness) * gap * (wp.length(r) + kept)
+    discriminant = closing * closing - wp.dot(v, v) * c
+    if discriminant <= zero:
+        return result
+    toi = c / (closing + wp.sqrt(discriminant))
+    if toi < t_max:
+        result.toi = toi
+        result.status = CCD_HIT
+    return result
+
+
+@wp.func
 def point_plane_ccd(
     p: wp.vec3d,
     origin: wp.vec3d,

@@ -20,6 +20,7 @@ from taccel_lab.ipc.distance.point_plane import closest_point_plane
 from taccel_lab.ipc.distance.point_point import closest_point_point
 from taccel_lab.ipc.distance.point_triangle import closest_point_triangle
 from taccel_lab.model import Model
+from taccel_lab.scene.surface_topology import NO_BALL_INSET
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,6 +29,8 @@ POINT_EDGE = 1
 POINT_POINT = 2
 EDGE_EDGE = 3
 POINT_PLANE = 4
+
+_NO_BALL_INSET = wp.constant(wp.float64(NO_BALL_INSET))
 
 
 @wp.struct
@@ -50,6 +53,7 @@ class CollisionLists:
     stiffnesses: kappa * area * coefficient [N].
     thresholds: mollifier threshold of an edge pair [m^4], -1 for others.
     ranges: gap below which the pair repels [m].
+    insets: how much nearer than what the bodies keep the pair may come [m], see ``ball_inset``.
     """
 
     counts: wp.array(dtype=wp.int32)
@@ -58,6 +62,7 @@ class CollisionLists:
     stiffnesses: wp.array2d(dtype=wp.float64)
     thresholds: wp.array2d(dtype=wp.float64)
     ranges: wp.array2d(dtype=wp.float64)
+    insets: wp.array2d(dtype=wp.float64)
 
 
 def contact_geometry(model: Model) -> ContactGeometry:
@@ -103,9 +108,19 @@ def kept_distance(first: int, second: int, geometry: ContactGeometry) -> wp.floa
 
 
 @wp.func
-def collision_gap(pair: ClosestPair, nodes: wp.vec4i, geometry: ContactGeometry) -> wp.float64:
-    """Gap of a collision [m]: distance less what the two bodies keep."""
-    return wp.sqrt(pair.distance_sq) - kept_distance(nodes[0], nodes[3], geometry)
+def ball_inset(ball: int, reach_sq: wp.float64, geometry: ContactGeometry) -> wp.float64:
+    """``scene.surface_topology.ball_insets`` of one face [m], from its ``face_reaches_sq``."""
+    radius = geometry.node_radii[ball]
+    inset = reach_sq / radius
+    return inset * wp.max(wp.float64(1.0) - inset / (_NO_BALL_INSET * radius), wp.float64(0.0))
+
+
+@wp.func
+def collision_gap(
+    pair: ClosestPair, nodes: wp.vec4i, inset: wp.float64, geometry: ContactGeometry
+) -> wp.float64:
+    """Gap of a collision [m]: distance less what the two bodies keep, but for the inset."""
+    return wp.sqrt(pair.distance_sq) - (kept_distance(nodes[0], nodes[3], geometry) - inset)
 
 
 @wp.func
@@ -116,6 +131,7 @@ def add_collision(
     stiffness: wp.float64,
     threshold: wp.float64,
     reach: wp.float64,
+    inset: wp.float64,
     lists: CollisionLists,
 ):
     """Append a collision; counts beyond the capacity tell the host to grow and repeat."""
@@ -126,3 +142,4 @@ def add_collision(
         lists.stiffnesses[env, slot] = stiffness
         lists.thresholds[env, slot] = threshold
         lists.ranges[env, slot] = reach
+        lists.insets[env, slot] = inset

@@ -27,7 +27,8 @@ enters once with coefficient
 and only where that is not zero. On a convex body exactly one feature of it remains per node.
 
 A ball is a node with a radius: the nodes of the other body measure their contact with it, and its
-faces guard with theirs. A plane meets the nodes of the other body.
+faces guard with theirs; those between the nodes of a quadratic element are chords of a curved face
+and may reach into the ball a little (``ball_inset``). A plane meets the nodes of the other body.
 
 Within one body the faces around a node do not exist for it, and no pair repels beyond half of its
 distance at rest: neighbours at rest exert no force, however fine the mesh is.
@@ -118,6 +119,7 @@ class Collisions(GrowingList):
         surface.node_edge_starts, surface.node_edges = source.node_edge_starts, source.node_edges
         surface.node_areas, surface.edge_areas = source.node_areas, source.edge_areas
         surface.face_areas = source.face_areas
+        surface.face_reaches_sq = source.face_reaches_sq
         surface.rest_positions = model.rest_positions
         surface.self_ranges = self_ranges(model, self.dhat)
         surface.body_ranks = wp.array(body_ranks(model), dtype=wp.int32, device=model.device)
@@ -138,11 +140,14 @@ class Collisions(GrowingList):
         """Mollifier threshold of an edge pair [m^4], -1 for others, [env_count, capacity]."""
         self.ranges = wp.zeros(shape, dtype=wp.float64, device=device)
         """Gap below which the collision repels [m], shape [env_count, capacity]."""
+        self.insets = wp.zeros(shape, dtype=wp.float64, device=device)
+        """How far a face may reach into a ball [m], 0 for others, shape [env_count, capacity]."""
         self.lists = CollisionLists()
         """The above for kernels."""
         self.lists.counts, self.lists.kinds = self.counts, self.kinds
         self.lists.stencils, self.lists.stiffnesses = self.stencils, self.stiffnesses
         self.lists.thresholds, self.lists.ranges = self.thresholds, self.ranges
+        self.lists.insets = self.insets
 
     @property
     def capacity(self) -> int:
@@ -192,7 +197,7 @@ class Collisions(GrowingList):
     def snapshot(self, env: int) -> dict[str, np.ndarray]:
         """Collisions of one environment, sorted by kind and stencil: the same on every device."""
         count = int(self.counts.numpy()[env])
-        names = ("kinds", "stencils", "stiffnesses", "thresholds", "ranges")
+        names = ("kinds", "stencils", "stiffnesses", "thresholds", "ranges", "insets")
         found = {name: getattr(self, name).numpy()[env, :count] for name in names}
         keys = np.column_stack([found["kinds"], found["stencils"]])
         order = np.lexsort(keys.T[::-1])

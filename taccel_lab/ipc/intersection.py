@@ -6,7 +6,7 @@ lies inside the other as a whole. Crossings are found from the signs of tet volu
 from the winding number. Only bodies that may touch are looked at, a soft body with itself where it
 has self-contact. Surfaces that only touch in a plane they share are not told apart from surfaces
 that do not. Thickness is left out: it is a distance to keep, not a body. A curved tet is inverted
-where it is at any of 84 points.
+where it is at any of 84 points; its faces may reach into a ball by an inset, its nodes may not.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from taccel_lab.scene.gaps import point_triangle_distances
 from taccel_lab.scene.mass_properties import winding_number
 from taccel_lab.scene.mesh_checks import first_of
 from taccel_lab.scene.primitives import Ball, unique_edges
+from taccel_lab.scene.surface_topology import ball_insets
 from taccel_lab.state import State
 
 
@@ -71,20 +72,23 @@ class _Body:
     """Of a ball, else 0."""
     normal: np.ndarray
     """Of a plane."""
+    face_reaches_sq: np.ndarray
+    """See ``SurfaceArrays`` [m^2], one for each face."""
 
 
 def find_intersections(model: Model, state: State) -> list[list[Intersection]]:
     """All overlaps of bodies that may touch, and inverted tets: one list per environment."""
     positions, present = state.positions.numpy(), model.present.numpy() != 0
-    return [_intersections(model, x, here) for x, here in zip(positions, present, strict=True)]
+    pairs = zip(positions, present, strict=True)
+    return [_intersections(model, x, here, env) for env, (x, here) in enumerate(pairs)]
 
 
-def overlaps(model: Model, x: np.ndarray, present: np.ndarray) -> list[Intersection]:
+def overlaps(model: Model, x: np.ndarray, present: np.ndarray, env: int) -> list[Intersection]:
     """As ``find_intersections`` for one environment, without inverted tets.
 
     ``x``: node positions [m], [node_count, 3]; ``present``: bool, [body_count].
     """
-    found = _intersections(model, x, present)
+    found = _intersections(model, x, present, env)
     return [item for item in found if item.kind is not IntersectionKind.INVERTED_TET]
 
 
@@ -105,8 +109,9 @@ def require_separated(model: Model, state: State) -> None:
             )
 
 
-def _bodies(model: Model, x: np.ndarray) -> list[_Body]:
+def _bodies(model: Model, x: np.ndarray, env: int) -> list[_Body]:
     scene, normals = model.scene, model.surface.plane_normals.numpy()
+    reaches_sq = model.surface.face_reaches_sq.numpy()[env % model.rest_count]
     bodies = []
     for part, body in zip(model.bodies, scene.bodies, strict=True):
         mesh = body.nodal_mesh if isinstance(body, SoftBody) else getattr(body, "shape", None)
@@ -119,14 +124,17 @@ def _bodies(model: Model, x: np.ndarray) -> list[_Body]:
                 faces=np.zeros((0, 3), dtype=int) if mesh is None or is_ball else mesh.faces,
                 radius_m=mesh.radius_m if is_ball else 0.0,
                 normal=normals[part.nodes[0]] if part.kind is BodyKind.PLANE else np.zeros(3),
+                face_reaches_sq=reaches_sq[part.faces[0] : part.faces[1]],
             )
         )
     return bodies
 
 
-def _intersections(model: Model, x: np.ndarray, present: np.ndarray) -> list[Intersection]:
+def _intersections(
+    model: Model, x: np.ndarray, present: np.ndarray, env: int
+) -> list[Intersection]:
     """Overlaps of one environment; positions [node_count, 3], present [body_count]."""
-    bodies = _bodies(model, x)
+    bodies = _bodies(model, x, env)
     found: list[Intersection] = []
     for part, body in zip(model.bodies, model.scene.bodies, strict=True):
         if isinstance(body, SoftBody):
@@ -203,7 +211,9 @@ def _overlaps(softer: _Body, stiffer: _Body) -> list[Intersection]:
 def _ball_overlaps(body: _Body, ball: _Body) -> list[Intersection]:
     triangles, centre = body.nodes[body.faces], ball.nodes[0]
     distance = point_triangle_distances(centre, triangles)
-    near = distance <= ball.radius_m
+    inset = ball_insets(ball.radius_m, body.face_reaches_sq)
+    at_nodes = np.linalg.norm(triangles - centre, axis=2).min(axis=1)
+    near = (distance <= ball.radius_m - inset) | (at_nodes <= ball.radius_m)
     if near.any():
         place = triangles[int(np.argmin(distance))].mean(axis=0)
         kind, where = IntersectionKind.CROSSING, f"faces {first_of(np.flatnonzero(near))}"

@@ -7,8 +7,18 @@ import warp as wp
 
 from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.broad_phase.candidates import Candidates, PairList
-from taccel_lab.ipc.ccd import edge_edge_ccd, point_plane_ccd, point_triangle_ccd
-from taccel_lab.ipc.collision_lists import ContactGeometry, contact_geometry, kept_distance
+from taccel_lab.ipc.ccd import (
+    edge_edge_ccd,
+    point_plane_ccd,
+    point_point_ccd,
+    point_triangle_ccd,
+)
+from taccel_lab.ipc.collision_lists import (
+    ContactGeometry,
+    ball_inset,
+    contact_geometry,
+    kept_distance,
+)
 from taccel_lab.ipc.lanes import lane_count, listed
 from taccel_lab.model import Model
 
@@ -20,17 +30,38 @@ def node_face_limit(
     env: int,
     candidate: wp.vec2i,
     faces: wp.array(dtype=wp.vec3i),
+    reaches_sq: wp.array2d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     geometry: ContactGeometry,
     slackness: wp.float64,
     max_iterations: int,
 ) -> wp.float64:
-    """Collision-free fraction of a node against a face."""
+    """Collision-free fraction of a node against a face.
+
+    A curved face may reach into a ball (``ball_inset``), but its nodes may not.
+    """
     p = candidate[0]
     f = faces[candidate[1]]
     if f[0] == p or f[1] == p or f[2] == p:
         return wp.float64(1.0)
+    kept = kept_distance(p, f[0], geometry)
+    least = wp.float64(1.0)
+    if geometry.node_is_ball[p] != 0:
+        inset = ball_inset(p, reaches_sq[env % reaches_sq.shape[0], candidate[1]], geometry)
+        if inset > wp.float64(0.0):
+            for k in range(3):
+                at_node = point_point_ccd(
+                    positions[env, p],
+                    positions[env, f[k]],
+                    displacements[env, p],
+                    displacements[env, f[k]],
+                    kept,
+                    slackness,
+                    least,
+                )
+                least = at_node.toi
+            kept -= inset
     result = point_triangle_ccd(
         positions[env, p],
         positions[env, f[0]],
@@ -40,9 +71,9 @@ def node_face_limit(
         displacements[env, f[0]],
         displacements[env, f[1]],
         displacements[env, f[2]],
-        kept_distance(p, f[0], geometry),
+        kept,
         slackness,
-        wp.float64(1.0),
+        least,
         max_iterations,
     )
     return result.toi
@@ -95,6 +126,7 @@ def _node_face_kernel(
     counts: wp.array(dtype=wp.int32),
     candidates: wp.array2d(dtype=wp.vec2i),
     faces: wp.array(dtype=wp.vec3i),
+    reaches_sq: wp.array2d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     geometry: ContactGeometry,
@@ -111,6 +143,7 @@ def _node_face_kernel(
             env,
             candidates[env, slot],
             faces,
+            reaches_sq,
             positions,
             displacements,
             geometry,
@@ -212,23 +245,24 @@ def limit_step(
     )
     geometry = contact_geometry(model)
 
-    def against(kernel: wp.Kernel, pairs: PairList, primitives: wp.array) -> None:
+    def against(kernel: wp.Kernel, pairs: PairList, primitives: list[wp.array]) -> None:
         if pairs.capacity > 1:
             lanes = lane_count(model.device, model.env_count, pairs.capacity)
             wp.launch(
                 kernel,
                 dim=(model.env_count, lanes),
-                inputs=[active, lanes, pairs.counts, pairs.pairs, primitives, positions]
+                inputs=[active, lanes, pairs.counts, pairs.pairs, *primitives, positions]
                 + [displacements, geometry, slackness, max_iterations],
                 outputs=[limits],
                 device=model.device,
             )
 
+    of_faces = [model.surface.faces, model.surface.face_reaches_sq]
     side_by_side(
         model.device,
         [
-            lambda: against(_node_face_kernel, candidates.node_faces, model.surface.faces),
-            lambda: against(_edge_edge_kernel, candidates.edge_edges, model.surface.edges),
+            lambda: against(_node_face_kernel, candidates.node_faces, of_faces),
+            lambda: against(_edge_edge_kernel, candidates.edge_edges, [model.surface.edges]),
         ],
     )
     if len(model.plan.node_plane):

@@ -16,9 +16,15 @@ from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, Rig
 from taccel_lab.model.surface import Put, surface_arrays, surface_trees
 from taccel_lab.scene.bodies import KinematicBody, Plane
 from taccel_lab.scene.description import Scene
+from taccel_lab.scene.element import Element
 from taccel_lab.scene.mass_properties import MassProperties, mass_properties
 from taccel_lab.scene.primitives import Ball, TriangleMesh
-from taccel_lab.scene.surface_topology import SurfaceTopology, surface_areas, surface_topology
+from taccel_lab.scene.surface_topology import (
+    SurfaceTopology,
+    face_reaches_sq,
+    surface_areas,
+    surface_topology,
+)
 
 MAX_CONTACT_COUPLES = 400
 """Surface nodes beside affine bodies up to which their contact has blocks in the matrix."""
@@ -320,9 +326,12 @@ def build_model(scene: Scene, device: str, contact_in_pattern: bool | None = Non
     face_starts = np.cumsum([0] + [len(part) for part in face_parts])
     shares = np.full(faces.shape, 1 / 3)
     preferred = np.zeros(len(faces), dtype=bool)
-    for part, start in zip(layout.soft, face_starts, strict=False):
+    curved = np.zeros(len(faces), dtype=bool)
+    softs = zip(scene.soft_bodies, layout.soft, face_starts, strict=False)
+    for body, part, start in softs:
         own = slice(start, start + len(part.faces))
         shares[own], preferred[own] = part.face_shares, part.contact_faces
+        curved[own] = body.element is Element.QUADRATIC
     topology = surface_topology(faces, layout.node_count, "collision surface")
     surfaces = _surfaces(layout, topology, face_starts)
     marks = _node_marks(scene, layout)
@@ -384,6 +393,7 @@ def build_model(scene: Scene, device: str, contact_in_pattern: bool | None = Non
         surface=surface_arrays(
             topology,
             surface_areas(rest_positions, topology, shares, preferred),
+            np.where(curved, face_reaches_sq(rest_positions, faces), 0.0),
             marks["radii"],
             marks["is_ball"],
             marks["bodies"],

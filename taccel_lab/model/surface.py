@@ -34,6 +34,9 @@ class SurfaceArrays:
     """float64, shape [rest_count, edge_count]."""
     face_areas: wp.array
     """float64, shape [rest_count, face_count]."""
+    face_reaches_sq: wp.array
+    """Square of the radius of the smallest circle around a face of a quadratic element at rest
+    [m^2], 0 for faces that are flat; float64, shape [rest_count, face_count]."""
     node_radii: wp.array
     """Distance that others keep from a node [m]: the radius of a ball, the thickness of a
     surface; float64, shape [node_count]."""
@@ -58,6 +61,7 @@ class SurfaceTrees:
 def surface_arrays(
     topology: SurfaceTopology,
     areas: tuple[np.ndarray, np.ndarray, np.ndarray],
+    face_reaches_sq: np.ndarray,
     node_radii: np.ndarray,
     node_is_ball: np.ndarray,
     node_bodies: np.ndarray,
@@ -77,6 +81,7 @@ def surface_arrays(
         node_areas=put(areas[0], wp.float64),
         edge_areas=put(areas[1], wp.float64),
         face_areas=put(areas[2], wp.float64),
+        face_reaches_sq=put(face_reaches_sq, wp.float64),
         node_radii=put(node_radii, wp.float64),
         node_is_ball=put(node_is_ball, wp.int32),
         node_bodies=put(node_bodies, wp.int32),

@@ -43,7 +43,7 @@ def _gap_work_kernel(
     for slot in range(lane, listed(env, lists.counts, lists.kinds.shape[1]), lanes):
         nodes = lists.stencils[env, slot]
         pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
-        gap = collision_gap(pair, nodes, geometry)
+        gap = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
         reach = lists.ranges[env, slot]
         force = -contact_potential_d1(gap, reach, lists.stiffnesses[env, slot])
         force *= mollifier(env, nodes, lists.thresholds[env, slot], positions)

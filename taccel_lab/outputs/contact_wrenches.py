@@ -124,7 +124,7 @@ def _contact_kernel(
         nodes,
         stencil_size(kind),
         pair_normal(pair),
-        collision_gap(pair, nodes, geometry),
+        collision_gap(pair, nodes, lists.insets[env, slot], geometry),
         contact_rows(env, slot, pair, lists, geometry, positions),
         center,
         positions,

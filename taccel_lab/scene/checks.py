@@ -88,7 +88,7 @@ def overlapping(model: Model, state: State, who: np.ndarray) -> np.ndarray:
     for env in np.flatnonzero(who & np.isfinite(positions).all(axis=(1, 2))):
         key = (positions[env].tobytes(), present[env].tobytes())
         if key not in known:
-            known[key] = bool(overlaps(model, positions[env], present[env]))
+            known[key] = bool(overlaps(model, positions[env], present[env], int(env)))
         found[env] = known[key]
     return found
 
@@ -132,7 +132,7 @@ def check_gaps(model: Model, state: State, least_m: float) -> None:
         if key in seen:
             continue
         seen.add(key)
-        near = pairs.nearer_than(positions[env], present[env], least_m)
+        near = pairs.nearer_than(positions[env], present[env], least_m, int(env))
         if len(near.gaps_m):
             worst = int(near.gaps_m.argmin())
             first, second = (model.bodies[body].name for body in near.bodies[worst])

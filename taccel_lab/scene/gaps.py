@@ -2,7 +2,8 @@
 """Gaps between the surfaces of one environment, in numpy: a referee of the contact search.
 
 The distance of two triangle surfaces is that of a vertex of one from a face of the other, or of two
-edges. What two bodies keep from each other, the radius of a ball or a thickness, is taken off.
+edges. What two bodies keep from each other, the radius of a ball or a thickness, is taken off. A
+curved face may reach into a ball by an inset (``surface_topology``), its nodes may not.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.scene.box_pairs import box_pairs
+from taccel_lab.scene.surface_topology import ball_insets
 
 if TYPE_CHECKING:
     from taccel_lab.model import Model
@@ -50,20 +52,24 @@ class SurfacePairs:
         self.radii = s.node_radii.numpy()
         self.normals = s.plane_normals.numpy()
         self.planes = np.flatnonzero(self.normals.any(axis=1))
-        balls = np.flatnonzero(s.node_is_ball.numpy())
+        self.is_ball = s.node_is_ball.numpy() != 0
+        balls = np.flatnonzero(self.is_ball)
+        self.face_reaches_sq = s.face_reaches_sq.numpy()
         self.points = np.union1d(np.unique(self.faces), balls)
         """Nodes that can touch something."""
         self.may_touch = np.zeros((len(model.bodies), len(model.bodies)), dtype=bool)
         for i, j in model.plan.pairs:
             self.may_touch[i, j] = self.may_touch[j, i] = i != j
 
-    def nearer_than(self, x: np.ndarray, present: np.ndarray, limit_m: float) -> Gaps:
+    def nearer_than(self, x: np.ndarray, present: np.ndarray, limit_m: float, env: int = 0) -> Gaps:
         """All pairs with a gap below ``limit_m``, of bodies that may touch and are present.
 
-        ``x``: node positions [node_count, 3] [m]; ``present``: bool, [body_count].
+        ``x``: node positions [node_count, 3] [m]; ``present``: bool, [body_count]; ``env``: whose
+        rest shape decides how far faces may reach into balls.
         """
         touch = self.may_touch & present & present[:, None]
-        parts = [self._points_to_faces(x, touch, limit_m), self._edges_to_edges(x, touch, limit_m)]
+        parts = [self._points_to_faces(x, touch, limit_m, env)]
+        parts.append(self._edges_to_edges(x, touch, limit_m))
         parts.append(self._points_to_planes(x, touch))
         kinds = np.repeat(np.arange(3), [len(part[0]) for part in parts])
         first, second, node_a, node_b, distance = (
@@ -93,11 +99,17 @@ class SurfacePairs:
         return a[keep], b[keep]
 
     def _points_to_faces(
-        self, x: np.ndarray, touch: np.ndarray, margin: float
+        self, x: np.ndarray, touch: np.ndarray, margin: float, env: int
     ) -> tuple[np.ndarray, ...]:
         a, face = self._candidates(x, touch, self.points[:, None], self.faces, margin)
         node = self.points[a]
         distance = point_triangle_distances(x[node], x[self.faces[face]])
+        ball = np.flatnonzero(self.is_ball[node])
+        reaches_sq = self.face_reaches_sq[env % len(self.face_reaches_sq), face[ball]]
+        to_nodes = np.linalg.norm(x[self.faces[face[ball]]] - x[node[ball], None], axis=2)
+        distance[ball] = np.minimum(
+            distance[ball] + ball_insets(self.radii[node[ball]], reaches_sq), to_nodes.min(axis=1)
+        )
         return node, face, node, self.faces[face, 0], distance
 
     def _edges_to_edges(

@@ -9,6 +9,10 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 
+NO_BALL_INSET = 0.05
+"""Inset over the radius of a ball at which faces are too coarse for it to have one: between nodes
+that far apart it is the faces that say where it is."""
+
 
 @dataclass(frozen=True)
 class SurfaceTopology:
@@ -105,6 +109,34 @@ def surface_areas(
     shares = np.full(topology.faces.shape, 1 / 3) if shares is None else shares
     node_area = _shown_areas(cross, size, topology, shares, preferred)
     return node_area, edge_area, 0.5 * size
+
+
+def face_reaches_sq(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Square of the radius of the smallest circle around each face [m^2], [env, face].
+
+    ``positions``: [env, node, 3]. Half of the longest side where the angle opposite is not acute,
+    else the circle through the corners, of radius a b c / (4 area).
+    """
+    p = positions[:, faces]
+    sides_sq = np.sort(((p - np.roll(p, 1, axis=2)) ** 2).sum(axis=-1), axis=-1)
+    cross = np.cross(p[:, :, 1] - p[:, :, 0], p[:, :, 2] - p[:, :, 0])
+    acute = sides_sq[..., 2] < sides_sq[..., :2].sum(axis=-1)
+    around = sides_sq.prod(axis=-1) / np.where(acute, 4 * (cross**2).sum(axis=-1), 1.0)
+    return np.where(acute, around, sides_sq[..., 2] / 4)
+
+
+def ball_insets(radius_m: np.ndarray | float, reaches_sq: np.ndarray) -> np.ndarray:
+    """How far faces may reach into a ball [m]; ``reaches_sq``: ``face_reaches_sq`` of those of
+    quadratic elements, 0 for faces that are flat.
+
+    Under a ball the face of a quadratic element is curved, and the flat faces between its nodes
+    are chords of it: where the nodes touch the ball, the chords are inside by the sagitta
+    r^2 / (2 R). Without an inset the chords kept the nodes off, and at a short range they carried
+    97 % of a contact, at one point each, where nodes measure it. Twice the sagitta, so that the gel
+    may stretch by two fifths first; less where faces are large for the ball.
+    """
+    inset = reaches_sq / radius_m
+    return inset * np.maximum(1 - inset / (NO_BALL_INSET * radius_m), 0.0)
 
 
 def _shown_areas(

@@ -100,7 +100,7 @@ def contact_rows(
     """Gradient [N] of one collision, whose closest pair is given; row i for stencil node i."""
     nodes = lists.stencils[env, slot]
     k = lists.stiffnesses[env, slot]
-    d = collision_gap(pair, nodes, geometry)
+    d = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
     reach = lists.ranges[env, slot]
     rows = pair_gradient(pair, contact_potential_d1(d, reach, k))
     if is_mollified(env, nodes, lists.thresholds[env, slot], positions):
@@ -128,7 +128,7 @@ def contact_energy(
     """Energy of one collision [J]."""
     nodes = lists.stencils[env, slot]
     pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
-    gap = collision_gap(pair, nodes, geometry)
+    gap = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
     energy = contact_potential(gap, lists.ranges[env, slot], lists.stiffnesses[env, slot])
     return energy * mollifier(env, nodes, lists.thresholds[env, slot], positions)
 
@@ -163,7 +163,7 @@ def add_contact_gradient(
     kind = lists.kinds[env, slot]
     nodes = lists.stencils[env, slot]
     pair = closest_pair(env, kind, nodes, positions, geometry)
-    wp.atomic_min(min_distance, env, collision_gap(pair, nodes, geometry))
+    wp.atomic_min(min_distance, env, collision_gap(pair, nodes, lists.insets[env, slot], geometry))
     rows = contact_rows(env, slot, pair, lists, geometry, positions)
     for i in range(stencil_size(kind)):
         wp.atomic_add(gradient, env, nodes[i], wp.vec3d(rows[i, 0], rows[i, 1], rows[i, 2]))
@@ -207,7 +207,7 @@ def add_contact_hessian(
     x2 = positions[env, nodes[2]]
     x3 = positions[env, nodes[3]]
     pair = closest_pair(env, kind, nodes, positions, geometry)
-    d = collision_gap(pair, nodes, geometry)
+    d = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
     reach = lists.ranges[env, slot]
     e1 = contact_potential_d1(d, reach, k)
     e2 = contact_potential_d2(d, reach, k)

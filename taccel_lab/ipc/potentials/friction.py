@@ -83,7 +83,7 @@ def freeze_contact(
     """Freeze normal force, weights and normal of one collision."""
     nodes = lists.stencils[env, slot]
     pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
-    gap = collision_gap(pair, nodes, geometry)
+    gap = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
     force = -contact_potential_d1(gap, lists.ranges[env, slot], lists.stiffnesses[env, slot])
     threshold = lists.thresholds[env, slot]
     if threshold > wp.float64(0.0):
