@@ -150,8 +150,6 @@ class PressEnv:
         self.setback_m = np.full(env_count, dhat)
         """By how much each indenter is held back [m]: the mean gap of its contact, dhat without
         one; shape [env_count]."""
-        self._sideways = (np.zeros((env_count, 2)), np.zeros(()))
-        """Shear [m] and twist [rad] of the latest step."""
         self._start = self._poses(self.depth_m, np.zeros((env_count, 2)))
         self.state = initial_state(self.model, self._start)
         require_separated(self.model, self.state)
@@ -167,7 +165,6 @@ class PressEnv:
         """Back to rest, the indenter above the gel."""
         dhat = self.solver.config.dhat_m
         self.setback_m[:], self.depth_m[:] = dhat, -dhat - START_CLEARANCE_M
-        self._sideways = (np.zeros((len(self.at_m), 2)), np.zeros(()))
         self.state = initial_state(self.model, self._start)
 
     def _mean_gap_m(self) -> np.ndarray:
@@ -220,7 +217,7 @@ class PressEnv:
         stay: np.ndarray | None = None,
     ) -> StepReport:
         """As ``move_to``, but an environment that does not converge is left where it was, for the
-        caller to see in the report. Those of ``stay`` (bool, [env_count]) are not moved."""
+        caller to see in the report. Those of ``stay`` (bool, [env_count]) are not stepped."""
         shear_m = np.asarray(shear_mm, dtype=np.float64) * 1e-3
         twist_rad = np.radians(twist_deg)
         return self._step(
@@ -237,32 +234,35 @@ class PressEnv:
         twist_rad: np.ndarray | float,
         stay: np.ndarray | None,
     ) -> StepReport:
-        """One step, and again where the mean gap came out other than the indenter was held back
+        """One step, taken again where the mean gap came out other than the indenter was held back
         by. ``depth_m`` [env_count], ``shear_m`` [env_count, 2], ``twist_rad`` one or [env_count].
+
+        Again means from its own start: friction then sees one step to the corrected place. As a
+        step of its own from the first one's end, the correction slides by next to nothing, which
+        lets friction go.
         """
         resting = np.zeros(len(self.at_m), dtype=bool) if stay is None else stay.copy()
-        sideways = (shear_m.copy(), np.copy(twist_rad))
-        # A second solve without sliding would let friction relax; the gap hardly changes then.
-        slides = self.model.rubs and not all(map(np.array_equal, sideways, self._sideways))
-        self._sideways = sideways
+        before, held_back = self.state.copy(), self.setback_m
         report: StepReport | None = None
-        for _ in range(1 if slides else SETBACK_ROUNDS):
+        for left in reversed(range(SETBACK_ROUNDS)):
             target = self._poses(depth_m, shear_m, twist_rad)
             target[resting] = self.poses[resting]
-            found = self.solver.step(self.state, target)
-            if report is None:
-                report = found
-            else:
-                seen = np.where(resting, EnvStatus.SKIPPED, found.status)
-                report = report.followed_by(replace(found, status=seen))
+            again = report is not None
+            found = self.solver.step(self.state, target, who=~resting, again=again)
+            report = report.followed_by(found) if report is not None else found
             resting |= ~found.converged
             gap = self._mean_gap_m()
             resting |= np.abs(gap - self.setback_m) <= SETBACK_TOLERANCE * np.abs(depth_m)
-            self.setback_m = np.where(resting, self.setback_m, gap)
-            if resting.all():
+            if resting.all() or left == 0:
                 break
+            self.setback_m = np.where(resting, self.setback_m, gap)
         assert report is not None
-        moved = report.converged if stay is None else report.converged & ~stay
+        moved = report.converged
+        lost = ~moved if stay is None else ~moved & ~stay
+        if lost.any():
+            self.state.restore(before, lost)
+            self.setback_m = np.where(lost, held_back, self.setback_m)
+            self.solver.refresh_forces(self.state, lost)
         self.depth_m = np.where(moved, depth_m, self.depth_m)
         return report
 

@@ -85,7 +85,7 @@ class Outputs:
         s, state = self._solver, self.state
         if s.friction is None:
             return PairWrenches.none(self._model)
-        motion = s.friction.motion(state.positions, s.previous, state.poses, s.start_poses)
+        motion = s.friction.motion(state.positions, s.origin, state.poses, s.origin_poses)
         geometry = s.collisions.geometry
         return friction_wrenches(self._model, s.friction, geometry, motion, center_m)
 

@@ -73,6 +73,7 @@ def begin_kernel(
     poses: wp.array2d(dtype=wp.transformd),
     end_poses: wp.array2d(dtype=wp.transformd),
     start_poses: wp.array2d(dtype=wp.transformd),
+    origin_poses: wp.array2d(dtype=wp.transformd),
     p: Progress,
     r: Rules,
 ):
@@ -113,6 +114,8 @@ def begin_kernel(
         start = poses[env, body]
         end = end_poses[env, body]
         start_poses[env, body] = start
+        if p.again[env] == 0:
+            origin_poses[env, body] = start
         for k in range(7):
             if start[k] != end[k]:
                 p.progress[env] = zero
@@ -131,6 +134,7 @@ def begin_nodes_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     velocities: wp.array2d(dtype=wp.vec3d),
     previous: wp.array2d(dtype=wp.vec3d),
+    origin: wp.array2d(dtype=wp.vec3d),
     p: Progress,
 ):
     """Keep where the nodes are; an environment with a number that is not finite stops."""
@@ -140,6 +144,8 @@ def begin_nodes_kernel(
     x = positions[env, node]
     v = velocities[env, node]
     previous[env, node] = x
+    if p.again[env] == 0:
+        origin[env, node] = x
     if not wp.isfinite(x) or not wp.isfinite(v):
         stop(env, _NOT_A_NUMBER, p)
 

@@ -72,11 +72,12 @@ class StepRun:
     def begin(self) -> None:
         s, state, p = self.s, self.state, self.p
         p.any_turning.zero_()
-        self.decide(decisions.begin_kernel, state.poses, s.end_poses, s.start_poses, p, self.rules)
+        poses = [state.poses, s.end_poses, s.start_poses, s.origin_poses]
+        self.decide(decisions.begin_kernel, *poses, p, self.rules)
         wp.launch(
             decisions.begin_nodes_kernel,
             dim=state.positions.shape,
-            inputs=[state.positions, state.velocities, s.previous, p],
+            inputs=[state.positions, state.velocities, s.previous, s.origin, p],
             device=self.model.device,
         )
         self._begin_potentials()
@@ -144,7 +145,7 @@ class StepRun:
                 p.body_forces,
             )
         else:
-            measure_velocities(p.active, s.previous, state.positions, s.dts, state.velocities)
+            measure_velocities(p.active, s.origin, state.positions, s.dts, state.velocities)
 
     def commit(self, mask: wp.array, positions: wp.array, poses: wp.array) -> None:
         """Take over positions and poses in the environments of ``mask``."""
@@ -183,9 +184,9 @@ class StepRun:
         assert s.friction is not None
         return s.friction.motion(
             state.positions if positions is None else positions,
-            s.previous,
+            s.origin,
             state.poses if poses is None else poses,
-            s.start_poses,
+            s.origin_poses,
         )
 
     def evaluate_gradient(self, mask: wp.array) -> None:

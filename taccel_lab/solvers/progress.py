@@ -35,6 +35,8 @@ class Progress:
 
     who: wp.array(dtype=wp.int32)
     """Mask of the environments that take this step."""
+    again: wp.array(dtype=wp.int32)
+    """Mask of those that take the step before again: it begins where that began."""
     active: wp.array(dtype=wp.int32)
     """Mask of those that are still at it."""
     waiting: wp.array(dtype=wp.int32)
@@ -176,7 +178,7 @@ class ProgressArrays:
         ints._ref = self._reported
         for i, name in enumerate(_REPORTED_INTS):
             setattr(self.data, name, ints[i])
-        for name in ("who", "active", "waiting", "chosen", "moving", "turning"):
+        for name in ("who", "again", "active", "waiting", "chosen", "moving", "turning"):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
         for name in ("joint_rounds", "cuts", "inverted_before", "inverted_after", "refused"):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))

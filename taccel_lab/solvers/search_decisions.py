@@ -265,10 +265,12 @@ def accept_flight_kernel(p: Progress):
 
 @wp.kernel
 def choose_momentum_kernel(p: Progress):
-    """Choose the environments whose frames have yet to move."""
+    """Choose the environments whose frames have yet to move; not in a step that is taken again,
+    which has had its momentum."""
     env = wp.tid()
     p.chosen[env] = 0
-    if p.active[env] != 0 and p.progress[env] < wp.float64(1.0):
+    fresh = p.active[env] != 0 and p.again[env] == 0
+    if fresh and p.progress[env] < wp.float64(1.0):
         p.chosen[env] = 1
 
 

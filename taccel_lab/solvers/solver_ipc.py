@@ -101,6 +101,9 @@ class SolverIPC:
 
         self.gradient, self.trial, self.previous = nodal(), nodal(), nodal()
         self.displacements = nodal()
+        self.origin = nodal()
+        """Where the nodes were when the step began [m]: sliding counts from there. Other than
+        ``previous`` in a step that is taken again from where it had ended."""
         self.contact_gradient = nodal()
         """d(barrier)/dx at the end of the step [N]; the force on a node is its negative."""
         self.friction_gradient = nodal()
@@ -122,6 +125,7 @@ class SolverIPC:
         self.target_poses = wp.zeros_like(self.trial_poses)
         self.start_poses = wp.zeros_like(self.trial_poses)
         self.end_poses = wp.zeros_like(self.trial_poses)
+        self.origin_poses = wp.zeros_like(self.trial_poses)
         self.body_rows = wp.array(model.body_rows(), dtype=wp.vec2i, device=device)
         """Range of each body in ``reduced``, vec2i, shape [body_count]."""
         ranges = [body.nodes for body in model.bodies]
@@ -209,17 +213,32 @@ class SolverIPC:
         }
         return {name: term for name, term in terms.items() if term is not None}
 
-    def step(self, state: State, target_poses: np.ndarray | wp.array | None = None) -> StepReport:
+    def step(
+        self,
+        state: State,
+        target_poses: np.ndarray | wp.array | None = None,
+        *,
+        who: np.ndarray | None = None,
+        again: bool = False,
+    ) -> StepReport:
         """Advance ``state`` in place by dt; kinematic bodies end at ``target_poses``.
 
         ``target_poses``: [env_count, kinematic_count, 7]; where they are when None. An array that
         is on the solver's device already (transformd, [env_count, kinematic_count]) is not checked.
+        ``who``: environments to step, bool, [env_count]; all when None. The others, their forces
+        too, stay as they are, with status SKIPPED.
+        ``again``: take the latest step again to other targets. ``state`` is where it ended, which
+        is where the search starts; friction counts sliding from where it began, or where its last
+        part did if it was halved. For quasi-static scenes without joints.
         Environments that fail are tried in halves of the step, up to ``max_substep_halvings``
         times; one that fails even so is rolled back to the start of the whole step and flagged.
         Before their first step, environments are searched for bodies that overlap: these are
         flagged and not stepped (``scene.checks.check_start`` says what is wrong).
         """
         started = time.perf_counter()
+        if again and (self.inertia is not None or self.joints is not None):
+            raise InputError("only a step of a quasi-static scene without joints is taken again")
+        who = np.ones(self.model.env_count, dtype=bool) if who is None else who
         if target_poses is None:
             wp.copy(self.end_poses, state.poses)
         elif isinstance(target_poses, wp.array):
@@ -235,12 +254,13 @@ class SolverIPC:
             self.end_poses.assign(end.reshape(self.end_poses.shape + (7,)))
         self._check_starts(state)
         dt = self.model.scene.time.dt_s
-        report = self._attempt(state, self._separate, dt)
-        report.status[~self._separate] = EnvStatus.OVERLAP
+        self.progress.data.again.fill_(int(again))
+        report = self._attempt(state, self._separate & who, dt)
+        report.status[~self._separate & who] = EnvStatus.OVERLAP
         if not report.converged.all() and self.config.max_substep_halvings > 0:
             report = self._in_halves(state, report, dt, 1)
-        if not report.converged.all():
-            self._refresh_forces(state, ~report.converged)
+        if not report.converged[who].all():
+            self.refresh_forces(state, ~report.converged & who)
         return replace(report, seconds=time.perf_counter() - started)
 
     def reset(self, state: State, mask: np.ndarray, poses: np.ndarray | None = None) -> None:
@@ -349,8 +369,8 @@ class SolverIPC:
         wp.copy(self.end_poses, end)
         return report
 
-    def _refresh_forces(self, state: State, who: np.ndarray) -> None:
-        """Forces where ``who`` was rolled back or never stepped."""
+    def refresh_forces(self, state: State, who: np.ndarray) -> None:
+        """Forces where ``who`` (bool, [env_count]) was rolled back, put back or never stepped."""
         run = StepRun(self, state)
         mask = run.p.active
         mask.assign(who.astype(np.int32))
