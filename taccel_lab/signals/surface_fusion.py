@@ -20,7 +20,7 @@ object itself instead draws a moat around it: 25 um over an element are 5 degree
 What is in contact is told by the recovered pressure, not by a gap below the barrier's range: nodes
 hang below chords by more than a short range, and then a contact of 1.4 mm seemed to be one of 0.3
 to 0.7 mm. Nodes with more than half of the largest pressure of their patch are in contact; those
-that are 1.5 times as far from the object as any of them are open; between lies the edge, where the
+that are a quarter further from the object than any of them are open; between lies the edge, where the
 open gaps say. So a part of a patch that is pressed weakly beside a strong one is told by gaps.
 
 Contact radius of balls of 2 and 8 mm, 0.4 to 1 mm deep, quadratic tets, 3 to 5 elements to the
@@ -51,8 +51,10 @@ _BLEND_ELEMENTS = (0.5, 1.5)
 # pressures reach an element beyond the edge, with less than half of it.
 _CORE_PRESSURE = 0.5
 # A node is open for sure beyond this many of the largest gap of such nodes: the barrier's range, or
-# how far they hang below chords that touch. Nodes between are told by those beside them.
-_OPEN_GAPS = 1.5
+# how far they hang below chords that touch. Nodes between are told by those beside them. With 1.5,
+# nodes beside the contact that nothing touched were told by what lies further out, and
+# the edge of a ball's contact with friction 1 came out beyond all nodes that carried force.
+_OPEN_GAPS = 1.25
 
 
 class SignalFusedSurface:
