@@ -20,8 +20,8 @@ object itself instead draws a moat around it: 25 um over an element are 5 degree
 What is in contact is told by the recovered pressure, not by a gap below the barrier's range: nodes
 hang below chords by more than a short range, and then a contact of 1.4 mm seemed to be one of 0.3
 to 0.7 mm. Nodes with more than half of the largest pressure of their patch are in contact; those
-that are a quarter further from the object than any of them are open; between lies the edge, where the
-open gaps say. So a part of a patch that is pressed weakly beside a strong one is told by gaps.
+that are a quarter further from the object than any of them are open; between lies the edge, where
+the open gaps say. So a part of a patch that is pressed weakly beside a strong one is told by gaps.
 
 Contact radius of balls of 2 and 8 mm, 0.4 to 1 mm deep, quadratic tets, 3 to 5 elements to the
 largest contact radius, dhat 20 to 2 um, at the same force: within 1.3 % of their mean. That of the
