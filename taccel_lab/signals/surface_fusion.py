@@ -52,8 +52,8 @@ _BLEND_ELEMENTS = (0.5, 1.5)
 _CORE_PRESSURE = 0.5
 # A node is open for sure beyond this many of the largest gap of such nodes: the barrier's range, or
 # how far they hang below chords that touch. Nodes between are told by those beside them. With 1.5,
-# nodes beside the contact that nothing touched were told by what lies further out, and
-# the edge of a ball's contact with friction 1 came out beyond all nodes that carried force.
+# nodes beside a contact with friction 1 that carried nothing were told by what lies further out,
+# and the fused surface was 0.5 degrees off that of the nodes an element further.
 _OPEN_GAPS = 1.25
 
 

@@ -57,8 +57,9 @@ def test_friction_from_the_slip_of_markers(
     gel: Gel, tool: Tool, press_cache: Path, motion: str
 ) -> None:
     way = path() if motion == "shear" else path(0.0, 20.0)
-    flow = flow_of(gel, tool, way, 0.004, FAST)
-    fit = fit_flow(flow, way, gel, tool, fixed_nu=POISSON, physics=COARSE)
+    flow = flow_of(gel, tool, way, 0.004, DEFAULT)
+    # At two elements to the radius few nodes stick, and friction comes out a per cent off.
+    fit = fit_flow(flow, way, gel, tool, fixed_nu=POISSON, physics=FAST)
     assert fit.friction_told
     assert fit.friction == pytest.approx(FRICTION, rel=0.05)
     low, high = fit.friction_interval
