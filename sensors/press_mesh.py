@@ -31,6 +31,9 @@ STEP_OF_TOP = 0.4
 BACK_SHARE, BACK_STEPS = 0.6, 5.0
 """A contact's least half width at the back, as a part of the thickness, and how much longer the
 steps beside it are there."""
+LEANS = (1.0, 1.5, 2.5)
+"""How columns may lean between the two, in the order in which they are tried: straight ones are the
+most exact, but below a narrow outline the first layers may fold."""
 _ROOM_SIDES = 64
 """Lines that stand for the border of what a focus may cover of a pad."""
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -56,12 +59,14 @@ def press_mesh(
         focus = _disc_focus(at_mm, float(contact_mm), pad.thickness_mm, options)
     elif isinstance(pad, HeightPad):
         focus = _outline_focus(at_mm, np.asarray(contact_mm), pad, options)
-        try:
-            return focused_gel_mesh(pad, focus)
-        except FoldedMeshError:
-            # Some long contacts beside an edge leave no room for rings: even ones, of the same
-            # connectivity. What that costs is in the estimate of the press's error.
-            focus = replace(focus, outlines=None)
+        for lean in LEANS:
+            try:
+                return focused_gel_mesh(pad, replace(focus, lean=lean))
+            except FoldedMeshError:
+                continue
+        # Some long contacts beside an edge leave no room for rings: even ones, of the same
+        # connectivity. What that costs is in the estimate of the press's error.
+        focus = replace(focus, outlines=None)
     else:
         radius = float(np.abs(contact_mm).max())
         focus = _disc_focus(at_mm, radius, pad.thickness_mm, options)

@@ -42,6 +42,9 @@ class FocusOptions:
     outlines: tuple[ContactOutline, ContactOutline] | None = None
     """What the rings follow around the contact instead of circles, at the contact face and at the
     back; domes go without."""
+    lean: float = 1.0
+    """Power of the depth by which columns lean from the face's plan to the back's; above 1 they
+    are steeper where the layers are thin."""
 
 
 def gel_mesh(
@@ -77,6 +80,7 @@ def focused_gel_mesh(pad: Pad, focus: FocusOptions) -> TetMesh:
             layers=focus.layers,
             layer_ratio=focus.layer_ratio,
             outlines=focus.outlines,
+            lean=focus.lean,
         )
     if isinstance(pad, DomePad):
         return focused_dome_mesh(

@@ -39,6 +39,7 @@ def structured_gel_mesh(
     layer_ratio: float = 1.5,
     spread: float = 2.0,
     outlines: tuple[ContactOutline, ContactOutline] | None = None,
+    lean: float = 1.0,
     window_ring: int | None = None,
 ) -> TetMesh:
     """Mesh ``pad`` with an O-grid plan of (core + 1)^2 + 4 core rings nodes and layers + 1 levels.
@@ -46,7 +47,8 @@ def structured_gel_mesh(
     Elements of ``focus_size_mm`` fill a disc of ``focus_radius_mm`` about ``focus_mm`` (xy in the
     gel frame [mm]) at the contact face, grow outside it, and are ``spread`` times as wide at the
     back. With ``outlines`` at the contact face and at the back rings follow those instead, see
-    ``contact_plan``. Tets, faces, regions
+    ``contact_plan``. Columns lean from the face's plan to the back's with the depth to the power
+    ``lean``. Tets, faces, regions
     and layers are the same arrays wherever the focus lies and for all pads of one kind of rim and
     skin. The window follows the ring ``window_ring`` and is only approximate: both
     parts of the back are glued, so that no result depends on it.
@@ -95,7 +97,8 @@ def structured_gel_mesh(
         far = outlines[0].distance_mm(top - center)
         kept = far < pad.thickness_mm
     ratio = layer_ratio ** (1 - np.clip(far / pad.thickness_mm, 0, 1))
-    nodes = _stack_levels(pad, top, bottom, level_fractions(layers - skin_layers, ratio))
+    fractions = level_fractions(layers - skin_layers, ratio)
+    nodes = _stack_levels(pad, top, bottom, fractions, lean)
     movable = _movable(pad, core, rings, layers)
     # Fine cells of the contact face stay as they are.
     movable[-len(top) :][kept] = False
@@ -141,7 +144,7 @@ def _movable(pad: HeightPad, core: int, rings: int, layers: int) -> np.ndarray:
 
 
 def _stack_levels(
-    pad: HeightPad, top: np.ndarray, bottom: np.ndarray, fraction: np.ndarray
+    pad: HeightPad, top: np.ndarray, bottom: np.ndarray, fraction: np.ndarray, lean: float
 ) -> np.ndarray:
     """Nodes of all levels [mm], shape [levels * plan_count, 3]; fraction [levels, plan_count].
 
@@ -151,6 +154,8 @@ def _stack_levels(
     back = np.column_stack([bottom, np.full(len(bottom), -pad.thickness_mm)])
     face = np.column_stack([top, pad.height_mm(top)])
     levels = (1 - s) * back + s * (face - [0, 0, pad.skin_top_mm])
+    t = (1 - s) ** lean
+    levels[..., :2] = t * back[..., :2] + (1 - t) * face[..., :2]
     if pad.skin_top_mm:
         levels = np.concatenate([levels, face[None]])
     return levels.reshape(-1, 3)

@@ -50,7 +50,10 @@ class PressPhysics:
 
     def record(self) -> dict[str, Any]:
         """As JSON: for caches, results and the profile's material block."""
-        return dataclasses.asdict(self)
+        record = dataclasses.asdict(self)
+        outline = record["mesh"].pop("outline")
+        record["mesh"] |= {f"outline_{name}": value for name, value in outline.items()}
+        return record
 
 
 PHYSICS: dict[Accuracy, PressPhysics] = {

@@ -199,7 +199,7 @@ def test_never_late_in_exact_arithmetic(family: Callable[[np.random.Generator], 
     truth = [earliest_contact(kind, *query) for query in zip(x, dx, strict=True)]
     hits = np.array([found is not None for found in truth])
     latest = np.array([found[1] if found else np.inf for found in truth])
-    assert hits.sum() > 0.1 * len(x), "the family is no test"
+    assert hits.sum() >= 0.1 * len(x), "the family is no test"
     missed = hits & ((toi > latest) | (status == CCD_NO_HIT))
     assert not missed.any(), f"queries {np.flatnonzero(missed)[:3]} of {family.__name__}"
     # Isolating intervals are wide: the start of each is a collision-free time all the same.

@@ -43,11 +43,10 @@ OWN_LESS_OTHER = wp.constant(wp.float64(5.0**0.5 / 5.0))
 GUARD_WEIGHT = wp.constant(wp.float64(1.0 / 40.0))
 """Part of the volume that a guarded point stands for: as in the cubic rule with corners [ibid.]."""
 GUARDED = wp.constant(28)
-"""Guarded points: the corners, and four points of each edge. Sharp tools that dent a face turn
-edges of its tets inside out, beside a corner or further along: J is cubic there."""
+"""Guarded points: the corners, and four of each edge. Sharp tools turn edges inside out beside a
+corner or further along: J is cubic there."""
 GUARDED_PARTS = wp.constant(wp.vec2d(1.0 / 6.0, 2.0 / 5.0))
-"""Where they lie from either end of an edge, as parts of its length; the gaps between them are
-narrower towards the corners, where J falls most steeply."""
+"""Where they lie from either end, as parts of the edge: closer towards corners, where J falls."""
 
 mat44i = wp.types.matrix(shape=(4, 4), dtype=wp.int32)
 mat103d = wp.types.matrix(shape=(10, 3), dtype=wp.float64)
@@ -194,13 +193,10 @@ def guarded_ends(point: int):
     if point < 4:
         return point, point, wp.float64(0.0)
     edge = (point - 4) / 4
-    start = EDGE_STARTS[edge]
-    end = EDGE_ENDS[edge]
-    kind = (point - 4) % 4
-    if kind < 2:
-        start = EDGE_ENDS[edge]
-        end = EDGE_STARTS[edge]
-    return start, end, GUARDED_PARTS[kind % 2]
+    part = GUARDED_PARTS[point % 2]
+    if point % 4 < 2:
+        return EDGE_STARTS[edge], EDGE_ENDS[edge], part
+    return EDGE_ENDS[edge], EDGE_STARTS[edge], part
 
 
 @wp.func
