@@ -46,7 +46,7 @@ def test_free_rotation_of_an_asymmetric_body(scheme: TimeScheme) -> None:
     body = wedge(initial_spin_rad_s=(6.0, -9.0, 4.0), initial_velocity_m_s=(0.1, 0.2, 0.3))
     run = Run(
         affine_scene([body], gravity=NONE, dt=5e-3, scheme=scheme),
-        # Below that forces of 10 N are rounding, on some machines.
+        # On some machines residuals below that are rounding.
         SolverConfig(absolute_tolerance_n=3e-9),
     )
     momentum, energy, spin = run.momentum, run.kinetic_energy, run.angular_momentum
