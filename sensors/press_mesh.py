@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cad.mesh.columns import FoldedMeshError
+from cad.mesh.columns import FoldedMeshError, growth_factor
 from cad.mesh.contact_plan import ContactOutline
 from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from cad.mesh.structured import MIN_FOCUS_EDGE_MM
@@ -177,9 +177,4 @@ def _centroid(polygon: np.ndarray) -> np.ndarray:
 def _layer_ratio(layers: int, top_share: float) -> float:
     """Ratio of layers the uppermost of which is ``top_share`` of the whole, between 1 and
     ``LARGEST_LAYER_RATIO``."""
-    low, high = 1.0, LARGEST_LAYER_RATIO
-    for _ in range(40):
-        ratio = 0.5 * (low + high)
-        share = 1 / sum(ratio**k for k in range(layers))
-        low, high = (ratio, high) if share > top_share else (low, ratio)
-    return low
+    return min(growth_factor(top_share, layers), LARGEST_LAYER_RATIO)

@@ -26,6 +26,16 @@ def level_fractions(layers: int, ratio: np.ndarray) -> np.ndarray:
     return fraction
 
 
+def growth_factor(first: float, count: int) -> float:
+    """Factor, at least 1, by which ``count`` steps grow from ``first`` on so that they fill 1."""
+    low, high = 1.0, 2 / first
+    while high - low > 1e-12 * high:
+        factor = 0.5 * (low + high)
+        filled = first * (factor ** np.arange(count)).sum()
+        low, high = (low, factor) if filled > 1 else (factor, high)
+    return low
+
+
 def check_unfolded(
     nodes_mm: np.ndarray,
     tets: np.ndarray,

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from cad.mesh.columns import growth_factor
 from cad.mesh.plan_smoothing import smooth_plan
 from cad.mesh.structured_topology import core_perimeter, plan_quads
 
@@ -283,20 +284,10 @@ def _growing(first_mm: float, lengths_mm: np.ndarray, count: int) -> np.ndarray:
         if first * count >= 1:
             ends.append((powers + 1) / count)
             continue
-        factor = _growth(first, count)
+        factor = growth_factor(first, count)
         steps = first * factor**powers
         ends.append(np.cumsum(steps) / steps.sum())
     return np.stack(ends, axis=1)
-
-
-def _growth(first: float, count: int) -> float:
-    """Factor by which ``count`` steps grow from ``first`` on so that they fill 1."""
-    low, high = 1.0, 2 / first
-    while high - low > 1e-12 * high:
-        factor = 0.5 * (low + high)
-        filled = first * (factor ** np.arange(count)).sum()
-        low, high = (low, factor) if filled > 1 else (factor, high)
-    return low
 
 
 def _filled(loop: np.ndarray, core: int) -> np.ndarray:

@@ -61,7 +61,7 @@ def advance(solver: SolverIPC, state: State, target: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize(
-    "presses", [10, pytest.param(200, marks=pytest.mark.slow, id="200 presses")]
+    "presses", [20, pytest.param(200, marks=pytest.mark.slow, id="200 presses")]
 )
 def test_rough_presses_never_intersect(presses: int) -> None:
     parts: list[int] = []
@@ -85,5 +85,4 @@ def test_rough_presses_never_intersect(presses: int) -> None:
     counts = np.array(parts)
     assert (counts > 0).all(), "a step stayed unsolved"
     # Friction of 1 on sharp bodies with a range of 5 um is what has to be halved: 19 in 1,000.
-    # Of 50 it is 44 to 47, by how a machine rounds.
-    assert (counts == 1).mean() > (0.97 if presses > 100 else 0.85)
+    assert (counts == 1).mean() > (0.97 if presses > 100 else 0.9)
