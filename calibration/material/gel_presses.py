@@ -216,9 +216,10 @@ class _ScaledFriction(FrictionPotential):
         super().__init__(model, solver.collisions, static_range)
         self._coefficients = wp.array(coefficients, dtype=wp.float64, device=model.device)
 
-    def lag(self, active: wp.array, positions: wp.array) -> None:
-        """Freeze the current collisions of the active environments at ``positions``."""
-        super().lag(active, positions)
+    def lag(self, active: wp.array, positions: wp.array, previous: wp.array) -> None:
+        """Freeze the current collisions of the active environments at ``positions``, in a step that
+        began at ``previous``."""
+        super().lag(active, positions, previous)
         wp.launch(
             _scale_frozen_kernel,
             dim=self.frozen.mu_lambdas.shape,

@@ -147,7 +147,7 @@ def _friction_kernel(
     nodes = frozen.stencils[env, slot]
     normal = frozen.normals[env, slot]
     w = frozen.weights[env, slot]
-    u = sliding(env, nodes, w, normal, motion)
+    u = sliding(env, slot, frozen, motion)
     force = friction_gradient(u, frozen.mu_lambdas[env, slot], eps_u[env])
     rows = mat43d()
     for i in range(4):

@@ -18,7 +18,7 @@ import warp as wp
 from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
 from taccel_lab.ipc.potentials.element_data import ElementData
 from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
-from taccel_lab.ipc.potentials.quadratic_kernels import common_deformation, point_deformation
+from taccel_lab.ipc.potentials.quadratic_shape import common_deformation, point_deformation
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.scene.element import Element

@@ -222,7 +222,8 @@ def settle(env: int, p: Progress, r: Rules):
 
     ``chosen``: environments whose joints are open. While freezing anew still changes forces,
     solving in between to the last digit is wasted: a tenth of the last change is enough, and one
-    step when damped.
+    step when damped. In a first contact friction waits for a residual of a tenth of the contact
+    force: frames on their way squeeze what lies ahead, and friction frozen then holds it there.
     """
     settled = p.active[env] != 0 and p.progress[env] >= wp.float64(1.0) and p.chosen[env] == 0
     p.chosen[env] = 0
@@ -232,7 +233,10 @@ def settle(env: int, p: Progress, r: Rules):
             if p.excess[env] <= enough:
                 stop(env, _CONVERGED, p)
         else:
-            enough = wp.max(enough, wp.float64(0.1) * p.lag_change[env])
+            change = p.lag_change[env]
+            if p.untouched[env] != 0:
+                change = wp.min(change, enough / r.relative_tolerance)
+            enough = wp.max(enough, wp.float64(0.1) * change)
             if p.excess[env] <= enough or p.damping[env] < wp.float64(1.0):
                 p.chosen[env] = 1
                 p.freezing[0] = 1
@@ -251,6 +255,8 @@ def judge_kernel(p: Progress, r: Rules):
     if p.active[env] == 0:
         return
     weigh(env, p, r)
+    if p.newton[env] == 0:
+        p.untouched[env] = int(p.contact_force[env] == wp.float64(0.0))
     if not (p.min_distance[env] > wp.float64(0.0)):
         stop(env, _TOUCHING, p)
     elif not wp.isfinite(p.residual[env]):

@@ -95,7 +95,7 @@ class StepRun:
         self.check_room(p.active, [s.collisions])
         if s.friction is not None:
             s.friction.begin_step(p.who, s.dts)
-            s.friction.lag(p.active, state.positions)
+            s.friction.lag(p.active, state.positions, s.origin)
         start_in_free_flight(self)
         start_with_momentum(self)
         self.energy(p.active, state.positions, state.poses, p.base, p.before)
@@ -264,7 +264,7 @@ class StepRun:
         """Freeze friction anew in the chosen environments, and judge them by what it is then."""
         s, p = self.s, self.p
         assert s.friction is not None
-        s.friction.lag(p.chosen, self.state.positions)
+        s.friction.lag(p.chosen, self.state.positions, s.origin)
         self._evaluate_friction(p.chosen)
         self._measure_residual(p.chosen)
         self.decide(decisions.judge_friction_kernel, p, self.rules)

@@ -55,6 +55,8 @@ class Progress:
     """Mask of those in which BDF2 met an impact."""
     status: wp.array(dtype=wp.int32)
     """``EnvStatus``."""
+    untouched: wp.array(dtype=wp.int32)
+    """Mask of those that began the step without a contact."""
     newton: wp.array(dtype=wp.int32)
     cg: wp.array(dtype=wp.int32)
     lags: wp.array(dtype=wp.int32)
@@ -180,7 +182,14 @@ class ProgressArrays:
             setattr(self.data, name, ints[i])
         for name in ("who", "again", "active", "waiting", "chosen", "moving", "turning"):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
-        for name in ("joint_rounds", "cuts", "inverted_before", "inverted_after", "refused"):
+        for name in (
+            "joint_rounds",
+            "cuts",
+            "inverted_before",
+            "inverted_after",
+            "refused",
+            "untouched",
+        ):
             setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
         for name in (
             ("progress", "goal", "stride", "trial_progress", "lag_change", "damping", "margin")

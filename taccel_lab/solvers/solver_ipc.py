@@ -379,4 +379,6 @@ class SolverIPC:
             mask, state.positions, self.displacements, state.poses, state.poses, self.config.dhat_m
         )
         self.collisions.update(mask, state.positions, self.candidates)
+        if self.friction is not None:
+            self.friction.lag(mask, state.positions, self.origin)
         run.evaluate_forces(mask)

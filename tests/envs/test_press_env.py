@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, PressPath, parse_indenter
-from taccel_lab.envs.press import START_CLEARANCE_M
+from taccel_lab.envs.press import FIRST_SETBACK, START_CLEARANCE_M
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.ipc.intersection import find_intersections, require_separated
 from taccel_lab.scene import Material
@@ -182,7 +182,8 @@ def test_a_step_that_fails_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not steps.converged[0].all() and steps.converged[-1].all()
     assert steps.targets[0] == pytest.approx([0.6e-3])
     assert steps.targets[-1] == pytest.approx([0.6e-3])
-    start = -limited.dhat_m - START_CLEARANCE_M
+    # In this step it is held back by less than before.
+    start = -limited.dhat_m - START_CLEARANCE_M - (1 - FIRST_SETBACK) * limited.dhat_m
     assert steps.targets[1] == pytest.approx([(start + 0.6e-3) / 2])
     # The report owns up to the work of the failed attempt too.
     assert report.newton_iterations[0] > limited.max_newton_iterations
@@ -204,10 +205,10 @@ def test_only_what_failed_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     report = env.move_to(np.array([0.05, 0.8]))
     assert report.converged.all()
     assert steps.converged[0].tolist() == [True, False]
-    # Once it has arrived in parts both are corrected for the gap that they had.
-    halved = next(i for i, who in enumerate(steps.who[1:], 1) if who.all())
-    assert all(who.tolist() == [False, True] for who in steps.who[1:halved])
-    assert report.substeps[1] > report.substeps[0]
+    # Once it has arrived in parts, either may be corrected for the gap that it had.
+    parts = steps.who[1 : report.substeps[1] + 1]
+    assert all(who.tolist() == [False, True] for who in parts)
+    assert report.substeps[1] >= 2
     assert env.wrench[0] == pytest.approx(alone.wrench[0], abs=1e-5)
     assert env.depth_m * 1e3 == pytest.approx([0.05, 0.8])
 

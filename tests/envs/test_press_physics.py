@@ -62,6 +62,17 @@ def test_a_sharp_edge_goes_deep() -> None:
     assert env.press_force[0, 2] == pytest.approx(0.3085, rel=0.03)
 
 
+def test_friction_under_a_sharp_edge_settles() -> None:
+    """Took 584 iterations in four parts while the way to the edge counted as sliding; 60 now."""
+    tool = parse_indenter("edge:90x6")
+    mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact_mm(0.1))
+    gel = Material(0.15e6, 0.4)
+    env = PressEnv(mesh, gel, tool, np.array([[0.7, -0.4]]), friction_coefficient=0.5)
+    report = env.move_to(0.1)
+    assert report.newton_iterations[0] < 200
+    assert env.press_force[0, 2] == pytest.approx(0.0313, rel=0.01)
+
+
 def test_linear_tets_were_far_off_and_would_be_told() -> None:
     env = pressed(0.2, replace(DEFAULT, element=Element.LINEAR))
     force = env.press_force[0, 2]

@@ -71,7 +71,7 @@ def test_every_frame_is_converged_separate_and_balanced(name: str, friction: flo
     np.testing.assert_allclose(state.positions.numpy()[0, soft], rest, atol=2e-6)
 
 
-@pytest.mark.parametrize("presses", [4, pytest.param(60, marks=pytest.mark.slow, id="60 presses")])
+@pytest.mark.parametrize("presses", [10, pytest.param(60, marks=pytest.mark.slow, id="60 presses")])
 def test_rough_presses_never_intersect(presses: int) -> None:
     parts: list[int] = []
     for seed in range(presses):

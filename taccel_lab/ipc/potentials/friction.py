@@ -29,6 +29,7 @@ from taccel_lab.ipc.lanes import lane_count, listed
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.stencil_rows import add_weighted_block, row_parts
+from taccel_lab.ipc.touching import way_in
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -40,7 +41,8 @@ class FrozenContacts:
 
     counts: [env_count]. stencils: nodes, [env_count, capacity] as all below. weights: of the nodes
     in the relative motion of both sides. normals: unit. mu_lambdas: friction coefficient times
-    normal force [N], signed.
+    normal force [N], signed. ways_in: relative motion since the start of the step that is no
+    sliding [m], see ``touching``.
     """
 
     counts: wp.array(dtype=wp.int32)
@@ -48,6 +50,7 @@ class FrozenContacts:
     weights: wp.array2d(dtype=wp.vec4d)
     normals: wp.array2d(dtype=wp.vec3d)
     mu_lambdas: wp.array2d(dtype=wp.float64)
+    ways_in: wp.array2d(dtype=wp.vec3d)
 
 
 @wp.struct
@@ -78,11 +81,13 @@ def freeze_contact(
     geometry: ContactGeometry,
     pair_friction: wp.array2d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
+    previous: wp.array2d(dtype=wp.vec3d),
     frozen: FrozenContacts,
 ):
     """Freeze normal force, weights and normal of one collision."""
     nodes = lists.stencils[env, slot]
-    pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
+    kind = lists.kinds[env, slot]
+    pair = closest_pair(env, kind, nodes, positions, geometry)
     gap = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
     force = -contact_potential_d1(gap, lists.ranges[env, slot], lists.stiffnesses[env, slot])
     threshold = lists.thresholds[env, slot]
@@ -101,6 +106,7 @@ def freeze_contact(
     # Signed: a subtracted duplicate takes back what was counted twice. Left out, friction would
     # jump where a second face begins to count, and freezing would never settle.
     frozen.mu_lambdas[env, slot] = mu * force
+    frozen.ways_in[env, slot] = way_in(env, kind, nodes, pair, positions, previous, geometry)
 
 
 @wp.kernel
@@ -111,6 +117,7 @@ def _lag_kernel(
     geometry: ContactGeometry,
     pair_friction: wp.array2d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
+    previous: wp.array2d(dtype=wp.vec3d),
     frozen: FrozenContacts,
 ):
     env, lane = wp.tid()
@@ -120,27 +127,25 @@ def _lag_kernel(
     if lane == 0:
         frozen.counts[env] = count
     for slot in range(lane, count, lanes):
-        freeze_contact(env, slot, lists, geometry, pair_friction, positions, frozen)
+        freeze_contact(env, slot, lists, geometry, pair_friction, positions, previous, frozen)
 
 
 @wp.func
-def sliding(
-    env: int,
-    nodes: wp.vec4i,
-    weights: wp.vec4d,
-    normal: wp.vec3d,
-    motion: StepMotion,
-) -> wp.vec3d:
-    """Tangential displacement of the two closest points against each other in this step [m]."""
+def sliding(env: int, slot: int, frozen: FrozenContacts, motion: StepMotion) -> wp.vec3d:
+    """Tangential displacement of the two closest points against each other since they touched, in
+    this step [m]."""
+    nodes = frozen.stencils[env, slot]
+    normal = frozen.normals[env, slot]
     now = motion.positions
     then = motion.previous
     u = relative_displacement(
-        weights,
+        frozen.weights[env, slot],
         now[env, nodes[0]] - then[env, nodes[0]],
         now[env, nodes[1]] - then[env, nodes[1]],
         now[env, nodes[2]] - then[env, nodes[2]],
         now[env, nodes[3]] - then[env, nodes[3]],
     )
+    u -= frozen.ways_in[env, slot]
     if motion.node_is_ball[nodes[0]] != 0:
         # A ball is one node: what its surface moves by turning comes on top.
         radius = motion.node_radii[nodes[0]]
@@ -166,13 +171,7 @@ def _energy_kernel(
     if active[env] == 0:
         return
     for slot in range(lane, frozen.counts[env], lanes):
-        u = sliding(
-            env,
-            frozen.stencils[env, slot],
-            frozen.weights[env, slot],
-            frozen.normals[env, slot],
-            motion,
-        )
+        u = sliding(env, slot, frozen, motion)
         energies[env, slot] = friction_potential(u, frozen.mu_lambdas[env, slot], eps_u[env])
 
 
@@ -191,7 +190,7 @@ def _gradient_kernel(
     for slot in range(lane, frozen.counts[env], lanes):
         nodes = frozen.stencils[env, slot]
         w = frozen.weights[env, slot]
-        u = sliding(env, nodes, w, frozen.normals[env, slot], motion)
+        u = sliding(env, slot, frozen, motion)
         force = friction_gradient(u, frozen.mu_lambdas[env, slot], eps_u[env])
         for i in range(4):
             if w[i] != wp.float64(0.0):
@@ -219,7 +218,7 @@ def _hessian_kernel(
             nodes = frozen.stencils[env, slot]
             w = frozen.weights[env, slot]
             n = frozen.normals[env, slot]
-            u = sliding(env, nodes, w, n, motion)
+            u = sliding(env, slot, frozen, motion)
             core = friction_hessian(n, u, mu_lambda, eps_u[env], sharpness[env])
             add_weighted_block(env, nodes, w, core, part, parts, system)
 
@@ -267,6 +266,7 @@ class FrictionPotential(EnergyTerm):
         frozen.weights = wp.zeros(shape, dtype=wp.vec4d, device=device)
         frozen.normals = wp.zeros(shape, dtype=wp.vec3d, device=device)
         frozen.mu_lambdas = wp.zeros(shape, dtype=wp.float64, device=device)
+        frozen.ways_in = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
         """Energy of each frozen collision [J], shape [env_count, capacity]."""
 
@@ -274,7 +274,7 @@ class FrictionPotential(EnergyTerm):
         """Make room for as many as there may be collisions; what is frozen stays."""
         if self.energies.shape[1] >= self.collisions.capacity:
             return
-        names = ("stencils", "weights", "normals", "mu_lambdas")
+        names = ("stencils", "weights", "normals", "mu_lambdas", "ways_in")
         old = [getattr(self.frozen, name) for name in names]
         self._allocate(self.collisions.capacity)
         for name, previous in zip(names, old, strict=True):
@@ -293,14 +293,15 @@ class FrictionPotential(EnergyTerm):
         motion.first_kinematic = len(self.model.scene.soft_bodies) + self.model.affine.count
         return motion
 
-    def lag(self, active: wp.array, positions: wp.array) -> None:
-        """Freeze the current collisions of the active environments at ``positions``."""
+    def lag(self, active: wp.array, positions: wp.array, previous: wp.array) -> None:
+        """Freeze the current collisions of the active environments at ``positions``, in a step that
+        began at ``previous``."""
         c = self.collisions
         self.fit()
         self._launch(
             _lag_kernel,
             active,
-            [c.lists, c.geometry, self.model.pair_friction, positions, self.frozen],
+            [c.lists, c.geometry, self.model.pair_friction, positions, previous, self.frozen],
         )
 
     def begin_step(self, who: wp.array, dts: wp.array) -> None:

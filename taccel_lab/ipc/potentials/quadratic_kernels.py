@@ -7,13 +7,7 @@ at four quadrature points: psi_s is the energy with lambda = 0, e the dilatation
 Four points take the 24 strains of the element without spurious modes (30 - 6); with lambda at each
 of them it would still lock mildly (Cook's membrane at nu = 0.499: 6 % instead of 0.7 %).
 
-F is linear in the element: with F_c the gradient at corner c and barycentric coordinates l of a
-point, F = sum_c l_c F_c, and grad N of corner i is (4 l_i - 1) b_i, of the middle of edge ij
-4 (l_j b_i + l_i b_j), where b_i are the gradients of the barycentric coordinates.
-
-An element may turn inside out near a corner or an edge while all its points are in order. In
-materials that do not bear inversion a guard on the volume ratio there (corner_guard.py) keeps it
-from that; it is zero above a ratio of 0.2.
+In materials that do not bear inversion a guard on the volume ratio is added (quadratic_guard.py).
 
 Negative eigenvalues of the matrix are lifted at each point, for the shape energy plus the pressure
 times the dilatation (of which only a bounded part counts, see quadratic_points.py); what the mean
@@ -30,33 +24,23 @@ import warp as wp
 from taccel_lab.ipc.elasticity.invariants import cofactor
 from taccel_lab.ipc.elasticity.principal import lifted
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
+from taccel_lab.ipc.potentials.quadratic_guard import (
+    GUARD_WEIGHT,
+    GUARDED,
+    guarded_deformation,
+    guarded_gradients,
+)
+from taccel_lab.ipc.potentials.quadratic_shape import (
+    OTHER,
+    OWN_LESS_OTHER,
+    common_deformation,
+    mat103d,
+    point_deformation,
+    row_of,
+    shape_gradients,
+)
 
 wp.set_module_options({"enable_backward": False})
-
-POINT_COUNT = 4
-"""Quadrature points: point q has barycentric coordinate (5 + 3 sqrt(5)) / 20 at corner q and
-(5 - sqrt(5)) / 20 at the others, exact for quadratic integrands [Zienkiewicz and Taylor 2000, table
-9.2]."""
-OTHER = wp.constant(wp.float64((5.0 - 5.0**0.5) / 20.0))
-OWN_LESS_OTHER = wp.constant(wp.float64(5.0**0.5 / 5.0))
-
-GUARD_WEIGHT = wp.constant(wp.float64(1.0 / 40.0))
-"""Part of the volume that a guarded point stands for: as in the cubic rule with corners [ibid.]."""
-GUARDED = wp.constant(28)
-"""Guarded points: the corners, and four of each edge. Sharp tools turn edges inside out beside a
-corner or further along: J is cubic there."""
-GUARDED_PARTS = wp.constant(wp.vec2d(1.0 / 6.0, 2.0 / 5.0))
-"""Where they lie from either end, as parts of the edge: closer towards corners, where J falls."""
-
-mat44i = wp.types.matrix(shape=(4, 4), dtype=wp.int32)
-mat103d = wp.types.matrix(shape=(10, 3), dtype=wp.float64)
-
-EDGE_STARTS = wp.constant(wp.types.vector(length=6, dtype=wp.int32)(0, 1, 0, 0, 1, 2))
-EDGE_ENDS = wp.constant(wp.types.vector(length=6, dtype=wp.int32)(1, 2, 2, 3, 3, 3))
-"""Corners of the edges, in the order of their middle nodes."""
-
-MIDDLES = wp.constant(mat44i(0, 4, 6, 7, 4, 1, 5, 8, 6, 5, 2, 9, 7, 8, 9, 3))
-"""Local node in the middle of the edge of two corners; a corner itself on the diagonal."""
 
 
 @wp.struct
@@ -95,138 +79,12 @@ class PointLaw:
     hessian: Any
     """``(f, start, d, i, pressure, psd_mode)``: a PointHessian, with ``pressure`` times the
     dilatation."""
+    guarded: Any
+    """``(env, i, positions, d)``: whether the element needs its guard."""
     guard: Any
     """``(j)``: guard of a corner and its first two derivatives, over mu / 40 [1]."""
     guard_hessian: Any
     """``(f, slope, curvature, psd_mode)``: a PointHessian of the guard."""
-
-
-@wp.func
-def corner_deformation(
-    env: int, tet: int, corner: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
-) -> wp.mat33d:
-    """F at a corner."""
-    rest = env % d.volumes.shape[0]
-    four = wp.float64(4.0)
-    x = positions[env, d.nodes[tet, corner]]
-    f = wp.mat33d()
-    for step in range(1, 4):
-        j = (corner + step) % 4
-        # Differences first: positions are large against an element.
-        middle = positions[env, d.nodes[tet, MIDDLES[corner, j]]] - x
-        end = positions[env, d.nodes[tet, j]] - x
-        f += wp.outer(four * middle - end, d.gradients[rest, tet, j])
-    return f
-
-
-@wp.func
-def common_deformation(
-    env: int, tet: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
-) -> wp.mat33d:
-    """What F has in common at all quadrature points: OTHER sum_c F_c."""
-    total = wp.mat33d()
-    corner = int(0)
-    while corner < 4:
-        total += corner_deformation(env, tet, corner, positions, d)
-        corner += 1
-    return OTHER * total
-
-
-@wp.func
-def point_deformation(
-    env: int,
-    tet: int,
-    q: int,
-    common: wp.mat33d,
-    positions: wp.array2d(dtype=wp.vec3d),
-    d: ElementData,
-) -> wp.mat33d:
-    """F at a quadrature point."""
-    return common + OWN_LESS_OTHER * corner_deformation(env, tet, q, positions, d)
-
-
-@wp.func
-def quadratic_deformation(
-    env: int, tet: int, q: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
-) -> wp.mat33d:
-    """F at one quadrature point alone."""
-    common = common_deformation(env, tet, positions, d)
-    return point_deformation(env, tet, q, common, positions, d)
-
-
-@wp.func
-def shape_gradients(
-    env: int,
-    tet: int,
-    q: int,
-    other: wp.float64,
-    own_less_other: wp.float64,
-    turn: wp.mat33d,
-    d: ElementData,
-) -> mat103d:
-    """Rest gradients of the ten shape functions [1/m], rows turned by ``turn``, at the point on the
-    way from the centre to corner q whose other barycentric coordinates are ``other``."""
-    rest = env % d.volumes.shape[0]
-    four = wp.float64(4.0)
-    result = mat103d()
-    for i in range(4):
-        b_i = turn * d.gradients[rest, tet, i]
-        l_i = wp.float64(other)
-        if i == q:
-            l_i += own_less_other
-        for k in range(3):
-            result[i, k] = (four * l_i - wp.float64(1.0)) * b_i[k]
-        for j in range(i + 1, 4):
-            l_j = wp.float64(other)
-            if j == q:
-                l_j += own_less_other
-            b_j = turn * d.gradients[rest, tet, j]
-            for k in range(3):
-                result[MIDDLES[i, j], k] = four * (l_j * b_i[k] + l_i * b_j[k])
-    return result
-
-
-@wp.func
-def guarded_ends(point: int):
-    """Corners that a guarded point lies between, and how far it is from the first to the second as
-    a part of the edge; a corner is both."""
-    if point < 4:
-        return point, point, wp.float64(0.0)
-    edge = (point - 4) / 4
-    part = GUARDED_PARTS[point % 2]
-    if point % 4 < 2:
-        return EDGE_STARTS[edge], EDGE_ENDS[edge], part
-    return EDGE_ENDS[edge], EDGE_STARTS[edge], part
-
-
-@wp.func
-def guarded_deformation(
-    env: int, tet: int, point: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
-) -> wp.mat33d:
-    """F at a guarded point: F is linear."""
-    near, far, part = guarded_ends(point)
-    f = corner_deformation(env, tet, near, positions, d)
-    if far != near:
-        f += part * (corner_deformation(env, tet, far, positions, d) - f)
-    return f
-
-
-@wp.func
-def guarded_gradients(env: int, tet: int, point: int, turn: wp.mat33d, d: ElementData) -> mat103d:
-    """As ``shape_gradients``, at a guarded point."""
-    none = wp.float64(0.0)
-    one = wp.float64(1.0)
-    near, far, part = guarded_ends(point)
-    rows = shape_gradients(env, tet, near, none, one, turn, d)
-    if far != near:
-        rows += part * (shape_gradients(env, tet, far, none, one, turn, d) - rows)
-    return rows
-
-
-@wp.func
-def row_of(m: mat103d, i: int) -> wp.vec3d:
-    """Row i."""
-    return wp.vec3d(m[i, 0], m[i, 1], m[i, 2])
 
 
 @wp.func
@@ -266,6 +124,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
     volumetric = law.volumetric
     scale = law.scale
     hessian = law.hessian
+    guarded = law.guarded
     guard = law.guard
     guard_hessian = law.guard_hessian
     module = wp.get_module(f"{__name__}.{law.name}")
@@ -292,20 +151,17 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
             shape += quarter * energy(f, start, d, tet)
             mean += quarter * dilatation(f, start)
             q += 1
-        guarded = wp.float64(0.0)
-        q = int(0)
-        while q < GUARDED:
-            guarded += guard(wp.determinant(guarded_deformation(env, tet, q, positions, d)))[0]
-            q += 1
+        kept = wp.float64(0.0)
+        if guarded(env, tet, positions, d):
+            q = int(0)
+            while q < GUARDED:
+                kept += guard(wp.determinant(guarded_deformation(env, tet, q, positions, d)))[0]
+                q += 1
         volume_part = volumetric(mean)
         energies[env, tet] = (
             d.volumes[env % d.volumes.shape[0], tet]
             * scale(env, tet, d)
-            * (
-                shape
-                + d.moduli.lam[tet] * volume_part[0]
-                + GUARD_WEIGHT * d.moduli.mu[tet] * guarded
-            )
+            * (shape + d.moduli.lam[tet] * volume_part[0] + GUARD_WEIGHT * d.moduli.mu[tet] * kept)
         )
 
     @wp.func
@@ -379,6 +235,8 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         local_gradients[env, tet, 7] = m_3 * b_0 + m_0 * b_3
         local_gradients[env, tet, 8] = m_3 * b_1 + m_1 * b_3
         local_gradients[env, tet, 9] = m_3 * b_2 + m_2 * b_3
+        if not guarded(env, tet, positions, d):
+            return
         q = int(0)
         while q < GUARDED:
             f = guarded_deformation(env, tet, q, positions, d)
@@ -433,13 +291,15 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
             shapes = shape_gradients(env, tet, q, OTHER, OWN_LESS_OTHER, wp.transpose(h.frame), d)
             add_point_blocks(env, tet, wp.float64(0.25) * factor, h, shapes, node_count, blocks)
             q += 1
+        if not guarded(env, tet, positions, d):
+            return
         guard_weight = factor * GUARD_WEIGHT * d.moduli.mu[tet]
         q = int(0)
         while q < GUARDED:
             f = guarded_deformation(env, tet, q, positions, d)
-            guarded = guard(wp.determinant(f))
-            if guarded[1] != wp.float64(0.0):
-                h = guard_hessian(f, guarded[1], guarded[2], psd_mode)
+            barrier = guard(wp.determinant(f))
+            if barrier[1] != wp.float64(0.0):
+                h = guard_hessian(f, barrier[1], barrier[2], psd_mode)
                 shapes = guarded_gradients(env, tet, q, wp.transpose(h.frame), d)
                 add_point_blocks(env, tet, guard_weight, h, shapes, node_count, blocks)
             q += 1

@@ -12,6 +12,7 @@ from taccel_lab.ipc.elasticity.dilatation import volume_growth
 from taccel_lab.ipc.elasticity.laws import LAWS
 from taccel_lab.ipc.elasticity.principal import PrincipalHessian
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
+from taccel_lab.ipc.potentials.quadratic_guard import needs_guard, needs_none
 from taccel_lab.ipc.potentials.quadratic_kernels import (
     PointHessian,
     PointLaw,
@@ -132,6 +133,7 @@ def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
             volumetric=law.volumetric,
             scale=_one,
             hessian=hessian,
+            guarded=needs_none if model in BEARS_INVERSION else needs_guard,
             guard=no_guard if model in BEARS_INVERSION else corner_guard,
             guard_hessian=_guard_hessian,
         )

@@ -23,13 +23,13 @@ from taccel_lab.ipc.elasticity.principal import lifted_matrix
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, ElementSum
 from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
+from taccel_lab.ipc.potentials.quadratic_guard import needs_none
 from taccel_lab.ipc.potentials.quadratic_kernels import (
-    POINT_COUNT,
     PointHessian,
     PointLaw,
     create_quadratic_kernels,
-    quadratic_deformation,
 )
+from taccel_lab.ipc.potentials.quadratic_shape import POINT_COUNT, quadratic_deformation
 from taccel_lab.ipc.svd import matrix_column
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
@@ -203,6 +203,7 @@ def _quadratic_kernels() -> ElementKernels:
             volumetric=half_square,
             scale=_point_rate,
             hessian=_point_hessian,
+            guarded=needs_none,
             guard=no_guard,
             guard_hessian=_no_guard_hessian,
         )

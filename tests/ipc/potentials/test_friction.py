@@ -48,7 +48,8 @@ class Rubbing:
         assert self.friction is not None
         dts = wp.full(count, model.scene.time.dt_s, dtype=wp.float64)
         self.friction.begin_step(wp.full(count, 1, dtype=wp.int32), dts)
-        self.friction.lag(self.assembly.active, self.assembly.nodal(self.start))
+        start = self.assembly.nodal(self.start)
+        self.friction.lag(self.assembly.active, start, start)
 
     def motion(self, positions: np.ndarray):
         assert self.friction is not None
