@@ -7,9 +7,9 @@
 
 Every case is pressed by the same path with a reference mesh and with each accuracy, off the mesh's
 symmetry. Heights are compared on 160 pixels across the sensor's view, less those at rest: what a
-mesh leaves out of the rest shape does not come from the mesh (``signals.rest_surface``). Pixels where
-the gel stands steeper than 60 degrees are left out: on the sides of a dome heights along the view
-are differences of where a facet happens to end.
+mesh leaves out of the rest shape does not come from the mesh (``signals.rest_surface``). Pixels
+where the gel stands steeper than 60 degrees are left out: on the sides of a dome heights along the
+view are differences of where a facet happens to end.
 """
 
 from __future__ import annotations
