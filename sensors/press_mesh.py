@@ -15,6 +15,7 @@ from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from cad.mesh.structured import MIN_FOCUS_EDGE_MM
 from cad.mesh.structured_plan import rim_distances_mm, rim_rings
 from cad.parts.height_pad import HeightPad
+from cad.parts.pad import Pad
 from sensors.registry import sensor_family
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
@@ -54,7 +55,16 @@ def press_mesh(
     close to the pad's edge.
     """
     found = sensor_family(family)
-    pad = found.pad(found.parameters(parameters))
+    return pad_press_mesh(found.pad(found.parameters(parameters)), at_mm, contact_mm, options)
+
+
+def pad_press_mesh(
+    pad: Pad,
+    at_mm: tuple[float, float],
+    contact_mm: float | np.ndarray,
+    options: PressMeshOptions = DEFAULT_PRESS_MESH,
+) -> TetMesh:
+    """As ``press_mesh``, of a pad that need not be in the catalogue."""
     if np.ndim(contact_mm) == 0:
         focus = _disc_focus(at_mm, float(contact_mm), pad.thickness_mm, options)
     elif isinstance(pad, HeightPad):

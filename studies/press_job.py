@@ -17,23 +17,13 @@ from functools import cached_property
 
 import numpy as np
 
-from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
-from cad.parts.dome_pad import DomePad
 from cad.parts.pad import Pad
 from sensors.base import FamilyParameters
+from sensors.press_mesh import pad_press_mesh
 from studies.presses import StandardPress
-from taccel_lab.envs import Indenter, normal_frame, parse_indenter
+from taccel_lab.envs import normal_frame, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
-from taccel_lab.scene import Ball
-
-FINE_RADII = 1.15
-"""Radius of the fine part of a mesh in half widths of the contact."""
-
-
-DOME_RINGS_LESS = 4
-"""Domes get rings of their own around the fine part, and a layer less is enough under it: with all
-a press of DIGIT 360 has five times the nodes of one of a pad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +78,7 @@ def press_jobs(press: StandardPress, parameters: FamilyParameters) -> list[Press
     layers = parameters.layer_materials()
     jobs = []
     for text in press.indenters:
-        indenter = parse_indenter(text)
+        contact = parse_indenter(text).contact_mm(press.full_depth_mm(pad.thickness_mm))
         for place in press.places:
             at = place_mm(grid, place)
             jobs.append(
@@ -96,7 +86,7 @@ def press_jobs(press: StandardPress, parameters: FamilyParameters) -> list[Press
                     press=press,
                     indenter=text,
                     place=place,
-                    mesh=_mesh(press, indenter, pad, at),
+                    mesh=pad_press_mesh(pad, at, contact, press.mesh),
                     gel_from_press=_frame(pad, at),
                     modulus_ratios=tuple(
                         m.young_modulus_pa / layers[0].young_modulus_pa for m in layers
@@ -121,31 +111,3 @@ def _frame(pad: Pad, at_mm: tuple[float, float]) -> np.ndarray:
     if not (math.isfinite(top) and np.isfinite(normal).all()):
         raise InputError(f"({at_mm[0]:.3g}, {at_mm[1]:.3g}) mm lies beside the contact face")
     return normal_frame(np.append(xy, top) * 1e-3, normal)
-
-
-def _mesh(
-    press: StandardPress, indenter: Indenter, pad: Pad, at_mm: tuple[float, float]
-) -> TetMesh:
-    contact = contact_mm(press, indenter, pad.thickness_mm)
-    dome = isinstance(pad, DomePad)
-    return focused_gel_mesh(
-        pad,
-        FocusOptions(
-            at_mm=at_mm,
-            radius_mm=FINE_RADII * contact,
-            size_mm=contact / press.cells,
-            core=press.core,
-            rings=press.rings - DOME_RINGS_LESS if dome else press.rings,
-            layers=max(2, press.layers - 1) if dome else press.layers,
-            layer_ratio=press.layer_ratio,
-        ),
-    )
-
-
-def contact_mm(press: StandardPress, indenter: Indenter, thickness_mm: float) -> float:
-    """Half width of the contact at full depth [mm]: of a ball where it crosses the surface."""
-    if not isinstance(indenter.shape, Ball):
-        return press.contact_mm
-    radius, depth = indenter.shape.radius_m * 1e3, press.full_depth_mm(thickness_mm)
-    sunk = min(depth, radius)
-    return min(math.sqrt(sunk * (2 * radius - sunk)), press.contact_mm)

@@ -8,12 +8,13 @@ thickness of the gel, so that thin and thick gels are loaded alike.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.envs import parse_indenter
+from taccel_lab.envs import PHYSICS, Accuracy, parse_indenter
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions, PressMeshOptions
 
 CENTRE = (0.0, 0.0)
 
@@ -37,9 +38,6 @@ class StandardPress:
     name: str
     indenters: tuple[str, ...]
     """As ``parse_indenter`` reads them; each one is a simulation of its own."""
-    contact_mm: float
-    """Half of the widest part of the contact that the mesh has to resolve [mm]; of a ball it is
-    what the full depth makes it, up to this."""
     depth_fraction: float = 0.0
     """Full depth as a part of the gel's thickness under the press; or else ``depth_mm``."""
     depth_mm: float = 0.0
@@ -60,14 +58,8 @@ class StandardPress:
     """Whether the indenter goes up again, by the steps it came down."""
     places: tuple[tuple[float, float], ...] = (CENTRE,)
     """Where, in parts of half of the camera's view along x and y: (0, 0) is its centre."""
-    cells: float = 4.0
-    """Elements (quadratic ones) along ``contact_mm``."""
-    core: int = 6
-    rings: int = 8
-    layers: int = 3
-    """Core, rings and layers of the focused mesh; they alone set its number of nodes."""
-    layer_ratio: float = 1.5
-    """Thickness of a layer over that of the one above it."""
+    mesh: PressMeshOptions = PHYSICS[Accuracy.DEFAULT].mesh
+    """How finely the gel is meshed around it: as any press, but for tools of several parts."""
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isidentifier():
@@ -83,7 +75,7 @@ class StandardPress:
             )
         for name, low, high in (
             ("depth_fraction", 0.0, 0.8), ("depth_mm", 0.0, 50.0), ("shear_fraction", -4.0, 4.0),
-            ("twist_deg", -90.0, 90.0), ("contact_mm", 0.05, 50.0), ("cells", 0.5, 100.0),
+            ("twist_deg", -90.0, 90.0),
         ):  # fmt: skip
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
@@ -132,47 +124,62 @@ class StandardPress:
 
 _CORNERS = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
 
+_PARTS = replace(
+    PHYSICS[Accuracy.DEFAULT].mesh, outline=OutlineMeshOptions(core=8, outer=4, layers=3)
+)
+"""Of tools of several parts: rings follow their common outline, cells lie evenly inside."""
+
 STANDARD_PRESSES: dict[str, StandardPress] = {
     press.name: press
     for press in (
+        StandardPress("sphere", ("sphere:3",), depth_fraction=0.4, depth_limit_mm=2.4, steps=6),
+        StandardPress("punch", ("cylinder:2",), depth_fraction=0.15, depth_limit_mm=0.8, steps=4),
+        StandardPress("cylinder", ("roller:2x6",), depth_fraction=0.2, depth_limit_mm=1.0, steps=4),
+        StandardPress("edge", ("edge:90x6x0.1",), depth_fraction=0.15, depth_limit_mm=0.6, steps=4),
         StandardPress(
-            "sphere", ("sphere:3",), contact_mm=3.0, depth_fraction=0.4, depth_limit_mm=2.4,
-            steps=6, cells=6, core=8,
+            "grating",
+            ("grating:2x4x6",),
+            depth_fraction=0.1,
+            depth_limit_mm=0.4,
+            steps=3,
+            mesh=_PARTS,
         ),
         StandardPress(
-            "punch", ("cylinder:2",), contact_mm=2.0, depth_fraction=0.15, depth_limit_mm=0.8,
-            steps=4, cells=5, layer_ratio=2.5,
+            "shear",
+            ("sphere:3",),
+            depth_fraction=0.2,
+            depth_limit_mm=1.2,
+            steps=3,
+            shear_fraction=0.6,
+            shear_back=True,
+            twist_deg=8.0,
         ),
         StandardPress(
-            "cylinder", ("roller:2x6",), contact_mm=3.0, depth_fraction=0.2, depth_limit_mm=1.0,
-            steps=4, layer_ratio=2.0,
+            "pairs",
+            ("pair:0.25x0.1", "pair:0.25x0.4", "pair:0.25x1.2"),
+            depth_fraction=0.08,
+            depth_limit_mm=0.4,
+            steps=3,
+            mesh=_PARTS,
         ),
         StandardPress(
-            "edge", ("edge:90x6x0.1",), contact_mm=2.0, depth_fraction=0.15, depth_limit_mm=0.6,
-            steps=4, layer_ratio=2.0,
+            "places",
+            ("sphere:3",),
+            depth_fraction=0.15,
+            depth_limit_mm=0.8,
+            steps=3,
+            places=(CENTRE, *_CORNERS),
         ),
         StandardPress(
-            "grating", ("grating:2x4x6",), contact_mm=2.5, depth_fraction=0.1, depth_limit_mm=0.4,
-            steps=3, cells=7, core=8, layer_ratio=2.0,
-        ),
-        StandardPress(
-            "shear", ("sphere:3",), contact_mm=2.0, depth_fraction=0.2, depth_limit_mm=1.2,
-            steps=3, shear_fraction=0.6, shear_back=True, twist_deg=8.0,
-        ),
-        StandardPress(
-            "pairs", ("pair:0.25x0.1", "pair:0.25x0.4", "pair:0.25x1.2"), contact_mm=1.0,
-            depth_fraction=0.08, depth_limit_mm=0.4, steps=3, cells=7, core=8, layer_ratio=2.5,
-        ),
-        StandardPress(
-            "places", ("sphere:3",), contact_mm=2.0, depth_fraction=0.15, depth_limit_mm=0.8,
-            steps=3, cells=5, core=8, places=(CENTRE, *_CORNERS),
-        ),
-        StandardPress(
-            "release", ("sphere:3",), contact_mm=2.5, depth_fraction=0.3, depth_limit_mm=1.8,
-            steps=6, release=True,
+            "release",
+            ("sphere:3",),
+            depth_fraction=0.3,
+            depth_limit_mm=1.8,
+            steps=6,
+            release=True,
         ),
     )
-}  # fmt: skip
+}
 """Known presses by name; the first six are those of a study that names none."""
 
 DEFAULT_PRESSES = tuple(list(STANDARD_PRESSES)[:6])

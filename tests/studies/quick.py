@@ -14,8 +14,14 @@ from studies.press_batch import simulate
 from studies.press_job import PressJob, press_jobs
 from studies.press_record import PressRecord
 from studies.presses import STANDARD_PRESSES, StandardPress
+from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions, PressMeshOptions
 
-COARSE: dict[str, Any] = {"cells": 2.5, "core": 4, "rings": 6, "layers": 2}
+COARSE = PressMeshOptions(
+    elements_per_radius=2.5,
+    rings=6,
+    layers=2,
+    outline=OutlineMeshOptions(core=4, inner=2, outer=2, layers=2),
+)
 THICK = {
     "thickness_mm": 20.0, "length_x_mm": 60.0, "length_y_mm": 60.0, "crown_radius_mm": 0.0,
     "friction": 0.0,
@@ -25,7 +31,7 @@ THICK = {
 
 def coarse(press: str, /, **changes: Any) -> StandardPress:
     """A standard press on a mesh of some hundred nodes."""
-    return dataclasses.replace(STANDARD_PRESSES[press], **{**COARSE, **changes})
+    return dataclasses.replace(STANDARD_PRESSES[press], **{"mesh": COARSE, **changes})
 
 
 def jobs(press: StandardPress, **parameters: Any) -> list[PressJob]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,19 +13,21 @@ from studies.evidence import profile_mm
 from studies.metrics.edge_sharpness import rise_width
 from studies.metrics.two_point import contrast
 from studies.press_batch import REFERENCE_PA, simulate
+from studies.presses import STANDARD_PRESSES
 from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
+from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions
 from taccel_lab.scene import Material
 from tests.studies.quick import THICK, coarse, jobs, pressed
 
 NU = 0.46
+DEFAULT = PHYSICS[Accuracy.DEFAULT].mesh
 E_STAR = REFERENCE_PA / (1 - NU**2)
 
 
 def test_a_ball_on_a_thick_pad_follows_hertz() -> None:
-    press = coarse(
-        "sphere", depth_fraction=0.0, depth_mm=0.3, steps=2, cells=4, rings=10, layers=5,
-        layer_ratio=2.5, core=6,
-    )  # fmt: skip
+    # Twenty times as thick as the contact is wide, it takes more layers than any sensor's.
+    mesh = replace(DEFAULT, layers=5)
+    press = coarse("sphere", depth_fraction=0.0, depth_mm=0.3, steps=2, mesh=mesh)
     record = pressed(press, **THICK)
     force = record.force_n[:, 2]
     # Contact begins within the barrier's layer of 0.02 mm, which adds to the depth.
@@ -36,9 +39,8 @@ def test_a_ball_on_a_thick_pad_follows_hertz() -> None:
 
 def test_a_flat_punch_on_a_thick_pad() -> None:
     press = coarse(
-        "punch", indenters=("cylinder:1",), contact_mm=1.0, depth_fraction=0.0, depth_mm=0.1,
-        steps=2, cells=4, rings=10, layers=5, layer_ratio=2.5, core=6,
-    )  # fmt: skip
+        "punch", indenters=("cylinder:1",), depth_fraction=0.0, depth_mm=0.1, steps=2, mesh=DEFAULT
+    )
     record = pressed(press, **THICK)
     slope = float(np.diff(record.force_n[:, 2])[0] / np.diff(record.depth_mm * 1e-3)[0])
     # Sneddon 1965: F = 2 E* a d; a layer twenty radii thick and coarse tets are a little stiffer.
@@ -104,7 +106,7 @@ def test_edges_are_blurred_over_the_thickness() -> None:
     widths = []
     for thickness in (2.0, 4.0, 8.0):
         record = pressed(
-            coarse("edge", depth_fraction=0.0, depth_mm=0.2, steps=1),
+            coarse("edge", depth_fraction=0.0, depth_mm=0.2, steps=1, mesh=DEFAULT),
             thickness_mm=thickness,
             crown_radius_mm=0,
         )
@@ -117,10 +119,14 @@ def test_edges_are_blurred_over_the_thickness() -> None:
 def test_far_pins_are_told_apart_and_near_ones_less() -> None:
     contrasts = []
     for gap in (0.06, 3.0):
-        press = coarse(
-            "pairs", indenters=(f"pair:0.3x{gap}",), depth_fraction=0.0, depth_mm=0.4, steps=1,
-            contact_mm=1.2 + gap / 2, cells=6, core=6, rings=4,
-        )  # fmt: skip
+        press = replace(
+            STANDARD_PRESSES["pairs"],
+            indenters=(f"pair:0.3x{gap}",),
+            depth_fraction=0.0,
+            depth_mm=0.4,
+            steps=1,
+            mesh=replace(DEFAULT, outline=OutlineMeshOptions(core=8, outer=2, layers=2)),
+        )
         x, change = profile_mm(pressed(press, thickness_mm=4.0), 0.6 + gap)
         contrasts.append(contrast(x, -change, 0.3 + gap / 2))
     assert contrasts[0] < 0.45 and contrasts[1] > 0.8

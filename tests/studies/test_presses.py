@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from sensors.gelsight import GelSightParameters
-from studies.press_job import contact_mm, place_mm, press_jobs
+from sensors.press_mesh import press_mesh
+from studies.press_job import place_mm, press_jobs
 from studies.presses import DEFAULT_PRESSES, STANDARD_PRESSES, StandardPress, standard_presses
 from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from tests.studies.quick import coarse, jobs
+from tests.studies.quick import COARSE, coarse, jobs
 
 
 def test_the_standard_six() -> None:
@@ -67,7 +68,7 @@ def test_depth_follows_the_thickness_up_to_the_limit() -> None:
         ({"depth_fraction": 0.9}, "depth_fraction must lie in"),
         ({"depth_limit_mm": 0.0}, "depth_limit_mm must be above 0"),
         ({"twist_deg": 180.0}, "twist_deg must lie in"),
-        ({"cells": float("nan")}, "cells must lie in"),
+        ({"shear_fraction": float("nan")}, "shear_fraction must lie in"),
         ({"steps": 0}, "steps must lie in 1..200, got 0"),
     ],
 )
@@ -82,13 +83,13 @@ def test_places_are_parts_of_the_view() -> None:
     assert place_mm(grid, (1, -1)) == pytest.approx((6.0, -5.0))
 
 
-def test_the_contact_of_a_ball() -> None:
-    press = STANDARD_PRESSES["sphere"]
-    ball = parse_indenter("sphere:3")
-    # 1 mm deep in a gel of 2.5 mm: the ball crosses the surface at sqrt(3^2 - 2^2).
-    assert contact_mm(press, ball, 2.5) == pytest.approx(np.sqrt(5.0))
-    assert contact_mm(press, ball, 100.0) == pytest.approx(np.sqrt(9 - 0.6**2))
-    assert contact_mm(press, parse_indenter("box:2x2"), 2.5) == press.contact_mm
+def test_a_press_of_a_study_is_meshed_as_any_press() -> None:
+    job = press_jobs(STANDARD_PRESSES["punch"], GelSightParameters())[0]
+    pad = GelSightParameters().pad()
+    outline = parse_indenter("cylinder:2").contact_mm(0.15 * pad.thickness_mm)
+    mesh = press_mesh("gelsight", {}, (0.0, 0.0), outline)
+    assert np.array_equal(job.mesh.tets, mesh.tets)
+    assert job.mesh.nodes_m == pytest.approx(mesh.nodes_m, abs=1e-12)
 
 
 def test_a_press_goes_along_the_normal() -> None:
@@ -108,7 +109,10 @@ def test_alike_designs_share_keys() -> None:
         assert jobs(press, **other)[0].key != first.key
     assert jobs(press, thickness_mm=4.0)[0].batch_key == first.batch_key
     assert jobs(press, friction=0.5)[0].batch_key != first.batch_key
-    assert jobs(coarse("sphere", core=6))[0].batch_key != first.batch_key
+    assert (
+        jobs(coarse("sphere", mesh=dataclasses.replace(COARSE, core=6)))[0].batch_key
+        != first.batch_key
+    )
     assert jobs(coarse("sphere", steps=4))[0].batch_key != first.batch_key
     assert jobs(coarse("sphere", name="ball"))[0].key == first.key
 

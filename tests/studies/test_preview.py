@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -14,9 +13,9 @@ from PIL import Image
 from sensors.registry import sensor_family
 from studies import preview as previews
 from studies.camera_view import photometry
-from studies.presses import STANDARD_PRESSES
 from studies.preview import preview_design, write_preview
 from taccel_lab.cli.app import main
+from tests.studies.quick import coarse
 
 
 def test_dots_are_no_dark_spots_of_the_light() -> None:
@@ -44,7 +43,7 @@ def test_without_presses_there_are_pictures_and_photometry(tmp_path: Path) -> No
 def test_a_press_shows_in_picture_and_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ball = dataclasses.replace(STANDARD_PRESSES["sphere"], depth_fraction=0.15, steps=3, cells=2.0)
+    ball = coarse("sphere", depth_fraction=0.15, steps=3)
     monkeypatch.setattr(previews, "standard_presses", lambda names: [ball])
     out = tmp_path / "out"
     arguments = ["preview", "gelsight", "--out", str(out), "--size-px", "96", "--json"]
