@@ -11,6 +11,7 @@ import numpy as np
 
 from cad.mesh.columns import FoldedMeshError, growth_factor
 from cad.mesh.contact_plan import ContactOutline
+from cad.mesh.convex_polygon import centroid, clipped, thickened_hull, without_short_sides
 from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from cad.mesh.structured import MIN_FOCUS_EDGE_MM
 from cad.mesh.structured_plan import rim_distances_mm, rim_rings
@@ -37,7 +38,6 @@ LEANS = (1.0, 1.5, 2.5)
 most exact, but below a narrow outline the first layers may fold."""
 _ROOM_SIDES = 64
 """Lines that stand for the border of what a focus may cover of a pad."""
-_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 def press_mesh(
@@ -110,18 +110,18 @@ def _outline_focus(
     along = pad.outline.perimeter_mm * np.arange(_ROOM_SIDES) / _ROOM_SIDES
     places, normals = pad.outline.at_mm(along)
     room = places - (rim + MIN_FOCUS_EDGE_MM) * normals
-    points = _clipped(_thickened(contact_mm) + at_mm, room, normals)
+    points = clipped(thickened_hull(contact_mm, 2 * LEAST_CONTACT_MM) + at_mm, room, normals)
     if len(points) < 3:
         # Beside the pad; the place itself is refused with its distance from the edge.
-        points = LEAST_CONTACT_MM * _SQUARE + at_mm
-    points = _thickened(points)
-    center = _centroid(points)
+        points = np.array([at_mm])
+    points = thickened_hull(points, 2 * LEAST_CONTACT_MM)
+    center = centroid(points)
     half = np.abs(points - center).max(axis=0)
     size = float(np.sqrt(half.prod()))
     top = o.top * np.sqrt(size * pad.thickness_mm)
     # At the back a contact has spread.
     wider = np.maximum(1.0, BACK_SHARE * pad.thickness_mm / half)
-    back = _clipped(center + wider * (points - center), room, normals)
+    back = clipped(center + wider * (points - center), room, normals)
     radius = float(np.clip(size, LEAST_CONTACT_MM, LARGEST_CONTACT_MM))
     step = STEP_OF_TOP * top
     return FocusOptions(
@@ -134,54 +134,9 @@ def _outline_focus(
         layer_ratio=_layer_ratio(o.layers, top / pad.thickness_mm),
         outlines=(
             ContactOutline(points - center, step, o.inner),
-            ContactOutline(_without_short_sides(back - center), BACK_STEPS * step, o.inner),
+            ContactOutline(without_short_sides(back - center), BACK_STEPS * step, o.inner),
         ),
     )
-
-
-def _thickened(points: np.ndarray) -> np.ndarray:
-    """Convex hull of points [mm], counter-clockwise, at least twice ``LEAST_CONTACT_MM`` wide."""
-    from scipy.spatial import ConvexHull
-
-    # A hair's width, so that points on one line have a hull too.
-    points = (np.unique(np.round(points, 6), axis=0)[:, None] + 1e-6 * _SQUARE).reshape(-1, 2)
-    hull = ConvexHull(points)
-    across = hull.equations[:, :2] @ points.T
-    short = LEAST_CONTACT_MM - 0.5 * float(np.ptp(across, axis=1).min())
-    if short > 0:
-        points = (points[:, None] + short * _SQUARE).reshape(-1, 2)
-        hull = ConvexHull(points)
-    return _without_short_sides(points[hull.vertices])
-
-
-def _without_short_sides(polygon: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(polygon - np.roll(polygon, 1, axis=0), axis=1)
-    return polygon[length > 1e-4]
-
-
-def _clipped(polygon: np.ndarray, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """What of a convex polygon lies on the inner side of all lines through places with outward
-    normals, each [n, 2] (Sutherland and Hodgman 1974)."""
-    for place, normal in zip(places, normals, strict=True):
-        outside = (polygon - place) @ normal
-        if not (outside > 0).any():
-            continue
-        kept: list[np.ndarray] = []
-        for i in range(len(polygon)):
-            j = (i + 1) % len(polygon)
-            if outside[i] <= 0:
-                kept.append(polygon[i])
-            if (outside[i] <= 0) != (outside[j] <= 0):
-                part = outside[i] / (outside[i] - outside[j])
-                kept.append(polygon[i] + part * (polygon[j] - polygon[i]))
-        polygon = np.array(kept).reshape(-1, 2)
-    return polygon
-
-
-def _centroid(polygon: np.ndarray) -> np.ndarray:
-    following = np.roll(polygon, -1, axis=0)
-    area = polygon[:, 0] * following[:, 1] - polygon[:, 1] * following[:, 0]
-    return ((polygon + following) * area[:, None]).sum(axis=0) / (3 * area.sum())
 
 
 def _layer_ratio(layers: int, top_share: float) -> float:

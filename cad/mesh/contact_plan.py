@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from cad.mesh.columns import growth_factor
+from cad.mesh.convex_polygon import second_moments, side_normals, where_rays_leave
 from cad.mesh.plan_smoothing import smooth_plan
 from cad.mesh.structured_topology import core_perimeter, plan_quads
 
@@ -55,7 +56,7 @@ class ContactOutline:
 
     def distance_mm(self, xy: np.ndarray) -> np.ndarray:
         """How far points [mm], [n, 2], lie outside, below 0 inside."""
-        normal = _side_normals(self.points_mm)
+        normal = side_normals(self.points_mm)
         return ((xy[:, None] - self.points_mm) * normal).sum(axis=2).max(axis=1)
 
 
@@ -114,7 +115,7 @@ def _rings_between(
     first = np.angle(start)
     turn = np.angle(stop / start)
     away = _spoke_normals(begin)
-    room = np.linalg.norm(_where_rays_leave(end, away, begin) - begin, axis=1)
+    room = np.linalg.norm(where_rays_leave(end, away, begin) - begin, axis=1)
     length = np.minimum(np.linalg.norm(end - begin, axis=1), room)
     rings = []
     for share in _growing(outline.step_mm, length, count):
@@ -148,7 +149,7 @@ def spoke_points(outline: np.ndarray, core: int) -> np.ndarray:
         rays = np.stack([np.cos(nominal), np.sin(nominal)], axis=1) @ np.linalg.inv(
             _evening(outline)
         )
-        return _where_rays_leave(outline, rays) / np.cos(np.pi / count)
+        return where_rays_leave(outline, rays) / np.cos(np.pi / count)
     sides = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)
     lengths = np.concatenate([[0.0], np.cumsum(sides)])
     at = np.empty(count)
@@ -167,7 +168,7 @@ def spoke_points(outline: np.ndarray, core: int) -> np.ndarray:
 def _spoke_normals(loop: np.ndarray) -> np.ndarray:
     """Where the vertices of a closed loop go when its sides are moved out by 1, sharp ones less
     far, [n, 2]."""
-    after = _side_normals(loop)
+    after = side_normals(loop)
     before = np.roll(after, 1, axis=0)
     mean = before + after
     away = 2 * mean / (mean**2).sum(axis=1, keepdims=True)
@@ -185,9 +186,9 @@ class EllipticMap:
     @staticmethod
     def of(outline: np.ndarray) -> EllipticMap:
         """With the ellipse that is as long and wide as an outline about the origin."""
-        values, vectors = np.linalg.eigh(_second_moments(outline))
+        values, vectors = np.linalg.eigh(second_moments(outline))
         along = vectors[:, 1]
-        ends = _where_rays_leave(outline, np.stack([along, -along]))
+        ends = where_rays_leave(outline, np.stack([along, -along]))
         # Half axes of a rectangle's sides; the focal line stays inside.
         focus = float(np.sqrt(3 * max(values[1] - values[0], 0.0)))
         focus = min(focus, _FOCAL_SHARE * float(np.linalg.norm(ends, axis=1).min()))
@@ -237,36 +238,8 @@ def _corners(outline: np.ndarray, place: np.ndarray, count: int) -> dict[int, in
 
 def _evening(outline: np.ndarray) -> np.ndarray:
     """Symmetric matrix that makes an outline's area as long as wide, by its second moments."""
-    values, vectors = np.linalg.eigh(_second_moments(outline))
+    values, vectors = np.linalg.eigh(second_moments(outline))
     return vectors @ np.diag(values**-0.5) @ vectors.T
-
-
-def _second_moments(outline: np.ndarray) -> np.ndarray:
-    """Mean of x x^T over the inside of a polygon, [2, 2]."""
-    following = np.roll(outline, -1, axis=0)
-    area = outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]
-    both = outline + following
-    moments = sum(np.einsum("n,ni,nj->ij", area, p, p) for p in (outline, following, both))
-    return moments / (12 * area.sum())
-
-
-def _side_normals(outline: np.ndarray) -> np.ndarray:
-    along = np.roll(outline, -1, axis=0) - outline
-    normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-
-def _where_rays_leave(
-    outline: np.ndarray, rays: np.ndarray, starts: np.ndarray | None = None
-) -> np.ndarray:
-    """Where rays, [n, 2], from points inside a convex polygon (the origin) leave it."""
-    starts = np.zeros_like(rays) if starts is None else starts
-    normal = _side_normals(outline)
-    speed = rays @ normal.T
-    left = ((outline - starts[:, None]) * normal).sum(axis=2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = np.where(speed > 0, left / speed, np.inf)
-    return starts + rays * reach.min(axis=1)[:, None]
 
 
 def _spoke_angles(core: int) -> np.ndarray:
