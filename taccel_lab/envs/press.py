@@ -43,7 +43,7 @@ MAX_DEPTH_FRACTION = 0.9
 """Deepest press as a part of the gel's thickness."""
 START_CLEARANCE_M = 5e-6
 """Gap between first touch and the start, on top of two dhat."""
-FORCE_ERROR_SHARE = {Ball: 1.0, TriangleMesh: 2.0}
+FORCE_ERROR_SHARE = {Ball: 1.0, TriangleMesh: 1.2}
 """What the estimated error of the energy makes of the force's. Where a tool has edges, gel nodes
 sample the border of its contact, which comes on top."""
 HEIGHT_ERROR_SHARE = 0.5
