@@ -15,6 +15,7 @@ view are differences of where a facet happens to end.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import sys
@@ -64,7 +65,8 @@ MATERIALS = (
     (0.49, 0.5),
     (0.499, 1.0),
 )
-"""Poisson's ratio and friction; case i takes entry i mod 7, so that all pairs come up."""
+"""Poisson's ratio and friction, in turn; each family begins one further on: every tool meets
+all of them."""
 REFERENCE = "converged"
 SETTINGS: dict[str, PressPhysics] = {
     **{accuracy.value: PHYSICS[accuracy] for accuracy in (Accuracy.FAST, Accuracy.DEFAULT)},
@@ -121,24 +123,21 @@ def cases() -> Iterator[Case]:
     from sensors.profile import catalogue_profile
     from sensors.registry import sensor_families
 
-    number = 0
-    for family in sensor_families():
+    for first, family in enumerate(sensor_families()):
         profile = catalogue_profile(family)
         grid, block = profile.grid(), profile.material
-        for name in TOOLS:
-            for depth_mm in DEPTHS_MM:
-                poisson_ratio, friction = MATERIALS[number % len(MATERIALS)]
-                number += 1
-                yield Case(
-                    family=family,
-                    tool=name,
-                    depth_mm=depth_mm,
-                    poisson_ratio=poisson_ratio,
-                    friction=friction,
-                    young_moduli_pa=tuple(s.young_modulus_pa for s in (block, *block.layers)),
-                    view_px=(grid.width_px, grid.height_px),
-                    mm_per_px=(grid.mm_per_px_x, grid.mm_per_px_y),
-                )
+        for i, (name, depth_mm) in enumerate(itertools.product(TOOLS, DEPTHS_MM)):
+            poisson_ratio, friction = MATERIALS[(first + i) % len(MATERIALS)]
+            yield Case(
+                family=family,
+                tool=name,
+                depth_mm=depth_mm,
+                poisson_ratio=poisson_ratio,
+                friction=friction,
+                young_moduli_pa=tuple(s.young_modulus_pa for s in (block, *block.layers)),
+                view_px=(grid.width_px, grid.height_px),
+                mm_per_px=(grid.mm_per_px_x, grid.mm_per_px_y),
+            )
 
 
 def prepare(folder: Path) -> None:

@@ -106,7 +106,10 @@ def freeze_contact(
     # Signed: a subtracted duplicate takes back what was counted twice. Left out, friction would
     # jump where a second face begins to count, and freezing would never settle.
     frozen.mu_lambdas[env, slot] = mu * force
-    frozen.ways_in[env, slot] = way_in(env, kind, nodes, pair, positions, previous, geometry)
+    frozen.ways_in[env, slot] = wp.vec3d()
+    # Beside a ball normals turn by no more than what moves along its radius.
+    if geometry.node_is_ball[nodes[0]] == 0:
+        frozen.ways_in[env, slot] = way_in(env, kind, nodes, pair, positions, previous, geometry)
 
 
 @wp.kernel
