@@ -107,7 +107,7 @@ def freeze_contact(
     # jump where a second face begins to count, and freezing would never settle.
     frozen.mu_lambdas[env, slot] = mu * force
     frozen.ways_in[env, slot] = wp.vec3d()
-    # Beside a ball normals turn by no more than what moves along its radius.
+    # Normals of a ball turn too little to matter, and its shear would lean on dhat twice as much.
     if geometry.node_is_ball[nodes[0]] == 0:
         frozen.ways_in[env, slot] = way_in(env, kind, nodes, pair, positions, previous, geometry)
 
