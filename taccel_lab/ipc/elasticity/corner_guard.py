@@ -42,12 +42,6 @@ def corner_guard(j: wp.float64) -> wp.vec3d:
 
 
 @wp.func
-def no_guard(j: wp.float64) -> wp.vec3d:
-    """For energies that bear inversion."""
-    return wp.vec3d()
-
-
-@wp.func
 def volume_hessian(
     f: wp.mat33d, slope: wp.float64, curvature: wp.float64, mode: int
 ) -> PrincipalHessian:

@@ -21,9 +21,11 @@ from typing import Any
 
 import warp as wp
 
+from taccel_lab.ipc.elasticity.corner_guard import corner_guard, volume_hessian
 from taccel_lab.ipc.elasticity.invariants import cofactor
 from taccel_lab.ipc.elasticity.principal import lifted
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
+from taccel_lab.ipc.potentials.point_hessian import PointHessian, point_hessian
 from taccel_lab.ipc.potentials.quadratic_guard import (
     GUARD_WEIGHT,
     GUARDED,
@@ -41,20 +43,6 @@ from taccel_lab.ipc.potentials.quadratic_shape import (
 )
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.struct
-class PointHessian:
-    """Second derivatives of an energy density [Pa]: of F = sum_a x_a g_a^T the block of nodes a, b
-    is sum_kl (frame^T g_a)_k k_kl (frame^T g_b)_l, with k_lk = k_kl^T."""
-
-    frame: wp.mat33d
-    k_00: wp.mat33d
-    k_01: wp.mat33d
-    k_02: wp.mat33d
-    k_11: wp.mat33d
-    k_12: wp.mat33d
-    k_22: wp.mat33d
 
 
 @dataclass(frozen=True)
@@ -81,10 +69,6 @@ class PointLaw:
     dilatation."""
     guarded: Any
     """``(env, i, positions, d)``: whether the element needs its guard."""
-    guard: Any
-    """``(j)``: guard of a corner and its first two derivatives, over mu / 40 [1]."""
-    guard_hessian: Any
-    """``(f, slope, curvature, psd_mode)``: a PointHessian of the guard."""
 
 
 @wp.func
@@ -125,8 +109,6 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
     scale = law.scale
     hessian = law.hessian
     guarded = law.guarded
-    guard = law.guard
-    guard_hessian = law.guard_hessian
     module = wp.get_module(f"{__name__}.{law.name}")
     wp.set_module_options({"enable_backward": False}, module=module)
 
@@ -155,7 +137,9 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         if guarded(env, tet, positions, d):
             q = int(0)
             while q < GUARDED:
-                kept += guard(wp.determinant(guarded_deformation(env, tet, q, positions, d)))[0]
+                kept += corner_guard(
+                    wp.determinant(guarded_deformation(env, tet, q, positions, d))
+                )[0]
                 q += 1
         volume_part = volumetric(mean)
         energies[env, tet] = (
@@ -240,7 +224,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         q = int(0)
         while q < GUARDED:
             f = guarded_deformation(env, tet, q, positions, d)
-            push = guard(wp.determinant(f))[1]
+            push = corner_guard(wp.determinant(f))[1]
             if push != wp.float64(0.0):
                 stress = (factor * GUARD_WEIGHT * d.moduli.mu[tet] * push) * cofactor(f)
                 rows = guarded_gradients(env, tet, q, stress, d)
@@ -297,9 +281,9 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         q = int(0)
         while q < GUARDED:
             f = guarded_deformation(env, tet, q, positions, d)
-            barrier = guard(wp.determinant(f))
+            barrier = corner_guard(wp.determinant(f))
             if barrier[1] != wp.float64(0.0):
-                h = guard_hessian(f, barrier[1], barrier[2], psd_mode)
+                h = point_hessian(volume_hessian(f, barrier[1], barrier[2], psd_mode))
                 shapes = guarded_gradients(env, tet, q, wp.transpose(h.frame), d)
                 add_point_blocks(env, tet, guard_weight, h, shapes, node_count, blocks)
             q += 1

@@ -7,18 +7,15 @@ from functools import cache
 
 import warp as wp
 
-from taccel_lab.ipc.elasticity.corner_guard import corner_guard, no_guard, volume_hessian
 from taccel_lab.ipc.elasticity.dilatation import volume_growth
 from taccel_lab.ipc.elasticity.laws import LAWS
-from taccel_lab.ipc.elasticity.principal import PrincipalHessian
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
+from taccel_lab.ipc.potentials.point_hessian import PointHessian, point_hessian
 from taccel_lab.ipc.potentials.quadratic_guard import needs_guard, needs_none
 from taccel_lab.ipc.potentials.quadratic_kernels import (
-    PointHessian,
     PointLaw,
     create_quadratic_kernels,
 )
-from taccel_lab.ipc.svd import matrix_column
 from taccel_lab.scene.material import MaterialModel
 
 wp.set_module_options({"enable_backward": False})
@@ -35,33 +32,6 @@ def _no_start(env: int, i: int, q: int, d: ElementData) -> wp.mat33d:
 @wp.func
 def _one(env: int, i: int, d: ElementData) -> wp.float64:
     return wp.float64(1.0)
-
-
-@wp.func
-def _diagonal_block(h: PrincipalHessian, k: int) -> wp.mat33d:
-    direct = wp.vec3d(h.direct[0, k], h.direct[1, k], h.direct[2, k])
-    return h.u * wp.diag(direct) * wp.transpose(h.u)
-
-
-@wp.func
-def _coupling_block(h: PrincipalHessian, k: int, m: int) -> wp.mat33d:
-    u_k = matrix_column(h.u, k)
-    u_m = matrix_column(h.u, m)
-    return h.stretch[k, m] * wp.outer(u_k, u_m) + h.swap[k, m] * wp.outer(u_m, u_k)
-
-
-@wp.func
-def point_hessian(p: PrincipalHessian) -> PointHessian:
-    """The blocks of a principal Hessian, in its frame V."""
-    h = PointHessian()
-    h.frame = p.v
-    h.k_00 = _diagonal_block(p, 0)
-    h.k_11 = _diagonal_block(p, 1)
-    h.k_22 = _diagonal_block(p, 2)
-    h.k_01 = _coupling_block(p, 0, 1)
-    h.k_02 = _coupling_block(p, 0, 2)
-    h.k_12 = _coupling_block(p, 1, 2)
-    return h
 
 
 @wp.func
@@ -83,13 +53,6 @@ def _pressure_of_matrix(pressure: wp.float64, mu: wp.float64, mode: int) -> wp.f
 def _whole_pressure(pressure: wp.float64, mu: wp.float64, mode: int) -> wp.float64:
     """For the trace of the strain, whose integral does depend on the inside."""
     return pressure
-
-
-@wp.func
-def _guard_hessian(
-    f: wp.mat33d, slope: wp.float64, curvature: wp.float64, mode: int
-) -> PointHessian:
-    return point_hessian(volume_hessian(f, slope, curvature, mode))
 
 
 @cache
@@ -134,7 +97,5 @@ def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
             scale=_one,
             hessian=hessian,
             guarded=needs_none if model in BEARS_INVERSION else needs_guard,
-            guard=no_guard if model in BEARS_INVERSION else corner_guard,
-            guard_hessian=_guard_hessian,
         )
     )

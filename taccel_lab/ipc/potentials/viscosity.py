@@ -17,15 +17,14 @@ from functools import cache
 
 import warp as wp
 
-from taccel_lab.ipc.elasticity.corner_guard import no_guard
 from taccel_lab.ipc.elasticity.dilatation import half_square, strain_trace_slope
 from taccel_lab.ipc.elasticity.principal import lifted_matrix
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, ElementSum
 from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
+from taccel_lab.ipc.potentials.point_hessian import PointHessian
 from taccel_lab.ipc.potentials.quadratic_guard import needs_none
 from taccel_lab.ipc.potentials.quadratic_kernels import (
-    PointHessian,
     PointLaw,
     create_quadratic_kernels,
 )
@@ -177,13 +176,6 @@ def _point_hessian(
     return h
 
 
-@wp.func
-def _no_guard_hessian(
-    f: wp.mat33d, slope: wp.float64, curvature: wp.float64, mode: int
-) -> PointHessian:
-    return PointHessian()
-
-
 @wp.kernel
 def _reciprocal_kernel(dts: wp.array(dtype=wp.float64), rates: wp.array(dtype=wp.float64)):
     env = wp.tid()
@@ -204,8 +196,6 @@ def _quadratic_kernels() -> ElementKernels:
             scale=_point_rate,
             hessian=_point_hessian,
             guarded=needs_none,
-            guard=no_guard,
-            guard_hessian=_no_guard_hessian,
         )
     )
 
