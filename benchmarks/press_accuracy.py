@@ -146,7 +146,7 @@ def prepare(folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     for case in cases():
-        half = tool(case.tool).contact_mm(case.depth_mm)
+        half = tool(case.tool).contact(case.depth_mm)
         arrays: dict[str, Any] = {"case": json.dumps(asdict(case))}
         for setting, physics in SETTINGS.items():
             mesh = press_mesh(case.family, {}, AT_MM, half, physics.mesh)
@@ -243,10 +243,12 @@ def _press(
     heights = SignalHeightMap(env.mesh, case.grid(), device=device)
     heights.update(np.stack([env.mesh.nodes_m, env.positions[0]]))
     moved = heights.height_m[1] - heights.height_m[0]
+    slope = np.hypot(*np.moveaxis(heights.slope[0], -1, 0))
+    shown = slope <= math.tan(math.radians(STEEPEST_DEG))
     error = env.error_estimate()
     return Pressed(
         force_n=float(env.press_force[0, 2]),
-        moved_m=np.where(_steep(heights.height_m[0], case.grid()), np.nan, moved),
+        moved_m=np.where(shown, moved, np.nan),
         force_error_n=float(error.force_n[0]),
         height_error_m=float(error.height_m[0]),
         residual=float(reports[-1].residual_n[0] / max(reports[-1].contact_force_n[0], 1e-9)),
@@ -254,12 +256,6 @@ def _press(
         newton=int(sum(report.newton_iterations[0] for report in reports)),
         seconds=seconds,
     )
-
-
-def _steep(height_m: np.ndarray, grid: PixelGrid) -> np.ndarray:
-    """Where a surface [m], [height_px, width_px], is steeper than ``STEEPEST_DEG``."""
-    down, across = np.gradient(height_m * 1e3, grid.mm_per_px_y, grid.mm_per_px_x)
-    return np.hypot(down, across) > math.tan(math.radians(STEEPEST_DEG))
 
 
 def _row(case: Case, setting: str, pressed: Pressed, converged: Pressed) -> dict[str, Any]:

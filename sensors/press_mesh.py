@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -15,12 +16,18 @@ from cad.mesh.convex_polygon import centroid, clipped, thickened_hull, without_s
 from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from cad.mesh.structured import MIN_FOCUS_EDGE_MM
 from cad.mesh.structured_plan import rim_distances_mm, rim_rings
+from cad.parts.dome_pad import DomePad
 from cad.parts.height_pad import HeightPad
 from cad.parts.pad import Pad
 from sensors.registry import sensor_family
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.geometry.press_mesh_options import DEFAULT_PRESS_MESH, PressMeshOptions
+from taccel_lab.geometry.press_mesh_options import (
+    DEFAULT_PRESS_MESH,
+    OutlineMeshOptions,
+    PressMeshOptions,
+)
+from taccel_lab.geometry.tool_section import ToolSection
 
 LARGEST_LAYER_RATIO = 4.0
 """Thickest layer over the one above it."""
@@ -28,6 +35,8 @@ LARGEST_CONTACT_MM = 4.0
 """Radius of the largest disc that a mesh is graded for."""
 LEAST_CONTACT_MM = 0.05
 """Least radius or half width that a mesh is graded for."""
+LEAST_FILLED = 0.85
+"""Part of its outline that a tool fills at least, or it counts as scattered."""
 STEP_OF_TOP = 0.4
 """First step outside an outline over the thickness of the uppermost layer."""
 BACK_SHARE, BACK_STEPS = 0.6, 5.0
@@ -44,50 +53,46 @@ def press_mesh(
     family: str,
     parameters: Mapping[str, Any],
     at_mm: tuple[float, float],
-    contact_mm: float | np.ndarray,
+    contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
 ) -> TetMesh:
     """Gel pad of a catalogue sensor, graded around the contact at gel xy ``at_mm``.
 
-    ``contact_mm`` is the contact's radius, or its convex outline about the place, [n, 2], see
-    ``Indenter.contact_mm``. All meshes of the same options and kind of contact share tets, faces
+    ``contact`` is a ball's contact radius [mm] or the section of another tool, see
+    ``Indenter.contact``. All meshes of the same options and kind of contact share tets, faces
     and regions bitwise, whatever the place. Raises InputError for an unknown family or a place too
     close to the pad's edge.
     """
     found = sensor_family(family)
-    return pad_press_mesh(found.pad(found.parameters(parameters)), at_mm, contact_mm, options)
+    return pad_press_mesh(found.pad(found.parameters(parameters)), at_mm, contact, options)
 
 
 def pad_press_mesh(
     pad: Pad,
     at_mm: tuple[float, float],
-    contact_mm: float | np.ndarray,
+    contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
 ) -> TetMesh:
     """As ``press_mesh``, of a pad that need not be in the catalogue."""
-    if np.ndim(contact_mm) == 0:
-        focus = _disc_focus(at_mm, float(contact_mm), pad.thickness_mm, options)
-    elif isinstance(pad, HeightPad):
-        focus = _outline_focus(at_mm, np.asarray(contact_mm), pad, options)
-        for lean in LEANS:
-            try:
-                return focused_gel_mesh(pad, replace(focus, lean=lean))
-            except FoldedMeshError:
-                continue
-        # Some long contacts beside an edge leave no room for rings: even ones, of the same
-        # connectivity. What that costs is in the estimate of the press's error.
-        focus = replace(focus, outlines=None)
-    else:
-        radius = float(np.abs(contact_mm).max())
-        focus = _disc_focus(at_mm, radius, pad.thickness_mm, options)
-    return focused_gel_mesh(pad, focus)
+    if not isinstance(contact, ToolSection):
+        return focused_gel_mesh(pad, _disc_focus(at_mm, contact, pad.thickness_mm, options))
+    outline = options.outline if contact.filled >= LEAST_FILLED else options.scattered
+    focus = _outline_focus(at_mm, contact, pad, options, outline)
+    for lean in LEANS:
+        try:
+            return focused_gel_mesh(pad, replace(focus, lean=lean))
+        except FoldedMeshError:
+            continue
+    # Some long contacts beside an edge leave no room for rings: even ones, of the same
+    # connectivity. What that costs is in the estimate of the press's error.
+    return focused_gel_mesh(pad, replace(focus, outlines=None))
 
 
 def _disc_focus(
     at_mm: tuple[float, float], radius_mm: float, thickness_mm: float, options: PressMeshOptions
 ) -> FocusOptions:
     if not radius_mm > 0:
-        raise InputError(f"contact_mm must be a radius above 0 mm, got {radius_mm:g}")
+        raise InputError(f"a contact's radius must be above 0 mm, got {radius_mm:g}")
     radius = float(np.clip(radius_mm, LEAST_CONTACT_MM, LARGEST_CONTACT_MM))
     return FocusOptions(
         at_mm=at_mm,
@@ -101,20 +106,23 @@ def _disc_focus(
 
 
 def _outline_focus(
-    at_mm: tuple[float, float], contact_mm: np.ndarray, pad: HeightPad, options: PressMeshOptions
+    at_mm: tuple[float, float],
+    section: ToolSection,
+    pad: Pad,
+    options: PressMeshOptions,
+    o: OutlineMeshOptions,
 ) -> FocusOptions:
-    if contact_mm.ndim != 2 or contact_mm.shape[1] != 2 or not np.isfinite(contact_mm).all():
-        raise InputError("contact_mm must be a radius, or an outline of finite xy in mm, [n, 2]")
-    o = options.outline
-    rim = float(rim_distances_mm(pad)[0])
-    along = pad.outline.perimeter_mm * np.arange(_ROOM_SIDES) / _ROOM_SIDES
-    places, normals = pad.outline.at_mm(along)
-    room = places - (rim + MIN_FOCUS_EDGE_MM) * normals
-    points = clipped(thickened_hull(contact_mm, 2 * LEAST_CONTACT_MM) + at_mm, room, normals)
+    place = np.asarray(at_mm, dtype=np.float64)
+    room, normals = _room(pad, place)
+    least = 2 * LEAST_CONTACT_MM
+    points = clipped(thickened_hull(section.outline_mm, least) + place, room, normals)
+    if isinstance(pad, DomePad):
+        # Farther out the cap has fallen away from the tool by half of the depth.
+        points = clipped(points, *_circle(place, math.sqrt(pad.dome_radius_mm * section.depth_mm)))
     if len(points) < 3:
         # Beside the pad; the place itself is refused with its distance from the edge.
-        points = np.array([at_mm])
-    points = thickened_hull(points, 2 * LEAST_CONTACT_MM)
+        points = place[None]
+    points = thickened_hull(points, least)
     center = centroid(points)
     half = np.abs(points - center).max(axis=0)
     size = float(np.sqrt(half.prod()))
@@ -129,7 +137,7 @@ def _outline_focus(
         radius_mm=options.fine_radii * radius,
         size_mm=radius / options.elements_per_radius,
         core=o.core,
-        rings=o.inner + o.outer + rim_rings(pad),
+        rings=o.inner + o.outer + (rim_rings(pad) if isinstance(pad, HeightPad) else 0),
         layers=o.layers,
         layer_ratio=_layer_ratio(o.layers, top / pad.thickness_mm),
         outlines=(
@@ -137,6 +145,24 @@ def _outline_focus(
             ContactOutline(without_short_sides(back - center), BACK_STEPS * step, o.inner),
         ),
     )
+
+
+def _room(pad: Pad, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places on the border of what outlines may cover of a pad and normals outwards, [n, 2]; on a
+    dome in the plane that touches it at ``place``."""
+    if isinstance(pad, HeightPad):
+        rim = float(rim_distances_mm(pad)[0])
+        along = pad.outline.perimeter_mm * np.arange(_ROOM_SIDES) / _ROOM_SIDES
+        places, normals = pad.outline.at_mm(along)
+        return places - (rim + MIN_FOCUS_EDGE_MM) * normals, normals
+    assert isinstance(pad, DomePad)
+    return _circle(place, max(pad.arc_to_edge_mm(place) - MIN_FOCUS_EDGE_MM, LEAST_CONTACT_MM))
+
+
+def _circle(center: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    angle = 2 * np.pi * np.arange(_ROOM_SIDES) / _ROOM_SIDES
+    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return center + radius * normals, normals
 
 
 def _layer_ratio(layers: int, top_share: float) -> float:

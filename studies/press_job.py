@@ -78,7 +78,7 @@ def press_jobs(press: StandardPress, parameters: FamilyParameters) -> list[Press
     layers = parameters.layer_materials()
     jobs = []
     for text in press.indenters:
-        contact = parse_indenter(text).contact_mm(press.full_depth_mm(pad.thickness_mm))
+        contact = parse_indenter(text).contact(press.full_depth_mm(pad.thickness_mm))
         for place in press.places:
             at = place_mm(grid, place)
             jobs.append(

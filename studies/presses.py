@@ -8,13 +8,13 @@ thickness of the gel, so that thin and thick gels are loaded alike.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from taccel_lab.envs import PHYSICS, Accuracy, parse_indenter
 from taccel_lab.errors import InputError
-from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions, PressMeshOptions
+from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 
 CENTRE = (0.0, 0.0)
 
@@ -124,11 +124,6 @@ class StandardPress:
 
 _CORNERS = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
 
-_PARTS = replace(
-    PHYSICS[Accuracy.DEFAULT].mesh, outline=OutlineMeshOptions(core=8, outer=4, layers=3)
-)
-"""Of tools of several parts: rings follow their common outline, cells lie evenly inside."""
-
 STANDARD_PRESSES: dict[str, StandardPress] = {
     press.name: press
     for press in (
@@ -142,7 +137,6 @@ STANDARD_PRESSES: dict[str, StandardPress] = {
             depth_fraction=0.1,
             depth_limit_mm=0.4,
             steps=3,
-            mesh=_PARTS,
         ),
         StandardPress(
             "shear",
@@ -160,7 +154,6 @@ STANDARD_PRESSES: dict[str, StandardPress] = {
             depth_fraction=0.08,
             depth_limit_mm=0.4,
             steps=3,
-            mesh=_PARTS,
         ),
         StandardPress(
             "places",

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cad.mesh.contact_plan import ContactOutline
 from cad.mesh.dome_shell import even_shell_mesh, focused_shell_mesh
 from cad.mesh.dome_solid import even_solid_mesh, focused_solid_mesh
 from cad.mesh.structured_plan import Focus
@@ -41,10 +42,15 @@ def focused_dome_mesh(
     core: int = 12,
     rings: int = 28,
     layers: int = 4,
+    outlines: tuple[ContactOutline, ContactOutline] | None = None,
+    layer_ratio: float = 1.5,
 ) -> TetMesh:
     """Mesh of ``pad``, fine around gel xy ``focus_mm``, of the same connectivity anywhere.
 
-    Cells are about ``focus_size_mm`` large within ``focus_radius_mm`` and grow outside. ``core``,
+    Cells are about ``focus_size_mm`` large within ``focus_radius_mm`` and grow outside. With
+    ``outlines`` at the contact face and at the back, in the plane that touches the cap there, rings
+    follow those instead, see ``contact_plan``, and layers grow from the uppermost by
+    ``layer_ratio`` or more. ``core``,
     ``rings`` (both even) and ``layers`` alone set the connectivity, with what the pad has: a wall,
     a glued part of it, a window.
     """
@@ -58,10 +64,11 @@ def focused_dome_mesh(
     if core % 2 or rings % 2:
         raise InputError(f"core = {core} and rings = {rings} must both be even")
     focus = _checked_focus(pad, focus_mm, focus_radius_mm, focus_size_mm)
+    counts = {"core": core, "rings": rings, "layers": layers, "layer_ratio": layer_ratio}
     if isinstance(pad, ShellDomePad):
-        mesh = focused_shell_mesh(pad, focus, core=core, rings=rings, layers=layers)
+        mesh = focused_shell_mesh(pad, focus, outlines, **counts)
     elif isinstance(pad, SolidDomePad):
-        mesh = focused_solid_mesh(pad, focus, core=core, rings=rings, layers=layers)
+        mesh = focused_solid_mesh(pad, focus, outlines, **counts)
     else:
         raise InputError(f"no focused mesher for {type(pad).__name__}")
     return _improved(mesh, _FOCUSED_DEG)
@@ -82,7 +89,7 @@ def _checked_focus(
     if center.shape != (2,) or not np.isfinite(center).all():
         raise InputError(f"focus_mm = {center_mm!r} is not a pair of numbers (x, y) in mm")
     away = float(np.hypot(*center))
-    arc = pad.dome_radius_mm * (pad.cap_angle - math.asin(min(away / pad.dome_radius_mm, 1.0)))
+    arc = pad.arc_to_edge_mm(center)
     if away > pad.cap_radius_mm or arc < MIN_FOCUS_EDGE_MM:
         reach = pad.dome_radius_mm * math.sin(
             pad.cap_angle - MIN_FOCUS_EDGE_MM / pad.dome_radius_mm

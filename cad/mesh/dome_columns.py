@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cad.mesh.columns import check_range
+from cad.mesh.columns import check_range, level_fractions
 from cad.mesh.dome_plan import CapGrid, angle_from_disc
 
 EDGE_BOUNDS_MM = (0.2, 6.0)
@@ -103,6 +103,20 @@ def graded_shares(size_mm: np.ndarray, length_mm: np.ndarray, layers: int) -> np
     shares = below / below[-1]
     shares[-1] = 1.0
     return shares
+
+
+def thin_at_outline(
+    size_mm: np.ndarray, outside_mm: np.ndarray, thickness_mm: float, layers: int, ratio: float
+) -> np.ndarray:
+    """Sizes for ``graded_shares`` where rings follow an outline: under it the uppermost of
+    ``layers`` that grow by ``ratio`` over the thickness, farther than that from it ``size_mm``.
+
+    ``outside_mm``: distances of the cap's nodes from the outline, the first of ``size_mm``, [n].
+    """
+    far = np.ones(len(size_mm))
+    far[: len(outside_mm)] = np.clip(outside_mm / thickness_mm, 0, 1)
+    uppermost = float(1 - level_fractions(layers, np.array(ratio))[-2])
+    return (1 - far) * uppermost * thickness_mm + far * size_mm
 
 
 def cell_sizes(points_mm: np.ndarray, quads: np.ndarray) -> np.ndarray:

@@ -8,12 +8,13 @@ grid around any contact which still ends on the cap's edge and keeps all its ang
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from cad.mesh.conformal import disc_automorphism
+from cad.mesh.contact_plan import ContactOutline, contact_plan
 from cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii
 from cad.mesh.structured_plan import Focus
 from cad.mesh.structured_topology import core_perimeter
@@ -21,10 +22,12 @@ from cad.mesh.structured_topology import core_perimeter
 LARGEST_CORE = 0.52
 """Half width of the core over the ring around it at most: its corners reach 1.28 times as far."""
 _CORE_CLEARANCE = 0.9
-_EDGE_DECAY = 3
-"""Power of the radius with which that turn sets in."""
+_TURN_FROM, _EDGE_DECAY = 0.4, 2
+"""Radius and power with which that turn sets in: what lies around the focus keeps its shape."""
 _EDGE_SHARE = 0.75
 """How far ring nodes on the cap's edge turn from where the Moebius map puts them to even ones."""
+_RIGID_TO = (0.1, 0.4)
+"""Radii up to which a grid is rotated onto its focus, and from which the Moebius map moves it."""
 _DEEP_SHARE = 0.2
 """How far the grid deep under a focus follows it: columns that lean less have better tets."""
 _FIRST_SPOKE = -0.75 * np.pi
@@ -88,11 +91,18 @@ def even_cap(grid: CapGrid, cap_angle: float, window_angle: float | None) -> np.
     return u
 
 
-def focused_cap(grid: CapGrid, cap_angle: float, sphere_mm: float, focus: Focus) -> np.ndarray:
+def focused_cap(
+    grid: CapGrid,
+    cap_angle: float,
+    sphere_mm: float,
+    focus: Focus,
+    outline: ContactOutline | None = None,
+) -> np.ndarray:
     """Disc points graded around a focus on the sphere, complex, shape [nodes of the grid].
 
-    Inside the focus cells are about ``focus.size_mm`` large, outside they grow by one factor. The
-    last ring lies on the cap's edge.
+    Inside the focus cells are about ``focus.size_mm`` large, outside they grow by one factor. With
+    an ``outline``, in the plane that touches the sphere there, rings follow that instead. The last
+    ring lies on the cap's edge.
     """
     center, per_mm = _focus_in_disc(cap_angle, sphere_mm, focus.center_mm)
     scale = per_mm / (1 - abs(center) ** 2)
@@ -106,7 +116,28 @@ def focused_cap(grid: CapGrid, cap_angle: float, sphere_mm: float, focus: Focus)
     rho = ring_radii(start, reach, even, grid.cap_rings)
     core = half * (bulged_core(grid.core) @ np.array([1, 1j])).ravel()
     zeta = np.concatenate([core, (rho * np.exp(1j * theta)).ravel()])
-    return _moved_to(center, zeta, _even_radii(grid, cap_angle))
+    if outline is not None:
+        plan = np.stack([zeta.real, zeta.imag], axis=1) / scale
+        drawn = replace(outline, points_mm=_projected(outline.points_mm, sphere_mm))
+        plan = contact_plan(plan, grid.core, grid.cap_rings, np.zeros(2), drawn)
+        zeta = scale * (plan @ np.array([1, 1j]))
+    return _moved_to(center, zeta, _even_radii(grid, cap_angle), cap_angle)
+
+
+def outside_outline_mm(
+    disc: np.ndarray, cap_angle: float, sphere_mm: float, focus: Focus, outline: ContactOutline
+) -> np.ndarray:
+    """How far disc points lie outside an outline about the focus, in its plane [mm], [n] -> [n]."""
+    center, per_mm = _focus_in_disc(cap_angle, sphere_mm, focus.center_mm)
+    zeta = disc_automorphism(disc, -center) * (1 - abs(center) ** 2) / per_mm
+    return outline.distance_mm(np.stack([np.real(zeta), np.imag(zeta)], axis=1))
+
+
+def _projected(points_mm: np.ndarray, sphere_mm: float) -> np.ndarray:
+    """Where points over the plane that touches a sphere [mm], [n, 2], lie in the stereographic
+    projection from its other pole onto that plane."""
+    sine = np.linalg.norm(points_mm, axis=1, keepdims=True) / sphere_mm
+    return 2 * points_mm / (1 + np.sqrt(np.maximum(1 - sine**2, 0)))
 
 
 def even_cap_around(grid: CapGrid, cap_angle: float, sphere_mm: float, focus: Focus) -> np.ndarray:
@@ -114,15 +145,20 @@ def even_cap_around(grid: CapGrid, cap_angle: float, sphere_mm: float, focus: Fo
     center, _ = _focus_in_disc(cap_angle, sphere_mm, focus.center_mm)
     center *= _DEEP_SHARE
     even = even_cap(CapGrid(grid.core, 0, grid.cap_rings), cap_angle, None)
-    return _moved_to(center, even, _even_radii(grid, cap_angle))
+    return _moved_to(center, even, _even_radii(grid, cap_angle), cap_angle)
 
 
 def _even_radii(grid: CapGrid, cap_angle: float) -> np.ndarray:
     return np.abs(even_cap(CapGrid(grid.core, 0, grid.cap_rings), cap_angle, None))
 
 
-def _moved_to(center: complex, zeta: np.ndarray, edge_share: np.ndarray) -> np.ndarray:
+def _moved_to(
+    center: complex, zeta: np.ndarray, edge_share: np.ndarray, cap_angle: float
+) -> np.ndarray:
     """Disc points moved by the Moebius map that takes 0 to ``center``; the last ring stays on 1.
+
+    That map bends lines around the centre, so that points there are moved by a rotation of the
+    sphere instead, which agrees with it to first order and keeps every shape.
 
     The map alone would leave long chords on the far side of the disc's edge, so points turn
     towards even spacing there, the more the nearer ``edge_share`` is to 1. All gradings of one grid
@@ -130,8 +166,17 @@ def _moved_to(center: complex, zeta: np.ndarray, edge_share: np.ndarray) -> np.n
     """
     spoke = zeta / np.maximum(np.abs(zeta), 1e-300)
     turn = np.angle(disc_automorphism(spoke, -center) * np.conj(spoke))
-    turned = zeta * np.exp(1j * _EDGE_SHARE * edge_share**_EDGE_DECAY * turn)
+    beyond = np.maximum(0.0, (edge_share - _TURN_FROM) / (1 - _TURN_FROM))
+    turned = zeta * np.exp(1j * _EDGE_SHARE * beyond**_EDGE_DECAY * turn)
     disc = disc_automorphism(turned, center)
+    # The rotation in stereographic coordinates.
+    half = np.tan(0.5 * cap_angle)
+    pole = center * half
+    unit = (1 - abs(center) ** 2) * half / (1 + abs(pole) ** 2)
+    rotated = (unit * turned + pole) / (1 - np.conj(pole) * unit * turned) / half
+    low, high = _RIGID_TO
+    blend = np.clip((np.abs(turned) - low) / (high - low), 0, 1)
+    disc = rotated + blend**2 * (3 - 2 * blend) * (disc - rotated)
     edge = np.isclose(edge_share, 1, rtol=0, atol=1e-12)
     disc[edge] /= np.abs(disc[edge])
     return disc

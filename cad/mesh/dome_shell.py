@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from cad.mesh.columns import check_unfolded
+from cad.mesh.contact_plan import ContactOutline
 from cad.mesh.dome_columns import (
     FOLD_REMEDY,
     Columns,
@@ -17,8 +18,9 @@ from cad.mesh.dome_columns import (
     dome_columns,
     even_drops,
     graded_shares,
+    thin_at_outline,
 )
-from cad.mesh.dome_plan import LARGEST_CORE, CapGrid, even_cap, focused_cap
+from cad.mesh.dome_plan import LARGEST_CORE, CapGrid, even_cap, focused_cap, outside_outline_mm
 from cad.mesh.structured_plan import Focus
 from cad.mesh.structured_topology import grid_topology, plan_quads, ring_of_node
 from cad.parts.dome_pad import ShellDomePad
@@ -42,7 +44,14 @@ def even_shell_mesh(pad: ShellDomePad, edge_mm: float = 1.0) -> TetMesh:
 
 
 def focused_shell_mesh(
-    pad: ShellDomePad, focus: Focus, *, core: int, rings: int, layers: int
+    pad: ShellDomePad,
+    focus: Focus,
+    outlines: tuple[ContactOutline, ContactOutline] | None,
+    *,
+    core: int,
+    rings: int,
+    layers: int,
+    layer_ratio: float,
 ) -> TetMesh:
     """Mesh of ``pad``, fine around a contact; the same connectivity wherever the contact is.
 
@@ -52,7 +61,8 @@ def focused_shell_mesh(
     share = pad.window_angle / pad.cap_angle
     window = int(np.clip(round(share * rings), 1, rings - 1)) if pad.window_deg else 0
     grid = DomeGrid(CapGrid(core, window, rings), free_rings=skirt, bonded_rings=0)
-    disc = focused_cap(grid.cap, pad.cap_angle, pad.dome_radius_mm, focus)
+    face, back = outlines or (None, None)
+    disc = focused_cap(grid.cap, pad.cap_angle, pad.dome_radius_mm, focus, face)
     drops = even_drops(pad.skirt_mm, skirt)
     columns = dome_columns(grid, disc, pad.cap_angle, drops)
     outside = columns.on_sphere_and_wall(pad.dome_radius_mm, -pad.dome_radius_mm)
@@ -62,9 +72,12 @@ def focused_shell_mesh(
         1 + _LEAN * pad.thickness_mm / focus.radius_mm,
     )
     deep = Focus(focus.center_mm, wide * focus.radius_mm, wide * focus.size_mm)
-    below = focused_cap(grid.cap, pad.cap_angle, pad.dome_radius_mm, deep)
+    below = focused_cap(grid.cap, pad.cap_angle, pad.dome_radius_mm, deep, back)
     base = dome_columns(grid, below, pad.cap_angle, drops)
     sizes = cell_sizes(outside, plan_quads(core, grid.rings))
+    if face is not None:
+        away = outside_outline_mm(disc, pad.cap_angle, pad.dome_radius_mm, focus, face)
+        sizes = thin_at_outline(sizes, away, pad.thickness_mm, layers, layer_ratio)
     length = np.full(len(sizes), pad.thickness_mm)
     return _assemble(pad, grid, columns, graded_shares(sizes, length, layers), base)
 

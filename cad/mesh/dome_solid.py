@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cad.mesh.columns import check_unfolded
+from cad.mesh.contact_plan import ContactOutline
 from cad.mesh.dome_columns import (
     FOLD_REMEDY,
     Columns,
@@ -24,8 +25,16 @@ from cad.mesh.dome_columns import (
     dome_columns,
     even_drops,
     graded_shares,
+    thin_at_outline,
 )
-from cad.mesh.dome_plan import LARGEST_CORE, CapGrid, even_cap, even_cap_around, focused_cap
+from cad.mesh.dome_plan import (
+    LARGEST_CORE,
+    CapGrid,
+    even_cap,
+    even_cap_around,
+    focused_cap,
+    outside_outline_mm,
+)
 from cad.mesh.refined_topology import RefinedTopology, level_of_node, refined_topology
 from cad.mesh.structured_plan import Focus
 from cad.mesh.structured_topology import plan_quads, ring_of_node
@@ -78,26 +87,37 @@ def even_solid_mesh(pad: SolidDomePad, edge_mm: float = 1.0) -> TetMesh:
 
 
 def focused_solid_mesh(
-    pad: SolidDomePad, focus: Focus, *, core: int, rings: int, layers: int
+    pad: SolidDomePad,
+    focus: Focus,
+    outlines: tuple[ContactOutline, ContactOutline] | None,
+    *,
+    core: int,
+    rings: int,
+    layers: int,
+    layer_ratio: float,
 ) -> TetMesh:
     """Mesh of ``pad``, fine around a contact; the same connectivity wherever the contact is.
 
     ``core`` and ``rings`` count the fine plan; ``layers`` of it lie under the contact face, and
-    that many and a half again, of the coarse plan, below.
+    as many of the coarse plan below.
     """
     whole = rings // 2
     bonded = 1 if pad.bonded_wall_mm else 0
     free = max(2, whole // 7)
     coarse = DomeGrid(CapGrid(core // 2, 0, whole), free, bonded)
     fine = _doubled(coarse)
-    disc = focused_cap(fine.cap, pad.cap_angle, pad.dome_radius_mm, focus)
+    face = None if outlines is None else outlines[0]
+    disc = focused_cap(fine.cap, pad.cap_angle, pad.dome_radius_mm, focus, face)
     drops = _wall_drops(pad, fine)
     columns = dome_columns(fine, disc, pad.cap_angle, drops)
     deep = even_cap_around(fine.cap, pad.cap_angle, pad.dome_radius_mm, focus)
     inside = _on_pocket(pad, fine, dome_columns(fine, deep, pad.cap_angle, drops))
     outside = columns.on_sphere_and_wall(pad.dome_radius_mm, -pad.dome_radius_mm)
     sizes = cell_sizes(outside, plan_quads(fine.cap.core, fine.rings))
-    counts = _Layers(coarse=3 * layers, fine=layers)
+    if face is not None:
+        away = outside_outline_mm(disc, pad.cap_angle, pad.dome_radius_mm, focus, face)
+        sizes = thin_at_outline(sizes, away, pad.thickness_mm, layers, layer_ratio)
+    counts = _Layers(coarse=layers + 1, fine=layers)
     length = np.linalg.norm(outside - inside, axis=1)
     shares = graded_shares(sizes, length, counts.coarse + 1 + counts.fine)
     return _assemble(pad, coarse, fine, columns, inside, shares, counts)

@@ -20,7 +20,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 
 DEFAULT_EDGE_MM = 1.0
-DOME_RINGS = 8
+DOME_RINGS = 4
 """Rings that a dome needs beyond those of a pad: from the apex to its edge it is twice as far."""
 
 
@@ -41,7 +41,7 @@ class FocusOptions:
     """Thickness of a layer over that of the one above it, at the contact."""
     outlines: tuple[ContactOutline, ContactOutline] | None = None
     """What the rings follow around the contact instead of circles, at the contact face and at the
-    back; domes go without."""
+    back; on a dome in the plane that touches it there."""
     lean: float = 1.0
     """Power of the depth by which columns lean from the face's plan to the back's; above 1 they
     are steeper where the layers are thin."""
@@ -91,5 +91,7 @@ def focused_gel_mesh(pad: Pad, focus: FocusOptions) -> TetMesh:
             core=focus.core,
             rings=focus.rings + DOME_RINGS,
             layers=focus.layers,
+            outlines=focus.outlines,
+            layer_ratio=focus.layer_ratio,
         )
     raise InputError(f"no focused mesher for {type(pad).__name__}")

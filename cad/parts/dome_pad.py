@@ -76,6 +76,11 @@ class DomePad(Pad):
         [..., 2] -> [...]."""
         return self.cap_radius_mm - np.linalg.norm(np.asarray(xy_mm, dtype=np.float64), axis=-1)
 
+    def arc_to_edge_mm(self, xy_mm: np.ndarray) -> float:
+        """Length along the cap from its point over gel xy, [2], to its edge [mm]."""
+        away = min(float(np.hypot(*xy_mm)) / self.dome_radius_mm, 1.0)
+        return self.dome_radius_mm * (self.cap_angle - math.asin(away))
+
     def contact_error_mm(self, points_mm: np.ndarray) -> np.ndarray:
         """Distance of points from the contact face's sphere [mm], [n, 3] -> [n]."""
         center = np.array([0, 0, -self.dome_radius_mm])

@@ -154,7 +154,7 @@ class Press:
                 profile.sensor.family,
                 profile.sensor.parameters,
                 self.at_mm,
-                indenter.contact_mm(self.depth_mm),
+                indenter.contact(self.depth_mm),
                 physics.mesh,
             )
         except InputError as error:

@@ -13,6 +13,7 @@ import numpy as np
 
 from taccel_lab.envs.prisms import edge_mesh, grating_mesh, pair_mesh, roller_mesh
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
 
 ALLOWED = (
@@ -35,25 +36,13 @@ class Indenter:
     """As given on the command line."""
     shape: Ball | TriangleMesh
 
-    def contact_mm(self, depth_mm: float) -> float | np.ndarray:
-        """About how far the contact of a press reaches [mm], by the shape's section at half of the
-        depth: its radius for a ball, which is Hertz's, else its convex outline in the indenter's
-        plane, counter-clockwise, shape [n, 2]."""
-        half = 0.5 * depth_mm * 1e-3
-        if isinstance(self.shape, Ball):
-            radius = self.shape.radius_m
-            return 1e3 * (math.sqrt(half * (2 * radius - half)) if half < radius else radius)
-        from scipy.spatial import ConvexHull
-
-        vertices = self.shape.vertices_m
-        level = vertices[:, 2].min() + half
-        ends = vertices[self.shape.edges()]
-        below = ends[..., 2] <= level
-        cut = ends[below[:, 0] != below[:, 1]]
-        rise = cut[:, 1] - cut[:, 0]
-        crossing = cut[:, 0] + ((level - cut[:, 0, 2]) / rise[:, 2])[:, None] * rise
-        section = np.concatenate([vertices[vertices[:, 2] <= level], crossing])[:, :2] * 1e3
-        return section[ConvexHull(section).vertices]
+    def contact(self, depth_mm: float) -> float | ToolSection:
+        """About what of a gel a press touches, by the shape's section at half of the depth: a
+        ball's radius there [mm], which is Hertz's, else the section itself."""
+        if not isinstance(self.shape, Ball):
+            return ToolSection.of(self.shape.vertices_m, self.shape.faces, depth_mm)
+        half, radius = 0.5 * depth_mm * 1e-3, self.shape.radius_m
+        return 1e3 * (math.sqrt(half * (2 * radius - half)) if half < radius else radius)
 
 
 def parse_indenter(text: str) -> Indenter:

@@ -51,8 +51,9 @@ class PressPhysics:
     def record(self) -> dict[str, Any]:
         """As JSON: for caches, results and the profile's material block."""
         record = dataclasses.asdict(self)
-        outline = record["mesh"].pop("outline")
-        record["mesh"] |= {f"outline_{name}": value for name, value in outline.items()}
+        for kind in ("outline", "scattered"):
+            options = record["mesh"].pop(kind)
+            record["mesh"] |= {f"{kind}_{name}": value for name, value in options.items()}
         return record
 
 
@@ -69,6 +70,7 @@ PHYSICS: dict[Accuracy, PressPhysics] = {
             rings=16,
             layers=5,
             outline=OutlineMeshOptions(core=8, inner=5, outer=11, layers=6, top=0.04),
+            scattered=OutlineMeshOptions(core=20, inner=2, outer=8, layers=5, top=0.05),
         ),
         dhat_m=3e-6,
         relative_tolerance=1e-5,

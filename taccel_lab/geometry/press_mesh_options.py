@@ -38,6 +38,9 @@ class PressMeshOptions:
     """Thickness of the uppermost layer in contact radii, where the number of layers allows it."""
     outline: OutlineMeshOptions = OutlineMeshOptions()
     """What tools with an outline take instead."""
+    scattered: OutlineMeshOptions = OutlineMeshOptions(core=8, outer=4)
+    """What those of several parts take, whose outline is mostly filled with gaps: gratings, pairs.
+    Rings follow their common outline, cells lie evenly inside."""
 
 
 DEFAULT_PRESS_MESH = PressMeshOptions()

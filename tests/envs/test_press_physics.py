@@ -23,7 +23,7 @@ def pressed(
     depth_mm: float, physics: PressPhysics = DEFAULT, indenter: str = "sphere:4", nu: float = 0.45
 ) -> PressEnv:
     tool = parse_indenter(indenter)
-    mesh = press_mesh("flat_pad", PAD, (0.0, 0.0), tool.contact_mm(depth_mm), physics.mesh)
+    mesh = press_mesh("flat_pad", PAD, (0.0, 0.0), tool.contact(depth_mm), physics.mesh)
     env = PressEnv(mesh, Material(0.15e6, nu), tool, np.zeros((1, 2)), physics=physics)
     env.follow(PressPath(depth_mm, step_mm=0.5))
     return env
@@ -46,7 +46,7 @@ def test_the_default_is_within_three_per_cent_and_says_so(depth_mm: float) -> No
 def test_tools_with_rims_are_too(indenter: str, depth_mm: float, converged_n: float) -> None:
     """Even meshes of as many nodes are 13, 24 and 7 per cent off."""
     tool = parse_indenter(indenter)
-    mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact_mm(depth_mm))
+    mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact(depth_mm))
     env = PressEnv(mesh, Material(0.15e6, 0.4), tool, np.array([[0.7, -0.4]]))
     env.move_to(depth_mm)
     assert env.press_force[0, 2] == pytest.approx(converged_n, rel=0.03)
@@ -56,7 +56,7 @@ def test_tools_with_rims_are_too(indenter: str, depth_mm: float, converged_n: fl
 def test_a_sharp_edge_goes_deep() -> None:
     """Without guards along the edges of tets those below the ends of the blade turn inside out."""
     tool = parse_indenter("edge:90x6")
-    mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact_mm(0.6))
+    mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact(0.6))
     env = PressEnv(mesh, Material(0.15e6, 0.4), tool, np.array([[0.7, -0.4]]))
     env.follow(PressPath(0.6))
     assert env.press_force[0, 2] == pytest.approx(0.3085, rel=0.03)
@@ -65,7 +65,7 @@ def test_a_sharp_edge_goes_deep() -> None:
 def test_friction_under_a_sharp_edge_settles() -> None:
     """Took 584 iterations in four parts while the way to the edge counted as sliding; 60 now."""
     tool = parse_indenter("edge:90x6")
-    mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact_mm(0.1))
+    mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact(0.1))
     gel = Material(0.15e6, 0.4)
     env = PressEnv(mesh, gel, tool, np.array([[0.7, -0.4]]), friction_coefficient=0.5)
     report = env.move_to(0.1)

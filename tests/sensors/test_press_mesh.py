@@ -13,11 +13,17 @@ from hypothesis import strategies as st
 from cad.mesh.quality_measures import dihedral_angles_deg
 from sensors.press_mesh import press_mesh
 from sensors.registry import sensor_families, sensor_family
-from taccel_lab.envs import PressMeshOptions
+from taccel_lab.envs import PressMeshOptions, normal_frame
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.tool_section import ToolSection
+from taccel_lab.ipc.affine.embedding import rotate
 
 SMALL = PressMeshOptions(elements_per_radius=4.0, core=6, rings=10, layers=3)
+
+
+def section(outline_mm: np.ndarray, filled: float = 1.0) -> ToolSection:
+    return ToolSection(outline_mm, filled, depth_mm=0.6)
 
 
 RECTANGLE = np.array([[-0.1, -3.0], [0.1, -3.0], [0.1, 3.0], [-0.1, 3.0]])
@@ -90,11 +96,9 @@ def test_every_family_has_one(name: str) -> None:
         (("gelsight", {}, (11.5, 0.0), 1.0), r"focus_mm = \(11\.5, 0\).*at least 1\.5 mm"),
         (("gelsight", {}, (40.0, 0.0), 1.0), r"focus_mm = \(40, 0\)"),
         (("gelsight", {}, (0.0, math.nan), 1.0), "focus_mm"),
-        (("gelsight", {}, (0.0, 0.0), 0.0), r"contact_mm .* above 0 mm, got 0"),
-        (("gelsight", {}, (0.0, 0.0), np.ones(4)), r"contact_mm must be a radius, or an outline"),
-        (("gelsight", {}, (0.0, 0.0), np.full((4, 2), np.nan)), r"an outline of finite xy"),
-        (("gelsight", {}, (11.5, 0.0), RECTANGLE), r"lies .* inside the pad's edge"),
-        (("gelsight", {}, (0.0, 0.0), math.nan), "contact_mm .* got nan"),
+        (("gelsight", {}, (0.0, 0.0), 0.0), r"radius must be above 0 mm, got 0"),
+        (("gelsight", {}, (11.5, 0.0), section(RECTANGLE)), r"lies .* inside the pad's edge"),
+        (("gelsight", {}, (0.0, 0.0), math.nan), "radius .* got nan"),
     ],
 )
 def test_refused(arguments: tuple, message: str) -> None:
@@ -112,7 +116,7 @@ def disc(radius_mm: float) -> np.ndarray:
 )
 def test_edges_of_the_mesh_lie_on_the_outline_and_are_short_across_it(outline: np.ndarray) -> None:
     at_mm = np.array([1.0, -0.5])
-    mesh = press_mesh("flat_pad", {}, (1.0, -0.5), outline)
+    mesh = press_mesh("flat_pad", {}, (1.0, -0.5), section(outline))
     places, lengths = contact_edges(mesh)
     ahead = np.roll(outline, -1, axis=0) - outline
     normal = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
@@ -128,7 +132,7 @@ def test_edges_of_the_mesh_lie_on_the_outline_and_are_short_across_it(outline: n
 
 @settings(max_examples=20)
 @given(
-    name=st.sampled_from(["flat_pad", "gelsight_mini", "digit", "9dtact"]),
+    name=st.sampled_from(["flat_pad", "gelsight_mini", "digit", "9dtact", "rtac", "digit_360"]),
     x=st.floats(-6.0, 6.0),
     y=st.floats(-6.0, 6.0),
     wide=st.floats(0.05, 4.0),
@@ -141,8 +145,36 @@ def test_outlines_of_any_shape_share_arrays(
     """Also those that reach beyond the pad."""
     corners = np.array([[-wide, -long], [wide, -long], [wide, long], [-wide, long]])
     rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
-    mesh = press_mesh(name, {}, (x, y), corners @ rotation)
-    plain = press_mesh(name, {}, (0.0, 0.0), disc(1.5))
+    mesh = press_mesh(name, {}, (x, y), section(corners @ rotation))
+    plain = press_mesh(name, {}, (0.0, 0.0), section(disc(1.5)))
     assert np.array_equal(mesh.tets, plain.tets)
     assert np.array_equal(mesh.face_regions, plain.face_regions)
     assert (mesh.volumes_m3() > 0).all()
+
+
+@pytest.mark.parametrize("name", ["rtac", "digit_360"])
+@pytest.mark.parametrize("at", [(0.0, 0.0), (3.0, -2.0)])
+def test_rings_on_a_dome_follow_the_outline(name: str, at: tuple[float, float]) -> None:
+    outline = RECTANGLE * [1.0, 0.4]
+    pad = sensor_family(name).pad(sensor_family(name).parameters(None))
+    mesh = press_mesh(name, {}, at, section(outline))
+    place = np.array(at)
+    frame = normal_frame(np.append(place, pad.top_mm(place)), pad.top_normal(place))
+    places = mesh.nodes_m[np.unique(mesh.region_faces(Region.CONTACT))] * 1e3 - frame[:3]
+    local = np.abs(rotate(frame[3:] * [-1, -1, -1, 1], places))
+    from_sides = local[:, :2] - np.abs(outline).max(axis=0)
+    on = np.abs(from_sides.max(axis=1)) < 5e-3
+    # A node for each of the 16 spokes, at the height of the dome.
+    assert on.sum() == 16
+    assert local[on, 2].max() < 0.1
+
+
+def test_tools_full_of_gaps_have_even_cells_inside() -> None:
+    """Where the gaps are no ring can know; the same outline, filled, has rings at its border."""
+    outline = disc(2.0)
+    inside = []
+    for filled in (1.0, 0.5):
+        mesh = press_mesh("flat_pad", {}, (0.0, 0.0), section(outline, filled))
+        places, lengths = contact_edges(mesh)
+        inside.append(lengths[np.linalg.norm(places[:, :2], axis=1) < 1.0].max())
+    assert inside[1] < 0.7 * inside[0]

@@ -38,7 +38,7 @@ def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact() -> None:
     profile = catalogue_profile("gelsight_mini")
     family, grid = sensor_family("gelsight_mini"), profile.grid()
     tool, physics = parse_indenter("sphere:2"), PHYSICS[Accuracy.FAST]
-    mesh = press_mesh("gelsight_mini", {}, (0.0, 0.0), tool.contact_mm(0.1), physics.mesh)
+    mesh = press_mesh("gelsight_mini", {}, (0.0, 0.0), tool.contact(0.1), physics.mesh)
     arguments = (mesh, Material(1e5, 0.46), tool, (0.0, 0.0), PressPath(0.1), grid)
     plain = simulate_press(*arguments, physics=physics)
     designed = rest_surface(profile.mesh, grid)

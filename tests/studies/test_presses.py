@@ -86,7 +86,7 @@ def test_places_are_parts_of_the_view() -> None:
 def test_a_press_of_a_study_is_meshed_as_any_press() -> None:
     job = press_jobs(STANDARD_PRESSES["punch"], GelSightParameters())[0]
     pad = GelSightParameters().pad()
-    outline = parse_indenter("cylinder:2").contact_mm(0.15 * pad.thickness_mm)
+    outline = parse_indenter("cylinder:2").contact(0.15 * pad.thickness_mm)
     mesh = press_mesh("gelsight", {}, (0.0, 0.0), outline)
     assert np.array_equal(job.mesh.tets, mesh.tets)
     assert job.mesh.nodes_m == pytest.approx(mesh.nodes_m, abs=1e-12)

@@ -36,7 +36,7 @@ def pressed_n(
     tool = parse_indenter(indenter)
     mesh = press_mesh(
         profile.sensor.family, profile.sensor.parameters, (0.0, 0.0),
-        tool.contact_mm(depth_mm), physics.mesh,
+        tool.contact(depth_mm), physics.mesh,
     )  # fmt: skip
     outcome = simulate_press(
         mesh, profile_material(profile.material, mesh), tool, (0.0, 0.0), PressPath(depth_mm),
