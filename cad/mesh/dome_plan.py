@@ -117,7 +117,7 @@ def focused_cap(
     core = half * (bulged_core(grid.core) @ np.array([1, 1j])).ravel()
     zeta = np.concatenate([core, (rho * np.exp(1j * theta)).ravel()])
     if outline is not None:
-        plan = np.stack([zeta.real, zeta.imag], axis=1) / scale
+        plan = np.stack([np.real(zeta), np.imag(zeta)], axis=1) / scale
         drawn = replace(outline, points_mm=_projected(outline.points_mm, sphere_mm))
         plan = contact_plan(plan, grid.core, grid.cap_rings, np.zeros(2), drawn)
         zeta = scale * (plan @ np.array([1, 1j]))
