@@ -37,7 +37,7 @@ LEAST_CONTACT_MM = 0.05
 """Least radius or half width that a mesh is graded for."""
 LEAST_FILLED = 0.85
 """Part of its outline that a tool fills at least, or it counts as scattered."""
-STEP_OF_TOP = 0.4
+STEP_OF_TOP = 0.6
 """First step outside an outline over the thickness of the uppermost layer."""
 BACK_SHARE, BACK_STEPS = 0.6, 5.0
 """A contact's least half width at the back, as a part of the thickness, and how much longer the

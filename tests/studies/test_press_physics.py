@@ -125,7 +125,7 @@ def test_far_pins_are_told_apart_and_near_ones_less() -> None:
             depth_fraction=0.0,
             depth_mm=0.4,
             steps=1,
-            mesh=replace(DEFAULT, outline=OutlineMeshOptions(core=8, outer=2, layers=2)),
+            mesh=replace(DEFAULT, scattered=OutlineMeshOptions(core=8, outer=2, layers=2)),
         )
         x, change = profile_mm(pressed(press, thickness_mm=4.0), 0.6 + gap)
         contrasts.append(contrast(x, -change, 0.3 + gap / 2))
