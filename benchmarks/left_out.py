@@ -24,18 +24,24 @@ class Choice:
     gain: float
     """Mean over the other sets of the value's figure less the default's."""
     noise: float
-    """Standard error of the gain: scatter of presses, and of seeds where there are several."""
+    """Standard error of the gain: scatter of presses, and of seeds."""
 
 
-def choose_left_out(scores: Scores, default: str) -> list[Choice]:
+def choose_left_out(
+    scores: Scores, default: str, seed_deviation: Mapping[str, float] | None = None
+) -> list[Choice]:
     """For every set the value with the best mean over the others; the default where it is as good.
 
-    Gains are paired: the same press, the same seed.
+    Gains are paired: the same press, the same seed. Where there is one seed alone,
+    ``seed_deviation`` says how far another moves the mean of each set.
     """
+    moved = seed_deviation or {}
     found = []
     for left_out in scores[default]:
         others = [name for name in scores[default] if name != left_out]
-        gains = {value: _gain(by_set, scores[default], others) for value, by_set in scores.items()}
+        gains = {
+            value: _gain(by_set, scores[default], others, moved) for value, by_set in scores.items()
+        }
         best = max(gains, key=lambda value: (gains[value][0], value == default))
         found.append(Choice(left_out, best, *gains[best]))
     return found
@@ -48,7 +54,10 @@ def beats_default(choices: list[Choice], default: str) -> bool:
 
 
 def _gain(
-    by_set: Mapping[str, np.ndarray], reference: Mapping[str, np.ndarray], sets: list[str]
+    by_set: Mapping[str, np.ndarray],
+    reference: Mapping[str, np.ndarray],
+    sets: list[str],
+    moved: Mapping[str, float],
 ) -> tuple[float, float]:
     """Mean over sets of the paired gain, and its standard error."""
     means, variances = [], []
@@ -59,5 +68,7 @@ def _gain(
         variance = gain.mean(axis=0).var(ddof=1) / presses
         if seeds > 1:
             variance += gain.mean(axis=1).var(ddof=1) / seeds
+        else:
+            variance += 2 * moved.get(name, 0.0) ** 2
         variances.append(variance)
     return float(np.mean(means)), float(np.sqrt(np.sum(variances)) / len(sets))

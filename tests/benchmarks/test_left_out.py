@@ -73,8 +73,13 @@ def test_seeds_that_disagree_are_noise() -> None:
 
 
 def test_one_seed_is_enough() -> None:
-    found = choose_left_out(scores({"low": (30,) * 3, "high": (31,) * 3}, 0.1, seeds=1), "low")
-    assert all(0 < choice.noise < 0.1 for choice in found)
+    given = scores({"low": (30,) * 3, "high": (31,) * 3}, 0.1, seeds=1)
+    found = choose_left_out(given, "low")
+    assert all(0 < choice.noise < 0.1 for choice in found) and beats_default(found, "low")
+    # Another seed is known to move either mean of either set by 0.6.
+    moved = choose_left_out(given, "low", dict.fromkeys(SETS, 0.6))
+    assert moved[0].noise == pytest.approx(np.hypot(found[0].noise, 0.6))
+    assert not beats_default(moved, "low")
 
 
 def test_each_default_is_what_the_calibration_has() -> None:
