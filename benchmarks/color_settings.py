@@ -57,7 +57,7 @@ def _each(make: Callable[..., Candidate], name: str, *values: float) -> dict[str
 SETTINGS: dict[str, tuple[str, dict[str, Candidate]]] = {
     "units of a layer": ("64", {str(n): network(hidden=(n,) * 3) for n in (16, 32, 64, 96)}),
     "layers": ("3", {str(n): network(hidden=(64,) * n) for n in (1, 2, 3, 4)}),
-    "learning rate": ("0.004", _each(network, "learning_rate", 0.0013, 0.004, 0.012)),
+    "learning rate": ("0.004", _each(network, "learning_rate", 0.0013, 0.004, 0.012, 0.02, 0.036)),
     "pixels drawn [11,500 a press]": ("1", {f"{n:g}": _pixels(n) for n in (0.5, 1, 2)}),
     "Huber's bend [levels]": ("2", _each(network, "huber_levels", 1.0, 2.0, 4.0)),
     "factors on radii": (
@@ -73,7 +73,7 @@ SETTINGS: dict[str, tuple[str, dict[str, Candidate]]] = {
     "prior of a centre [px]": ("2", _each(circles, "center_sigma_px", 1.0, 2.0, 4.0)),
     "prior of a radius": ("0.05", _each(circles, "radius_sigma", 0.025, 0.05, 0.1)),
     "table: reach [radii]": ("2.5", _each(table, "reach_radii", 1.0, 2.0, 2.5, 3.0)),
-    "table: pull": ("0.01", _each(table, "ridge", 0.005, 0.01, 0.02)),
+    "table: pull": ("0.01", _each(table, "ridge", 0.001, 0.0025, 0.005, 0.01, 0.02)),
 }
 """Setting: its default, and the values that are tried."""
 
