@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solver, ray-cast camera, calibration, and an object that is no ball and that neither saw.
 
-The captures are made by what the calibration does not use: a finer mesh and a narrower contact
-range, friction under the tool, a camera with perspective, refraction and shadows, and noise. The
-profile then has to say what a roller looks like, and to read its shape from the picture.
+The captures are made by what the calibration does not use: a mesh of their own, graded for a disc
+whatever touches, friction under the tool, a camera with perspective, refraction and shadows, and
+noise. The profile then has to say what a roller looks like, and to read its shape from the picture.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from taccel_lab.cli.app import main
 from taccel_lab.envs import PressOutcome, PressPath, parse_indenter, simulate_press
 from taccel_lab.envs.physics import PHYSICS, Accuracy
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions, PressMeshOptions
+from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.profile import SensorProfile, load_profile
 from taccel_lab.scene import Material
@@ -38,13 +38,10 @@ NOISE_LEVELS = 1.5
 TIMEOUT_S = 1800
 TRUTH = replace(
     PHYSICS[Accuracy.DEFAULT],
-    mesh=PressMeshOptions(
-        elements_per_radius=6.5, core=8, rings=12, layers=4,
-        outline=OutlineMeshOptions(core=6, inner=3, outer=8, layers=5, top=0.07),
-    ),
-    dhat_m=5e-6,
-)  # fmt: skip
-"""Between the mesh that surfaces of presses are simulated on and that of a reference."""
+    mesh=PressMeshOptions(elements_per_radius=4.5, core=6, rings=8, layers=3),
+)
+CONTACT_MM = 1.3
+"""Radius of the disc that meshes of the captures are graded for, whatever touches."""
 FRICTION = 0.3
 OBJECT, OBJECT_AT_MM, OBJECT_DEPTH_MM = "roller:1.5x4", (1.2, -0.8), 0.5
 
@@ -85,7 +82,7 @@ class Camera:
 def truth(grid: PixelGrid, indenter: str, at_mm: tuple[float, float], depth_mm: float) -> Any:
     """A press as it happens on the bench."""
     tool = parse_indenter(indenter)
-    mesh = press_mesh(FAMILY, {}, at_mm, tool.contact_mm(depth_mm), TRUTH.mesh)
+    mesh = press_mesh(FAMILY, {}, at_mm, CONTACT_MM, TRUTH.mesh)
     return simulate_press(
         mesh, Material(1.5e5, 0.48), tool, at_mm, PressPath(depth_mm), grid,
         friction_coefficient=FRICTION, physics=TRUTH,
