@@ -201,10 +201,10 @@ def run(bench: Bench, result: ResultFile) -> None:
         wanted = {"network": NETWORK, "table": TABLE, **by_setting, **_all_at_once(by_setting)}
         for seed in bench.seeds:
             bench.heldout(name, wanted, seed)
-    result.put(
-        "seed_deviation_db",
-        {n: {k: bench.seed_deviation(k, n) for k in ("thirds", "held out")} for n in chosen},
-    )
+    if bench.more_seeds:
+        kinds = ("thirds", "held out")
+        moves = {n: {k: bench.seed_deviation(k, n) for k in kinds} for n in chosen}
+        result.put("seed_deviation_db", moves)
     for setting, default, values, scores, choices in rows:
         result.add(
             {
