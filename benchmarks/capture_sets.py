@@ -126,7 +126,7 @@ def run_capture_sets(options: Captures) -> None:
         tempfile.TemporaryDirectory() as scratch,
         ResultFile("captures", WHAT, options.out, "cpu", settings).finishing() as result,
     ):
-        imported = _Imports(Path(scratch))
+        imported = ImportedSets(Path(scratch))
         for case in CASES:
             if options.only and case.command not in options.only:
                 continue
@@ -143,7 +143,7 @@ def run_capture_sets(options: Captures) -> None:
                 )
 
 
-class _Imports:
+class ImportedSets:
     """Each set is imported once."""
 
     def __init__(self, scratch: Path) -> None:

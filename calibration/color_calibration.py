@@ -155,7 +155,9 @@ class _Job:
                 self.frames, captures.background, grid, self.options, folds=self.plan.folds,
                 mask=mask, progress=progress,
             )  # fmt: skip
-        table = fit_taxim_table(self.frames, fit, grid, mask=mask) if self.plan.table else None
+        table = None
+        if self.plan.table:
+            table = fit_taxim_table(self.frames, fit.background, fit.drifts, grid, mask=mask)
         shift = LabelPlacement.of(captures.presses, [frame.circle for frame in self.frames])
         held: list[HeldoutPress] = []
         failures: list[HeldoutFailure] = []

@@ -281,6 +281,8 @@ def draw_coverage(result: ColorCalibration) -> Figure:
 @in_report_style
 def draw_loss(result: ColorCalibration) -> Figure:
     """Loss over the steps, of the pixels fitted and of presses kept back to stop the fit."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
     figure, axis = new_figure(7.0, 2.8)
     steps, loss = np.array(result.fit.loss_curve, dtype=float).T
     axis.plot(steps, loss, color=BLUE, label="fitted presses")
@@ -289,6 +291,9 @@ def draw_loss(result: ColorCalibration) -> Figure:
         axis.plot(steps, loss, color=ORANGE, label="presses kept back")
         axis.axvline(result.fit.step, color=GREY, linewidth=0.8)
     axis.set(xlabel="step", ylabel="loss [levels]", yscale="log")
+    axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.yaxis.set_minor_formatter(NullFormatter())
     axis.grid(True, axis="y")
     axis.legend()
     return figure

@@ -15,11 +15,12 @@ holds no change: a table that shows the floor's colour there shows it all over t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.estimators.color import ColorFit, ColorFrame
+from calibration.background.drift import Drift
+from calibration.estimators.color import ColorFrame
 from calibration.surfaces.types import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -29,35 +30,40 @@ from taccel_lab.signals.normals import normals_from_slopes
 BINS = 125
 """Bins of tilt and of direction, as in Taxim's own tables."""
 REACH_RADII = 2.5
-"""Contact radii up to which pixels are taken. Held-out crops of three sensors: 33.2, 37.9 and 30.2
-dB, and 25.8, 34.1 and 26.3 with the discs alone, which are better inside (3.8, 2.4 and 8.3 levels
-against 5.2, 3.1 and 8.2)."""
+"""Contact radii up to which pixels are taken. Left-out thirds of three sensors' training presses:
+37.7, 32.9 and 29.4 dB, and 34.2, 26.0 and 25.7 with the discs alone, which are better inside on two
+(2.7, 4.3 and 9.6 levels against 3.2, 5.1 and 9.1)."""
 RIDGE = 0.01
 """Pull of all terms but the constant towards zero, against the mean square of the terms over the
-image: most bins hold few pixels at few places, and a free quadratic runs away elsewhere. Without
-it held-out presses of two sensors score 34.7 and 21.9 dB, with it 37.9 and 30.2."""
-_RIDGE = np.array([RIDGE] * (TERMS - 1) + [1e-9])
+image: most bins hold few pixels at few places, and a free quadratic runs away elsewhere. A tenth of
+it costs RVSATHU 1 dB; which pull is best differs between sensors by a factor of eight."""
+_CONSTANT_RIDGE = 1e-9
 
 
 def fit_taxim_table(
     frames: Sequence[ColorFrame],
-    fit: ColorFit,
+    background: np.ndarray,
+    drifts: Mapping[str, Drift],
     grid: PixelGrid,
     *,
     mask: np.ndarray | None = None,
     bins: int = BINS,
     reach_radii: float = REACH_RADII,
+    ridge: float = RIDGE,
 ) -> TaximTable:
-    """Fit the table to the contacts of ``frames``; background and drifts are those of ``fit``.
+    """Fit the table to the contacts of ``frames``.
 
     Args:
-        frames: Presses that the table is fitted to, those of ``fit``.
-        fit: Colour fit whose background the changes count from.
+        frames: Presses that the table is fitted to.
+        background: What the changes count from, RGB levels, shape [height_px, width_px, 3].
+        drifts: Drift of each frame's light against it, by the frame's name.
         grid: Pixel grid of the images.
         mask: Pixels that may be used, bool, shape [height_px, width_px].
         bins: Bins of tilt and of direction.
         reach_radii: Contact radii around each contact's middle within which pixels are taken; 1
             fits the discs alone, as Taxim does.
+        ridge: Pull of all terms but the constant towards zero, against the mean square of the
+            terms over the image.
 
     Raises:
         InputError: No usable pixel lies in a contact.
@@ -71,17 +77,18 @@ def fit_taxim_table(
         if mask is not None:
             near &= mask
         v, u = np.nonzero(near)
-        image = fit.drifts[frame.name].remove(frame.image[near].astype(np.float64))
+        image = drifts[frame.name].remove(frame.image[near].astype(np.float64))
         tilt, direction = bin_indices(normals_over_rest(frame.surface)[near], bins)
         terms = pixel_terms(u / half[0] - 1, v / half[1] - 1)
         place = tilt * bins + direction
         np.add.at(gram, place, terms[:, :, None] * terms[:, None, :])
-        np.add.at(moment, place, terms[:, :, None] * (image - fit.background[near])[:, None, :])
+        np.add.at(moment, place, terms[:, :, None] * (image - background[near])[:, None, :])
     count = gram[:, -1, -1]
     filled = np.flatnonzero(count > 0)
     if len(filled) == 0:
         raise InputError("no usable pixel lies in a contact; the Taxim table cannot be fitted")
-    damped = gram[filled] + count[filled, None, None] * np.diag(_RIDGE)
+    pull = np.array([ridge] * (TERMS - 1) + [_CONSTANT_RIDGE])
+    damped = gram[filled] + count[filled, None, None] * np.diag(pull)
     solved = np.linalg.solve(damped, moment[filled])
     coefficients = np.einsum("ij,bjc->bic", _to_pixels(half), solved)
     nearest = _nearest_filled(count.reshape(bins, bins) > 0)

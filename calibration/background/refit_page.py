@@ -104,7 +104,7 @@ def _draw_errors(result: Refit) -> Figure:
     axis.bar(place + 0.2, [e.after for e in result.errors], 0.4, color=BLUE, label="after")
     axis.set_xticks(place, [e.name for e in result.errors], rotation=30, ha="right")
     axis.set_ylabel("mean absolute error [levels]")
-    axis.legend()
+    axis.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2)
     return figure
 
 

@@ -37,7 +37,8 @@ def draw_errors(result: NormalCalibration, scene: Scene) -> Figure:
         axes[0], ("captured", "error of the normals", "expected error", "depth, row"), strict=True
     ):
         ax.set_title(title)
-    bar = figure.colorbar(drawn[-1], ax=axes[:, 1:3], shrink=0.75, pad=0.01)
+    # Below: beside the maps it would stand at the axis of the depths.
+    bar = figure.colorbar(drawn[-1], ax=axes[:, 1:3], location="bottom", shrink=0.75, aspect=30)
     bar.set_label("angle [degrees]")
     return figure
 

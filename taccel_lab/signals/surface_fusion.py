@@ -21,7 +21,9 @@ What is in contact is told by the recovered pressure, not by a gap below the bar
 hang below chords by more than a short range, and then a contact of 1.4 mm seemed to be one of 0.3
 to 0.7 mm. Nodes with more than half of the largest pressure of their patch are in contact; those
 that are a quarter further from the object than any of them are open; between lies the edge, where
-the open gaps say. So a part of a patch that is pressed weakly beside a strong one is told by gaps.
+the open gaps say. Where that opens nodes well within the loaded ones, a part is pressed weakly
+beside a strong one, and all such nodes are in contact: a roller whose ends press hard into a fine
+mesh seemed to touch over a quarter of its contact.
 
 Contact radius of balls of 2 and 8 mm, 0.4 to 1 mm deep, quadratic tets, 3 to 5 elements to the
 largest contact radius, dhat 20 to 2 um, at the same force: within 1.3 % of their mean. That of the
@@ -50,6 +52,10 @@ _BLEND_ELEMENTS = (0.5, 1.5)
 # A node is in contact for sure above this part of the largest pressure of its patch: recovered
 # pressures reach an element beyond the edge, with less than half of it.
 _CORE_PRESSURE = 0.5
+# So are those this many edges of the surface, two to a quadratic element, within the loaded nodes,
+# where one of them seems open by its gap: under the corners of a tool the pressure is many times
+# that in between, and the gap a part of it.
+_WITHIN_EDGES = 3
 # A node is open for sure beyond this many of the largest gap of such nodes: the barrier's range, or
 # how far they hang below chords that touch. Nodes between are told by those beside them. With 1.5,
 # nodes beside a contact with friction 1 that carried nothing were told by what lies further out,
@@ -143,28 +149,36 @@ class SignalFusedSurface:
         gap = surface.gap(points)
         layer = np.zeros(len(points))
         for env, pressure in enumerate(pressures):
-            core = self._core(pressure)
+            core, within = self._core(pressure)
             held = core & np.isfinite(gap[env])
             if not held.any():
                 gap[env] = np.where(core, 0.0, np.nan)
                 continue
+            if (gap[env, within] > _OPEN_GAPS * gap[env, held].max()).any():
+                core |= within
+                held = core & np.isfinite(gap[env])
             layer[env] = _gap_without_pressure(gap[env, held], pressure[held])
             opened = gap[env] > _OPEN_GAPS * gap[env, held].max()
             gap[env] = np.where(core, 0.0, np.where(opened, gap[env] - layer[env], np.nan))
         return gap, layer
 
-    def _core(self, pressure: np.ndarray) -> np.ndarray:
-        """Nodes with most of the largest pressure of their own patch of contact, shape [node]."""
+    def _core(self, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes with most of the largest pressure of their own patch of contact, and nodes well
+        within the loaded ones, each of shape [node]."""
         from scipy import sparse
 
         loaded = pressure > 0
+        first, second = self.surface.edges.T
         joined = self.surface.edges[loaded[self.surface.edges].all(axis=1)]
         count = len(pressure)
         graph = sparse.coo_array((np.ones(len(joined)), tuple(joined.T)), shape=(count, count))
         _, label = sparse.csgraph.connected_components(graph, directed=False)
         largest = np.zeros(count)
         np.maximum.at(largest, label, pressure)
-        return loaded & (pressure > _CORE_PRESSURE * largest[label])
+        within = loaded.copy()
+        for _ in range(_WITHIN_EDGES):
+            within[np.concatenate([first[~within[second]], second[~within[first]]])] = False
+        return loaded & (pressure > _CORE_PRESSURE * largest[label]), within
 
     def _measure_contact(self, env: int, s: np.ndarray, s_slope: np.ndarray) -> None:
         """Contact mask, and the radius of the disc of equal area with pixels cut by the edge.

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solver, ray-cast camera, calibration, and an object that is no ball and that neither saw.
 
-The captures are made by what the calibration does not use: quadratic elements on a mesh of their
-own, friction under the tool, a camera with perspective, refraction and shadows, and noise. The
-profile then has to say what a roller looks like, and to read its shape from the picture.
+The captures are made by what the calibration does not use: a mesh of their own, graded for a disc
+whatever touches, friction under the tool, a camera with perspective, refraction and shadows, and
+noise. The profile then has to say what a roller looks like, and to read its shape from the picture.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -20,21 +20,28 @@ from cad.mesh.gel_mesh import gel_mesh
 from calibration.evaluate import psnr_db
 from calibration.inverse.read_surface import SurfaceReader
 from calibration.inverse.score import angle_between_deg
-from sensors.press_mesh import PressMeshOptions, press_mesh
+from sensors.press_mesh import press_mesh
 from sensors.registry import sensor_family
 from taccel_lab.cli.app import main
 from taccel_lab.envs import PressOutcome, PressPath, parse_indenter, simulate_press
+from taccel_lab.envs.physics import PHYSICS, Accuracy
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.profile import SensorProfile, load_profile
-from taccel_lab.scene import Element, Material
+from taccel_lab.scene import Material
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 
 FAMILY, BALL_MM, PRESSES = "gelsight_mini", 2.0, 14
 LONGEST_PX, CUT = 224, 0.06
 NOISE_LEVELS = 1.5
 TIMEOUT_S = 1800
-MESH = PressMeshOptions(elements_per_radius=4.5, core=6, rings=8, layers=3)
+TRUTH = replace(
+    PHYSICS[Accuracy.DEFAULT],
+    mesh=PressMeshOptions(elements_per_radius=4.5, core=6, rings=8, layers=3),
+)
+CONTACT_MM = 1.3
+"""Radius of the disc that meshes of the captures are graded for, whatever touches."""
 FRICTION = 0.3
 OBJECT, OBJECT_AT_MM, OBJECT_DEPTH_MM = "roller:1.5x4", (1.2, -0.8), 0.5
 
@@ -74,10 +81,11 @@ class Camera:
 
 def truth(grid: PixelGrid, indenter: str, at_mm: tuple[float, float], depth_mm: float) -> Any:
     """A press as it happens on the bench."""
-    mesh = press_mesh(FAMILY, {}, at_mm, 1.3, MESH)
+    tool = parse_indenter(indenter)
+    mesh = press_mesh(FAMILY, {}, at_mm, CONTACT_MM, TRUTH.mesh)
     return simulate_press(
-        mesh, Material(1.5e5, 0.48), parse_indenter(indenter), at_mm, PressPath(depth_mm), grid,
-        friction_coefficient=FRICTION, element=Element.QUADRATIC,
+        mesh, Material(1.5e5, 0.48), tool, at_mm, PressPath(depth_mm), grid,
+        friction_coefficient=FRICTION, physics=TRUTH,
     )  # fmt: skip
 
 
@@ -133,10 +141,12 @@ def test_balls_that_were_held_out_are_rendered(loop: Any) -> None:
 def test_an_object_that_is_no_ball_is_rendered(loop: Any) -> None:
     profile, _, pressed, image = loop
     assert profile.color is not None and profile.background_rgb is not None
+    tool = parse_indenter(OBJECT)
+    outline = tool.contact_mm(OBJECT_DEPTH_MM)
     predicted = simulate_press(
-        press_mesh(FAMILY, profile.sensor.parameters, OBJECT_AT_MM, 1.3),
+        press_mesh(FAMILY, profile.sensor.parameters, OBJECT_AT_MM, outline),
         Material(profile.material.young_modulus_pa, profile.material.poisson_ratio),
-        parse_indenter(OBJECT), OBJECT_AT_MM, PressPath(OBJECT_DEPTH_MM), profile.grid(),
+        tool, OBJECT_AT_MM, PressPath(OBJECT_DEPTH_MM), profile.grid(),
     )  # fmt: skip
     model = ColorModel(
         ColorModelConfig.from_dict(profile.color.architecture), profile.color_weights

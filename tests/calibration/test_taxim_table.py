@@ -11,13 +11,12 @@ import pytest
 from calibration import taxim_table
 from calibration.background.drift import Drift
 from calibration.capture import ContactCircle
-from calibration.estimators.color import ColorFit, ColorFitOptions, ColorFrame
+from calibration.estimators.color import ColorFrame
 from calibration.surfaces import analytic_surface
 from calibration.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TaximTable, bin_indices
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
 from taccel_lab.signals.normals import normals_from_slopes
 
 GRID = PixelGrid(120, 90, 0.1, 0.1)
@@ -25,6 +24,7 @@ BINS = 12
 PLACES = [(u, v, r) for u in (25.0, 45.0, 60.0, 80.0, 95.0) for v in (25.0, 45.0, 65.0)
           for r in (14.0, 17.0)]  # fmt: skip
 STILL = Drift(np.ones(3), np.zeros(3))
+BACKGROUND = np.full((GRID.height_px, GRID.width_px, 3), 120.0, dtype=np.float32)
 
 
 def true_table(rng: np.random.Generator) -> TaximTable:
@@ -46,26 +46,19 @@ def frames_of(table: TaximTable, drift: Drift = STILL) -> list[ColorFrame]:
     return frames
 
 
-def fit_of(frames: list[ColorFrame], drift: Drift = STILL) -> ColorFit:
-    config = ColorModelConfig(GRID.width_px, GRID.height_px, hidden=(2,))
-    weights = {name: np.zeros(shape) for name, shape in expected_shapes(config).items()}
-    background = np.full((GRID.height_px, GRID.width_px, 3), 120.0, dtype=np.float32)
-    return ColorFit(
-        ColorModel(config, weights), background, [], {}, {f.name: drift for f in frames},
-        ColorFitOptions(), 0.0,
-    )  # fmt: skip
+def lights(frames: list[ColorFrame], drift: Drift = STILL) -> dict[str, Drift]:
+    return {frame.name: drift for frame in frames}
 
 
-def test_the_table_that_made_the_images_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(taxim_table, "_RIDGE", np.full(6, 1e-12))
+def test_the_table_that_made_the_images_comes_back() -> None:
     truth = true_table(np.random.default_rng(0))
     frames = frames_of(truth)
-    found = fit_taxim_table(frames, fit_of(frames), GRID, bins=BINS)
+    found = fit_taxim_table(frames, BACKGROUND, lights(frames), GRID, bins=BINS, ridge=1e-12)
     circle = ContactCircle(52.0, 41.0, 15.0)
     surface = analytic_surface(circle, GRID, 2.0, decay_mm=1.0)
     disc = circle.distance_px(GRID) <= circle.radius_px
     wanted = 120.0 + truth.change(surface.normals)
-    rendered = render_taxim_table(found, surface, fit_of(frames).background)
+    rendered = render_taxim_table(found, surface, BACKGROUND)
     assert np.abs(rendered - wanted)[disc].mean() < 0.05
 
 
@@ -74,7 +67,7 @@ def test_the_pull_keeps_the_images_near_and_the_far_side_tame() -> None:
     frames = [f for f, place in zip(frames_of(truth), PLACES, strict=True) if place[0] < 50]
     rng = np.random.default_rng(2)
     noisy = [replace(f, image=f.image + rng.normal(0, 2, f.image.shape)) for f in frames]
-    tame = fit_taxim_table(noisy, fit_of(frames), GRID, bins=BINS)
+    tame = fit_taxim_table(noisy, BACKGROUND, lights(frames), GRID, bins=BINS)
     far = analytic_surface(ContactCircle(95.0, 45.0, 15.0), GRID, 2.0, decay_mm=1.0)
     assert np.abs(tame.change(far.normals)).max() < 60
     near = frames[4]
@@ -87,8 +80,8 @@ def test_drift_is_taken_off_and_masked_pixels_have_no_effect() -> None:
     truth = true_table(np.random.default_rng(3))
     drift = Drift(np.array([1.1, 0.9, 1.0]), np.array([5.0, -5.0, 3.0]))
     plain, drifted = frames_of(truth), frames_of(truth, drift)
-    one = fit_taxim_table(plain, fit_of(plain), GRID, bins=BINS)
-    two = fit_taxim_table(drifted, fit_of(drifted, drift), GRID, bins=BINS)
+    one = fit_taxim_table(plain, BACKGROUND, lights(plain), GRID, bins=BINS)
+    two = fit_taxim_table(drifted, BACKGROUND, lights(drifted, drift), GRID, bins=BINS)
     assert two.grad_rgb == pytest.approx(one.grad_rgb, abs=1e-9)
     mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
     mask[30:50, 40:60] = False
@@ -98,11 +91,11 @@ def test_drift_is_taken_off_and_masked_pixels_have_no_effect() -> None:
         image = frame.image.copy()
         image[~mask] = rng.uniform(0, 255, image[~mask].shape)
         poisoned.append(replace(frame, image=image))
-    clean = fit_taxim_table(plain, fit_of(plain), GRID, mask=mask, bins=BINS)
-    dirty = fit_taxim_table(poisoned, fit_of(plain), GRID, mask=mask, bins=BINS)
+    clean = fit_taxim_table(plain, BACKGROUND, lights(plain), GRID, mask=mask, bins=BINS)
+    dirty = fit_taxim_table(poisoned, BACKGROUND, lights(plain), GRID, mask=mask, bins=BINS)
     assert np.array_equal(clean.grad_rgb, dirty.grad_rgb)
     with pytest.raises(InputError, match="no usable pixel"):
-        fit_taxim_table(plain, fit_of(plain), GRID, mask=np.zeros_like(mask), bins=BINS)
+        fit_taxim_table(plain, BACKGROUND, lights(plain), GRID, mask=np.zeros_like(mask), bins=BINS)
 
 
 def test_empty_bins_take_over_their_nearest_even_around_the_circle() -> None:
@@ -123,11 +116,10 @@ def test_untouched_gel_shows_the_background() -> None:
         replace(f, image=f.image - 30.0 * (f.circle.distance_px(GRID) < 10)[..., None])
         for f in frames
     ]
-    found = fit_taxim_table(darker, fit_of(darker), GRID, bins=BINS)
+    found = fit_taxim_table(darker, BACKGROUND, lights(darker), GRID, bins=BINS)
     surface = frames[0].surface
     still = replace(surface, normals=surface.rest_normals, height_m=surface.rest_height_m)
-    background = fit_of(frames).background
-    assert np.array_equal(render_taxim_table(found, still, background), background)
+    assert np.array_equal(render_taxim_table(found, still, BACKGROUND), BACKGROUND)
 
 
 def test_the_surroundings_keep_their_own_colour() -> None:
@@ -141,8 +133,10 @@ def test_the_surroundings_keep_their_own_colour() -> None:
     ring = (around > 1.1) & (around < 2.0)
     error = []
     for reach in (1.0, 2.5):
-        found = fit_taxim_table(darker, fit_of(darker), GRID, bins=BINS, reach_radii=reach)
-        shown = render_taxim_table(found, frames[0].surface, fit_of(darker).background)
+        found = fit_taxim_table(
+            darker, BACKGROUND, lights(darker), GRID, bins=BINS, reach_radii=reach
+        )
+        shown = render_taxim_table(found, frames[0].surface, BACKGROUND)
         error.append(np.abs(shown - frames[0].image)[ring].mean())
     assert error[1] < 0.6 * error[0], error
 
@@ -160,10 +154,9 @@ def test_slopes_count_over_a_leaning_rest() -> None:
             rest_normals=np.broadcast_to(lean, frame.surface.normals.shape),
         )
         leaning.append(replace(frame, surface=surface))
-    one = fit_taxim_table(frames, fit_of(frames), GRID, bins=BINS)
-    two = fit_taxim_table(leaning, fit_of(frames), GRID, bins=BINS)
-    background = fit_of(frames).background
-    flat = render_taxim_table(one, frames[0].surface, background)
-    tilted = render_taxim_table(two, leaning[0].surface, background)
+    one = fit_taxim_table(frames, BACKGROUND, lights(frames), GRID, bins=BINS)
+    two = fit_taxim_table(leaning, BACKGROUND, lights(frames), GRID, bins=BINS)
+    flat = render_taxim_table(one, frames[0].surface, BACKGROUND)
+    tilted = render_taxim_table(two, leaning[0].surface, BACKGROUND)
     # Rounding moves a few pixels to the neighbouring bin.
     assert (np.abs(flat - tilted) > 0.1).mean() < 0.01

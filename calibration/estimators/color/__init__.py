@@ -12,6 +12,7 @@ from calibration.estimators.color.frames import ColorFrame
 from calibration.estimators.color.options import ColorFitOptions, Loss, Progress
 from calibration.estimators.color.registration import (
     Registration,
+    RegistrationOptions,
     place_press,
     register_presses,
 )
@@ -25,6 +26,7 @@ __all__ = [
     "Loss",
     "Progress",
     "Registration",
+    "RegistrationOptions",
     "choose_drift",
     "cross_validate",
     "disc_l1",

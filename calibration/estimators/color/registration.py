@@ -38,17 +38,8 @@ MIN_PRESSES = 8
 """Fewer presses say too little about each other."""
 FOLDS = 2
 ROUNDS = 2
-SCALES = (0.86, 0.93, 1.0, 1.07)
-"""Factors on all radii that are tried first."""
 SURE_DEVIATIONS = 2.0
 """A factor other than one is taken when the presses' gain is this many standard errors."""
-WORTH = 0.01
-"""... and this share of the loss: fits that go on from one another differ by less than they are
-wrong by."""
-CENTER_SIGMA_PX = 2.0
-"""How far a given circle's centre is thought to be off."""
-RADIUS_SIGMA = 0.05
-"""How far a given radius is thought to be off, as a share of it, beside what all have in common."""
 CORRELATED_PIXELS = 25.0
 """Neighbouring pixels err alike: as many count as one."""
 ROBUST_LEVELS = 4.0
@@ -59,6 +50,33 @@ AGAIN_RATE = 0.5
 REACH = 1.8
 """Pixels up to this many contact radii are compared."""
 MAX_PIXELS = 1500
+
+
+@dataclass(frozen=True)
+class RegistrationOptions:
+    """Settings of how circles are read again; docs/calibration_color.md has what others give."""
+
+    scales: tuple[float, ...] = (0.86, 0.93, 1.0, 1.07)
+    """Factors on all radii that are tried first, at least three with one among them; none leaves
+    the radii what they are."""
+    worth: float = 0.01
+    """Share of the loss that a factor other than one has to gain: fits that go on from one another
+    differ by less than they are wrong by."""
+    center_sigma_px: float = 2.0
+    """How far a given circle's centre is thought to be off [px]."""
+    radius_sigma: float = 0.05
+    """How far a given radius is thought to be off, as a share of it, beside what all have in
+    common."""
+
+    def __post_init__(self) -> None:
+        if self.scales and (len(self.scales) < 3 or 1.0 not in self.scales):
+            raise InputError(
+                f"scales must be at least three factors with 1 among them, or none; got "
+                f"{self.scales}"
+            )
+        for name in ("center_sigma_px", "radius_sigma"):
+            if getattr(self, name) <= 0:
+                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True)
@@ -84,11 +102,12 @@ def register_presses(
     remove_drift: bool = False,
     seed: int = 0,
     fit: ColorFitOptions = SHORT_FIT,
+    settings: RegistrationOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Registration:
     """Place the presses; ``frames`` hold the circles to start from and surfaces simulated there.
 
-    ``fit`` are the settings of the short fits that place them.
+    ``fit`` are the settings of the short fits that place them, ``settings`` those of the placing.
 
     Raises:
         InputError: Fewer than 8 presses.
@@ -98,8 +117,9 @@ def register_presses(
             f"{len(frames)} presses are too few to place each by the others; at least {MIN_PRESSES}"
         )
     options = replace(fit, remove_drift=remove_drift, seed=seed)
-    job = _Job(frames, background, grid, mask, options)
-    total = len(SCALES) + 2 + ROUNDS
+    settings = settings or RegistrationOptions()
+    job = _Job(frames, background, grid, mask, options, settings)
+    total = len(settings.scales) + 2 + ROUNDS
     done = 0
 
     def tell() -> None:
@@ -137,7 +157,10 @@ def place_press(
     Nothing but the circle is taken from its image, and from pixels where ``mask`` is true alone.
     """
     moved = MovedPress.of(frame.surface, frame.circle, library)
-    return _place(model, rest_image, frame, moved, drift, grid, mask, frame.circle, frame.circle)[0]
+    return _place(
+        model, rest_image, frame, moved, drift, grid, mask, frame.circle, frame.circle,
+        RegistrationOptions(),
+    )[0]  # fmt: skip
 
 
 def _best_scale(
@@ -145,6 +168,8 @@ def _best_scale(
 ) -> tuple[float, list[tuple[float, float]]]:
     """The factor on all radii with the least loss: a few, then two steps of a parabola."""
     losses: dict[float, np.ndarray] = {}
+    if not job.settings.scales:
+        return 1.0, []
 
     def look(scale: float) -> None:
         losses[scale] = job.left_out_losses(
@@ -152,7 +177,7 @@ def _best_scale(
         )
         tell()
 
-    for scale in SCALES:
+    for scale in job.settings.scales:
         look(scale)
     for _ in range(2):
         x = np.array(sorted(losses))
@@ -169,7 +194,9 @@ def _best_scale(
     best = min(means, key=lambda scale: means[scale])
     gain = losses[1.0] - losses[best]
     sure = gain.mean() > SURE_DEVIATIONS * gain.std(ddof=1) / np.sqrt(len(gain))
-    return best if sure and gain.mean() > WORTH * means[1.0] else 1.0, sorted(means.items())
+    return best if sure and gain.mean() > job.settings.worth * means[1.0] else 1.0, sorted(
+        means.items()
+    )
 
 
 class _Job:
@@ -182,8 +209,10 @@ class _Job:
         grid: PixelGrid,
         mask: np.ndarray | None,
         options: ColorFitOptions,
+        settings: RegistrationOptions,
     ) -> None:
         self.frames, self.grid, self.mask, self.options = list(frames), grid, mask, options
+        self.settings = settings
         self.drifts = [frame_drift(frame, background, grid, mask, options) for frame in frames]
         by_name = {f.name: drift for f, drift in zip(frames, self.drifts, strict=True)}
         self.rest_image = rest_background(frames, background, by_name, grid, mask, options)
@@ -242,7 +271,7 @@ class _Job:
     ) -> tuple[ContactCircle, np.ndarray]:
         return _place(
             model, self.rest_image, self.frames[i], self.moved[i], self.drifts[i], self.grid,
-            self.mask, start, prior,
+            self.mask, start, prior, self.settings,
         )  # fmt: skip
 
 
@@ -256,6 +285,7 @@ def _place(
     mask: np.ndarray | None,
     start: ContactCircle,
     prior: ContactCircle,
+    settings: RegistrationOptions,
 ) -> tuple[ContactCircle, np.ndarray]:
     """The circle where the render meets the image best, by Gauss-Newton steps with a prior.
 
@@ -275,7 +305,8 @@ def _place(
         return (model.predict_pixels(idx, normals, sunk, rest) - wanted).ravel()
 
     middle = np.array([prior.u_px, prior.v_px, prior.radius_px])
-    deviation = np.array([CENTER_SIGMA_PX, CENTER_SIGMA_PX, RADIUS_SIGMA * prior.radius_px])
+    radius_sigma_px = settings.radius_sigma * prior.radius_px
+    deviation = np.array([settings.center_sigma_px, settings.center_sigma_px, radius_sigma_px])
     # Pixels beside each other err alike, and the channels of a pixel do.
     share = 1.0 / (3 * CORRELATED_PIXELS * len(idx) / max(1, near.sum()))
     share = min(share, 1.0 / 3)
