@@ -72,7 +72,8 @@ def all_rows(quick: bool) -> Iterator[Row]:
         press = replace(DEFAULT, relative_tolerance=tolerance)
         yield Row("tolerance", f"{tolerance:g}", press, reference)
     for eps in (1e-4, 1e-5, 1e-6, 1e-7)[few]:
-        yield Row("friction eps", f"{eps * 1e6:g} um", replace(DEFAULT, friction_eps_m=eps), reference)
+        press = replace(DEFAULT, friction_eps_m=eps)
+        yield Row("friction eps", f"{eps * 1e6:g} um", press, reference)
     for name, choice in solver_choices():
         press = replace(DEFAULT, solver=((name, choice),))
         yield Row(name.replace("_", " "), str(choice), press, reference)
