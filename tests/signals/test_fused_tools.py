@@ -16,7 +16,7 @@ DEPTH_MM, AT_MM = 0.5, (1.2, -0.8)
 def test_a_roller_touches_all_between_its_ends() -> None:
     """Its ends press many times as hard as its middle, which touches as well."""
     tool = parse_indenter("roller:1.5x4")
-    mesh = press_mesh("gelsight_mini", {}, AT_MM, tool.contact_mm(DEPTH_MM))
+    mesh = press_mesh("gelsight_mini", {}, AT_MM, tool.contact(DEPTH_MM))
     grid = PixelGrid(198, 148, 0.0872, 0.0872)
     press = simulate_press(
         mesh, Material(1.5e5, 0.48), tool, AT_MM, PressPath(DEPTH_MM), grid,
