@@ -34,7 +34,7 @@ def test_an_error_row() -> None:
     # Without any difference there is no error.
     same = error.measure(error.Row("dhat", "same", COARSE, COARSE), presses)
     assert max(same["error"].values()) == 0
-    assert not row["is_default"]
+    assert not other["is_default"]
     assert error.measure(error.Row("mesh", "", error.DEFAULT, COARSE), presses)["is_default"]
 
 

@@ -142,9 +142,9 @@ def test_an_object_that_is_no_ball_is_rendered(loop: Any) -> None:
     profile, _, pressed, image = loop
     assert profile.color is not None and profile.background_rgb is not None
     tool = parse_indenter(OBJECT)
-    outline = tool.contact_mm(OBJECT_DEPTH_MM)
+    section = tool.contact(OBJECT_DEPTH_MM)
     predicted = simulate_press(
-        press_mesh(FAMILY, profile.sensor.parameters, OBJECT_AT_MM, outline),
+        press_mesh(FAMILY, profile.sensor.parameters, OBJECT_AT_MM, section),
         Material(profile.material.young_modulus_pa, profile.material.poisson_ratio),
         tool, OBJECT_AT_MM, PressPath(OBJECT_DEPTH_MM), profile.grid(),
     )  # fmt: skip
