@@ -23,7 +23,7 @@ from benchmarks.options import Error
 from benchmarks.results import Deadline, ResultFile, note, spread
 from benchmarks.shear_press import FRICTION, Outcome, Press, run
 from taccel_lab.envs import PHYSICS, Accuracy
-from taccel_lab.errors import SimulationError
+from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.ipc.linear.system import METHODS
 from taccel_lab.scene import Element, TimeScheme
 from taccel_lab.solvers import SolverConfig
@@ -179,7 +179,8 @@ def run_error(options: Error) -> None:
                 continue
             try:
                 result.add(measure(row, presses))
-            except SimulationError as error:
+            except (InputError, SimulationError) as error:
+                # It does not converge, or the method cannot hold a gel of this size.
                 note(f"{row.group}, {row.value}: {error}")
                 result.add({"group": row.group, "value": row.value, "failed": str(error)})
                 continue

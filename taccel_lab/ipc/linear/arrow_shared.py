@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.errors import InputError
 from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, team, team_sum
 from taccel_lab.ipc.linear.elimination import Elimination, border_codes, eliminate
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
@@ -272,9 +273,9 @@ class ArrowShared:
         device, n = problem.device, problem.pattern.free_count
         plan, program = plan_shared(problem.pattern, clusters)
         if not program.fits:
-            raise ValueError(
-                f"the factor takes {program.numbers:,} numbers of shared memory, a block has "
-                f"{SHARED_NUMBERS:,}"
+            raise InputError(
+                f"linear_method arrow-shared: the factor takes {program.numbers:,} numbers of "
+                f"shared memory, a block has {SHARED_NUMBERS:,}; use another, such as ssor"
             )
         order = np.concatenate([plan.order, plan.border])
         places = np.empty(n, dtype=np.int64)

@@ -9,6 +9,7 @@ import warp as wp
 
 from benchmarks.linear_solvers import Variant, build, direct, scale_factors
 from benchmarks.linear_systems import System, peg, with_contact_in_pattern
+from taccel_lab.errors import InputError
 from taccel_lab.ipc.linear.arrow_shared import ArrowShared, fits_shared
 from taccel_lab.ipc.linear.elimination import eliminate
 from taccel_lab.ipc.linear.shared_lists import shared_program
@@ -143,5 +144,5 @@ def test_what_does_not_fit_is_refused() -> None:
     assert fits_shared(peg().pattern, [(160, 164)], CPU)
     system = LinearSystem(pattern, 1, CPU, method="cg")
     system.values.assign(random_spd(rng, pattern, 1.0)[None])
-    with pytest.raises(ValueError, match="shared memory"):
+    with pytest.raises(InputError, match="shared memory.*use another"):
         ArrowShared(system, [])
