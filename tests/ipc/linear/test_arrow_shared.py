@@ -144,5 +144,5 @@ def test_what_does_not_fit_is_refused() -> None:
     assert fits_shared(peg().pattern, [(160, 164)], CPU)
     system = LinearSystem(pattern, 1, CPU, method="cg")
     system.values.assign(random_spd(rng, pattern, 1.0)[None])
-    with pytest.raises(InputError, match="shared memory.*use another"):
+    with pytest.raises(InputError, match=r"shared memory.*use another"):
         ArrowShared(system, [])
