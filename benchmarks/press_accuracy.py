@@ -146,10 +146,10 @@ def prepare(folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     for case in cases():
-        half = tool(case.tool).contact(case.depth_mm)
+        contact = tool(case.tool).contact(case.depth_mm)
         arrays: dict[str, Any] = {"case": json.dumps(asdict(case))}
         for setting, physics in SETTINGS.items():
-            mesh = press_mesh(case.family, {}, AT_MM, half, physics.mesh)
+            mesh = press_mesh(case.family, {}, AT_MM, contact, physics.mesh)
             key = _keep_topology(folder, mesh)
             arrays[f"{setting} nodes_m"] = mesh.nodes_m.astype(np.float32)
             arrays[f"{setting} topology"] = key

@@ -78,7 +78,8 @@ def pad_press_mesh(
         return focused_gel_mesh(pad, _disc_focus(at_mm, contact, pad.thickness_mm, options))
     outline = options.outline if contact.filled >= LEAST_FILLED else options.scattered
     focus = _outline_focus(at_mm, contact, pad, options, outline)
-    for lean in LEANS:
+    # Columns of a dome stand on its sphere and have no lean.
+    for lean in LEANS if isinstance(pad, HeightPad) else LEANS[:1]:
         try:
             return focused_gel_mesh(pad, replace(focus, lean=lean))
         except FoldedMeshError:

@@ -59,7 +59,7 @@ class StandardPress:
     places: tuple[tuple[float, float], ...] = (CENTRE,)
     """Where, in parts of half of the camera's view along x and y: (0, 0) is its centre."""
     mesh: PressMeshOptions = PHYSICS[Accuracy.DEFAULT].mesh
-    """How finely the gel is meshed around it: as any press, but for tools of several parts."""
+    """How finely the gel is meshed around it."""
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isidentifier():

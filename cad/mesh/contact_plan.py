@@ -15,6 +15,7 @@ import numpy as np
 
 from cad.mesh.columns import growth_factor
 from cad.mesh.convex_polygon import second_moments, side_normals, where_rays_leave
+from cad.mesh.o_grid import spoke_angles
 from cad.mesh.plan_smoothing import smooth_plan
 from cad.mesh.structured_topology import core_perimeter, plan_quads
 
@@ -70,7 +71,7 @@ def contact_plan(
     count, base = 4 * core, (core + 1) ** 2
     last = plan[base + (rings - 1) * count : base + rings * count] - center_mm
     border = spoke_points(outline.points_mm, core)
-    bulge = 1 - _BULGE * np.cos(4 * _spoke_angles(core))
+    bulge = 1 - _BULGE * np.cos(4 * spoke_angles(core))
     loops = []
     for k in range(outline.inner + 1):
         # Rings lie the closer to each other, the nearer they are to the outline.
@@ -139,7 +140,7 @@ def spoke_points(outline: np.ndarray, core: int) -> np.ndarray:
     outline. Those of a round one stand out so that the chords between them touch it.
     """
     count = 4 * core
-    nominal = _spoke_angles(core)
+    nominal = spoke_angles(core)
     even = outline @ _evening(outline)
     angle = np.arctan2(even[:, 1], even[:, 0])
     start = int(np.argmin((angle - nominal[0]) % (2 * np.pi)))
@@ -240,10 +241,6 @@ def _evening(outline: np.ndarray) -> np.ndarray:
     """Symmetric matrix that makes an outline's area as long as wide, by its second moments."""
     values, vectors = np.linalg.eigh(second_moments(outline))
     return vectors @ np.diag(values**-0.5) @ vectors.T
-
-
-def _spoke_angles(core: int) -> np.ndarray:
-    return -0.75 * np.pi + 2 * np.pi * np.arange(4 * core) / (4 * core)
 
 
 def _growing(first_mm: float, lengths_mm: np.ndarray, count: int) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cad.mesh.columns import check_range, level_fractions
 from cad.mesh.dome_plan import CapGrid, angle_from_disc
+from cad.mesh.structured_topology import plan_quads
 
 EDGE_BOUNDS_MM = (0.2, 6.0)
 FOLD_REMEDY = (
@@ -105,21 +106,31 @@ def graded_shares(size_mm: np.ndarray, length_mm: np.ndarray, layers: int) -> np
     return shares
 
 
-def thin_at_outline(
-    size_mm: np.ndarray, outside_mm: np.ndarray, thickness_mm: float, layers: int, ratio: float
+def focused_sizes(
+    grid: DomeGrid,
+    outside_mm: np.ndarray,
+    away_mm: np.ndarray | None,
+    thickness_mm: float,
+    layers: int,
+    ratio: float,
 ) -> np.ndarray:
-    """Sizes for ``graded_shares`` where rings follow an outline: under it the uppermost of
-    ``layers`` that grow by ``ratio`` over the thickness, farther than that from it ``size_mm``.
+    """Sizes for ``graded_shares`` of a focused mesh with surface points ``outside_mm``, [n, 3]: the
+    width of the cells, [n].
 
-    ``outside_mm``: distances of the cap's nodes from the outline, the first of ``size_mm``, [n].
+    ``away_mm``: how far the cap's nodes, the first of them, lie outside an outline that rings
+    follow, or None. Under it the uppermost layer is that of ``layers`` which grow by ``ratio`` over
+    the thickness, and goes over to the width as far away as the gel is thick.
     """
-    far = np.ones(len(size_mm))
-    far[: len(outside_mm)] = np.clip(outside_mm / thickness_mm, 0, 1)
+    sizes = _cell_widths(outside_mm, plan_quads(grid.cap.core, grid.rings))
+    if away_mm is None:
+        return sizes
+    far = np.ones(len(sizes))
+    far[: len(away_mm)] = np.clip(away_mm / thickness_mm, 0, 1)
     uppermost = float(1 - level_fractions(layers, np.array(ratio))[-2])
-    return (1 - far) * uppermost * thickness_mm + far * size_mm
+    return (1 - far) * uppermost * thickness_mm + far * sizes
 
 
-def cell_sizes(points_mm: np.ndarray, quads: np.ndarray) -> np.ndarray:
+def _cell_widths(points_mm: np.ndarray, quads: np.ndarray) -> np.ndarray:
     """Mean length of the edges at each node of a surface [mm], [n, 3] and [m, 4] -> [n]."""
     total, count = np.zeros(len(points_mm)), np.zeros(len(points_mm))
     for a, b in ((0, 1), (1, 2), (2, 3), (3, 0)):

@@ -15,7 +15,7 @@ import numpy as np
 
 from cad.mesh.conformal import disc_automorphism
 from cad.mesh.contact_plan import ContactOutline, contact_plan
-from cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii
+from cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii, spoke_angles
 from cad.mesh.structured_plan import Focus
 from cad.mesh.structured_topology import core_perimeter
 
@@ -30,8 +30,6 @@ _RIGID_TO = (0.1, 0.4)
 """Radii up to which a grid is rotated onto its focus, and from which the Moebius map moves it."""
 _DEEP_SHARE = 0.2
 """How far the grid deep under a focus follows it: columns that lean less have better tets."""
-_FIRST_SPOKE = -0.75 * np.pi
-"""Angle of the first ring node: the corner (-, -) of the core."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +42,6 @@ class CapGrid:
     """Rings between the core and the window's edge; 0 when the cap has no such edge."""
     cap_rings: int
     """All rings between the core and the cap's edge."""
-
-
-def spoke_angles(core: int) -> np.ndarray:
-    """Azimuth of the ring nodes [rad], shape [4 core]."""
-    return _FIRST_SPOKE + 2 * np.pi * np.arange(4 * core) / (4 * core)
 
 
 def disc_from_angle(theta: np.ndarray, cap_angle: float) -> np.ndarray:
@@ -125,9 +118,16 @@ def focused_cap(
 
 
 def outside_outline_mm(
-    disc: np.ndarray, cap_angle: float, sphere_mm: float, focus: Focus, outline: ContactOutline
-) -> np.ndarray:
-    """How far disc points lie outside an outline about the focus, in its plane [mm], [n] -> [n]."""
+    disc: np.ndarray,
+    cap_angle: float,
+    sphere_mm: float,
+    focus: Focus,
+    outline: ContactOutline | None,
+) -> np.ndarray | None:
+    """About how far disc points lie outside an outline about the focus, in its plane [mm], [n] ->
+    [n]; exact to first order around the focus. None without an outline."""
+    if outline is None:
+        return None
     center, per_mm = _focus_in_disc(cap_angle, sphere_mm, focus.center_mm)
     zeta = disc_automorphism(disc, -center) * (1 - abs(center) ** 2) / per_mm
     return outline.distance_mm(np.stack([np.real(zeta), np.imag(zeta)], axis=1))

@@ -13,16 +13,15 @@ from cad.mesh.dome_columns import (
     FOLD_REMEDY,
     Columns,
     DomeGrid,
-    cell_sizes,
     check_edge,
     dome_columns,
     even_drops,
+    focused_sizes,
     graded_shares,
-    thin_at_outline,
 )
 from cad.mesh.dome_plan import LARGEST_CORE, CapGrid, even_cap, focused_cap, outside_outline_mm
 from cad.mesh.structured_plan import Focus
-from cad.mesh.structured_topology import grid_topology, plan_quads, ring_of_node
+from cad.mesh.structured_topology import grid_topology, ring_of_node
 from cad.parts.dome_pad import ShellDomePad
 from taccel_lab.geometry import Region, TetMesh
 
@@ -74,10 +73,8 @@ def focused_shell_mesh(
     deep = Focus(focus.center_mm, wide * focus.radius_mm, wide * focus.size_mm)
     below = focused_cap(grid.cap, pad.cap_angle, pad.dome_radius_mm, deep, back)
     base = dome_columns(grid, below, pad.cap_angle, drops)
-    sizes = cell_sizes(outside, plan_quads(core, grid.rings))
-    if face is not None:
-        away = outside_outline_mm(disc, pad.cap_angle, pad.dome_radius_mm, focus, face)
-        sizes = thin_at_outline(sizes, away, pad.thickness_mm, layers, layer_ratio)
+    away = outside_outline_mm(disc, pad.cap_angle, pad.dome_radius_mm, focus, face)
+    sizes = focused_sizes(grid, outside, away, pad.thickness_mm, layers, layer_ratio)
     length = np.full(len(sizes), pad.thickness_mm)
     return _assemble(pad, grid, columns, graded_shares(sizes, length, layers), base)
 

@@ -20,12 +20,11 @@ from cad.mesh.dome_columns import (
     FOLD_REMEDY,
     Columns,
     DomeGrid,
-    cell_sizes,
     check_edge,
     dome_columns,
     even_drops,
+    focused_sizes,
     graded_shares,
-    thin_at_outline,
 )
 from cad.mesh.dome_plan import (
     LARGEST_CORE,
@@ -37,7 +36,7 @@ from cad.mesh.dome_plan import (
 )
 from cad.mesh.refined_topology import RefinedTopology, level_of_node, refined_topology
 from cad.mesh.structured_plan import Focus
-from cad.mesh.structured_topology import plan_quads, ring_of_node
+from cad.mesh.structured_topology import ring_of_node
 from cad.parts.dome_pad import SolidDomePad
 from cad.parts.meridian import Piece
 from taccel_lab.geometry import Region, TetMesh
@@ -106,17 +105,15 @@ def focused_solid_mesh(
     free = max(2, whole // 7)
     coarse = DomeGrid(CapGrid(core // 2, 0, whole), free, bonded)
     fine = _doubled(coarse)
-    face = None if outlines is None else outlines[0]
+    face, _ = outlines or (None, None)
     disc = focused_cap(fine.cap, pad.cap_angle, pad.dome_radius_mm, focus, face)
     drops = _wall_drops(pad, fine)
     columns = dome_columns(fine, disc, pad.cap_angle, drops)
     deep = even_cap_around(fine.cap, pad.cap_angle, pad.dome_radius_mm, focus)
     inside = _on_pocket(pad, fine, dome_columns(fine, deep, pad.cap_angle, drops))
     outside = columns.on_sphere_and_wall(pad.dome_radius_mm, -pad.dome_radius_mm)
-    sizes = cell_sizes(outside, plan_quads(fine.cap.core, fine.rings))
-    if face is not None:
-        away = outside_outline_mm(disc, pad.cap_angle, pad.dome_radius_mm, focus, face)
-        sizes = thin_at_outline(sizes, away, pad.thickness_mm, layers, layer_ratio)
+    away = outside_outline_mm(disc, pad.cap_angle, pad.dome_radius_mm, focus, face)
+    sizes = focused_sizes(fine, outside, away, pad.thickness_mm, layers, layer_ratio)
     counts = _Layers(coarse=layers + 1, fine=layers)
     length = np.linalg.norm(outside - inside, axis=1)
     shares = graded_shares(sizes, length, counts.coarse + 1 + counts.fine)

@@ -10,6 +10,11 @@ import numpy as np
 _BULGE = 0.45
 
 
+def spoke_angles(core: int) -> np.ndarray:
+    """Angles of the ring nodes [rad], the first at the core's corner (-, -), shape [4 core]."""
+    return -0.75 * np.pi + 2 * np.pi * np.arange(4 * core) / (4 * core)
+
+
 def ring_radii(start: np.ndarray, edge: float, even: int, rings: int) -> np.ndarray:
     """Radius of every ring in the disc along every spoke, shape [rings, spokes]; the last is 1.
 

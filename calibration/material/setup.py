@@ -154,8 +154,8 @@ class Gel:
 
     def mesh(self, tool: Tool, depth_mm: float, physics: PressPhysics) -> TetMesh:
         """The pad as ``taccel-lab press`` meshes it for this tool and depth."""
-        half = tool.indenter().contact(depth_mm)
-        return press_mesh(self.family, self.parameters, tool.at_mm, half, physics.mesh)
+        contact = tool.indenter().contact(depth_mm)
+        return press_mesh(self.family, self.parameters, tool.at_mm, contact, physics.mesh)
 
     def bench(self, tool: Tool, depth_mm: float, physics: PressPhysics) -> GelBench:
         """Where presses of ``tool`` down to ``depth_mm`` are simulated."""

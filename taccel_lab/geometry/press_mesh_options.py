@@ -39,8 +39,8 @@ class PressMeshOptions:
     outline: OutlineMeshOptions = OutlineMeshOptions()
     """What tools with an outline take instead."""
     scattered: OutlineMeshOptions = OutlineMeshOptions(core=8, outer=4)
-    """What those of several parts take, whose outline is mostly filled with gaps: gratings, pairs.
-    Rings follow their common outline, cells lie evenly inside."""
+    """What those take that do not fill their outline, such as gratings and pairs: even cells
+    inside."""
 
 
 DEFAULT_PRESS_MESH = PressMeshOptions()

@@ -53,6 +53,19 @@ def test_tools_with_rims_are_too(indenter: str, depth_mm: float, converged_n: fl
     assert abs(env.press_force[0, 2] - converged_n) <= env.error_estimate().force_n[0]
 
 
+@pytest.mark.parametrize(
+    ("indenter", "converged_n"), [("edge:90x6", 0.00515), ("roller:2x6", 0.01359)]
+)
+def test_tools_with_rims_are_on_a_dome(indenter: str, converged_n: float) -> None:
+    """Against 43,693 nodes; meshes without outlines were 51 and 5 per cent off."""
+    tool = parse_indenter(indenter)
+    mesh = press_mesh("rtac", {}, (0.7, -0.4), tool.contact(0.1))
+    env = PressEnv(mesh, Material(0.055e6, 0.46), tool, np.array([[0.7, -0.4]]))
+    env.move_to(0.1)
+    assert env.press_force[0, 2] == pytest.approx(converged_n, rel=0.03)
+    assert abs(env.press_force[0, 2] - converged_n) <= env.error_estimate().force_n[0]
+
+
 def test_a_sharp_edge_goes_deep() -> None:
     """Without guards along the edges of tets those below the ends of the blade turn inside out."""
     tool = parse_indenter("edge:90x6")
