@@ -15,9 +15,9 @@ import numpy as np
 
 from cad.mesh.columns import growth_factor
 from cad.mesh.convex_polygon import second_moments, side_normals, where_rays_leave
-from cad.mesh.o_grid import spoke_angles
+from cad.mesh.o_grid import coons_patch, spoke_angles
 from cad.mesh.plan_smoothing import smooth_plan
-from cad.mesh.structured_topology import core_perimeter, plan_quads
+from cad.mesh.structured_topology import plan_quads
 
 _CORE = 0.55
 """Where the core ends, as a part of the way from the middle to the outline."""
@@ -80,7 +80,7 @@ def contact_plan(
         loops.append(((1 - left) * bulged)[:, None] * border)
     loops += _rings_between(outline, border, last, rings - outline.inner)
     drawn = plan.copy()
-    drawn[:base] = center_mm + _filled(loops[0], core)
+    drawn[:base] = center_mm + coons_patch(loops[0], core)
     drawn[base : base + rings * count] = center_mm + np.concatenate(loops[1:])
     quads = plan_quads(core, rings)
     for held, iterations in _SMOOTHING:
@@ -258,15 +258,3 @@ def _growing(first_mm: float, lengths_mm: np.ndarray, count: int) -> np.ndarray:
         steps = first * factor**powers
         ends.append(np.cumsum(steps) / steps.sum())
     return np.stack(ends, axis=1)
-
-
-def _filled(loop: np.ndarray, core: int) -> np.ndarray:
-    """Nodes of a core from those around it, by a Coons patch, [(core + 1)^2, 2]."""
-    grid = np.zeros((core + 1, core + 1, 2))
-    grid.reshape(-1, 2)[core_perimeter(core)] = loop
-    u = np.linspace(0, 1, core + 1)[:, None, None]
-    v = np.linspace(0, 1, core + 1)[None, :, None]
-    ruled = (1 - u) * grid[:1] + u * grid[-1:] + (1 - v) * grid[:, :1] + v * grid[:, -1:]
-    corner = (1 - u) * ((1 - v) * grid[0, 0] + v * grid[0, -1])
-    corner = corner + u * ((1 - v) * grid[-1, 0] + v * grid[-1, -1])
-    return (ruled - corner).reshape(-1, 2)

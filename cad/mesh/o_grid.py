@@ -7,6 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from cad.mesh.structured_topology import core_perimeter
+
 _BULGE = 0.45
 
 
@@ -41,16 +43,18 @@ def bulged_radius(theta: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=16)
 def bulged_core(core: int) -> np.ndarray:
     """Nodes of the unit core, equal angles on its edge, Coons patch inside: [n+1, n+1, 2]."""
-    theta = -0.75 * np.pi + 0.5 * np.pi * np.arange(core + 1) / core
-    sides = []
-    for k in range(4):
-        a = theta + k * np.pi / 2
-        sides.append(bulged_radius(a)[:, None] * np.stack([np.cos(a), np.sin(a)], axis=-1))
-    low_y, high_x, high_y, low_x = sides[0], sides[1], sides[2][::-1], sides[3][::-1]
-    t = np.linspace(0, 1, core + 1)
-    u, v = t[:, None, None], t[None, :, None]
-    ruled = (1 - v) * low_y[:, None] + v * high_y[:, None]
-    ruled += (1 - u) * low_x[None, :] + u * high_x[None, :]
-    corner = (1 - u) * ((1 - v) * low_y[0] + v * high_y[0])
-    corner += u * ((1 - v) * low_y[-1] + v * high_y[-1])
-    return ruled - corner
+    theta = spoke_angles(core)
+    edge = bulged_radius(theta)[:, None] * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+    return coons_patch(edge, core).reshape(core + 1, core + 1, 2)
+
+
+def coons_patch(loop: np.ndarray, core: int) -> np.ndarray:
+    """Nodes of a core from those around it, by a Coons patch, [(core + 1)^2, 2]."""
+    grid = np.zeros((core + 1, core + 1, 2))
+    grid.reshape(-1, 2)[core_perimeter(core)] = loop
+    u = np.linspace(0, 1, core + 1)[:, None, None]
+    v = np.linspace(0, 1, core + 1)[None, :, None]
+    ruled = (1 - u) * grid[:1] + u * grid[-1:] + (1 - v) * grid[:, :1] + v * grid[:, -1:]
+    corner = (1 - u) * ((1 - v) * grid[0, 0] + v * grid[0, -1])
+    corner = corner + u * ((1 - v) * grid[-1, 0] + v * grid[-1, -1])
+    return (ruled - corner).reshape(-1, 2)
