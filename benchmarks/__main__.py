@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m benchmarks``."""
+"""``python -m taccel_lab.benchmarks``."""
 
 import sys
 
-from benchmarks.command_line import main
+from taccel_lab.benchmarks.command_line import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -27,7 +27,9 @@ _TYPES = {
 
 def data_folder() -> Path:
     """Where the published meshes are looked for."""
-    root = os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[2] / "shared" / "data")
+    root = os.environ.get(
+        "TACCEL_LAB_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"
+    )
     return Path(root) / "taccel_assets"
 
 

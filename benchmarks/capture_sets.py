@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.optics_captures import data_folder
-from benchmarks.options import Captures
-from benchmarks.results import ResultFile, note
+from taccel_lab.benchmarks.optics_captures import data_folder
+from taccel_lab.benchmarks.options import Captures
+from taccel_lab.benchmarks.results import ResultFile, note
 from taccel_lab.errors import InputError
 
 WHAT = "real captures through the commands of calibration; goals beside the figures"
@@ -158,7 +158,7 @@ class ImportedSets:
         return None if done is None else done / case.part
 
     def _import(self, source: str) -> Path | None:
-        from calibration.capture import find_taxim_pack
+        from taccel_lab.calibration.capture import find_taxim_pack
 
         if source.startswith("taxim:"):
             try:
@@ -210,8 +210,8 @@ def _contact_report(folder: Path) -> dict[str, Any]:
     """Contacts found without any label, against the labels."""
     from dataclasses import asdict
 
-    from calibration.capture import load_captures
-    from calibration.targets import compare_with_labels, resolve_contacts
+    from taccel_lab.calibration.capture import load_captures
+    from taccel_lab.calibration.targets import compare_with_labels, resolve_contacts
 
     captures = load_captures(folder)
     agreement = compare_with_labels(captures, resolve_contacts(captures))

@@ -15,28 +15,28 @@ from typing import Any
 
 import numpy as np
 
-from calibration.background.drift import Drift, fit_drift
-from calibration.capture import CaptureSet, load_captures
-from calibration.capture.captures import ContactCircle
-from calibration.estimators.color import (
+from taccel_lab.calibration.background.drift import Drift, fit_drift
+from taccel_lab.calibration.capture import CaptureSet, load_captures
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.estimators.color import (
     ColorFitOptions,
     ColorFrame,
     RegistrationOptions,
     choose_drift,
     register_presses,
 )
-from calibration.estimators.color.fit import rest_background
-from calibration.estimators.color.frames import NO_DRIFT, draw_samples, frame_drift
-from calibration.estimators.color.training import train
-from calibration.evaluate import crop_slices, psnr_db
-from calibration.simulate import simulate_presses
-from calibration.surfaces.design import fitted_design
-from calibration.surfaces.radial import RadialSurfaces
-from calibration.surfaces.types import PressSurface
-from calibration.surfaces.variation import moved_surfaces
-from calibration.targets import choose_circles, usable_presses
-from calibration.targets.label_placement import LabelPlacement
-from calibration.taxim_table import fit_taxim_table, render_taxim_table
+from taccel_lab.calibration.estimators.color.fit import rest_background
+from taccel_lab.calibration.estimators.color.frames import NO_DRIFT, draw_samples, frame_drift
+from taccel_lab.calibration.estimators.color.training import train
+from taccel_lab.calibration.evaluate import crop_slices, psnr_db
+from taccel_lab.calibration.simulate import simulate_presses
+from taccel_lab.calibration.surfaces.design import fitted_design
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.surfaces.variation import moved_surfaces
+from taccel_lab.calibration.targets import choose_circles, usable_presses
+from taccel_lab.calibration.targets.label_placement import LabelPlacement
+from taccel_lab.calibration.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.profile import CameraBlock, Provenance
 from taccel_lab.signals.color_model import ColorModel
 

@@ -5,8 +5,9 @@ Each value of each setting is fitted to two thirds of the training presses, whos
 again without the others; these are rendered where their labels put them. The figure is the PSNR of
 the crop, the mean over the presses and seeds. The value with the best mean over two sets is what
 the third set is quoted with: fitted to all its training presses, scored on its held-out ones.
-Held-out presses choose nothing. Run it with ``python -m benchmarks.color_settings``; results go to
-``benchmarks/results/color_settings.json``. With ``--kept FILE`` a run that was cut short goes on.
+Held-out presses choose nothing. Run it with ``python -m taccel_lab.benchmarks.color_settings``;
+results go to ``benchmarks/results/color_settings.json``. With ``--kept FILE`` a run that was cut
+short goes on.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.capture_sets import CASES, ImportedSets
-from benchmarks.color_scene import (
+from taccel_lab.benchmarks.capture_sets import CASES, ImportedSets
+from taccel_lab.benchmarks.color_scene import (
     DEFAULT,
     HOLDOUT_EVERY,
     NETWORK,
@@ -35,8 +36,8 @@ from benchmarks.color_scene import (
     network,
     table,
 )
-from benchmarks.left_out import beats_default, choose_left_out
-from benchmarks.results import FOLDER, ResultFile, note
+from taccel_lab.benchmarks.left_out import beats_default, choose_left_out
+from taccel_lab.benchmarks.results import FOLDER, ResultFile, note
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
 

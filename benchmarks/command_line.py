@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m benchmarks``: the suites with argparse, for machines without the command line's
-libraries.
+"""``python -m taccel_lab.benchmarks``: the suites with argparse, for machines without the command
+line's libraries.
 
 Lists are written with commas: ``--envs 1,16,64``.
 """
@@ -17,7 +17,7 @@ from functools import partial
 from itertools import pairwise
 from typing import Any, get_args, get_origin, get_type_hints
 
-from benchmarks.options import COMMANDS, SUITES
+from taccel_lab.benchmarks.options import COMMANDS, SUITES
 from taccel_lab.errors import InputError, SimulationError
 
 
@@ -82,7 +82,7 @@ def _shown(value: Any) -> str:
 
 def make_parser() -> argparse.ArgumentParser:
     """``run SUITE`` and the other commands."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m taccel_lab.benchmarks", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     suites = commands.add_parser("run", help="run a suite").add_subparsers(
         required=True, metavar="SUITE"

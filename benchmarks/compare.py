@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
-from benchmarks.options import Compare
-from benchmarks.results import read_result
+from taccel_lab.benchmarks.options import Compare
+from taccel_lab.benchmarks.results import read_result
 from taccel_lab.errors import InputError
 
 IDENTITY = {

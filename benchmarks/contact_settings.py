@@ -5,7 +5,7 @@ Contacts are found without any label; each length of the skirt refits all circle
 figure is how far a found circle lies from its label beyond what all of the set have in common (the
 median of u, v and radius), in per cent of the contact radius, less is better. The value with the
 best mean over two sets is what the third is quoted with. Run it with
-``python -m benchmarks.contact_settings``; results go to
+``python -m taccel_lab.benchmarks.contact_settings``; results go to
 ``benchmarks/results/contact_settings.json``.
 """
 
@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.capture_sets import CASES, ImportedSets
-from benchmarks.left_out import beats_default, choose_left_out
-from benchmarks.results import FOLDER, ResultFile, note
-from calibration.capture import load_captures
-from calibration.targets import find_contacts
-from calibration.targets.photometric import fit_contacts
-from calibration.targets.slope_law import SKIRT
+from taccel_lab.benchmarks.capture_sets import CASES, ImportedSets
+from taccel_lab.benchmarks.left_out import beats_default, choose_left_out
+from taccel_lab.benchmarks.results import FOLDER, ResultFile, note
+from taccel_lab.calibration.capture import load_captures
+from taccel_lab.calibration.targets import find_contacts
+from taccel_lab.calibration.targets.photometric import fit_contacts
+from taccel_lab.calibration.targets.slope_law import SKIRT
 
 WHAT = "length of the skirt in the law of contacts, chosen on two sets and quoted on the third"
 SUITE = "contact_settings"

@@ -12,7 +12,7 @@ The press is quasi-static, but for the time step: there the gel has mass and is 
 set off waves of the shortest length, and without damping these hide any order of the time step.
 Run from the repository root:
 
-    python -m benchmarks.convergence_study --out benchmarks/results
+    python -m taccel_lab.benchmarks.convergence_study --out benchmarks/results
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from benchmarks.machine import describe_run
-from benchmarks.shear_press import (
+from taccel_lab.benchmarks.machine import describe_run
+from taccel_lab.benchmarks.shear_press import (
     BALL_M,
     DENSITY,
     DEPTH_M,

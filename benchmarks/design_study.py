@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.options import Study
-from benchmarks.results import Deadline, ResultFile, note, read_result
-from sensors.registry import sensor_family
-from studies.design_point import DesignPoint, DesignResult
-from studies.evaluate import evaluate_designs
-from studies.metrics import METRICS, Metric
-from studies.presses import DEFAULT_PRESSES, standard_presses
+from taccel_lab.benchmarks.options import Study
+from taccel_lab.benchmarks.results import Deadline, ResultFile, note, read_result
 from taccel_lab.errors import InputError
+from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.evaluate import evaluate_designs
+from taccel_lab.studies.metrics import METRICS, Metric
+from taccel_lab.studies.presses import DEFAULT_PRESSES, standard_presses
 
 WHAT = "designs that share no simulation go through the standard presses; figures of merit included"
 

@@ -15,7 +15,7 @@ what a Newton step spends most of its time on when nu is near 0.5.
 Elements with a pressure of its own that neighbours share (MINI, Taylor-Hood) make an indefinite
 system, for which the solver's conjugate gradients and its projection are no use; they are left out.
 
-    python -m benchmarks.element_candidates --out benchmarks/results
+    python -m taccel_lab.benchmarks.element_candidates --out benchmarks/results
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.machine import describe_run
-from benchmarks.nodal_loads import surface_load, tet_rule, whole_faces
+from taccel_lab.benchmarks.machine import describe_run
+from taccel_lab.benchmarks.nodal_loads import surface_load, tet_rule, whole_faces
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh, quadratic_mesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.quadratic import TET_EDGES

@@ -6,7 +6,7 @@ on meshes that are refined alike in all directions. The reference is the finest 
 the same Poisson's ratio; the difference to the mesh before it says how far that is converged. Run
 from the repository root:
 
-    python -m benchmarks.element_choice --out benchmarks/results
+    python -m taccel_lab.benchmarks.element_choice --out benchmarks/results
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from benchmarks.machine import describe_run
-from cad.mesh.structured import structured_gel_mesh
-from cad.parts.gel_pad import GelPad
+from taccel_lab.benchmarks.machine import describe_run
+from taccel_lab.cad.mesh.structured import structured_gel_mesh
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.output import atomic_file, write_json
 from taccel_lab.scene import Element, Material

@@ -10,11 +10,11 @@ with the order of the element. Error: L2 norm over that of the displacement.
 *Cook's membrane* [Cook, Malkus and Plesha 1989] in plane strain, a sheet of one tet between two
 frictionless walls, even cells. Referee: scikit-fem 12, plane strain, triangles of order four on
 meshes of 2^r x 2^r cells graded towards the clamped corners, extrapolated over r
-(``python -m benchmarks.element_convergence --referee`` does it again). Error: energy of the load,
-which the corner where the clamped edge meets the free one keeps from converging with the order of
-any element: near it stress goes to infinity.
+(``python -m taccel_lab.benchmarks.element_convergence --referee`` does it again). Error: energy of
+the load, which the corner where the clamped edge meets the free one keeps from converging with the
+order of any element: near it stress goes to infinity.
 
-    python -m benchmarks.element_convergence --out benchmarks/results
+    python -m taccel_lab.benchmarks.element_convergence --out benchmarks/results
 """
 
 from __future__ import annotations
@@ -26,8 +26,14 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from benchmarks.machine import describe_run
-from benchmarks.nodal_loads import body_load, shape_functions, surface_load, tet_rule, whole_faces
+from taccel_lab.benchmarks.machine import describe_run
+from taccel_lab.benchmarks.nodal_loads import (
+    body_load,
+    shape_functions,
+    surface_load,
+    tet_rule,
+    whole_faces,
+)
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.output import write_json

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The suite ``error``: what each setting costs in time and in error, and which settings pay.
 
-The press with shear of ``benchmarks.shear_press``. Every row is compared with one converged run
-(quadratic tets, small dhat and tolerance): force, height of the contact face, markers. Beside that
-*total* error stands the error of the *settings* alone, against the converged run on the row's own
-mesh, since the mesh's error would hide it.
+The press with shear of ``taccel_lab.benchmarks.shear_press``. Every row is compared with one
+converged run (quadratic tets, small dhat and tolerance): force, height of the contact face,
+markers. Beside that *total* error stands the error of the *settings* alone, against the converged
+run on the row's own mesh, since the mesh's error would hide it.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.clock import clock_name
-from benchmarks.front import NOISE, is_on_front
-from benchmarks.options import Error
-from benchmarks.results import Deadline, ResultFile, note, spread
-from benchmarks.shear_press import FRICTION, Outcome, Press, run
+from taccel_lab.benchmarks.clock import clock_name
+from taccel_lab.benchmarks.front import NOISE, is_on_front
+from taccel_lab.benchmarks.options import Error
+from taccel_lab.benchmarks.results import Deadline, ResultFile, note, spread
+from taccel_lab.benchmarks.shear_press import FRICTION, Outcome, Press, run
 from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.ipc.linear.system import METHODS

@@ -6,7 +6,7 @@
 for a rigid sphere of radius R at depth d [Johnson 1985, Contact Mechanics, section 4.2]. Mesh,
 dhat and the size of the block are varied one at a time. Run from the repository root:
 
-    python -m benchmarks.hertz_convergence --out benchmarks/results
+    python -m taccel_lab.benchmarks.hertz_convergence --out benchmarks/results
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from benchmarks.half_space_mesh import half_space_mesh
-from benchmarks.machine import describe_run
+from taccel_lab.benchmarks.half_space_mesh import half_space_mesh
+from taccel_lab.benchmarks.machine import describe_run
 from taccel_lab.geometry import Region
 from taccel_lab.output import atomic_file, write_json
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody

@@ -3,7 +3,7 @@
 
 A pad of 20 x 15 mm with 1,271 nodes on its contact face, a colour network of the real architecture
 with seeded random weights, and a smooth press with shear that differs in each environment and moves
-every pixel: the most work an image can be. ``python -m benchmarks.images`` writes
+every pixel: the most work an image can be. ``python -m taccel_lab.benchmarks.images`` writes
 ``benchmarks/results/images.json``. Each update is captured in a CUDA graph and timed by device
 events; on the CPU by the clock.
 """
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.results import ResultFile
+from taccel_lab.benchmarks.results import ResultFile
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.signals import SignalHeightMap

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time, iterations and error of the linear solvers on Newton-like systems.
 
-    python -m benchmarks.linear_solvers [--device cuda:0] [--out results.json] [--dumps folder]
+    python -m taccel_lab.benchmarks.linear_solvers [--device cuda:0] [--out results.json] [--dumps
+    folder]
         [--only peg]
 
 Every variant is checked against a sparse direct solution of scipy, in the first and the last
@@ -21,8 +22,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.linear_systems import System, dumped, peg, slab, with_contact_in_pattern
-from benchmarks.machine import describe_run
+from taccel_lab.benchmarks.linear_systems import System, dumped, peg, slab, with_contact_in_pattern
+from taccel_lab.benchmarks.machine import describe_run
 from taccel_lab.ipc.linear.arrow_cg import ArrowCG
 from taccel_lab.ipc.linear.arrow_shared import ArrowShared
 from taccel_lab.ipc.linear.block_cg import BlockCG

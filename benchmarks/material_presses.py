@@ -4,7 +4,7 @@
 A ball of 7.5 mm radius on a gel of 25 x 20 x 4 mm and 1 MPa, as a fit of material parameters asks
 for it: seven depths without friction, with the slope of each force over Poisson's ratio by the
 implicit function theorem (``slopes``) or without (``values``), and a press with two drags
-(``friction``). Run it with ``python -m benchmarks.material_presses``; results go to
+(``friction``). Run it with ``python -m taccel_lab.benchmarks.material_presses``; results go to
 ``benchmarks/results/material_presses.json``. Needs Warp, numpy and scipy alone.
 """
 
@@ -20,9 +20,9 @@ from typing import Literal
 
 import numpy as np
 
-from benchmarks.machine import describe_run
-from calibration.material.candidates import Candidate, Followed, Reader, follow
-from calibration.material.gel_presses import GelPresses, MaterialStep, Stop
+from taccel_lab.benchmarks.machine import describe_run
+from taccel_lab.calibration.material.candidates import Candidate, Followed, Reader, follow
+from taccel_lab.calibration.material.gel_presses import GelPresses, MaterialStep, Stop
 from taccel_lab.envs import parse_indenter
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh

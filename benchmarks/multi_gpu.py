@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The peg scene on several GPUs: from one process (``ShardedSolver``), and one process a GPU.
 
-``python -m benchmarks.multi_gpu`` runs on all GPUs of the machine; Warp, NumPy and SciPy are all it
-needs. Strong scaling keeps the number of environments, weak scaling the number on each GPU. Timed
-are whole motions: targets set, stepped, forces of all environments on the host. In the table,
-"ideal" is the speed over that of one GPU times the number of GPUs, and "differ" counts the steps of
-environments whose Newton iterations are not those of the first environment on one GPU: all of them
-do the same, and only the order of sums tells them apart.
+``python -m taccel_lab.benchmarks.multi_gpu`` runs on all GPUs of the machine; Warp, NumPy and SciPy
+are all it needs. Strong scaling keeps the number of environments, weak scaling the number on each
+GPU. Timed are whole motions: targets set, stepped, forces of all environments on the host. In the
+table, "ideal" is the speed over that of one GPU times the number of GPUs, and "differ" counts the
+steps of environments whose Newton iterations are not those of the first environment on one GPU: all
+of them do the same, and only the order of sums tells them apart.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.results import FOLDER, Deadline, ResultFile, note, spread
-from benchmarks.runner import ForceReader, Motion
-from benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.benchmarks.results import FOLDER, Deadline, ResultFile, note, spread
+from taccel_lab.benchmarks.runner import ForceReader, Motion
+from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.errors import InputError
 from taccel_lab.scene.shards import shard_of, shard_slice
 from taccel_lab.solvers import ShardedSolver

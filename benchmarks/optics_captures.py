@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.capture import find_taxim_pack, load_captures
+from taccel_lab.calibration.capture import find_taxim_pack, load_captures
 from taccel_lab.errors import InputError
 
 
@@ -49,7 +49,9 @@ class RealSensor:
 
 def data_folder() -> Path:
     """Where the captures are looked for."""
-    return Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    return Path(
+        os.environ.get("TACCEL_LAB_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
+    )
 
 
 def real_sensors() -> Iterator[RealSensor]:

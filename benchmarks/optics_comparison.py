@@ -6,7 +6,7 @@ the figures say how far such a model reaches, not how it predicts an unknown sen
 ball itself inside its contact circle and an elastic half-space around it. Run from the repository
 root:
 
-    python -m benchmarks.optics_comparison --out benchmarks/results
+    python -m taccel_lab.benchmarks.optics_comparison --out benchmarks/results
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.optics_captures import RealPress, RealSensor, real_sensors
-from sensors.registry import sensor_family
+from taccel_lab.benchmarks.optics_captures import RealPress, RealSensor, real_sensors
 from taccel_lab.optics.compare import (
     BackgroundMatch,
     PressMatch,
@@ -30,6 +29,7 @@ from taccel_lab.optics.compare import (
 from taccel_lab.optics.description import OpticalDesign
 from taccel_lab.optics.render import OpticalModel, PreviewImage
 from taccel_lab.output import atomic_file, write_json
+from taccel_lab.sensors.registry import sensor_family
 
 LONG_SIDE_PX = 240
 BLUR = 0.02

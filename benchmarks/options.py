@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each suite can be asked, for ``taccel-lab bench`` and ``python -m benchmarks`` alike.
+"""What each suite can be asked, for ``taccel-lab bench`` and ``python -m taccel_lab.benchmarks``
+alike.
 
 Nothing heavy is imported before ``run``. Field docstrings are the help of both command lines.
 """
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-_ROOT = Path(__file__).parents[1]
+_ROOT = Path(__file__).resolve().parents[1]
 RESULTS = (
     _ROOT / "benchmarks" / "results"
     if (_ROOT / "pyproject.toml").is_file()
@@ -50,7 +51,7 @@ class Speed:
     """Folder of the result, or a JSON file."""
 
     def run(self) -> None:
-        from benchmarks.speed import run_speed
+        from taccel_lab.benchmarks.speed import run_speed
 
         run_speed(self)
 
@@ -72,7 +73,7 @@ class Error:
     """Folder of the result, or a JSON file."""
 
     def run(self) -> None:
-        from benchmarks.error import run_error
+        from taccel_lab.benchmarks.error import run_error
 
         run_error(self)
 
@@ -104,7 +105,7 @@ class Scaling:
     """Folder of the result, or a JSON file."""
 
     def run(self) -> None:
-        from benchmarks.scaling import run_scaling
+        from taccel_lab.benchmarks.scaling import run_scaling
 
         run_scaling(self)
 
@@ -126,7 +127,7 @@ class Skips:
     """Folder of the result, or a JSON file."""
 
     def run(self) -> None:
-        from benchmarks.skips import run_skips
+        from taccel_lab.benchmarks.skips import run_skips
 
         run_skips(self)
 
@@ -146,8 +147,8 @@ class Stress:
     """Folder of the result, or a JSON file."""
 
     def run(self) -> None:
-        from benchmarks.results import result_path
-        from benchmarks.stress import run, table
+        from taccel_lab.benchmarks.results import result_path
+        from taccel_lab.benchmarks.stress import run, table
 
         record = run(self.count, self.seed, result_path("stress", self.out), self.device)
         print(table(record["summary"]))
@@ -170,7 +171,7 @@ class Peers:
     """Folder of the result, or a JSON file."""
 
     def run(self) -> None:
-        from benchmarks.peers import run_peers
+        from taccel_lab.benchmarks.peers import run_peers
 
         run_peers(self)
 
@@ -196,7 +197,7 @@ class Study:
     """Folder of the result, or a JSON file."""
 
     def run(self) -> None:
-        from benchmarks.design_study import run_study
+        from taccel_lab.benchmarks.design_study import run_study
 
         run_study(self)
 
@@ -212,7 +213,7 @@ class Captures:
     """Folder of the result, or a JSON file."""
 
     def run(self) -> None:
-        from benchmarks.capture_sets import run_capture_sets
+        from taccel_lab.benchmarks.capture_sets import run_capture_sets
 
         run_capture_sets(self)
 
@@ -226,7 +227,7 @@ class Quick:
     """Write the baseline anew instead of comparing with it."""
 
     def run(self) -> None:
-        from benchmarks.quick import run_quick
+        from taccel_lab.benchmarks.quick import run_quick
 
         if not run_quick(self):
             raise SystemExit(1)
@@ -243,7 +244,7 @@ class Compare:
     """Result of after, of the same suite."""
 
     def run(self) -> None:
-        from benchmarks.compare import run_compare
+        from taccel_lab.benchmarks.compare import run_compare
 
         run_compare(self)
 
@@ -261,7 +262,7 @@ class Report:
     """Run the scenes and draw them, too (a minute)."""
 
     def run(self) -> None:
-        from benchmarks.report import run_report
+        from taccel_lab.benchmarks.report import run_report
 
         for path in run_report(self.results, self.pictures, self.scenes):
             print(path)
@@ -276,7 +277,7 @@ class Scenes:
     """Meshes: published, generated, or auto for the published ones where they are."""
 
     def run(self) -> None:
-        from benchmarks.scenes import SCENES, SceneOptions, build_scene
+        from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 
         for name in SCENES:
             bench = build_scene(name, SceneOptions(source=self.source))

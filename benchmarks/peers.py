@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.options import Peers
-from benchmarks.results import ResultFile, note
+from taccel_lab.benchmarks.options import Peers
+from taccel_lab.benchmarks.results import ResultFile, note
 from taccel_lab.errors import InputError, SimulationError
 
 FIELD = Path(__file__).parent / "peers.json"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Taccel's peg scene (``benchmarks.scenes.peg``), every step printed.
+"""Taccel's peg scene (``taccel_lab.benchmarks.scenes.peg``), every step printed.
 
-``python -m benchmarks.peg_scene`` writes ``benchmarks/results/peg_scene.json``.
+``python -m taccel_lab.benchmarks.peg_scene`` writes ``benchmarks/results/peg_scene.json``.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.assets import data_folder
-from benchmarks.machine import describe_run
-from benchmarks.scenes.peg import (
+from taccel_lab.benchmarks.assets import data_folder
+from taccel_lab.benchmarks.machine import describe_run
+from taccel_lab.benchmarks.scenes.peg import (
     DHAT_M,
     DT_S,
     FRICTION_SPEED_M_S,

@@ -2,7 +2,8 @@
 """Colour networks with the position as sines and cosines: device against host, images a second.
 
 Random networks of three layers of 64 units, images of 320 x 240 pixels. Run it with
-``python -m benchmarks.position_bands``; results go to ``benchmarks/results/position_bands.json``.
+``python -m taccel_lab.benchmarks.position_bands``; results go to
+``benchmarks/results/position_bands.json``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.machine import describe_run
+from taccel_lab.benchmarks.machine import describe_run
 from taccel_lab.output import write_json
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
 from taccel_lab.signals.device_color import DeviceColorModel

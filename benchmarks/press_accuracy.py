@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of presses with each accuracy: catalogue families x tools x depths x materials x friction.
 
-    python -m benchmarks.press_accuracy prepare FOLDER   meshes of all cases (needs the CAD)
-    python -m benchmarks.press_accuracy run FOLDER       the presses (needs Warp, numpy, scipy)
-    python -m benchmarks.press_accuracy table            what docs/verification.md quotes
+    python -m taccel_lab.benchmarks.press_accuracy prepare FOLDER   meshes of all cases (needs the
+    CAD) python -m taccel_lab.benchmarks.press_accuracy run FOLDER       the presses (needs Warp,
+    numpy, scipy) python -m taccel_lab.benchmarks.press_accuracy table            what
+    docs/verification.md quotes
 
 Every case is pressed by the same path with a reference mesh and with each accuracy, off the mesh's
 symmetry. Heights are compared on 160 pixels across the sensor's view, less those at rest: what a
@@ -27,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.machine import describe_run
+from taccel_lab.benchmarks.machine import describe_run
 from taccel_lab.envs import (
     PHYSICS,
     Accuracy,
@@ -120,8 +121,8 @@ def tool(name: str) -> Indenter:
 
 def cases() -> Iterator[Case]:
     """All cases of the catalogue."""
-    from sensors.profile import catalogue_profile
-    from sensors.registry import sensor_families
+    from taccel_lab.sensors.profile import catalogue_profile
+    from taccel_lab.sensors.registry import sensor_families
 
     for first, family in enumerate(sensor_families()):
         profile = catalogue_profile(family)
@@ -142,7 +143,7 @@ def cases() -> Iterator[Case]:
 
 def prepare(folder: Path) -> None:
     """Write the meshes of all cases, for a machine without the CAD."""
-    from sensors.press_mesh import press_mesh
+    from taccel_lab.sensors.press_mesh import press_mesh
 
     folder.mkdir(parents=True, exist_ok=True)
     for case in cases():

@@ -4,7 +4,8 @@
 A ball of 2 mm radius goes 0.8 mm into the gelsight pad in steps of 0.2 mm, converged to 1e-4 of
 the contact force, without and with friction, on meshes of about 2,000 to 12,000 nodes. Kernel
 compilation into an empty cache is timed on its own, in a process of its own. Run it with
-``python -m benchmarks.press_speed``; results go to ``benchmarks/results/press_speed.json``.
+``python -m taccel_lab.benchmarks.press_speed``; results go to
+``benchmarks/results/press_speed.json``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.machine import describe_run
+from taccel_lab.benchmarks.machine import describe_run
 from taccel_lab.output import write_json
 
 RESULT = Path(__file__).parent / "results" / "press_speed.json"
@@ -37,7 +38,6 @@ def press(
     mesh: tuple[int, int, int], friction: float, poisson_ratio: float, capture: bool = True
 ) -> dict[str, Any]:
     """One press; figures of each step."""
-    from sensors.press_mesh import press_mesh
     from taccel_lab.envs import (
         PHYSICS,
         Accuracy,
@@ -46,6 +46,7 @@ def press(
         parse_indenter,
     )
     from taccel_lab.scene import Element, Material
+    from taccel_lab.sensors.press_mesh import press_mesh
 
     core, rings, layers = mesh
     options = PressMeshOptions(10.0, core=core, rings=rings, layers=layers)
@@ -116,7 +117,7 @@ def cold_compilation() -> dict[str, float]:
     """Seconds of the first press with an empty and then with the filled kernel cache."""
     code = (
         "import time; t = time.perf_counter();"
-        "from benchmarks.press_speed import MESHES, press;"
+        "from taccel_lab.benchmarks.press_speed import MESHES, press;"
         "press(MESHES['2,000 nodes'], 1.0, 0.46); print(time.perf_counter() - t)"
     )
     seconds = []

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.launches import LaunchCounter
-from benchmarks.memory import MemoryMeter
-from benchmarks.options import Quick
-from benchmarks.results import note
-from benchmarks.runner import Runner
-from benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.benchmarks.launches import LaunchCounter
+from taccel_lab.benchmarks.memory import MemoryMeter
+from taccel_lab.benchmarks.options import Quick
+from taccel_lab.benchmarks.results import note
+from taccel_lab.benchmarks.runner import Runner
+from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
 
@@ -138,9 +138,9 @@ def run_quick(options: Quick) -> bool:
     """Measure and compare; whether everything is within bounds."""
     found = measure_all()
     if options.update:
-        from benchmarks.machine import describe_run
+        from taccel_lab.benchmarks.machine import describe_run
 
-        what = "Figures of benchmarks.quick that noise cannot move; written by --update."
+        what = "Figures of taccel_lab.benchmarks.quick that noise cannot move; written by --update."
         write_json(BASELINE, {"what": what, "run": describe_run(), "scenes": found})
         note(f"wrote {BASELINE}")
         return True

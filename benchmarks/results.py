@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.machine import describe_run
+from taccel_lab.benchmarks.machine import describe_run
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
 

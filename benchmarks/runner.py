@@ -2,7 +2,7 @@
 """Step a scene through its motion as a user would: set targets, step, read forces.
 
 The end-to-end time of a step is that of all three, until the forces on each gel are on the host;
-``benchmarks.clock`` says which clock.
+``taccel_lab.benchmarks.clock`` says which clock.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.clock import clock_of
-from benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
+from taccel_lab.benchmarks.clock import clock_of
+from taccel_lab.benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
 from taccel_lab.model import Model
 from taccel_lab.scene.checks import check_start
 from taccel_lab.solvers import EnvStatus, SolverIPC, StepReport

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.clock import clock_name
-from benchmarks.front import power_law
-from benchmarks.memory import MemoryMeter, pool_bytes
-from benchmarks.options import Scaling
-from benchmarks.results import Deadline, ResultFile, note, spread
-from benchmarks.runner import Motion, Runner
-from benchmarks.scenes import SceneOptions, build_scene
-from benchmarks.scenes.base import BenchScene, make_config, straight
-from benchmarks.scenes.peg import GEL
+from taccel_lab.benchmarks.clock import clock_name
+from taccel_lab.benchmarks.front import power_law
+from taccel_lab.benchmarks.memory import MemoryMeter, pool_bytes
+from taccel_lab.benchmarks.options import Scaling
+from taccel_lab.benchmarks.results import Deadline, ResultFile, note, spread
+from taccel_lab.benchmarks.runner import Motion, Runner
+from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.benchmarks.scenes.base import BenchScene, make_config, straight
+from taccel_lab.benchmarks.scenes.peg import GEL
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import Ball, Element, KinematicBody, Scene, SoftBody, box_mesh
 

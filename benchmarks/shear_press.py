@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.clock import clock_of
-from cad.mesh.structured import structured_gel_mesh
-from cad.parts.gel_pad import GelPad
+from taccel_lab.benchmarks.clock import clock_of
+from taccel_lab.cad.mesh.structured import structured_gel_mesh
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import SimulationError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.scene import (
@@ -77,7 +77,7 @@ class Outcome:
     residual_ratio: float
     """Largest force residual of a step over its contact force."""
     seconds: float
-    """Of the steps, by ``benchmarks.clock``."""
+    """Of the steps, by ``taccel_lab.benchmarks.clock``."""
 
 
 def run(press: Press, device: str = "cpu") -> Outcome:

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.clock import clock_name
-from benchmarks.options import Skips
-from benchmarks.results import Deadline, ResultFile, note, spread
-from benchmarks.runner import Motion, Runner
-from benchmarks.scenes import SceneOptions, build_scene
-from benchmarks.scenes.base import BenchScene
-from benchmarks.scenes.peg import generated_parts, peg_scene
+from taccel_lab.benchmarks.clock import clock_name
+from taccel_lab.benchmarks.options import Skips
+from taccel_lab.benchmarks.results import Deadline, ResultFile, note, spread
+from taccel_lab.benchmarks.runner import Motion, Runner
+from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.benchmarks.scenes.base import BenchScene
+from taccel_lab.benchmarks.scenes.peg import generated_parts, peg_scene
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.scene import AffineBody, KinematicBody, Scene, Surface, TimeStepping, box_mesh
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.clock import clock_name
-from benchmarks.launches import LaunchCounter
-from benchmarks.memory import MemoryMeter, pool_bytes
-from benchmarks.options import Speed
-from benchmarks.results import Deadline, ResultFile, Ticker, note, spread
-from benchmarks.runner import Motion, Runner
-from benchmarks.scenes import SCENES, SceneOptions, build_scene
-from benchmarks.startup import measure_startup
+from taccel_lab.benchmarks.clock import clock_name
+from taccel_lab.benchmarks.launches import LaunchCounter
+from taccel_lab.benchmarks.memory import MemoryMeter, pool_bytes
+from taccel_lab.benchmarks.options import Speed
+from taccel_lab.benchmarks.results import Deadline, ResultFile, Ticker, note, spread
+from taccel_lab.benchmarks.runner import Motion, Runner
+from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
+from taccel_lab.benchmarks.startup import measure_startup
 from taccel_lab.errors import InputError
 
 WARM_UP_STEPS = 3

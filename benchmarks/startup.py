@@ -12,10 +12,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.results import note
+import taccel_lab
+from taccel_lab.benchmarks.results import note
 from taccel_lab.errors import SimulationError
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(taccel_lab.__file__).parents[1]
 STEPS = 12
 """Steps after the first one: until every kernel of the scene's motion has been needed."""
 _CODE = """
@@ -24,8 +25,8 @@ started = time.perf_counter()
 import json, sys
 import warp as wp
 wp.config.log_level = wp.LOG_WARNING
-from benchmarks.runner import Runner
-from benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.benchmarks.runner import Runner
+from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 imported = time.perf_counter()
 scene, source, device, steps = sys.argv[1:]
 runner = Runner(build_scene(scene, SceneOptions(source=source)), device)

@@ -11,7 +11,7 @@ from typing import Any
 
 from build123d import Color, Compound, Location, RigidJoint, Solid
 
-from cad.parts.part import Part
+from taccel_lab.cad.parts.part import Part
 from taccel_lab.errors import InputError
 
 TOUCHING_MM = 1e-4

@@ -8,12 +8,12 @@ import dataclasses
 
 from build123d import Location, Wire
 
-from cad.assembly import Assembly, joint
-from cad.parts.housing import HousingParts, HousingShape, Seat, housing_parts
-from cad.parts.outline import base_outline
-from cad.parts.part import Part
-from cad.parts.placeholders import CameraShape, LedShape, camera_part, led_part
-from cad.parts.window import WindowShape, window_part
+from taccel_lab.cad.assembly import Assembly, joint
+from taccel_lab.cad.parts.housing import HousingParts, HousingShape, Seat, housing_parts
+from taccel_lab.cad.parts.outline import base_outline
+from taccel_lab.cad.parts.part import Part
+from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, camera_part, led_part
+from taccel_lab.cad.parts.window import WindowShape, window_part
 from taccel_lab.errors import InputError
 
 _LEDGE_MM, _LEAST_LEDGE_MM = 1.0, 0.3

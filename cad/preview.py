@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cad.export import REGION_COLORS
+from taccel_lab.cad.export import REGION_COLORS
 from taccel_lab.geometry import Region, TetMesh
 
 _VIEWS = (("contact face", 32.0, -58.0), ("glued back", -32.0, -58.0))

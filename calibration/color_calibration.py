@@ -2,7 +2,7 @@
 """Captures and simulated surfaces to the profile blocks ``background`` and ``color``.
 
 All that is chosen or fitted rests on the training presses; then the model is frozen, and the
-held-out presses are read, placed and scored (``calibration.color_heldout``).
+held-out presses are read, placed and scored (``taccel_lab.calibration.color_heldout``).
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.background.drift import fit_drift
-from calibration.capture.captures import CaptureSet, ContactCircle
-from calibration.color_heldout import (
+from taccel_lab.calibration.background.drift import fit_drift
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.color_heldout import (
     HeldoutFailure,
     HeldoutPress,
     HeldoutSet,
     score_heldout,
     without_light,
 )
-from calibration.color_result import ColorCalibration, PressScore, Spread
-from calibration.estimators.color import (
+from taccel_lab.calibration.color_result import ColorCalibration, PressScore, Spread
+from taccel_lab.calibration.estimators.color import (
     ColorFit,
     ColorFitOptions,
     ColorFrame,
@@ -37,14 +37,14 @@ from calibration.estimators.color import (
     fold_fits,
     register_presses,
 )
-from calibration.estimators.color.registration import MIN_PRESSES
-from calibration.evaluate import ImageScore, noise_floor_l1, score_image
-from calibration.result import Remark
-from calibration.surfaces.radial import RadialSurfaces
-from calibration.surfaces.types import PressSurface
-from calibration.surfaces.variation import moved_surfaces
-from calibration.targets.label_placement import LabelPlacement
-from calibration.taxim_table import fit_taxim_table, render_taxim_table
+from taccel_lab.calibration.estimators.color.registration import MIN_PRESSES
+from taccel_lab.calibration.evaluate import ImageScore, noise_floor_l1, score_image
+from taccel_lab.calibration.result import Remark
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.surfaces.variation import moved_surfaces
+from taccel_lab.calibration.targets.label_placement import LabelPlacement
+from taccel_lab.calibration.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
 

@@ -23,18 +23,18 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.background.drift import MIN_FAR_PIXELS, Drift, fit_drift
-from calibration.capture.captures import EQUATOR_SLACK, CaptureSet, ContactCircle, Press
-from calibration.capture.split import PressSplit
-from calibration.estimators.color import ColorFit, ColorFrame, place_press
-from calibration.estimators.color.frames import NO_DRIFT
-from calibration.evaluate import FAR_RADII, ImageScore, mean_score, score_image
-from calibration.surfaces.radial import RadialSurfaces
-from calibration.surfaces.types import PressSurface
-from calibration.surfaces.variation import moved_surfaces
-from calibration.targets import detect_contact
-from calibration.targets.label_placement import LabelPlacement
-from calibration.targets.tiles import even_tiles, filled_from
+from taccel_lab.calibration.background.drift import MIN_FAR_PIXELS, Drift, fit_drift
+from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.split import PressSplit
+from taccel_lab.calibration.estimators.color import ColorFit, ColorFrame, place_press
+from taccel_lab.calibration.estimators.color.frames import NO_DRIFT
+from taccel_lab.calibration.evaluate import FAR_RADII, ImageScore, mean_score, score_image
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.surfaces.variation import moved_surfaces
+from taccel_lab.calibration.targets import detect_contact
+from taccel_lab.calibration.targets.label_placement import LabelPlacement
+from taccel_lab.calibration.targets.tiles import even_tiles, filled_from
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.color_heldout import mean_bare
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.color_heldout import mean_bare
+from taccel_lab.calibration.result import Remark, Severity
 
 if TYPE_CHECKING:
-    from calibration.color_result import ColorCalibration
+    from taccel_lab.calibration.color_result import ColorCalibration
 
 LEAST_PRESSES = 4
 """With fewer presses a model knows a few places and depths, and nothing tells of the others."""

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.color_heldout import HeldoutPress, Placed, mean_bare
-from calibration.color_result import ColorCalibration
-from calibration.evaluate import ImageScore, crop_slices, mean_score
-from calibration.report import Page, Picture, Table
+from taccel_lab.calibration.color_heldout import HeldoutPress, Placed, mean_bare
+from taccel_lab.calibration.color_result import ColorCalibration
+from taccel_lab.calibration.evaluate import ImageScore, crop_slices, mean_score
+from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.interop.taxim_table_file import TABLE_FILE, TableFile, write_table
 from taccel_lab.report.style import BLUE, GREY, INK, ORANGE, in_report_style, new_figure
 

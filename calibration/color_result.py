@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
-from calibration.capture.split import PressSplit
-from calibration.color_heldout import (
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.split import PressSplit
+from taccel_lab.calibration.color_heldout import (
     PLACEMENTS,
     HeldoutFailure,
     HeldoutPress,
@@ -18,11 +18,11 @@ from calibration.color_heldout import (
     mean_bare,
     mean_heldout,
 )
-from calibration.color_remarks import color_remarks
-from calibration.estimators.color import ColorFit, DriftChoice, Registration
-from calibration.evaluate import ImageScore, mean_score
-from calibration.result import Remark, judge
-from calibration.targets.label_placement import LabelPlacement
+from taccel_lab.calibration.color_remarks import color_remarks
+from taccel_lab.calibration.estimators.color import ColorFit, DriftChoice, Registration
+from taccel_lab.calibration.evaluate import ImageScore, mean_score
+from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.calibration.targets.label_placement import LabelPlacement
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

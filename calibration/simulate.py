@@ -16,23 +16,28 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from calibration.capture import CaptureSet, ContactCircle
-from calibration.capture.captures import check_radius
-from calibration.surfaces.between import MIN_OTHERS, SPANNING, SharedLaw, spanning_presses
-from calibration.surfaces.depth_search import EQUATOR_SHARE
-from calibration.surfaces.outcome_cache import keep_outcome, kept_outcome
-from calibration.surfaces.press_batch import (
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import check_radius
+from taccel_lab.calibration.surfaces.between import (
+    MIN_OTHERS,
+    SPANNING,
+    SharedLaw,
+    spanning_presses,
+)
+from taccel_lab.calibration.surfaces.depth_search import EQUATOR_SHARE
+from taccel_lab.calibration.surfaces.outcome_cache import keep_outcome, kept_outcome
+from taccel_lab.calibration.surfaces.press_batch import (
     RADIUS_TOLERANCE_PX,
     BatchOutcome,
     PressBatch,
     simulate_batch,
     surfaces_of,
 )
-from calibration.surfaces.types import PressSurface
-from sensors.registry import sensor_family
+from taccel_lab.calibration.surfaces.types import PressSurface
 from taccel_lab.envs.physics import SURFACE_PHYSICS, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.rest_surface import rest_surface
 
 BATCH = 6

@@ -19,9 +19,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calibration.background.drift import Drift
-from calibration.estimators.color import ColorFrame
-from calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.background.drift import Drift
+from taccel_lab.calibration.estimators.color import ColorFrame
+from taccel_lab.calibration.surfaces.types import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms

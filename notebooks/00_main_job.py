@@ -29,7 +29,7 @@ import warp as wp
 wp.config.log_level = wp.LOG_WARNING
 plt.rcParams["figure.dpi"] = 60
 
-from calibration.capture import find_taxim_pack, load_captures
+from taccel_lab.calibration.capture import find_taxim_pack, load_captures
 
 captures = load_captures(find_taxim_pack())
 # Every third press: 12 to fit and 4 held out.
@@ -50,7 +50,7 @@ for axis, image, title in zip(axes, images, ("background", "a press", "another")
 # pad becomes a labelled tet mesh, in metres, and a first profile: pure data.
 
 # %%
-from sensors.profile import catalogue_profile
+from taccel_lab.sensors.profile import catalogue_profile
 
 base = catalogue_profile("gelsight")
 for name, value in base.sensor.parameters.items():
@@ -65,7 +65,7 @@ print(f"{base.mesh.node_count} nodes, {base.mesh.tet_count} tets")
 # in the image and compared with the labels.
 
 # %%
-from calibration.targets import choose_circles, compare_with_labels, resolve_contacts
+from taccel_lab.calibration.targets import choose_circles, compare_with_labels, resolve_contacts
 
 split = captures.split(4)
 training = captures.only(split.train)
@@ -84,7 +84,7 @@ circles = choose_circles(training, contacts)
 # circle. How the gel sinks around the contact comes out of the simulation.
 
 # %%
-from calibration.simulate import simulate_presses
+from taccel_lab.calibration.simulate import simulate_presses
 
 surfaces = simulate_presses(training, circles, base, processes=2)
 depth = [surface.depth_mm for surface in surfaces]
@@ -112,8 +112,8 @@ axes[1].legend()
 # beside the figures, because whole-image figures flatter.
 
 # %%
-from calibration.color_calibration import HeldoutSet, calibrate_color
-from calibration.estimators.color import ColorFitOptions
+from taccel_lab.calibration.color_calibration import HeldoutSet, calibrate_color
+from taccel_lab.calibration.estimators.color import ColorFitOptions
 
 
 def simulated(presses, places):
@@ -165,7 +165,7 @@ profile = load_profile(folder)
 print(sorted(path.name for path in folder.iterdir()))
 
 # %%
-from sensors.press_mesh import press_mesh
+from taccel_lab.sensors.press_mesh import press_mesh
 
 at_mm = (1.0, -0.5)
 outcome = simulate_press(

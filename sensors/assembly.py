@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sensors.base import FamilyParameters, Housing
 from taccel_lab.geometry import Region
 from taccel_lab.optics.description import Camera, Light, Window
+from taccel_lab.sensors.base import FamilyParameters, Housing
 
 if TYPE_CHECKING:
     from build123d import Face, Solid
 
-    from cad.assembly import Assembly
-    from cad.parts.housing import HousingShape
-    from cad.parts.labelled_solid import LabelledSolid
-    from cad.parts.pad import Pad
-    from cad.parts.part import Part
-    from cad.parts.placeholders import CameraShape, LedShape, Pose
-    from cad.parts.window import WindowShape
+    from taccel_lab.cad.assembly import Assembly
+    from taccel_lab.cad.parts.housing import HousingShape
+    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.pad import Pad
+    from taccel_lab.cad.parts.part import Part
+    from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, Pose
+    from taccel_lab.cad.parts.window import WindowShape
 
 LEAST_LED_MM = 0.5
 """Side of the placeholder of a light that is modelled as a point [mm]."""
@@ -37,7 +37,7 @@ def sensor_parts(
 
     Raises InputError when a part cannot be built, naming the bound that is broken.
     """
-    from cad.assembly_sensor import sensor_assembly
+    from taccel_lab.cad.assembly_sensor import sensor_assembly
 
     pad, optics, housing = parameters.pad(), parameters.optics(), parameters.housing()
     gel = gel or pad.labelled_solid()
@@ -57,7 +57,7 @@ def sensor_parts(
 
 def gel_parts(pad: Pad, gel: LabelledSolid) -> tuple[Part, ...]:
     """The gel as one part, or its layers as a part each, core first."""
-    from cad.parts.part import Part, gel_part
+    from taccel_lab.cad.parts.part import Part, gel_part
 
     layers = gel_layers(pad, gel)
     if len(layers) < 2:
@@ -77,7 +77,7 @@ def gel_parts(pad: Pad, gel: LabelledSolid) -> tuple[Part, ...]:
 
 def gel_layers(pad: Pad, gel: LabelledSolid) -> dict[str, LabelledSolid]:
     """The layers of the gel by name, core first; a face inside the gel counts as side."""
-    from cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 
     names: list[str] = list(pad.layer_names)
     if len(names) == 1:
@@ -91,7 +91,7 @@ def gel_layers(pad: Pad, gel: LabelledSolid) -> dict[str, LabelledSolid]:
 
 def _with_window(layer: Solid, gel: LabelledSolid) -> Solid:
     """The layer with the gel's window drawn on a face that holds all of it."""
-    from cad.parts.imprint import imprint
+    from taccel_lab.cad.parts.imprint import imprint
 
     for window in gel.faces(Region.WINDOW):
         for face in layer.faces():
@@ -125,7 +125,7 @@ def _view_mm(gel: LabelledSolid) -> tuple[float, float]:
 
 def window_shape(window: Window, view_mm: tuple[float, float]) -> WindowShape:
     """The window's dimensions; a dome has no patch of its own for the view."""
-    from cad.parts.window import WindowShape
+    from taccel_lab.cad.parts.window import WindowShape
 
     dome = window.shape == "dome"
     return WindowShape(
@@ -138,7 +138,7 @@ def window_shape(window: Window, view_mm: tuple[float, float]) -> WindowShape:
 
 def housing_shape(housing: Housing) -> HousingShape:
     """The housing's dimensions."""
-    from cad.parts.housing import HousingShape
+    from taccel_lab.cad.parts.housing import HousingShape
 
     return HousingShape(
         size_mm=housing.size_mm,
@@ -151,7 +151,7 @@ def housing_shape(housing: Housing) -> HousingShape:
 
 def camera_shape(camera: Camera) -> CameraShape:
     """Room for the camera at its pose."""
-    from cad.parts.placeholders import CameraShape, Pose
+    from taccel_lab.cad.parts.placeholders import CameraShape, Pose
 
     turn = camera.gel_from_camera()
     return CameraShape(Pose(camera.position_mm, _triple(turn[:, 2]), _triple(turn[:, 0])))
@@ -159,7 +159,7 @@ def camera_shape(camera: Camera) -> CameraShape:
 
 def led_shapes(lights: tuple[Light, ...]) -> list[LedShape]:
     """Room for each LED; a bare point gets a side of half a millimetre."""
-    from cad.parts.placeholders import LedShape
+    from taccel_lab.cad.parts.placeholders import LedShape
 
     names: set[str] = set()
     shapes = []
@@ -185,7 +185,7 @@ def led_shapes(lights: tuple[Light, ...]) -> list[LedShape]:
 
 def _led_pose(light: Light) -> Pose:
     """z along the light's axis, x as near to the xy plane as can be."""
-    from cad.parts.placeholders import Pose
+    from taccel_lab.cad.parts.placeholders import Pose
 
     dx, dy, _ = light.direction
     flat = math.hypot(dx, dy)

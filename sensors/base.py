@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from cad.parameters import ParameterSet
-from cad.parts.pad import Pad
+from taccel_lab.cad.parameters import ParameterSet
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics.description import MarkerGrid, OpticalDesign

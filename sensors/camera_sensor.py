@@ -13,9 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
-from cad.parts.pad import Pad
-from sensors.base import FamilyParameters
-from sensors.parameter_groups import (
+from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.errors import InputError
+from taccel_lab.optics.description import Light, MarkerGrid, OpticalDesign, Window
+from taccel_lab.sensors.base import FamilyParameters
+from taccel_lab.sensors.parameter_groups import (
     CameraParameters,
     CoatingParameters,
     HousingParameters,
@@ -24,8 +26,6 @@ from sensors.parameter_groups import (
     MaterialParameters,
     WindowParameters,
 )
-from taccel_lab.errors import InputError
-from taccel_lab.optics.description import Light, MarkerGrid, OpticalDesign, Window
 
 MIN_SEEN_SHARE = 0.45
 """Least extent of the face that is marked as seen through, in units of the gel's."""

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from cad.parts.pad import Pad
-from sensors.base import FamilyParameters
-from sensors.parameter_groups import CameraParameters
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.optics.description import Camera
+from taccel_lab.sensors.base import FamilyParameters
+from taccel_lab.sensors.parameter_groups import CameraParameters
 
 _VOLUME_GRID = 200
 

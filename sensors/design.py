@@ -10,20 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cad.mesh.gel_mesh import gel_mesh
-from cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
-from cad.parts.pad import Pad
-from sensors.base import FamilyParameters, SensorFamily
-from sensors.profile import designed_profile
-from sensors.workshop import WORKSHOP_PARTS, Workshop, check_parts
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.output import atomic_directory, require_replaceable, write_json
 from taccel_lab.profile import SensorProfile, save_profile
+from taccel_lab.sensors.base import FamilyParameters, SensorFamily
+from taccel_lab.sensors.profile import designed_profile
+from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, check_parts
 
 if TYPE_CHECKING:
-    from cad.moulds import MouldOptions
+    from taccel_lab.cad.moulds import MouldOptions
 
 MESHERS = ("structured", "tetwild")
 DEFAULT_MESHER = "structured"
@@ -81,15 +81,15 @@ def design_sensor(
     tell = StageClock(seconds, progress)
 
     tell("cad")
-    from cad.export import dimensions
-    from cad.mesh.tessellate import tessellate_solid
-    from cad.preview import write_preview
-    from sensors.assembly import gel_layers, sensor_parts
+    from taccel_lab.cad.export import dimensions
+    from taccel_lab.cad.mesh.tessellate import tessellate_solid
+    from taccel_lab.cad.preview import write_preview
+    from taccel_lab.sensors.assembly import gel_layers, sensor_parts
 
     part = pad.labelled_solid()
     tell("mesh")
     if mesher == "tetwild":
-        from cad.mesh.tetrahedralize import tetwild_gel_mesh
+        from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh
 
         mesh = tetwild_gel_mesh(pad, edge_mm, part=part, picture_folder=refused_folder(out_dir))
     else:

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
-from sensors.design import StageClock, refused_folder
-from sensors.workshop import Workshop, check_parts
+from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.output import atomic_directory, require_replaceable, write_json
+from taccel_lab.sensors.design import StageClock, refused_folder
+from taccel_lab.sensors.workshop import Workshop, check_parts
 
 if TYPE_CHECKING:
-    from cad.moulds import MouldOptions
-    from cad.step_import import FaceSelection, ImportedGel
+    from taccel_lab.cad.moulds import MouldOptions
+    from taccel_lab.cad.step_import import FaceSelection, ImportedGel
 
 IMPORT_PARTS = ("pad", "mould", "drawing")
 """Files for the workshop that an imported gel can have."""
@@ -62,10 +62,10 @@ def import_design(
     seconds: dict[str, float] = {}
     tell = StageClock(seconds, progress)
     tell("import")
-    from cad.export import dimensions
-    from cad.mesh.tetrahedralize import tetwild_mesh
-    from cad.preview import write_preview
-    from cad.step_import import import_gel
+    from taccel_lab.cad.export import dimensions
+    from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
+    from taccel_lab.cad.preview import write_preview
+    from taccel_lab.cad.step_import import import_gel
 
     gel = import_gel(path, selection)
     tell("mesh")

@@ -10,16 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from cad.mesh.columns import FoldedMeshError, growth_factor
-from cad.mesh.contact_plan import ContactOutline
-from cad.mesh.convex_polygon import centroid, clipped, thickened_hull, without_short_sides
-from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
-from cad.mesh.structured import MIN_FOCUS_EDGE_MM
-from cad.mesh.structured_plan import rim_distances_mm, rim_rings
-from cad.parts.dome_pad import DomePad
-from cad.parts.height_pad import HeightPad
-from cad.parts.pad import Pad
-from sensors.registry import sensor_family
+from taccel_lab.cad.mesh.columns import FoldedMeshError, growth_factor
+from taccel_lab.cad.mesh.contact_plan import ContactOutline
+from taccel_lab.cad.mesh.convex_polygon import (
+    centroid,
+    clipped,
+    thickened_hull,
+    without_short_sides,
+)
+from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
+from taccel_lab.cad.mesh.structured import MIN_FOCUS_EDGE_MM
+from taccel_lab.cad.mesh.structured_plan import rim_distances_mm, rim_rings
+from taccel_lab.cad.parts.dome_pad import DomePad
+from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.press_mesh_options import (
@@ -28,6 +32,7 @@ from taccel_lab.geometry.press_mesh_options import (
     PressMeshOptions,
 )
 from taccel_lab.geometry.tool_section import ToolSection
+from taccel_lab.sensors.registry import sensor_family
 
 LARGEST_LAYER_RATIO = 4.0
 """Thickest layer over the one above it."""

@@ -7,11 +7,8 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Literal
 
-from cad.mesh.gel_mesh import gel_mesh
-from cad.mesh.quality import MeshQuality, measure_quality, require_quality
-from sensors.base import FamilyParameters, SensorFamily
-from sensors.parameter_groups import CameraParameters
-from sensors.registry import sensor_family
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.cad.mesh.quality import MeshQuality, measure_quality, require_quality
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import (
     Block,
@@ -30,6 +27,9 @@ from taccel_lab.profile import (
     SensorProfile,
     WindowBlock,
 )
+from taccel_lab.sensors.base import FamilyParameters, SensorFamily
+from taccel_lab.sensors.parameter_groups import CameraParameters
+from taccel_lab.sensors.registry import sensor_family
 
 _GRID = ("width_px", "height_px", "mm_per_px", "mm_per_px_y")
 _METHOD = "defaults of the catalogue's family, with the overrides given"

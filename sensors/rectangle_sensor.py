@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from cad.parts.gel_pad import GelPad
-from sensors.camera_sensor import CameraSensorParameters
-from sensors.parameter_groups import RectangleGelParameters
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.sensors.camera_sensor import CameraSensorParameters
+from taccel_lab.sensors.parameter_groups import RectangleGelParameters
 
 
 @dataclass(frozen=True)

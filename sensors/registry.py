@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 
-from sensors.base import SensorFamily
 from taccel_lab.errors import InputError
+from taccel_lab.sensors.base import SensorFamily
 
 ENTRY_POINT_GROUP = "taccel_lab.sensors"
 
@@ -55,7 +55,7 @@ class Catalogue:
 
 def catalogue() -> Catalogue:
     """Load the built-in families and those of installed packages."""
-    built_in = [import_module(f"sensors.{module}").FAMILY for module in _BUILT_IN]
+    built_in = [import_module(f"taccel_lab.sensors.{module}").FAMILY for module in _BUILT_IN]
     families = {family.name: family for family in built_in}
     broken = {}
     for entry in entry_points(group=ENTRY_POINT_GROUP):

@@ -12,11 +12,11 @@ from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
 
 if TYPE_CHECKING:
-    from cad.assembly import Assembly
-    from cad.mesh.surface import LabelledSurface
-    from cad.moulds import MouldOptions
-    from cad.parts.labelled_solid import LabelledSolid
-    from cad.parts.part import Part
+    from taccel_lab.cad.assembly import Assembly
+    from taccel_lab.cad.mesh.surface import LabelledSurface
+    from taccel_lab.cad.moulds import MouldOptions
+    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.part import Part
 
 WORKSHOP_PARTS = ("pad", "assembly", "mould", "drawing")
 """What can be left out of a design's folder."""
@@ -59,8 +59,8 @@ class Workshop:
 
     def write_pad(self) -> None:
         """The gel as STEP with named faces, STL, 3MF (a body each layer) and DXF."""
-        from cad.export import write_3mf, write_dxf, write_step, write_stl
-        from cad.parts.part import gel_part
+        from taccel_lab.cad.export import write_3mf, write_dxf, write_step, write_stl
+        from taccel_lab.cad.parts.part import gel_part
 
         write_step(self.gel, self._path("step", "pad.step"), name=f"{self.name}_gel_pad")
         write_stl(self.surface, self._path("stl", "pad.stl"))
@@ -70,7 +70,7 @@ class Workshop:
         write_dxf(self.gel, self._path("dxf", "pad.dxf"), others=seat)
 
     def _layer_parts(self) -> list[Part]:
-        from cad.parts.part import gel_part
+        from taccel_lab.cad.parts.part import gel_part
 
         if len(self.layers) < 2:
             return []
@@ -78,8 +78,8 @@ class Workshop:
 
     def write_assembly(self, assembly: Assembly) -> None:
         """All parts in their places as one STEP, rigid ones also by themselves, and a report."""
-        from cad.assembly import require_no_overlap
-        from cad.export import write_assembly_step, write_part_step, write_part_stl
+        from taccel_lab.cad.assembly import require_no_overlap
+        from taccel_lab.cad.export import write_assembly_step, write_part_step, write_part_stl
 
         clearances = assembly.clearances()
         self.warnings += [*assembly.notes, *require_no_overlap(clearances)]
@@ -95,8 +95,8 @@ class Workshop:
 
     def write_moulds(self, options: MouldOptions | None = None) -> None:
         """One mould a casting step: STEP of cavity and lid, 3MF of both, a report of the checks."""
-        from cad.export import write_3mf, write_part_step
-        from cad.moulds import casting_moulds
+        from taccel_lab.cad.export import write_3mf, write_part_step
+        from taccel_lab.cad.moulds import casting_moulds
 
         report: dict[str, Any] = {}
         for mould, checked in casting_moulds(self.gel, self.layers, options):
@@ -112,8 +112,8 @@ class Workshop:
 
     def write_drawings(self) -> None:
         """The dimensioned drawing of the gel, and the assembly in section."""
-        from cad.drawing.assembly_drawing import write_assembly_drawing
-        from cad.drawing.pad_drawing import write_pad_drawing
+        from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
+        from taccel_lab.cad.drawing.pad_drawing import write_pad_drawing
 
         notes = () if not self.warnings else tuple(self.warnings)
         layers = dict(self.layers) if len(self.layers) > 1 else {}

@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from cad.parameters import Parameter
-from studies.spec import ParameterRange
+from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
+from taccel_lab.studies.spec import ParameterRange
 
 SIGNIFICANT_DIGITS = 9
 """Of values that are computed: a design's identity must not hang on the last bit."""

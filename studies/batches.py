@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from sensors.base import SensorFamily
-from studies.design_point import DesignPoint
-from studies.work import Batch
 from taccel_lab.errors import InputError
+from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.studies.design_point import DesignPoint
+from taccel_lab.studies.work import Batch
 
 Needs = tuple[tuple[str, ...], tuple[str, ...]]
 """Metrics and presses."""

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studies.press_record import PressRecord
-from studies.unavailable import Unavailable
+from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.unavailable import Unavailable
 
 if TYPE_CHECKING:
-    from sensors.base import FamilyParameters
     from taccel_lab.optics.photometry import Photometry
     from taccel_lab.optics.render import OpticalModel
+    from taccel_lab.sensors.base import FamilyParameters
 
 VIEW_PX = 240
 """Longer side of the pictures that figures are read from."""
@@ -33,7 +33,7 @@ def view_model(
 
     Raises Unavailable for a family without optics.
     """
-    from cad.mesh.gel_mesh import gel_mesh
+    from taccel_lab.cad.mesh.gel_mesh import gel_mesh
     from taccel_lab.optics.render import OpticalModel
 
     design = parameters.optics()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics and standard presses in words, and the tables of docs/studies.md made from them.
 
-``python -m studies.describe docs/studies.md`` brings the tables of the page up to date.
+``python -m taccel_lab.studies.describe docs/studies.md`` brings the tables of the page up to date.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from studies.presses import StandardPress
+from taccel_lab.studies.presses import StandardPress
 
 
 def press_in_words(press: StandardPress) -> str:
@@ -38,7 +38,7 @@ def press_in_words(press: StandardPress) -> str:
 
 def metrics_table() -> str:
     """All metrics as a Markdown table."""
-    from studies.metrics import METRICS
+    from taccel_lab.studies.metrics import METRICS
 
     lines = ["| metric | unit | better | read from | what it is |", "|---|---|---|---|---|"]
     for name, metric in METRICS.items():
@@ -51,7 +51,7 @@ def metrics_table() -> str:
 
 def presses_table() -> str:
     """All standard presses as a Markdown table."""
-    from studies.presses import STANDARD_PRESSES
+    from taccel_lab.studies.presses import STANDARD_PRESSES
 
     lines = ["| press | what it does |", "|---|---|"]
     lines += [f"| `{name}` | {press_in_words(p)} |" for name, p in STANDARD_PRESSES.items()]

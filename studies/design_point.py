@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from studies.press_record import PressRecord
+    from taccel_lab.studies.press_record import PressRecord
 
 
 @dataclass(frozen=True)

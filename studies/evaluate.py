@@ -12,16 +12,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sensors.base import FamilyParameters
-from sensors.registry import sensor_family
-from studies.design_point import DesignPoint, DesignResult
-from studies.evidence import LOAD_N, Evidence
-from studies.metrics import METRICS, Metric, Unavailable
-from studies.press_batch import REFERENCE_PA, Simulated, batch_size, simulate
-from studies.press_job import PressJob, press_jobs
-from studies.presses import STANDARD_PRESSES, StandardPress
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
+from taccel_lab.sensors.base import FamilyParameters
+from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.evidence import LOAD_N, Evidence
+from taccel_lab.studies.metrics import METRICS, Metric, Unavailable
+from taccel_lab.studies.press_batch import REFERENCE_PA, Simulated, batch_size, simulate
+from taccel_lab.studies.press_job import PressJob, press_jobs
+from taccel_lab.studies.presses import STANDARD_PRESSES, StandardPress
 
 __all__ = [
     "METRICS",

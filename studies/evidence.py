@@ -10,14 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sensors.base import FamilyParameters
-from studies.camera_view import photometry, picture_change, view_model
-from studies.press_record import PressRecord
-from studies.unavailable import Unavailable
 from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.scene import Ball
+from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.signals import (
     MarkerLayout,
     SignalFusedSurface,
@@ -25,6 +22,9 @@ from taccel_lab.signals import (
     SphereSurface,
     SurfaceMode,
 )
+from taccel_lab.studies.camera_view import photometry, picture_change, view_model
+from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.unavailable import Unavailable
 
 if TYPE_CHECKING:
     from taccel_lab.optics.photometry import Photometry

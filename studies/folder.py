@@ -21,9 +21,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from studies.stored import StoredDesign, stored_from_json
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, write_json
+from taccel_lab.studies.stored import StoredDesign, stored_from_json
 
 STUDY_MARKER = ".taccel_lab_study"
 """A marker of its own: no other command takes the folder for an output that it may replace."""

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from studies.metrics.base import Metric
-from studies.spec import Constraint, Objective
-from studies.stored import StoredDesign
+from taccel_lab.studies.metrics.base import Metric
+from taccel_lab.studies.spec import Constraint, Objective
+from taccel_lab.studies.stored import StoredDesign
 
 TOLERANCE = 1e-3
 """Part of a bound by which it may be missed: far below what a simulation can tell apart, and what

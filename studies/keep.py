@@ -6,14 +6,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from studies.design_point import DesignResult
-from studies.folder import StudyFolder
-from studies.spec import Output
-from studies.stored import identity
 from taccel_lab.errors import InputError
+from taccel_lab.studies.design_point import DesignResult
+from taccel_lab.studies.folder import StudyFolder
+from taccel_lab.studies.spec import Output
+from taccel_lab.studies.stored import identity
 
 if TYPE_CHECKING:
-    from cad.parts.pad import Pad
+    from taccel_lab.cad.parts.pad import Pad
 
 MESHES, STEPS, PICTURE = "meshes", "steps", "picture.png"
 """Designs with the same pad share one mesh and one STEP file, named by a hash of the pad."""
@@ -27,7 +27,7 @@ def keep_files(
     Returns:
         Files by kind, relative to the study's folder, and causes why some could not be written.
     """
-    from sensors.registry import sensor_family
+    from taccel_lab.sensors.registry import sensor_family
 
     family = result.point.family
     parameters = sensor_family(family).parameters(result.point.parameters)
@@ -49,7 +49,7 @@ def keep_files(
             causes[f"file {kind}"] = str(error)
             del files[kind]
     if output.pictures:
-        from studies.pictures import write_picture
+        from taccel_lab.studies.pictures import write_picture
 
         name = f"designs/{result.point.id}/{PICTURE}"
         title = f"{family}, design {result.point.id}"
@@ -60,14 +60,14 @@ def keep_files(
 
 def _write_mesh(pad: Pad, path: Path, family: str) -> None:
     """The gel at the default resolution; presses have finer meshes of their own."""
-    from cad.mesh.gel_mesh import gel_mesh
+    from taccel_lab.cad.mesh.gel_mesh import gel_mesh
     from taccel_lab.geometry.vtu import write_mesh_vtu
 
     write_mesh_vtu(path, gel_mesh(pad))
 
 
 def _write_step(pad: Pad, path: Path, family: str) -> None:
-    from cad.export import write_step
+    from taccel_lab.cad.export import write_step
     from taccel_lab.output import atomic_file
 
     with atomic_file(path) as staging:

@@ -15,10 +15,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from studies.axis import Axis
-from studies.judge import TOLERANCE
-from studies.spec import Constraint, Objective, Sweep, nearest
 from taccel_lab.errors import InputError
+from taccel_lab.studies.axis import Axis
+from taccel_lab.studies.judge import TOLERANCE
+from taccel_lab.studies.spec import Constraint, Objective, Sweep, nearest
 
 CONSTRAINED = ("LN_COBYLA", "GN_ISRES", "GN_ORIG_DIRECT", "GN_ORIG_DIRECT_L")
 """Methods that take nonlinear constraints themselves."""

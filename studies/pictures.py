@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studies.press_record import PressRecord
 from taccel_lab.report.style import BLUE, GREY, LIGHT, in_report_style, new_figure, save_figure
+from taccel_lab.studies.press_record import PressRecord
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from sensors.base import FamilyParameters
+    from taccel_lab.sensors.base import FamilyParameters
 
 PREVIEW_PX = 240
 """Longer side of the camera's preview."""

@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from cad.parameters import Parameter
-from sensors.base import SensorFamily
-from sensors.registry import sensor_families
-from studies.axis import Axis, axis_of, significant
-from studies.design_point import DesignPoint, DesignResult
-from studies.metrics.base import Metric
-from studies.spec import StudySpec, Tie, require_known
-from studies.stored import identity
-from studies.sweep import grid_points, random_points
+from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
+from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.registry import sensor_families
+from taccel_lab.studies.axis import Axis, axis_of, significant
+from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.metrics.base import Metric
+from taccel_lab.studies.spec import StudySpec, Tie, require_known
+from taccel_lab.studies.stored import identity
+from taccel_lab.studies.sweep import grid_points, random_points
 
 EVALUATION_VERSION = 2
 """Raised when presses or metrics give other figures for the same design: stored ones are not taken
@@ -26,7 +26,8 @@ over then."""
 
 
 class Evaluate(Protocol):
-    """Presses designs and computes their figures; ``studies.evaluate.evaluate_designs``."""
+    """Presses designs and computes their figures;
+    ``taccel_lab.studies.evaluate.evaluate_designs``."""
 
     def __call__(
         self,
@@ -121,9 +122,9 @@ def _tied_value(tie: Tie, value: float, parameter: Parameter) -> float | int:
 
 def default_kit() -> Kit:
     """The standard presses and metrics on our solver."""
-    from studies.evaluate import evaluate_designs
-    from studies.metrics import METRICS
-    from studies.presses import STANDARD_PRESSES
+    from taccel_lab.studies.evaluate import evaluate_designs
+    from taccel_lab.studies.metrics import METRICS
+    from taccel_lab.studies.presses import STANDARD_PRESSES
 
     return Kit(STANDARD_PRESSES, METRICS, evaluate_designs)
 
@@ -164,7 +165,7 @@ def plan_study(
         metrics[name] = kit.metrics[name]
     study = Study(spec, family, tuple(axes), _presses(spec, kit, metrics), metrics, kit)
     if spec.sweep.kind == "optimize":
-        from studies.optimise import require_method
+        from taccel_lab.studies.optimise import require_method
 
         require_method(spec.sweep.method, len(axes))
     else:

@@ -10,8 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from studies.press_job import PressJob
-from studies.press_record import PressRecord
 from taccel_lab.envs import PressEnv, layered_material, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
@@ -19,6 +17,8 @@ from taccel_lab.ipc.affine.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Material
 from taccel_lab.signals import ContactSurface
+from taccel_lab.studies.press_job import PressJob
+from taccel_lab.studies.press_record import PressRecord
 
 REFERENCE_PA = 1e5
 """Young's modulus of layer 0 in every simulation."""

@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studies.camera_view import photometry
-from studies.design_point import DesignPoint, DesignResult
-from studies.evaluate import Progress, evaluate_designs
-from studies.metrics import METRICS, Metric
-from studies.press_record import PressRecord
-from studies.presses import standard_presses
 from taccel_lab.errors import InputError
 from taccel_lab.report.style import BLUE, in_report_style, new_figure, save_figure
+from taccel_lab.studies.camera_view import photometry
+from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.evaluate import Progress, evaluate_designs
+from taccel_lab.studies.metrics import METRICS, Metric
+from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.presses import standard_presses
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from sensors.base import FamilyParameters, SensorFamily
     from taccel_lab.optics.frames import LightField, PreviewImage
     from taccel_lab.optics.photometry import Photometry
     from taccel_lab.optics.render import OpticalModel
+    from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 
 _GAIN = 3.0
 """By how much the picture of the change is amplified."""
@@ -92,7 +92,7 @@ def preview_design(
     Raises:
         InputError: Parameters out of bounds, a family without optics, an unknown press.
     """
-    from cad.mesh.gel_mesh import gel_mesh
+    from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 
     chosen = standard_presses(list(presses))
     parameters = family.parameters(overrides)

@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from studies.batches import gather
-from studies.design_point import DesignPoint
-from studies.folder import StudyFolder
-from studies.optimise import OptimiserState, optimise
-from studies.plan import Study
-from studies.pool import Died, Finished, Pool, Underway
-from studies.stored import StoredDesign
-from studies.table import write_table
-from studies.work import Batch, Job, broken_design
 from taccel_lab.errors import InputError
+from taccel_lab.studies.batches import gather
+from taccel_lab.studies.design_point import DesignPoint
+from taccel_lab.studies.folder import StudyFolder
+from taccel_lab.studies.optimise import OptimiserState, optimise
+from taccel_lab.studies.plan import Study
+from taccel_lab.studies.pool import Died, Finished, Pool, Underway
+from taccel_lab.studies.stored import StoredDesign
+from taccel_lab.studies.table import write_table
+from taccel_lab.studies.work import Batch, Job, broken_design
 
 TABLE_EVERY_S = 2.0
 """The table is rewritten at most this often while designs come in, and at the end."""

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The study file: what is swept, pressed and measured, as read from TOML.
 
-Only the form is checked here; ``studies.plan`` checks the names and bounds against the catalogue.
+Only the form is checked here; ``taccel_lab.studies.plan`` checks the names and bounds against the
+catalogue.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.output import to_jsonable
 
 if TYPE_CHECKING:
-    from studies.design_point import DesignResult
+    from taccel_lab.studies.design_point import DesignResult
 
 Status = Literal["done", "failed", "broken"]
 """done: at least one figure. failed: none, for a cause that lies in the design (a pad that cannot

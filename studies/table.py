@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from taccel_lab.output import atomic_file
 
 if TYPE_CHECKING:
-    from studies.plan import Study
-    from studies.stored import StoredDesign
+    from taccel_lab.studies.plan import Study
+    from taccel_lab.studies.stored import StoredDesign
 
 CSV_NAME = "designs.csv"
 PARQUET_NAME = "designs.parquet"
@@ -30,7 +30,7 @@ def columns(study: Study) -> list[str]:
 
 def table_rows(study: Study, designs: Sequence[StoredDesign]) -> list[dict[str, Any]]:
     """Rows of the table; None where a figure is missing."""
-    from studies.judge import is_feasible
+    from taccel_lab.studies.judge import is_feasible
 
     names = columns(study)
     rows = []

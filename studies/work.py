@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import taccel_lab
-from studies.design_point import DesignPoint, DesignResult
-from studies.folder import StudyFolder
-from studies.keep import keep_files
-from studies.metrics.base import Metric
-from studies.plan import Evaluate
-from studies.spec import Output
-from studies.stored import StoredDesign, stored_of
 from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.folder import StudyFolder
+from taccel_lab.studies.keep import keep_files
+from taccel_lab.studies.metrics.base import Metric
+from taccel_lab.studies.plan import Evaluate
+from taccel_lab.studies.spec import Output
+from taccel_lab.studies.stored import StoredDesign, stored_of
 
 Tell = Callable[[str, int, int], None]
 """Told what is being done, how many of the batch's simulations are over, and how many there are."""

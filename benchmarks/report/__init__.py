@@ -2,7 +2,7 @@
 """The page ``docs/benchmarks.md``, its pictures and the README's speeds, made from result files.
 
 Each page has text of its own; what stands between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``
-is replaced. Only files that follow the schema of ``benchmarks.results`` are read.
+is replaced. Only files that follow the schema of ``taccel_lab.benchmarks.results`` are read.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import re
 from pathlib import Path
 from typing import Any
 
-from benchmarks.report.sections import HEADLINE, SECTIONS, Section
-from benchmarks.results import FOLDER, SCHEMA
+from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, Section
+from taccel_lab.benchmarks.results import FOLDER, SCHEMA
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file
 
-_ROOT = Path(__file__).parents[2]
+_ROOT = Path(__file__).resolve().parents[2]
 PAGE, README = _ROOT / "docs" / "benchmarks.md", _ROOT / "README.md"
 PAGES: dict[Path, dict[str, Section]] = {PAGE: SECTIONS, README: HEADLINE}
 """Generated parts of each page."""
@@ -58,11 +58,11 @@ def run_report(folder: Path, pictures: bool, scenes: bool = False) -> list[Path]
             target.write_text(text, encoding="utf-8")
         written.append(page)
     if pictures:
-        from benchmarks.report.plots import draw_all
+        from taccel_lab.benchmarks.report.plots import draw_all
 
         written += draw_all(results, IMAGES)
     if scenes:
-        from benchmarks.report.scene_picture import draw_scenes
+        from taccel_lab.benchmarks.report.scene_picture import draw_scenes
 
         written.append(draw_scenes(IMAGES / "scenes.png"))
     return written

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from benchmarks.front import is_on_front
-from benchmarks.peers import read_field
+from taccel_lab.benchmarks.front import is_on_front
+from taccel_lab.benchmarks.peers import read_field
 from taccel_lab.output import atomic_file
 
 Results = dict[str, list[dict[str, Any]]]

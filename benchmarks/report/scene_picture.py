@@ -9,9 +9,9 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.report.plots import save
-from benchmarks.runner import Runner
-from benchmarks.scenes import build_scene
+from taccel_lab.benchmarks.report.plots import save
+from taccel_lab.benchmarks.runner import Runner
+from taccel_lab.benchmarks.scenes import build_scene
 from taccel_lab.model import BodyKind
 from taccel_lab.scene import Ball
 from taccel_lab.scene.primitives import sphere_mesh

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.peers import read_field
+from taccel_lab.benchmarks.peers import read_field
 
 Document = dict[str, Any]
 Results = dict[str, list[Document]]
@@ -278,7 +278,7 @@ def ratios(measured: list[dict[str, Any]], field: list[dict[str, Any]]) -> str:
 
 def stress(results: Results) -> str:
     """Random scenes: outcomes by family."""
-    from benchmarks.stress import table as stress_table
+    from taccel_lab.benchmarks.stress import table as stress_table
 
     parts = []
     for document in results.get("stress", []):

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from importlib import import_module
 
-from benchmarks.scenes.base import BenchScene, SceneOptions
+from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions
 from taccel_lab.errors import InputError
 
 SCENES = {
@@ -25,7 +25,7 @@ def build_scene(name: str, options: SceneOptions | None = None) -> BenchScene:
     """The scene of a name; InputError says which there are."""
     if name not in SCENES:
         raise InputError(f"scene must be one of {', '.join(SCENES)}, got {name!r}")
-    module = import_module(f"benchmarks.scenes.{SCENES[name]}")
+    module = import_module(f"taccel_lab.benchmarks.scenes.{SCENES[name]}")
     options = options or SceneOptions()
     # Presses differ by their pad only.
     bench = module.build(options, name) if name.startswith("press") else module.build(options)

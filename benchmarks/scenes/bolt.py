@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.assets import choose_source, data_folder, read_stl
-from benchmarks.scenes.base import BenchScene, SceneOptions, make_config
-from benchmarks.scenes.frames import facing, pose, same_side, turn_about_z
-from benchmarks.scenes.peg import (
+from taccel_lab.benchmarks.assets import choose_source, data_folder, read_stl
+from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
+from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side, turn_about_z
+from taccel_lab.benchmarks.scenes.peg import (
     GEL,
     GEL_FRICTION,
     GRAVITY,
@@ -22,7 +22,7 @@ from benchmarks.scenes.peg import (
     generated_parts,
     published_parts,
 )
-from benchmarks.scenes.threads import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
+from taccel_lab.benchmarks.scenes.threads import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
 from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import (
     AffineBody,

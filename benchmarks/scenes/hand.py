@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.assets import choose_source, data_folder, read_vtk
-from benchmarks.scenes.base import BenchScene, SceneOptions, make_config
-from benchmarks.scenes.frames import facing, pose, same_side
-from benchmarks.scenes.pads import label
-from benchmarks.scenes.peg import GEL, GEL_FRICTION, GRAVITY, STIFF_FRICTION
-from benchmarks.scenes.press import touching_height
+from taccel_lab.benchmarks.assets import choose_source, data_folder, read_vtk
+from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
+from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side
+from taccel_lab.benchmarks.scenes.pads import label
+from taccel_lab.benchmarks.scenes.peg import GEL, GEL_FRICTION, GRAVITY, STIFF_FRICTION
+from taccel_lab.benchmarks.scenes.press import touching_height
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.assets import choose_source, data_folder, read_vtk
+from taccel_lab.benchmarks.assets import choose_source, data_folder, read_vtk
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.tet_mesh import boundary_faces

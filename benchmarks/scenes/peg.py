@@ -6,7 +6,7 @@ over the rim of the hole, and push it down; clearance 2 mm. Settings are the pub
 gels move 3.7 mm further than the hole lets the peg go, so they must slip and shear.
 
 ``published_parts`` reads the meshes of the example from a data folder, ``generated_parts`` makes
-others of the same dimensions. ``python -m benchmarks.peg_scene`` prints every step.
+others of the same dimensions. ``python -m taccel_lab.benchmarks.peg_scene`` prints every step.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.assets import choose_source, data_folder, read_stl, read_vtk
-from benchmarks.scenes.base import BenchScene, SceneOptions, make_config
+from taccel_lab.benchmarks.assets import choose_source, data_folder, read_stl, read_vtk
+from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.scene import (

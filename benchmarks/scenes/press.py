@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.scenes.base import BenchScene, SceneOptions, make_config, straight
-from benchmarks.scenes.pads import pad
+from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config, straight
+from taccel_lab.benchmarks.scenes.pads import pad
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
 
@@ -59,9 +59,9 @@ def build(options: SceneOptions, name: str) -> BenchScene:
 
 
 def domed_pad(motion: PressMotion) -> TetMesh:
-    """The catalogue's GelSight, 2,005 nodes, as ``benchmarks.press_speed`` has it."""
-    from sensors.press_mesh import press_mesh
+    """The catalogue's GelSight, 2,005 nodes, as ``taccel_lab.benchmarks.press_speed`` has it."""
     from taccel_lab.envs import PressMeshOptions
+    from taccel_lab.sensors.press_mesh import press_mesh
 
     radius_mm = 1e3 * np.sqrt(motion.depth_m * motion.ball_m)
     at_mm = (1e3 * PLACE_M[0], 1e3 * PLACE_M[1])

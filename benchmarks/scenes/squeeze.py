@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.scenes.base import BenchScene, SceneOptions, make_config
-from benchmarks.scenes.frames import facing, pose
-from benchmarks.scenes.pads import pad
-from benchmarks.scenes.peg import GEL, GRAVITY
-from benchmarks.scenes.teddy import PARTS_M, teddy_mesh
+from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
+from taccel_lab.benchmarks.scenes.frames import facing, pose
+from taccel_lab.benchmarks.scenes.pads import pad
+from taccel_lab.benchmarks.scenes.peg import GEL, GRAVITY
+from taccel_lab.benchmarks.scenes.teddy import PARTS_M, teddy_mesh
 from taccel_lab.scene import Element, KinematicBody, Material, Plane, Scene, SoftBody, TimeStepping
 
 DT_S = 1 / 50

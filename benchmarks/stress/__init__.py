@@ -2,10 +2,10 @@
 """Stability stress: hundreds of random scenes over extremes, each judged by independent referees.
 
 A *case* is a family (``benchmarks/stress/families``) and a seed, from which its parameters are
-drawn: ``python -m benchmarks.stress replay FAMILY SEED`` runs it again, step by step. It takes a
-bounded number of steps within a budget of time. A step that fails with a cause and leaves the state
-where it was is a failure that a user can see and act on; one that claims to have converged while a
-referee objects (``referees.py``) is *silent*, and must not be.
+drawn: ``python -m taccel_lab.benchmarks.stress replay FAMILY SEED`` runs it again, step by step. It
+takes a bounded number of steps within a budget of time. A step that fails with a cause and leaves
+the state where it was is a failure that a user can see and act on; one that claims to have
+converged while a referee objects (``referees.py``) is *silent*, and must not be.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from benchmarks.stress import families as _families
-from benchmarks.stress.case import FAMILIES
-from benchmarks.stress.pool import CaseId, run_all
-from benchmarks.stress.progress import progress
-from benchmarks.stress.runner import SECONDS
-from benchmarks.stress.summary import plot, summarize, table
+from taccel_lab.benchmarks.stress import families as _families
+from taccel_lab.benchmarks.stress.case import FAMILIES
+from taccel_lab.benchmarks.stress.pool import CaseId, run_all
+from taccel_lab.benchmarks.stress.progress import progress
+from taccel_lab.benchmarks.stress.runner import SECONDS
+from taccel_lab.benchmarks.stress.summary import plot, summarize, table
 
 __all__ = ["FAMILIES", "load", "plot", "run", "summarize", "table"]
 
@@ -86,8 +86,8 @@ def _record(
     seconds: float,
     complete: bool,
 ) -> dict[str, Any]:
-    from benchmarks.machine import describe_run
-    from benchmarks.results import SCHEMA
+    from taccel_lab.benchmarks.machine import describe_run
+    from taccel_lab.benchmarks.results import SCHEMA
 
     summary = summarize(results)
     return {

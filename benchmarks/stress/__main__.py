@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m benchmarks.stress run | replay FAMILY SEED | list``."""
+"""``python -m taccel_lab.benchmarks.stress run | replay FAMILY SEED | list``."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.stress import FAMILIES, RESULT, run, table
-from benchmarks.stress.case import make_case
-from benchmarks.stress.runner import SECONDS, run_case
+from taccel_lab.benchmarks.stress import FAMILIES, RESULT, run, table
+from taccel_lab.benchmarks.stress.case import make_case
+from taccel_lab.benchmarks.stress.runner import SECONDS, run_case
 
 
 def _replay(family: str, seed: int, device: str, seconds: float) -> int:
@@ -32,7 +32,9 @@ def _replay(family: str, seed: int, device: str, seconds: float) -> int:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.stress", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m taccel_lab.benchmarks.stress", description=__doc__
+    )
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="budget of a case")
     commands = parser.add_subparsers(dest="command", required=True)

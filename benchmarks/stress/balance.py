@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.stress.elastic_forces import SoftForces
+from taccel_lab.benchmarks.stress.elastic_forces import SoftForces
 from taccel_lab.model import BodyKind, Model
 from taccel_lab.scene import TimeScheme
 from taccel_lab.solvers import SolverConfig

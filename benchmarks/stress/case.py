@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.model import Model
 from taccel_lab.scene import Scene
 from taccel_lab.solvers import SolverConfig, SolverIPC
@@ -39,7 +39,7 @@ class Case:
 Make = Callable[[Draw], Case]
 
 FAMILIES: dict[str, Make] = {}
-"""Families by name; ``benchmarks.stress.families`` fills it."""
+"""Families by name; ``taccel_lab.benchmarks.stress.families`` fills it."""
 
 
 def family(make: Make) -> Make:

@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from benchmarks.stress.runner import run_case
+from taccel_lab.benchmarks.stress.runner import run_case
 
 CaseId = tuple[str, int]
 """Family and seed."""

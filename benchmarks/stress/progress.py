@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any
 
-from benchmarks.stress.summary import GOOD, case_id
+from taccel_lab.benchmarks.stress.summary import GOOD, case_id
 
 Advance = Callable[[dict[str, Any]], None]
 

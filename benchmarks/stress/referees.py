@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.stress.balance import Balance, Snapshot
-from benchmarks.stress.case import Case
-from benchmarks.stress.crossings import really_cross
+from taccel_lab.benchmarks.stress.balance import Balance, Snapshot
+from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.crossings import really_cross
 from taccel_lab.ipc.intersection import IntersectionKind, find_intersections
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs

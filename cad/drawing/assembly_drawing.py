@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.colors import to_hex
 
-from cad.assembly import Assembly
-from cad.drawing.pad_drawing import SCALES, SHEETS, mm_words
-from cad.drawing.sections import Section, section
-from cad.drawing.sheet import THIN, Sheet, Xy
-from cad.drawing.title import TABLE_WIDTH_MM, TitleBlock, write_title
-from cad.parts.part import Part
+from taccel_lab.cad.assembly import Assembly
+from taccel_lab.cad.drawing.pad_drawing import SCALES, SHEETS, mm_words
+from taccel_lab.cad.drawing.sections import Section, section
+from taccel_lab.cad.drawing.sheet import THIN, Sheet, Xy
+from taccel_lab.cad.drawing.title import TABLE_WIDTH_MM, TitleBlock, write_title
+from taccel_lab.cad.parts.part import Part
 
 _HATCHES = ("////", "\\\\\\\\", "", "xx", "..", "//", "\\\\")
 _MARGIN_X, _MARGIN_Y = 42.0, 26.0

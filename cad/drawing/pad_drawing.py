@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from build123d import GeomType, Vector
 
-from cad.drawing.sections import (
+from taccel_lab.cad.drawing.sections import (
     Section,
     chain,
     circle_through,
@@ -23,10 +23,10 @@ from cad.drawing.sections import (
     plan_edges,
     section,
 )
-from cad.drawing.sheet import THICK, THIN, Sheet, Xy
-from cad.drawing.title import TABLE_WIDTH_MM, TitleBlock, write_title
-from cad.parts.labelled_solid import LabelledSolid
-from cad.parts.outline import base_outline
+from taccel_lab.cad.drawing.sheet import THICK, THIN, Sheet, Xy
+from taccel_lab.cad.drawing.title import TABLE_WIDTH_MM, TitleBlock, write_title
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.outline import base_outline
 from taccel_lab.geometry import Region
 
 SHEETS = {"A4": (297.0, 210.0), "A3": (420.0, 297.0)}

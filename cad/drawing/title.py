@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from cad.drawing.sheet import THICK, Sheet
+from taccel_lab.cad.drawing.sheet import THICK, Sheet
 
 TABLE_WIDTH_MM = 84.0
 _ROW_MM = 4.6

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from cad.parts.labelled_solid import LabelledSolid
-from cad.parts.pad import Pad
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.geometry import Region
 
 

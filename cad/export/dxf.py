@@ -20,9 +20,9 @@ from build123d import (
 from build123d.exporters import ColorIndex
 from build123d.topology import Shape
 
-from cad.parts.labelled_solid import LabelledSolid
-from cad.parts.outline import base_outline
-from cad.parts.part import Part
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.outline import base_outline
+from taccel_lab.cad.parts.part import Part
 from taccel_lab.geometry import Region
 
 SECTION_GAP_MM = 10.0

@@ -21,8 +21,8 @@ from OCP.TDataStd import TDataStd_Name
 from OCP.TDocStd import TDocStd_Document
 from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool
 
-from cad.parts.labelled_solid import LabelledSolid
-from cad.parts.part import Part, Rgb, gel_part
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.part import Part, Rgb, gel_part
 from taccel_lab.errors import InputError
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cad.mesh.surface import LabelledSurface
-from cad.mesh.tessellate import tessellate_solid
-from cad.parts.labelled_solid import LabelledSolid
-from cad.parts.part import Part
+from taccel_lab.cad.mesh.surface import LabelledSurface
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.part import Part
 from taccel_lab.geometry import Region
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from build123d import Color, Mesher, Unit
 
-from cad.parts.part import Part
+from taccel_lab.cad.parts.part import Part
 from taccel_lab.errors import InputError
 
 DEVIATION_MM, ANGLE_RAD = 0.005, 0.06

@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cad.mesh.closest import ClosestPoint
-from cad.mesh.surface import LabelledSurface
+from taccel_lab.cad.mesh.closest import ClosestPoint
+from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.geometry import Region
 
 Projection = Callable[[np.ndarray], np.ndarray]

@@ -17,7 +17,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from cad.parts.pad_outline import PadOutline
+from taccel_lab.cad.parts.pad_outline import PadOutline
 
 _TERMS = 80
 _SERIES = 320

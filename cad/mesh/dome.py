@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from cad.mesh.contact_plan import ContactOutline
-from cad.mesh.dome_shell import even_shell_mesh, focused_shell_mesh
-from cad.mesh.dome_solid import even_solid_mesh, focused_solid_mesh
-from cad.mesh.structured_plan import Focus
-from cad.mesh.tet_smoothing import improve_worst_tets
-from cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
+from taccel_lab.cad.mesh.contact_plan import ContactOutline
+from taccel_lab.cad.mesh.dome_shell import even_shell_mesh, focused_shell_mesh
+from taccel_lab.cad.mesh.dome_solid import even_solid_mesh, focused_solid_mesh
+from taccel_lab.cad.mesh.structured_plan import Focus
+from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets
+from taccel_lab.cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 

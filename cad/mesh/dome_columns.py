@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cad.mesh.columns import check_range, level_fractions
-from cad.mesh.dome_plan import CapGrid, angle_from_disc
-from cad.mesh.structured_topology import plan_quads
+from taccel_lab.cad.mesh.columns import check_range, level_fractions
+from taccel_lab.cad.mesh.dome_plan import CapGrid, angle_from_disc
+from taccel_lab.cad.mesh.structured_topology import plan_quads
 
 EDGE_BOUNDS_MM = (0.2, 6.0)
 FOLD_REMEDY = (

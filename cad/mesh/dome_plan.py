@@ -13,11 +13,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from cad.mesh.conformal import disc_automorphism
-from cad.mesh.contact_plan import ContactOutline, contact_plan
-from cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii, spoke_angles
-from cad.mesh.structured_plan import Focus
-from cad.mesh.structured_topology import core_perimeter
+from taccel_lab.cad.mesh.conformal import disc_automorphism
+from taccel_lab.cad.mesh.contact_plan import ContactOutline, contact_plan
+from taccel_lab.cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii, spoke_angles
+from taccel_lab.cad.mesh.structured_plan import Focus
+from taccel_lab.cad.mesh.structured_topology import core_perimeter
 
 LARGEST_CORE = 0.52
 """Half width of the core over the ring around it at most: its corners reach 1.28 times as far."""

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from cad.mesh.columns import check_unfolded
-from cad.mesh.contact_plan import ContactOutline
-from cad.mesh.dome_columns import (
+from taccel_lab.cad.mesh.columns import check_unfolded
+from taccel_lab.cad.mesh.contact_plan import ContactOutline
+from taccel_lab.cad.mesh.dome_columns import (
     FOLD_REMEDY,
     Columns,
     DomeGrid,
@@ -19,10 +19,16 @@ from cad.mesh.dome_columns import (
     focused_sizes,
     graded_shares,
 )
-from cad.mesh.dome_plan import LARGEST_CORE, CapGrid, even_cap, focused_cap, outside_outline_mm
-from cad.mesh.structured_plan import Focus
-from cad.mesh.structured_topology import grid_topology, ring_of_node
-from cad.parts.dome_pad import ShellDomePad
+from taccel_lab.cad.mesh.dome_plan import (
+    LARGEST_CORE,
+    CapGrid,
+    even_cap,
+    focused_cap,
+    outside_outline_mm,
+)
+from taccel_lab.cad.mesh.structured_plan import Focus
+from taccel_lab.cad.mesh.structured_topology import grid_topology, ring_of_node
+from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.geometry import Region, TetMesh
 
 _SPREAD = 8.0

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cad.mesh.columns import check_unfolded
-from cad.mesh.contact_plan import ContactOutline
-from cad.mesh.dome_columns import (
+from taccel_lab.cad.mesh.columns import check_unfolded
+from taccel_lab.cad.mesh.contact_plan import ContactOutline
+from taccel_lab.cad.mesh.dome_columns import (
     FOLD_REMEDY,
     Columns,
     DomeGrid,
@@ -26,7 +26,7 @@ from cad.mesh.dome_columns import (
     focused_sizes,
     graded_shares,
 )
-from cad.mesh.dome_plan import (
+from taccel_lab.cad.mesh.dome_plan import (
     LARGEST_CORE,
     CapGrid,
     even_cap,
@@ -34,11 +34,11 @@ from cad.mesh.dome_plan import (
     focused_cap,
     outside_outline_mm,
 )
-from cad.mesh.refined_topology import RefinedTopology, level_of_node, refined_topology
-from cad.mesh.structured_plan import Focus
-from cad.mesh.structured_topology import ring_of_node
-from cad.parts.dome_pad import SolidDomePad
-from cad.parts.meridian import Piece
+from taccel_lab.cad.mesh.refined_topology import RefinedTopology, level_of_node, refined_topology
+from taccel_lab.cad.mesh.structured_plan import Focus
+from taccel_lab.cad.mesh.structured_topology import ring_of_node
+from taccel_lab.cad.parts.dome_pad import SolidDomePad
+from taccel_lab.cad.parts.meridian import Piece
 from taccel_lab.geometry import Region, TetMesh
 
 _POCKET_WALL_SHARE = 0.5

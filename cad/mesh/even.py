@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from cad.mesh.columns import check_range, check_unfolded, level_fractions
-from cad.mesh.even_counts import EvenCounts, even_counts
-from cad.mesh.even_plan import EvenPlan, even_plan
-from cad.mesh.structured_topology import core_perimeter, grid_topology, ring_of_node
-from cad.mesh.tet_smoothing import Sheet, improve_worst_tets
-from cad.parts.gel_pad import GelPad
-from cad.parts.height_pad import HeightPad
+from taccel_lab.cad.mesh.columns import check_range, check_unfolded, level_fractions
+from taccel_lab.cad.mesh.even_counts import EvenCounts, even_counts
+from taccel_lab.cad.mesh.even_plan import EvenPlan, even_plan
+from taccel_lab.cad.mesh.structured_topology import core_perimeter, grid_topology, ring_of_node
+from taccel_lab.cad.mesh.tet_smoothing import Sheet, improve_worst_tets
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.geometry import Region, TetMesh
 
 WANTED_DEG = 12.0

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cad.mesh.outline_nodes import MAX_ROUNDED_SAGITTA_MM, MAX_SAGITTA_MM, needed_cells
-from cad.parts.gel_pad import GelPad
-from cad.parts.height_pad import HeightPad
-from cad.parts.rim_fillet import fillet_arc
+from taccel_lab.cad.mesh.outline_nodes import MAX_ROUNDED_SAGITTA_MM, MAX_SAGITTA_MM, needed_cells
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.rim_fillet import fillet_arc
 
 NODE_BUDGET = 12_000
 """Nodes of an even mesh at an edge of 1 mm or more; large pads get wider cells in plan."""

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cad.mesh.even_counts import EvenCounts, outline_sagitta_mm
-from cad.mesh.outline_nodes import outline_nodes
-from cad.mesh.plan_smoothing import smooth_plan
-from cad.mesh.structured_topology import core_perimeter, plan_quads
-from cad.parts.gel_pad import GelPad
-from cad.parts.height_pad import HeightPad
-from cad.parts.rim_fillet import FilletArc, fillet_arc
+from taccel_lab.cad.mesh.even_counts import EvenCounts, outline_sagitta_mm
+from taccel_lab.cad.mesh.outline_nodes import outline_nodes
+from taccel_lab.cad.mesh.plan_smoothing import smooth_plan
+from taccel_lab.cad.mesh.structured_topology import core_perimeter, plan_quads
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.rim_fillet import FilletArc, fillet_arc
 
 _SEEN = 0.5
 _LEAST_CELL = 0.6

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cad.mesh.contact_plan import ContactOutline
-from cad.mesh.dome import even_dome_mesh, focused_dome_mesh
-from cad.mesh.even import even_gel_mesh
-from cad.mesh.structured import structured_gel_mesh
-from cad.parts.dome_pad import DomePad
-from cad.parts.height_pad import HeightPad
-from cad.parts.pad import Pad
+from taccel_lab.cad.mesh.contact_plan import ContactOutline
+from taccel_lab.cad.mesh.dome import even_dome_mesh, focused_dome_mesh
+from taccel_lab.cad.mesh.even import even_gel_mesh
+from taccel_lab.cad.mesh.structured import structured_gel_mesh
+from taccel_lab.cad.parts.dome_pad import DomePad
+from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 

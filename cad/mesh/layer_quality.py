@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cad.parts.pad import Pad
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.geometry import TetMesh
 
 _CORNER_SHARE = 0.9

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from cad.mesh.closest import ClosestPoint, surface_samples
-from cad.mesh.layer_quality import interface_error_mm, misplaced_percent
-from cad.mesh.quality_measures import dihedral_angles_deg, mean_ratios
-from cad.mesh.surface import LabelledSurface, check_closed
-from cad.parts.pad import Pad
+from taccel_lab.cad.mesh.closest import ClosestPoint, surface_samples
+from taccel_lab.cad.mesh.layer_quality import interface_error_mm, misplaced_percent
+from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg, mean_ratios
+from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.geometry import Region, TetMesh
 
 _SAMPLES = 20_000

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cad.parts.pad_outline import PadOutline
+from taccel_lab.cad.parts.pad_outline import PadOutline
 
 MAX_SAGITTA_MM = 0.022
 """How far a chord of the outline may miss its arc [mm]."""

@@ -18,8 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from cad.mesh.mesh_quality import MeshQuality, Place, measure_quality, surface_distance_mm
-from cad.mesh.quality_measures import dihedral_angles_deg
+from taccel_lab.cad.mesh.mesh_quality import (
+    MeshQuality,
+    Place,
+    measure_quality,
+    surface_distance_mm,
+)
+from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
@@ -150,7 +155,7 @@ def require_quality(
         return result
     text = "the mesh is unfit to be simulated: " + "; ".join(v.text for v in result.violations)
     if picture_folder is not None:
-        from cad.mesh.quality_picture import write_bad_mesh
+        from taccel_lab.cad.mesh.quality_picture import write_bad_mesh
 
         path = Path(picture_folder) / PICTURE_NAME
         write_bad_mesh(mesh, result, path)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cad.mesh.quality import GateResult, bad_tets
+from taccel_lab.cad.mesh.quality import GateResult, bad_tets
 from taccel_lab.geometry import TetMesh
 from taccel_lab.output import atomic_file
 

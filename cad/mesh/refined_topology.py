@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from cad.mesh.structured_topology import plan_quads, plan_triangles, prism_tets
+from taccel_lab.cad.mesh.structured_topology import plan_quads, plan_triangles, prism_tets
 from taccel_lab.geometry.tet_mesh import boundary_faces
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cad.mesh.closest import ClosestPoint
-from cad.mesh.surface import LabelledSurface
+from taccel_lab.cad.mesh.closest import ClosestPoint
+from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.geometry import Region
 
 _MIN_COSINE = 0.5

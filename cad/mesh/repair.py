@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from cad.mesh.surface import check_closed, weld
-from cad.mesh.thickness import least_thickness
+from taccel_lab.cad.mesh.surface import check_closed, weld
+from taccel_lab.cad.mesh.thickness import least_thickness
 from taccel_lab.errors import InputError
 
 _WELD_SHARE = 1e-6

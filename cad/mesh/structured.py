@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from cad.mesh.columns import check_range, check_unfolded, level_fractions
-from cad.mesh.contact_plan import ContactOutline, contact_plan
-from cad.mesh.structured_plan import Focus, focus_plan, rim_distances_mm, rim_rings
-from cad.mesh.structured_topology import grid_topology, ring_of_node
-from cad.mesh.tet_smoothing import Sheet, improve_worst_tets
-from cad.parts.height_pad import HeightPad
+from taccel_lab.cad.mesh.columns import check_range, check_unfolded, level_fractions
+from taccel_lab.cad.mesh.contact_plan import ContactOutline, contact_plan
+from taccel_lab.cad.mesh.structured_plan import Focus, focus_plan, rim_distances_mm, rim_rings
+from taccel_lab.cad.mesh.structured_topology import grid_topology, ring_of_node
+from taccel_lab.cad.mesh.tet_smoothing import Sheet, improve_worst_tets
+from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 

@@ -12,15 +12,15 @@ from itertools import product
 
 import numpy as np
 
-from cad.mesh.conformal import DiscMap, disc_automorphism, disc_map
-from cad.mesh.contact_plan import EllipticMap
-from cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii
-from cad.mesh.outline_nodes import outline_anchors
-from cad.mesh.plan_smoothing import smooth_plan
-from cad.mesh.structured_topology import plan_quads
-from cad.parts.gel_pad import GelPad
-from cad.parts.height_pad import HeightPad
-from cad.parts.pad_outline import PadOutline
+from taccel_lab.cad.mesh.conformal import DiscMap, disc_automorphism, disc_map
+from taccel_lab.cad.mesh.contact_plan import EllipticMap
+from taccel_lab.cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii
+from taccel_lab.cad.mesh.outline_nodes import outline_anchors
+from taccel_lab.cad.mesh.plan_smoothing import smooth_plan
+from taccel_lab.cad.mesh.structured_topology import plan_quads
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.pad_outline import PadOutline
 
 _ANGLE_WEIGHT = 0.6
 _HELD_RINGS = 2

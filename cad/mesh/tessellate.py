@@ -12,8 +12,8 @@ from OCP.BRepMesh import BRepMesh_IncrementalMesh
 from OCP.TopAbs import TopAbs_Orientation
 from OCP.TopLoc import TopLoc_Location
 
-from cad.mesh.surface import LabelledSurface, check_closed, weld
-from cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed, weld
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.errors import InputError
 
 _WELD_MM = 1e-5

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cad.mesh.quality_measures import dihedral_angles_deg
+from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
 
 _NEIGHBOURHOOD = 2
 _SOFTNESS = 2e-2

@@ -15,15 +15,21 @@ from pathlib import Path
 
 import numpy as np
 
-from cad.mesh.bond_planes import bond_projection
-from cad.mesh.cache import cached_mesh
-from cad.mesh.closest import ClosestPoint
-from cad.mesh.quality import GateResult, MeshQuality, QualityGate, check_quality, measure_quality
-from cad.mesh.surface import LabelledSurface, check_closed
-from cad.mesh.tessellate import tessellate_solid
-from cad.mesh.tetwild import TetWildInput, run_tetwild
-from cad.parts.labelled_solid import LabelledSolid
-from cad.parts.pad import Pad
+from taccel_lab.cad.mesh.bond_planes import bond_projection
+from taccel_lab.cad.mesh.cache import cached_mesh
+from taccel_lab.cad.mesh.closest import ClosestPoint
+from taccel_lab.cad.mesh.quality import (
+    GateResult,
+    MeshQuality,
+    QualityGate,
+    check_quality,
+    measure_quality,
+)
+from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.mesh.tetwild import TetWildInput, run_tetwild
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
@@ -103,7 +109,7 @@ def tetwild_mesh(
     if volume <= 0:
         raise InputError(
             f"the surface to mesh encloses {volume:.3g} mm3: its triangles wind inward; repair it "
-            "first (cad.mesh.repair)"
+            "first (taccel_lab.cad.mesh.repair)"
         )
     missing = [r.name for r in Region if r != Region.SIDE and int(r) not in surface.regions]
     if missing:
@@ -196,9 +202,12 @@ def _failure(tried: list[_Try], picture_folder: Path | str | None) -> str:
     text = f"fTetWild reached the mesh gate in none of {len(tried)} runs: {runs}"
     measured = [t for t in tried if t.mesh is not None and t.result is not None]
     if picture_folder is None or not measured:
-        return text + ". A smaller edge_mm may help, or repair the surface (cad.mesh.repair)"
-    from cad.mesh.quality import PICTURE_NAME
-    from cad.mesh.quality_picture import write_bad_mesh
+        return (
+            text
+            + ". A smaller edge_mm may help, or repair the surface (taccel_lab.cad.mesh.repair)"
+        )
+    from taccel_lab.cad.mesh.quality import PICTURE_NAME
+    from taccel_lab.cad.mesh.quality_picture import write_bad_mesh
 
     best = min(measured, key=lambda t: len(t.result.violations) if t.result else 0)
     path = Path(picture_folder) / PICTURE_NAME

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cad.mesh.bond_planes import Projection
-from cad.mesh.regions import transfer_regions
-from cad.mesh.surface import LabelledSurface
-from cad.mesh.tet_smoothing import improve_worst_tets
+from taccel_lab.cad.mesh.bond_planes import Projection
+from taccel_lab.cad.mesh.regions import transfer_regions
+from taccel_lab.cad.mesh.surface import LabelledSurface
+from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
@@ -96,7 +96,9 @@ def _tetrahedralize(
             quiet=True,
         )
     if not len(tets):
-        raise InputError("fTetWild found no inside; repair the surface first (cad.mesh.repair)")
+        raise InputError(
+            "fTetWild found no inside; repair the surface first (taccel_lab.cad.mesh.repair)"
+        )
     return np.asarray(nodes, dtype=np.float64), np.asarray(tets, dtype=np.int64)
 
 
@@ -105,7 +107,7 @@ def _epsilon_mm(given: TetWildInput, epsilon: float) -> float:
 
 
 def _on_triangles(points: np.ndarray, triangles_mm: np.ndarray, within_mm: float) -> np.ndarray:
-    from cad.mesh.closest import ClosestPoint
+    from taccel_lab.cad.mesh.closest import ClosestPoint
 
     corners = triangles_mm.reshape(-1, 3)
     distance, _ = ClosestPoint(corners, np.arange(len(corners)).reshape(-1, 3))(points)

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cad.moulds.checks import MouldReport, check_mould
-from cad.moulds.options import MouldOptions
-from cad.moulds.two_part import Mould, gel_mould
-from cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.moulds.checks import MouldReport, check_mould
+from taccel_lab.cad.moulds.options import MouldOptions
+from taccel_lab.cad.moulds.two_part import Mould, gel_mould
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.errors import InputError
 
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from build123d import Plane, Solid
 
-from cad.assembly import OVERLAP_MM3, common_volume_mm3
-from cad.mesh.tessellate import tessellate_solid
-from cad.moulds.cast_body import is_vertical
-from cad.moulds.two_part import Mould
-from cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.assembly import OVERLAP_MM3, common_volume_mm3
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.moulds.cast_body import is_vertical
+from taccel_lab.cad.moulds.two_part import Mould
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 

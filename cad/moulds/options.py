@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cad.parameters import ParameterSet, parameter
+from taccel_lab.cad.parameters import ParameterSet, parameter
 
 _PRACTICE = "common practice for silicone cast in printed or milled moulds"
 

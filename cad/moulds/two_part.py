@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from build123d import Face, Plane, ShapeList, Solid
 from build123d.topology import Shape
 
-from cad.moulds.cast_body import CastBody, cast_body
-from cad.moulds.gates import Gate, place_gates
-from cad.moulds.options import MouldOptions
-from cad.parts.labelled_solid import LabelledSolid
-from cad.parts.outline import prism, rounded_rectangle
-from cad.parts.part import Part
+from taccel_lab.cad.moulds.cast_body import CastBody, cast_body
+from taccel_lab.cad.moulds.gates import Gate, place_gates
+from taccel_lab.cad.moulds.options import MouldOptions
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.outline import prism, rounded_rectangle
+from taccel_lab.cad.parts.part import Part
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 

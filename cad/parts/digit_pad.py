@@ -19,10 +19,10 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial import polynomial
 
-from cad.parameters import parameter
-from cad.parts.height_pad import HeightPad
-from cad.parts.pad_outline import PadOutline, d_shape
-from cad.parts.rim_fillet import fillet_height_mm
+from taccel_lab.cad.parameters import parameter
+from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.pad_outline import PadOutline, d_shape
+from taccel_lab.cad.parts.rim_fillet import fillet_height_mm
 from taccel_lab.errors import InputError
 
 _STEP = "digit-design (facebookresearch), gel STEP, measured"

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cad.parameters import parameter
-from cad.parts.meridian import Arc, Line, Meridian, Piece, closest_on_pieces
-from cad.parts.pad import Pad
+from taccel_lab.cad.parameters import parameter
+from taccel_lab.cad.parts.meridian import Arc, Line, Meridian, Piece, closest_on_pieces
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
 if TYPE_CHECKING:
-    from cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 
 _NEUTRAL = "neutral value; a sensor family sets its own"
 MIN_GEL_MM = 0.3
@@ -99,7 +99,7 @@ class DomePad(Pad):
 
     def labelled_solid(self) -> LabelledSolid:
         """The body as a CAD solid with labelled faces; see ``dome_pad_solid``."""
-        from cad.parts.dome_pad_solid import dome_pad_solid
+        from taccel_lab.cad.parts.dome_pad_solid import dome_pad_solid
 
         return dome_pad_solid(self)
 

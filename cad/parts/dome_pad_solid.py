@@ -11,9 +11,9 @@ from build123d import Axis, Edge, Face, Solid, Wire
 from OCP.Standard import Standard_Failure
 from OCP.StdFail import StdFail_NotDone
 
-from cad.parts.dome_pad import DomePad
-from cad.parts.labelled_solid import LabelledSolid
-from cad.parts.meridian import Arc, Piece
+from taccel_lab.cad.parts.dome_pad import DomePad
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.meridian import Arc, Piece
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 

@@ -22,11 +22,11 @@ from functools import cached_property
 
 import numpy as np
 
-from cad.parameters import parameter
-from cad.parts.height_pad import MIN_WALL_MM, HeightPad
-from cad.parts.pad_outline import PadOutline, rounded_rectangle
-from cad.parts.rim_band import RimBand
-from cad.parts.rim_fillet import fillet_height_mm
+from taccel_lab.cad.parameters import parameter
+from taccel_lab.cad.parts.height_pad import MIN_WALL_MM, HeightPad
+from taccel_lab.cad.parts.pad_outline import PadOutline, rounded_rectangle
+from taccel_lab.cad.parts.rim_band import RimBand
+from taccel_lab.cad.parts.rim_fillet import fillet_height_mm
 from taccel_lab.errors import InputError
 
 _NEUTRAL = "neutral value; a sensor family sets its own"

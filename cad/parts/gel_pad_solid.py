@@ -26,12 +26,12 @@ from OCP.BRepFeat import BRepFeat_SplitShape
 from OCP.Standard import Standard_Failure
 from OCP.StdFail import StdFail_NotDone
 
-from cad.parts.gel_pad import GelPad
-from cad.parts.graph_surface import creased_graph_face, smooth_graph_face
-from cad.parts.height_pad import HeightPad
-from cad.parts.labelled_solid import LabelledSolid
-from cad.parts.outline import prism
-from cad.parts.pad_outline import PadOutline
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.graph_surface import creased_graph_face, smooth_graph_face
+from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.outline import prism
+from taccel_lab.cad.parts.pad_outline import PadOutline
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 

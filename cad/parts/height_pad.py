@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cad.parts.pad import Pad
-from cad.parts.pad_outline import PadOutline
+from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.cad.parts.pad_outline import PadOutline
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     from build123d import Solid
 
-    from cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 
 MIN_WALL_MM = 0.3
 """Least height of the wall above the glued back [mm]: thinner edges tear and mesh badly."""
@@ -147,13 +147,13 @@ class HeightPad(Pad):
 
     def labelled_solid(self) -> LabelledSolid:
         """The body as a CAD solid with labelled faces; see ``gel_pad_solid``."""
-        from cad.parts.gel_pad_solid import gel_pad_solid
+        from taccel_lab.cad.parts.gel_pad_solid import gel_pad_solid
 
         return gel_pad_solid(self)
 
     def layer_solids(self) -> dict[str, Solid]:
         """The solid of each layer by its name; together they fill the body."""
-        from cad.parts.gel_pad_solid import layer_solids
+        from taccel_lab.cad.parts.gel_pad_solid import layer_solids
 
         return layer_solids(self)
 

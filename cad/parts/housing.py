@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from build123d import Axis, BoundBox, Face, Location, Plane, Pos, ShapeList, Solid, Vector, Wire
 from build123d.topology import Shape
 
-from cad.parts.outline import grown, prism, rounded_rectangle
-from cad.parts.part import Part
-from cad.parts.placeholders import CameraShape, LedShape, camera_part, led_part
+from taccel_lab.cad.parts.outline import grown, prism, rounded_rectangle
+from taccel_lab.cad.parts.part import Part
+from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, camera_part, led_part
 from taccel_lab.errors import InputError
 
 _COLOR = (0.30, 0.32, 0.35)

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from cad.parameters import ParameterSet
+from taccel_lab.cad.parameters import ParameterSet
 
 if TYPE_CHECKING:
     from build123d import Solid
 
-    from cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 
 
 class Pad(ParameterSet, ABC):

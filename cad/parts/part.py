@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from build123d import Face, Solid
 from OCP.TopLoc import TopLoc_Location
 
-from cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.geometry import Region
 
 Rgb = tuple[float, float, float]

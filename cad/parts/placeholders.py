@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from build123d import Location, Plane, Solid
 
-from cad.parts.part import Part
+from taccel_lab.cad.parts.part import Part
 
 Triple = tuple[float, float, float]
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cad.parts.pad_outline import PadOutline
+from taccel_lab.cad.parts.pad_outline import PadOutline
 
 _TOUCH_ROUNDS = 12
 _SLIDE_ROUNDS = 5

@@ -15,9 +15,9 @@ from OCP.BRep import BRep_Tool
 from OCP.BRepAlgoAPI import BRepAlgoAPI_Check
 from OCP.BRepCheck import BRepCheck_Analyzer
 
-from cad.mesh.surface import LabelledSurface
-from cad.mesh.thickness import least_thickness
-from cad.step_import.reader import StepBody
+from taccel_lab.cad.mesh.surface import LabelledSurface
+from taccel_lab.cad.mesh.thickness import least_thickness
+from taccel_lab.cad.step_import.reader import StepBody
 from taccel_lab.errors import InputError
 
 MIN_THICKNESS_MM = 0.05

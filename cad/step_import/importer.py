@@ -17,14 +17,14 @@ from build123d import Face, GeomType, Solid, Vector, Wire
 from OCP.BRepBuilderAPI import BRepBuilderAPI_Transform
 from OCP.gp import gp_Trsf
 
-from cad.mesh.surface import LabelledSurface
-from cad.mesh.tessellate import tessellate_solid
-from cad.mesh.units import check_units
-from cad.parts.imprint import imprint
-from cad.parts.labelled_solid import LabelledSolid
-from cad.step_import.checks import check_solid, check_thickness, one_solid
-from cad.step_import.reader import read_step
-from cad.step_import.selection import (
+from taccel_lab.cad.mesh.surface import LabelledSurface
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.mesh.units import check_units
+from taccel_lab.cad.parts.imprint import imprint
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.step_import.checks import check_solid, check_thickness, one_solid
+from taccel_lab.cad.step_import.reader import read_step
+from taccel_lab.cad.step_import.selection import (
     FaceInfo,
     describe_faces,
     direction,

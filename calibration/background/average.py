@@ -12,9 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.background.drift import Drift
-from calibration.background.robust_mean import robust_mean
-from calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.background.drift import Drift
+from taccel_lab.calibration.background.robust_mean import robust_mean
+from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.geometry import PixelGrid
 
 UNTOUCHED_RADII = 2.5

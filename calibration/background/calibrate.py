@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from calibration.background.drift import Drift, fit_robust_drift
-from calibration.background.drift_report import DriftSpread, drift_remark, drift_spread
-from calibration.background.dust import dust_mask, speck_count
-from calibration.background.untouched import (
+from taccel_lab.calibration.background.drift import Drift, fit_robust_drift
+from taccel_lab.calibration.background.drift_report import DriftSpread, drift_remark, drift_spread
+from taccel_lab.calibration.background.dust import dust_mask, speck_count
+from taccel_lab.calibration.background.untouched import (
     RunningMean,
     background_from_presses,
     steady_pixels,
     untouched_pixels,
 )
-from calibration.capture.folder import CaptureFolder
-from calibration.result import Remark, Severity, judge
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.result import Remark, Severity, judge
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, CameraBlock, Provenance, SensorProfile
 
@@ -293,7 +293,7 @@ def _compare(
 def _against_presses(folder: CaptureFolder) -> list[Remark]:
     """Errors when the background is framed otherwise than the presses, another one, or pressed."""
     # Loaded here: the check of captures itself compares light by this package.
-    from calibration.capture.check.background import check_background
+    from taccel_lab.calibration.capture.check.background import check_background
 
     if folder.background is None:
         return []

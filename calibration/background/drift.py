@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
-from calibration.evaluate import FAR_RADII
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.evaluate import FAR_RADII
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.background.drift import Drift
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.background.drift import Drift
+from taccel_lab.calibration.result import Remark, Severity
 
 NOTABLE_LEVELS = 2.0
 """Spread of the light over the frames above which a correction pays."""

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.background.drift import unit_position
+from taccel_lab.calibration.background.drift import unit_position
 from taccel_lab.errors import InputError
 
 FRAME_PIXELS = 12_000

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.background.calibrate import BackgroundCalibration
-from calibration.background.dust import speck_count
-from calibration.report import Page, Picture, Table
+from taccel_lab.calibration.background.calibrate import BackgroundCalibration
+from taccel_lab.calibration.background.dust import speck_count
+from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREEN, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:

@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from calibration.background.drift import fit_robust_drift
-from calibration.background.light_change import (
+from taccel_lab.calibration.background.drift import fit_robust_drift
+from taccel_lab.calibration.background.light_change import (
     LightChange,
     LightChangeFit,
     RefitFrame,
     fit_light_change,
 )
-from calibration.background.untouched import RunningMean, steady_pixels, untouched_pixels
-from calibration.result import Remark, Severity, judge
+from taccel_lab.calibration.background.untouched import RunningMean, steady_pixels, untouched_pixels
+from taccel_lab.calibration.result import Remark, Severity, judge
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
 from taccel_lab.signals.color_model import ColorModelConfig

@@ -10,13 +10,13 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.background.light_change import RefitFrame
-from calibration.capture.captures import CaptureSet, ContactCircle, Press
-from calibration.capture.folder import CaptureFolder
-from calibration.capture.split import HOLDOUT_EVERY
-from calibration.surfaces import PressSurface, analytic_surface
-from calibration.targets import choose_circles, detect_contact, resolve_contacts
-from calibration.targets.label_placement import LabelPlacement
+from taccel_lab.calibration.background.light_change import RefitFrame
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
+from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.targets import choose_circles, detect_contact, resolve_contacts
+from taccel_lab.calibration.targets.label_placement import LabelPlacement
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.background.refit import CHANNELS, FrameError, Refit
-from calibration.report import Page, Picture, Table
+from taccel_lab.calibration.background.refit import CHANNELS, FrameError, Refit
+from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import BLUE, GREY, in_report_style, new_figure
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.background.drift import BIWEIGHT, MIN_SCALE_LEVELS, smoothed
+from taccel_lab.calibration.background.drift import BIWEIGHT, MIN_SCALE_LEVELS, smoothed
 
 SMOOTHING_PX = 2.0
 MIN_WEIGHT = 0.1

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calibration.background.drift import Drift, fit_robust_drift, smoothed
-from calibration.background.robust_mean import median_where_seen
+from taccel_lab.calibration.background.drift import Drift, fit_robust_drift, smoothed
+from taccel_lab.calibration.background.robust_mean import median_where_seen
 from taccel_lab.errors import InputError
 
 TOUCHED_SIGMAS = 4.0

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.camera.intrinsics import Intrinsics
-from calibration.result import judge
+from taccel_lab.calibration.camera.intrinsics import Intrinsics
+from taccel_lab.calibration.result import judge
 from taccel_lab.profile import CameraBlock, OpticsBlock, Provenance, SensorProfile
 
 if TYPE_CHECKING:
-    from calibration.camera.camera_calibration import CameraCalibration
+    from taccel_lab.calibration.camera.camera_calibration import CameraCalibration
 
 
 def tactile_size(profile: SensorProfile, raw_px: tuple[int, int]) -> tuple[int, int] | None:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.camera.board import BoardView
-from calibration.camera.lens import Lens
-from calibration.camera.planar_pose import planar_poses
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.lens import Lens
+from taccel_lab.calibration.camera.planar_pose import planar_poses
 from taccel_lab.errors import InputError
 
 HUBER = 2.0

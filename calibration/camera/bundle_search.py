@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.camera.board import BoardView
-from calibration.camera.bundle import BundleFit, fit_bundle
-from calibration.camera.lens import Lens
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.bundle import BundleFit, fit_bundle
+from taccel_lab.calibration.camera.lens import Lens
 from taccel_lab.errors import InputError
 
 MIN_VIEWS = 3

@@ -11,22 +11,27 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calibration.camera.blocks import camera_block, optics_block, tactile_size, with_camera_block
-from calibration.camera.board import BoardView
-from calibration.camera.bundle_search import MIN_VIEWS
-from calibration.camera.detect import Detections, detect_views
-from calibration.camera.intrinsics import (
+from taccel_lab.calibration.camera.blocks import (
+    camera_block,
+    optics_block,
+    tactile_size,
+    with_camera_block,
+)
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.bundle_search import MIN_VIEWS
+from taccel_lab.calibration.camera.detect import Detections, detect_views
+from taccel_lab.calibration.camera.intrinsics import (
     Intrinsics,
     calibrate_intrinsics,
     require_choices,
 )
-from calibration.camera.lens import LENSES
-from calibration.camera.media import profile_media
-from calibration.camera.on_gel import OnGel, fit_on_gel
-from calibration.camera.rectification import RectificationMaps, gel_maps, lens_maps
-from calibration.camera.stated_scale import stated_scale_remarks
-from calibration.capture.folder import CaptureFolder
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.camera.lens import LENSES
+from taccel_lab.calibration.camera.media import profile_media
+from taccel_lab.calibration.camera.on_gel import OnGel, fit_on_gel
+from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps, lens_maps
+from taccel_lab.calibration.camera.stated_scale import stated_scale_remarks
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.errors import InputError
 
 MIN_POINTS = 6

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from calibration.camera.board import BoardView, unmirrored, upright
-from calibration.camera.lattice import index_lattice
+from taccel_lab.calibration.camera.board import BoardView, unmirrored, upright
+from taccel_lab.calibration.camera.lattice import index_lattice
 from taccel_lab.errors import InputError
 
 MIN_SHARE = 0.5

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.camera.board import BoardView
-from calibration.camera.charuco import detect_charuco
-from calibration.camera.chessboard import detect_chessboard
-from calibration.camera.dots import detect_dots
-from calibration.camera.pins import detect_pins
-from calibration.capture.folder import BoardCaptures
-from calibration.capture.schema import BoardEntry
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.charuco import detect_charuco
+from taccel_lab.calibration.camera.chessboard import detect_chessboard
+from taccel_lab.calibration.camera.dots import detect_dots
+from taccel_lab.calibration.camera.pins import detect_pins
+from taccel_lab.calibration.capture.folder import BoardCaptures
+from taccel_lab.calibration.capture.schema import BoardEntry
 from taccel_lab.errors import InputError
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calibration.camera.board import BoardView, unmirrored, upright
-from calibration.camera.lattice import Lattice, index_lattice
-from calibration.markers.scale_space import find_blobs, response
+from taccel_lab.calibration.camera.board import BoardView, unmirrored, upright
+from taccel_lab.calibration.camera.lattice import Lattice, index_lattice
+from taccel_lab.calibration.markers.scale_space import find_blobs, response
 from taccel_lab.errors import InputError
 
 MIN_SHARE = 0.4

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.camera.board import BoardView
-from calibration.camera.gel_plane import CROSS, PlaneFit, plane_rotation
-from calibration.result import Estimate
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.gel_plane import CROSS, PlaneFit, plane_rotation
+from taccel_lab.calibration.result import Estimate
 
 _STEP = 1e-6
 """Relative step of the derivatives by parameters."""

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from calibration.camera.board import BoardView
-from calibration.camera.bundle import huber_weights, rms, robust_scale
-from calibration.camera.correction import Correction, fit_correction
-from calibration.camera.plane_models import PlaneModel
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.bundle import huber_weights, rms, robust_scale
+from taccel_lab.calibration.camera.correction import Correction, fit_correction
+from taccel_lab.calibration.camera.plane_models import PlaneModel
 from taccel_lab.errors import InputError
 
 FOLDS = 5

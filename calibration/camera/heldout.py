@@ -17,10 +17,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.camera.board import BoardView
-from calibration.camera.bundle import BundleFit, fit_pose, initial_pose, rms, robust_scale
-from calibration.camera.bundle_search import LensFits, fit_lenses
-from calibration.camera.lens import Lens
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.bundle import (
+    BundleFit,
+    fit_pose,
+    initial_pose,
+    rms,
+    robust_scale,
+)
+from taccel_lab.calibration.camera.bundle_search import LensFits, fit_lenses
+from taccel_lab.calibration.camera.lens import Lens
 from taccel_lab.errors import InputError
 
 _ALIKE = 0.02

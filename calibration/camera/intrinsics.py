@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from calibration.camera.board import BoardView
-from calibration.camera.bundle import BundleFit
-from calibration.camera.bundle_search import MIN_VIEWS, fit_lenses
-from calibration.camera.heldout import LensScore, compare_lenses, score_lenses
-from calibration.camera.lens import LENSES, Lens, chosen_lenses
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.bundle import BundleFit
+from taccel_lab.calibration.camera.bundle_search import MIN_VIEWS, fit_lenses
+from taccel_lab.calibration.camera.heldout import LensScore, compare_lenses, score_lenses
+from taccel_lab.calibration.camera.lens import LENSES, Lens, chosen_lenses
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 
 MIN_COVERAGE = 0.35

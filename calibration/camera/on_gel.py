@@ -10,18 +10,18 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calibration.camera.board import BoardView
-from calibration.camera.gel_frame import GelFrame, gel_frame, scale_range
-from calibration.camera.gel_plane import (
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.gel_frame import GelFrame, gel_frame, scale_range
+from taccel_lab.calibration.camera.gel_plane import (
     PlaneFit,
     choose_plane,
     correct_plane,
     fit_planes,
     plane_rotation,
 )
-from calibration.camera.intrinsics import Intrinsics
-from calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.camera.intrinsics import Intrinsics
+from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics.refraction import FlatMedia

@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from calibration.camera.camera_calibration import CameraCalibration
-from calibration.camera.pictures import (
+from taccel_lab.calibration.camera.camera_calibration import CameraCalibration
+from taccel_lab.calibration.camera.pictures import (
     draw_distortion,
     draw_on_gel,
     draw_rectified,
     draw_residuals,
     draw_views,
 )
-from calibration.capture.folder import CaptureFolder
-from calibration.capture.images import read_image
-from calibration.report import Page, Picture, Table
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.report import Page, Picture, Table
 
 
 def camera_page(result: CameraCalibration, folder: CaptureFolder) -> Page:

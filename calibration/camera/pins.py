@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.camera.board import BoardView
-from calibration.camera.dots import detect_dots
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.dots import detect_dots
 from taccel_lab.errors import InputError
 
 MIN_CHANGE_LEVELS = 1.0

@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from calibration.camera.lens import Lens
+from taccel_lab.calibration.camera.lens import Lens
 from taccel_lab.errors import InputError
 
 _GRAZING = 0.05

@@ -14,8 +14,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from calibration.camera.lens import Lens
-from calibration.camera.planar_pose import planar_poses
+from taccel_lab.calibration.camera.lens import Lens
+from taccel_lab.calibration.camera.planar_pose import planar_poses
 from taccel_lab.errors import InputError
 from taccel_lab.optics.refraction import FlatMedia
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from calibration.camera.rectification import RectificationMaps
-from calibration.capture.captures import Press
-from calibration.capture.folder import CaptureFolder, Frame
-from calibration.capture.importers.draft import write_png
-from calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
+from taccel_lab.calibration.camera.rectification import RectificationMaps
+from taccel_lab.calibration.capture.captures import Press
+from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
+from taccel_lab.calibration.capture.importers.draft import write_png
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_directory
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calibration.capture.folder import CaptureFolder
-from calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.result import Estimate, Remark, Severity
 
 STATED_SIGMAS, STATED_SHARE = 3.0, 0.02
 """A stated scale differs when it is off by this many standard deviations and by this share."""

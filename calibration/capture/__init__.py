@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Capture folders: the manifest, the loader, and importers of other projects' layouts."""
 
-from calibration.capture.captures import CaptureSet, ContactCircle, Press
-from calibration.capture.folder import (
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,
     EdgeCapture,
@@ -11,9 +11,9 @@ from calibration.capture.folder import (
     MarkerCaptures,
     Video,
 )
-from calibration.capture.importers import ImportOptions, import_captures, import_taxim
-from calibration.capture.load import load_capture_folder, load_captures
-from calibration.capture.taxim_pack import find_taxim_pack
+from taccel_lab.calibration.capture.importers import ImportOptions, import_captures, import_taxim
+from taccel_lab.calibration.capture.load import load_capture_folder, load_captures
+from taccel_lab.calibration.capture.taxim_pack import find_taxim_pack
 
 __all__ = [
     "BoardCaptures",

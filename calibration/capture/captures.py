@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.capture.split import PressSplit, split_presses
+from taccel_lab.calibration.capture.split import PressSplit, split_presses
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

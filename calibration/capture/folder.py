@@ -13,9 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.capture.captures import CaptureSet, Press
-from calibration.capture.schema import BoardEntry, EdgeEntry, LandmarkEntry, RecordEntry, VideoEntry
-from calibration.capture.split import HOLDOUT_EVERY, PressSplit, split_presses
+from taccel_lab.calibration.capture.captures import CaptureSet, Press
+from taccel_lab.calibration.capture.schema import (
+    BoardEntry,
+    EdgeEntry,
+    LandmarkEntry,
+    RecordEntry,
+    VideoEntry,
+)
+from taccel_lab.calibration.capture.split import HOLDOUT_EVERY, PressSplit, split_presses
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from calibration.capture.check.sensor_facts import SensorFacts, sensor_facts
-from sensors import sensor_family
+from taccel_lab.calibration.capture.check.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.errors import InputError
+from taccel_lab.sensors import sensor_family
 
 DEPTH_SHARE = 0.25
 """Deepest press, of the gel's thickness: deeper ones feel the window more than the gel."""

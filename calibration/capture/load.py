@@ -11,20 +11,20 @@ import cv2
 import numpy as np
 from pydantic import ValidationError
 
-from calibration.capture.captures import CaptureSet, ContactCircle, Press
-from calibration.capture.folder import (
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,
     EdgeCapture,
     Frame,
     LandmarkCapture,
 )
-from calibration.capture.images import decode, file_sha256, read_image
-from calibration.capture.overrides import CONTACTS_NAME, override_presses
-from calibration.capture.records import load_record
-from calibration.capture.schema import MANIFEST_NAME, CaptureManifest
-from calibration.capture.taxim_pack import load_taxim_folder
-from calibration.capture.video import load_markers
+from taccel_lab.calibration.capture.images import decode, file_sha256, read_image
+from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_presses
+from taccel_lab.calibration.capture.records import load_record
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME, CaptureManifest
+from taccel_lab.calibration.capture.taxim_pack import load_taxim_folder
+from taccel_lab.calibration.capture.video import load_markers
 from taccel_lab.errors import InputError
 
 MIN_SIZE_PX = 32

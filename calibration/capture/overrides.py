@@ -17,7 +17,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
 from taccel_lab.errors import InputError
 
 CONTACTS_NAME = "contacts.toml"

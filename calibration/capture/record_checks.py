@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.capture.schema import RecordEntry
+from taccel_lab.calibration.capture.schema import RecordEntry
 from taccel_lab.errors import InputError
 
 SOFTEST_MPA, STIFFEST_MPA = 2e-4, 10.0

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.capture.folder import ForceRecord
-from calibration.capture.images import file_sha256
-from calibration.capture.record_checks import check_record
-from calibration.capture.schema import RecordEntry
+from taccel_lab.calibration.capture.folder import ForceRecord
+from taccel_lab.calibration.capture.images import file_sha256
+from taccel_lab.calibration.capture.record_checks import check_record
+from taccel_lab.calibration.capture.schema import RecordEntry
 from taccel_lab.errors import InputError
 
 COLUMNS = {

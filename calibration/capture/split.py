@@ -20,7 +20,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
-    from calibration.capture.captures import Press
+    from taccel_lab.calibration.capture.captures import Press
 
 HOLDOUT_EVERY = 4
 """One press in so many is held out unless a command is told otherwise."""

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle, Press
-from calibration.capture.folder import CaptureFolder, Frame
-from calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
+from taccel_lab.calibration.capture.captures import ContactCircle, Press
+from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
+from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
 
 PACK_NAME = "dataPack.npz"

@@ -10,10 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calibration.capture.folder import Frame, MarkerCaptures, Video
-from calibration.capture.images import file_sha256, read_image
-from calibration.capture.records import read_columns
-from calibration.capture.schema import MarkersEntry, VideoEntry
+from taccel_lab.calibration.capture.folder import Frame, MarkerCaptures, Video
+from taccel_lab.calibration.capture.images import file_sha256, read_image
+from taccel_lab.calibration.capture.records import read_columns
+from taccel_lab.calibration.capture.schema import MarkersEntry, VideoEntry
 from taccel_lab.errors import InputError
 
 LOST_SHARE = 0.95

@@ -6,11 +6,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from calibration.comparison.fields import FieldDifference, compare_fields
-from calibration.comparison.figures import draw_backgrounds, draw_color_responses
-from calibration.comparison.responses import ResponseDifference, compare_responses
-from calibration.report import Page, Picture, Table
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.comparison.fields import FieldDifference, compare_fields
+from taccel_lab.calibration.comparison.figures import draw_backgrounds, draw_color_responses
+from taccel_lab.calibration.comparison.responses import ResponseDifference, compare_responses
+from taccel_lab.calibration.report import Page, Picture, Table
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.profile import SensorProfile
 
 COLOR_SHARE = 0.15

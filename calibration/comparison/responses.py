@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.report.color_discs import color_discs
+from taccel_lab.calibration.report.color_discs import color_discs
 from taccel_lab.geometry import Region
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.model import NormalDisc

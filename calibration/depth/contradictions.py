@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.capture.captures import CaptureSet, ContactCircle
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.geometry import PixelGrid
 
 LABEL_OFF_SHARE, LABEL_OFF_PX = 0.18, 6.0

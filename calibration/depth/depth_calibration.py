@@ -17,9 +17,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calibration.capture.captures import CaptureSet, ContactCircle
-from calibration.depth.contradictions import error_remarks, label_remarks, repeat_remarks
-from calibration.depth.depth_fit import (
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.depth.contradictions import error_remarks, label_remarks, repeat_remarks
+from taccel_lab.calibration.depth.depth_fit import (
     ContactPixels,
     contact_pixels,
     curve_spread_mm,
@@ -27,9 +27,9 @@ from calibration.depth.depth_fit import (
     fit_response,
     left_out_errors,
 )
-from calibration.depth.grey_contact import find_grey_contact
-from calibration.result import Remark, Severity, judge
-from calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.depth.grey_contact import find_grey_contact
+from taccel_lab.calibration.result import Remark, Severity, judge
+from taccel_lab.calibration.surfaces.types import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, DepthResponseBlock, Provenance, SensorProfile
 from taccel_lab.signals.depth_response import Channel, DepthResponse, channel_of

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
-from calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.depth_response import Channel, DepthResponse

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from calibration.capture.captures import ContactCircle
-from calibration.targets.circle_fit import fit_circle_ransac
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.targets.circle_fit import fit_circle_ransac
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

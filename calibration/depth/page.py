@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.capture.captures import CaptureSet
-from calibration.depth.depth_calibration import DepthCalibration
-from calibration.report import Page, Picture, Table
+from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.depth.depth_calibration import DepthCalibration
+from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:

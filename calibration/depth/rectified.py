@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.camera.rectification import RectificationMaps
-from calibration.capture.captures import CaptureSet, Press
-from calibration.capture.folder import CaptureFolder
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.camera.rectification import RectificationMaps
+from taccel_lab.calibration.capture.captures import CaptureSet, Press
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.geometry import PixelGrid
 
 STEEPEST = 0.9986

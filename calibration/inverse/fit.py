@@ -18,10 +18,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from calibration.estimators.one_thread import one_thread
-from calibration.inverse.cross_conformal import radius_factor
-from calibration.inverse.label_shift import MIN_PRESSES, LabelShift, label_shifts
-from calibration.inverse.samples import (
+from taccel_lab.calibration.estimators.one_thread import one_thread
+from taccel_lab.calibration.inverse.cross_conformal import radius_factor
+from taccel_lab.calibration.inverse.label_shift import MIN_PRESSES, LabelShift, label_shifts
+from taccel_lab.calibration.inverse.samples import (
     InverseFrame,
     SampleOptions,
     Samples,

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.inverse.ball_normals import ball_center_px
-from calibration.inverse.samples import InverseFrame, Scene, usable_pixels
+from taccel_lab.calibration.inverse.ball_normals import ball_center_px
+from taccel_lab.calibration.inverse.samples import InverseFrame, Scene, usable_pixels
 from taccel_lab.signals.normal_features import color_change
 from taccel_lab.signals.normal_model import NormalModel, relative_normals, rotate_from_z
 

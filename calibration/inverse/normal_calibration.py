@@ -13,13 +13,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calibration.background import fit_robust_drift
-from calibration.capture.captures import CaptureSet, ContactCircle, Press
-from calibration.capture.split import PressSplit
-from calibration.inverse.fit import InverseFit, InverseFitOptions, Progress, fit_normal_model
-from calibration.inverse.remarks import remarks_of
-from calibration.inverse.samples import FLAT_RADII, InverseFrame, Scene, usable_pixels
-from calibration.inverse.score import (
+from taccel_lab.calibration.background import fit_robust_drift
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.split import PressSplit
+from taccel_lab.calibration.inverse.fit import (
+    InverseFit,
+    InverseFitOptions,
+    Progress,
+    fit_normal_model,
+)
+from taccel_lab.calibration.inverse.remarks import remarks_of
+from taccel_lab.calibration.inverse.samples import FLAT_RADII, InverseFrame, Scene, usable_pixels
+from taccel_lab.calibration.inverse.score import (
     HeldoutNormals,
     Reliability,
     flat_guess,
@@ -27,10 +32,10 @@ from calibration.inverse.score import (
     reliability_of,
     score_heldout,
 )
-from calibration.result import Remark, judge
-from calibration.surfaces.types import PressSurface
-from calibration.targets import detect_contact
-from calibration.targets.label_placement import LabelPlacement
+from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.targets import detect_contact
+from taccel_lab.calibration.targets.label_placement import LabelPlacement
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, NormalsBlock, Provenance, SensorProfile
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from functools import partial
 
-from calibration.inverse.normal_calibration import NormalCalibration
-from calibration.inverse.pictures import draw_errors, draw_reliability, draw_training
-from calibration.inverse.samples import Scene
-from calibration.report import Page, Picture, Table
+from taccel_lab.calibration.inverse.normal_calibration import NormalCalibration
+from taccel_lab.calibration.inverse.pictures import draw_errors, draw_reliability, draw_training
+from taccel_lab.calibration.inverse.samples import Scene
+from taccel_lab.calibration.report import Page, Picture, Table
 
 
 def normals_page(result: NormalCalibration, scene: Scene) -> Page:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
-from calibration.evaluate import crop_slices
-from calibration.inverse.normal_calibration import NormalCalibration
-from calibration.inverse.samples import Scene
-from calibration.inverse.score import HeldoutNormals, ball_depth_mm
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.evaluate import crop_slices
+from taccel_lab.calibration.inverse.normal_calibration import NormalCalibration
+from taccel_lab.calibration.inverse.samples import Scene
+from taccel_lab.calibration.inverse.score import HeldoutNormals, ball_depth_mm
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calibration.background import fit_robust_drift
+from taccel_lab.calibration.background import fit_robust_drift
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.depth_response import DepthResponse

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.inverse.samples import InverseFrame, Scene
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.inverse.samples import InverseFrame, Scene
+from taccel_lab.calibration.result import Remark, Severity
 
 if TYPE_CHECKING:
-    from calibration.inverse.normal_calibration import NormalCalibration
+    from taccel_lab.calibration.inverse.normal_calibration import NormalCalibration
 
 FEW_PRESSES, LEAST_PRESSES = 8, 4
 """Fitted presses below which a model is only usable, or weak: it knows a few places and slopes."""

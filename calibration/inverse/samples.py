@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
-from calibration.inverse.ball_normals import ball_normals
-from calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.inverse.ball_normals import ball_normals
+from taccel_lab.calibration.surfaces.types import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.normal_features import color_change

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
-from calibration.inverse.ball_normals import ball_normals
-from calibration.inverse.samples import InverseFrame, Scene, usable_pixels
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.inverse.ball_normals import ball_normals
+from taccel_lab.calibration.inverse.samples import InverseFrame, Scene, usable_pixels
 from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
 from taccel_lab.signals.poisson import height_from_slopes
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed-form skirts around contacts, for fits that do without a simulation.
 
-The half-space's sinking (``calibration.surfaces.analytic``) reaches much too far on a gel that is
-bonded to a plate. Damped over half the contact's radius it comes near the simulated surfaces of
-three sensors with gels of 4 mm and contacts of 1.6 to 2.1 mm: 1 to 5 degrees off between 1.05 and 2
-radii, where undamped it is 2 to 15.
+The half-space's sinking (``taccel_lab.calibration.surfaces.analytic``) reaches much too far on a
+gel that is bonded to a plate. Damped over half the contact's radius it comes near the simulated
+surfaces of three sensors with gels of 4 mm and contacts of 1.6 to 2.1 mm: 1 to 5 degrees off
+between 1.05 and 2 radii, where undamped it is 2 to 15.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from calibration.capture.captures import CaptureSet, ContactCircle
-from calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 
 DECAY_RADII = 0.5
 LARGEST_RADII = 0.985

@@ -1,20 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dots on the gel: found, numbered, fitted to a layout, followed through videos."""
 
-from calibration.markers.calibrate import calibrate_markers
-from calibration.markers.choose_view import choose_view
-from calibration.markers.detection import detect_dots
-from calibration.markers.dots import DotFlag, Dots
-from calibration.markers.finding import MarkerPicture, find_markers
-from calibration.markers.flow import MarkerFlow, marker_flow_mm
-from calibration.markers.gel_view import CameraView, GelView, GridView, camera_view, grid_view
-from calibration.markers.lattice import Lattice, lattice_index
-from calibration.markers.layout import LayoutFit, fit_layout
-from calibration.markers.pitch import marker_pitch_px
-from calibration.markers.result import MarkerCalibration, TrackedVideo
-from calibration.markers.track_figures import TrackFigures, track_figures
-from calibration.markers.tracking import track_markers
-from calibration.markers.tracks import MarkerTracks, Status
+from taccel_lab.calibration.markers.calibrate import calibrate_markers
+from taccel_lab.calibration.markers.choose_view import choose_view
+from taccel_lab.calibration.markers.detection import detect_dots
+from taccel_lab.calibration.markers.dots import DotFlag, Dots
+from taccel_lab.calibration.markers.finding import MarkerPicture, find_markers
+from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
+from taccel_lab.calibration.markers.gel_view import (
+    CameraView,
+    GelView,
+    GridView,
+    camera_view,
+    grid_view,
+)
+from taccel_lab.calibration.markers.lattice import Lattice, lattice_index
+from taccel_lab.calibration.markers.layout import LayoutFit, fit_layout
+from taccel_lab.calibration.markers.pitch import marker_pitch_px
+from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
+from taccel_lab.calibration.markers.track_figures import TrackFigures, track_figures
+from taccel_lab.calibration.markers.tracking import track_markers
+from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
 
 __all__ = [
     "CameraView",

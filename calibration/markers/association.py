@@ -13,8 +13,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from calibration.markers.lattice import lattice_index
-from calibration.markers.neighbourhood import Neighbourhood
+from taccel_lab.calibration.markers.lattice import lattice_index
+from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 
 _WIDE, _NARROW = 0.55, 0.35
 """Gates in pitches: for a marker's own guess, and the narrowest for what its neighbours say."""

@@ -7,20 +7,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calibration.capture import CaptureFolder
-from calibration.capture.folder import Frame, Video
-from calibration.capture.video import cut_short
-from calibration.markers.choose_view import choose_view
-from calibration.markers.dots import Dots
-from calibration.markers.finding import MarkerPicture, find_markers
-from calibration.markers.gel_view import GelView, pixel_jacobian
-from calibration.markers.lattice import renumbered
-from calibration.markers.layout import LayoutFit, fit_layout
-from calibration.markers.remarks import layout_remarks, track_remarks
-from calibration.markers.result import MarkerCalibration, TrackedVideo
-from calibration.markers.track_figures import track_figures
-from calibration.markers.tracking import track_markers
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.capture import CaptureFolder
+from taccel_lab.calibration.capture.folder import Frame, Video
+from taccel_lab.calibration.capture.video import cut_short
+from taccel_lab.calibration.markers.choose_view import choose_view
+from taccel_lab.calibration.markers.dots import Dots
+from taccel_lab.calibration.markers.finding import MarkerPicture, find_markers
+from taccel_lab.calibration.markers.gel_view import GelView, pixel_jacobian
+from taccel_lab.calibration.markers.lattice import renumbered
+from taccel_lab.calibration.markers.layout import LayoutFit, fit_layout
+from taccel_lab.calibration.markers.remarks import layout_remarks, track_remarks
+from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
+from taccel_lab.calibration.markers.track_figures import track_figures
+from taccel_lab.calibration.markers.tracking import track_markers
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.capture import CaptureFolder
-from calibration.markers.gel_view import (
+from taccel_lab.calibration.capture import CaptureFolder
+from taccel_lab.calibration.markers.gel_view import (
     GelView,
     GridView,
     camera_view,
     grid_view,
     pixel_jacobian,
 )
-from calibration.markers.layout import PITCH_X, PITCH_Y, LayoutFit
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.markers.layout import PITCH_X, PITCH_Y, LayoutFit
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile

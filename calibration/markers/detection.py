@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import KDTree
 
-from calibration.markers import dot_model as model
-from calibration.markers.brightness import bright_level, grey_levels, reduced
-from calibration.markers.dot_fit import DotFit, fit_dots
-from calibration.markers.dots import DotFlag, Dots
-from calibration.markers.merged import split_merged
-from calibration.markers.scale_space import (
+from taccel_lab.calibration.markers import dot_model as model
+from taccel_lab.calibration.markers.brightness import bright_level, grey_levels, reduced
+from taccel_lab.calibration.markers.dot_fit import DotFit, fit_dots
+from taccel_lab.calibration.markers.dots import DotFlag, Dots
+from taccel_lab.calibration.markers.merged import split_merged
+from taccel_lab.calibration.markers.scale_space import (
     MIN_CONTRAST,
     DotScale,
     find_blobs,

@@ -12,13 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.markers.brightness import grey_levels
-from calibration.markers.detection import detect_dots, dots_from_fit, start_parameters, strong_blobs
-from calibration.markers.dot_fit import fit_dots
-from calibration.markers.dots import DotFlag, Dots
-from calibration.markers.lattice import Lattice, lattice_index, renumbered
-from calibration.markers.layout import LayoutFit, fit_layout
-from calibration.markers.scale_space import DotScale, scale_candidates
+from taccel_lab.calibration.markers.brightness import grey_levels
+from taccel_lab.calibration.markers.detection import (
+    detect_dots,
+    dots_from_fit,
+    start_parameters,
+    strong_blobs,
+)
+from taccel_lab.calibration.markers.dot_fit import fit_dots
+from taccel_lab.calibration.markers.dots import DotFlag, Dots
+from taccel_lab.calibration.markers.lattice import Lattice, lattice_index, renumbered
+from taccel_lab.calibration.markers.layout import LayoutFit, fit_layout
+from taccel_lab.calibration.markers.scale_space import DotScale, scale_candidates
 from taccel_lab.errors import InputError
 
 MIN_DOTS = 9

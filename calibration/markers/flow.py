@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.markers.gel_view import GelView, pixel_jacobian
-from calibration.markers.tracks import MarkerTracks
+from taccel_lab.calibration.markers.gel_view import GelView, pixel_jacobian
+from taccel_lab.calibration.markers.tracks import MarkerTracks
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.signals.markers import MarkerLayout

@@ -6,15 +6,15 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from calibration.markers.pictures import (
+from taccel_lab.calibration.markers.pictures import (
     draw_dots,
     draw_jitter,
     draw_motion,
     draw_residuals,
     draw_tracks,
 )
-from calibration.markers.result import MarkerCalibration
-from calibration.report import Page, Picture, Table
+from taccel_lab.calibration.markers.result import MarkerCalibration
+from taccel_lab.calibration.report import Page, Picture, Table
 
 
 def marker_page(result: MarkerCalibration) -> Page:

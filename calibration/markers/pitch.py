@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.markers.finding import find_markers
-from calibration.markers.layout import PITCH_X, PITCH_Y
+from taccel_lab.calibration.markers.finding import find_markers
+from taccel_lab.calibration.markers.layout import PITCH_X, PITCH_Y
 from taccel_lab.errors import InputError
 
 

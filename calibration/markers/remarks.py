@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.markers.dots import DotFlag
-from calibration.markers.finding import MarkerPicture
-from calibration.markers.layout import LayoutFit
-from calibration.markers.track_figures import TrackFigures
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.markers.dots import DotFlag
+from taccel_lab.calibration.markers.finding import MarkerPicture
+from taccel_lab.calibration.markers.layout import LayoutFit
+from taccel_lab.calibration.markers.track_figures import TrackFigures
+from taccel_lab.calibration.result import Remark, Severity
 
 _FEW_DOTS = 16
 _BENT = 0.05

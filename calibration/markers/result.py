@@ -8,15 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from calibration.capture.folder import Video
-from calibration.markers.dots import DotFlag
-from calibration.markers.finding import MarkerPicture
-from calibration.markers.flow import MarkerFlow, marker_flow_mm
-from calibration.markers.gel_view import GelView
-from calibration.markers.layout import CENTRE_X, CENTRE_Y, PITCH_X, PITCH_Y, ROTATION, LayoutFit
-from calibration.markers.track_figures import TrackFigures
-from calibration.markers.tracks import MarkerTracks
-from calibration.result import Estimate, Remark, judge
+from taccel_lab.calibration.capture.folder import Video
+from taccel_lab.calibration.markers.dots import DotFlag
+from taccel_lab.calibration.markers.finding import MarkerPicture
+from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
+from taccel_lab.calibration.markers.gel_view import GelView
+from taccel_lab.calibration.markers.layout import (
+    CENTRE_X,
+    CENTRE_Y,
+    PITCH_X,
+    PITCH_Y,
+    ROTATION,
+    LayoutFit,
+)
+from taccel_lab.calibration.markers.track_figures import TrackFigures
+from taccel_lab.calibration.markers.tracks import MarkerTracks
+from taccel_lab.calibration.result import Estimate, Remark, judge
 from taccel_lab.profile import MarkersBlock, Provenance, SensorProfile
 
 

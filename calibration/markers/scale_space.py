@@ -14,7 +14,12 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from calibration.markers.brightness import bright_level, grey_levels, local_contrast, reduced
+from taccel_lab.calibration.markers.brightness import (
+    bright_level,
+    grey_levels,
+    local_contrast,
+    reduced,
+)
 
 DISC_RESPONSE = 2.0 / np.e
 """Answer of the filter of the right width to a disc of contrast one."""

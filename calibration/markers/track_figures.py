@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from calibration.markers.neighbourhood import Neighbourhood
-from calibration.markers.tracks import MarkerTracks, Status
+from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
+from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
 
 _QUIET_PX = 0.05
 """Median distance from the first frame below which the gel is at rest in any case."""

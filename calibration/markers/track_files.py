@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from calibration.markers.flow import MarkerFlow
-from calibration.markers.tracks import MarkerTracks, Status
+from taccel_lab.calibration.markers.flow import MarkerFlow
+from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, write_json
 

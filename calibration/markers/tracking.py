@@ -15,15 +15,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.markers import dot_model as model
-from calibration.markers.association import associate, by_lattice, disagreement
-from calibration.markers.brightness import grey_levels
-from calibration.markers.detection import detect_dots, dots_from_fit
-from calibration.markers.dot_fit import fit_dots
-from calibration.markers.dots import DotFlag, Dots
-from calibration.markers.finding import MarkerPicture
-from calibration.markers.neighbourhood import Neighbourhood
-from calibration.markers.tracks import MarkerTracks, Status
+from taccel_lab.calibration.markers import dot_model as model
+from taccel_lab.calibration.markers.association import associate, by_lattice, disagreement
+from taccel_lab.calibration.markers.brightness import grey_levels
+from taccel_lab.calibration.markers.detection import detect_dots, dots_from_fit
+from taccel_lab.calibration.markers.dot_fit import fit_dots
+from taccel_lab.calibration.markers.dots import DotFlag, Dots
+from taccel_lab.calibration.markers.finding import MarkerPicture
+from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
+from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
 from taccel_lab.errors import InputError
 
 MIN_MARKERS = 4

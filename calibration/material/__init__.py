@@ -11,24 +11,24 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calibration.material.bonded_layer import (
+    from taccel_lab.calibration.material.bonded_layer import (
         fast_young_modulus_pa,
         layer_force_n,
         sphere_force_series_n,
     )
-    from calibration.material.calibrate import calibrate_material
-    from calibration.material.calibration import MaterialCalibration
-    from calibration.material.flow import FlowFit, fit_flow
-    from calibration.material.flow_table import ToolPath
-    from calibration.material.indentation import IndentationFit, fit_indentation
-    from calibration.material.options import MaterialOptions
-    from calibration.material.page import material_page
-    from calibration.material.points import IndentationPoints, points_of_record
-    from calibration.material.relaxation import DampingFit, fit_damping
-    from calibration.material.response import ForceTable, force_table
-    from calibration.material.setup import Gel, Tool
-    from calibration.material.sliding import SlideFit, fit_slide
-    from calibration.material.tangential import TangentialFit, fit_tangential
+    from taccel_lab.calibration.material.calibrate import calibrate_material
+    from taccel_lab.calibration.material.calibration import MaterialCalibration
+    from taccel_lab.calibration.material.flow import FlowFit, fit_flow
+    from taccel_lab.calibration.material.flow_table import ToolPath
+    from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
+    from taccel_lab.calibration.material.options import MaterialOptions
+    from taccel_lab.calibration.material.page import material_page
+    from taccel_lab.calibration.material.points import IndentationPoints, points_of_record
+    from taccel_lab.calibration.material.relaxation import DampingFit, fit_damping
+    from taccel_lab.calibration.material.response import ForceTable, force_table
+    from taccel_lab.calibration.material.setup import Gel, Tool
+    from taccel_lab.calibration.material.sliding import SlideFit, fit_slide
+    from taccel_lab.calibration.material.tangential import TangentialFit, fit_tangential
 
 __all__ = [
     "DampingFit",
@@ -58,36 +58,36 @@ __all__ = [
 ]
 
 _HOME = {
-    "DampingFit": "calibration.material.relaxation",
-    "FlowFit": "calibration.material.flow",
-    "ForceTable": "calibration.material.response",
-    "Gel": "calibration.material.setup",
-    "IndentationFit": "calibration.material.indentation",
-    "IndentationPoints": "calibration.material.points",
-    "MaterialCalibration": "calibration.material.calibration",
-    "MaterialOptions": "calibration.material.options",
-    "SlideFit": "calibration.material.sliding",
-    "TangentialFit": "calibration.material.tangential",
-    "Tool": "calibration.material.setup",
-    "ToolPath": "calibration.material.flow_table",
-    "calibrate_material": "calibration.material.calibrate",
-    "fast_young_modulus_pa": "calibration.material.bonded_layer",
-    "fit_damping": "calibration.material.relaxation",
-    "fit_flow": "calibration.material.flow",
-    "fit_indentation": "calibration.material.indentation",
-    "fit_slide": "calibration.material.sliding",
-    "fit_tangential": "calibration.material.tangential",
-    "force_table": "calibration.material.response",
-    "layer_force_n": "calibration.material.bonded_layer",
-    "material_page": "calibration.material.page",
-    "points_of_record": "calibration.material.points",
-    "sphere_force_series_n": "calibration.material.bonded_layer",
+    "DampingFit": "taccel_lab.calibration.material.relaxation",
+    "FlowFit": "taccel_lab.calibration.material.flow",
+    "ForceTable": "taccel_lab.calibration.material.response",
+    "Gel": "taccel_lab.calibration.material.setup",
+    "IndentationFit": "taccel_lab.calibration.material.indentation",
+    "IndentationPoints": "taccel_lab.calibration.material.points",
+    "MaterialCalibration": "taccel_lab.calibration.material.calibration",
+    "MaterialOptions": "taccel_lab.calibration.material.options",
+    "SlideFit": "taccel_lab.calibration.material.sliding",
+    "TangentialFit": "taccel_lab.calibration.material.tangential",
+    "Tool": "taccel_lab.calibration.material.setup",
+    "ToolPath": "taccel_lab.calibration.material.flow_table",
+    "calibrate_material": "taccel_lab.calibration.material.calibrate",
+    "fast_young_modulus_pa": "taccel_lab.calibration.material.bonded_layer",
+    "fit_damping": "taccel_lab.calibration.material.relaxation",
+    "fit_flow": "taccel_lab.calibration.material.flow",
+    "fit_indentation": "taccel_lab.calibration.material.indentation",
+    "fit_slide": "taccel_lab.calibration.material.sliding",
+    "fit_tangential": "taccel_lab.calibration.material.tangential",
+    "force_table": "taccel_lab.calibration.material.response",
+    "layer_force_n": "taccel_lab.calibration.material.bonded_layer",
+    "material_page": "taccel_lab.calibration.material.page",
+    "points_of_record": "taccel_lab.calibration.material.points",
+    "sphere_force_series_n": "taccel_lab.calibration.material.bonded_layer",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
-        raise AttributeError(f"module 'calibration.material' has no attribute {name!r}")
+        raise AttributeError(f"module 'taccel_lab.calibration.material' has no attribute {name!r}")
     return getattr(importlib.import_module(_HOME[name]), name)
 
 

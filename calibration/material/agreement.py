@@ -8,16 +8,16 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
-from calibration.capture import CaptureFolder
-from calibration.capture.schema import ToolEntry
-from calibration.material.flow import FlowFit
-from calibration.material.indentation import IndentationFit, fit_indentation
-from calibration.material.leaning import leaning
-from calibration.material.prediction import HeldOut
-from calibration.material.setup import Gel
-from calibration.material.sliding import SlideFit, combine
-from calibration.material.tangential import TangentialFit
-from calibration.result import NORMAL_95, Estimate, Remark, Severity
+from taccel_lab.calibration.capture import CaptureFolder
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material.flow import FlowFit
+from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
+from taccel_lab.calibration.material.leaning import leaning
+from taccel_lab.calibration.material.prediction import HeldOut
+from taccel_lab.calibration.material.setup import Gel
+from taccel_lab.calibration.material.sliding import SlideFit, combine
+from taccel_lab.calibration.material.tangential import TangentialFit
+from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
 from taccel_lab.envs.physics import PressPhysics
 
 MISFIT = 0.05

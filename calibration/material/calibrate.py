@@ -7,27 +7,27 @@ import math
 import time
 from collections.abc import Callable, Sequence
 
-from calibration.capture import CaptureFolder, ForceRecord
-from calibration.capture.schema import ToolEntry
-from calibration.material.agreement import friction_of, weighted_mean
-from calibration.material.calibration import MaterialCalibration
-from calibration.material.flow import FlowFit, fit_flow
-from calibration.material.options import MaterialOptions
-from calibration.material.points import (
+from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material.agreement import friction_of, weighted_mean
+from taccel_lab.calibration.material.calibration import MaterialCalibration
+from taccel_lab.calibration.material.flow import FlowFit, fit_flow
+from taccel_lab.calibration.material.options import MaterialOptions
+from taccel_lab.calibration.material.points import (
     IndentationPoints,
     points_of_presses,
     points_of_record,
     require_plausible,
 )
-from calibration.material.relaxation import DampingFit, check_relaxation, fit_damping
-from calibration.material.response import ForceTable, force_table
-from calibration.material.setup import Gel
-from calibration.material.sliding import SlideFit, fit_slide
-from calibration.material.stiffness import Law, Stiffness, fit_stiffness
-from calibration.material.tangential import TangentialFit, fit_tangential
-from calibration.material.video_flow import flows_of_folder, videos_with_path
-from calibration.material.viscous_gain import viscous_gain
-from calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.material.relaxation import DampingFit, check_relaxation, fit_damping
+from taccel_lab.calibration.material.response import ForceTable, force_table
+from taccel_lab.calibration.material.setup import Gel
+from taccel_lab.calibration.material.sliding import SlideFit, fit_slide
+from taccel_lab.calibration.material.stiffness import Law, Stiffness, fit_stiffness
+from taccel_lab.calibration.material.tangential import TangentialFit, fit_tangential
+from taccel_lab.calibration.material.video_flow import flows_of_folder, videos_with_path
+from taccel_lab.calibration.material.viscous_gain import viscous_gain
+from taccel_lab.calibration.result import Estimate, Remark, Severity
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.profile import SensorProfile
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from calibration.material.flow import FlowFit
-from calibration.material.indentation import IndentationFit
-from calibration.material.relaxation import DampingFit
-from calibration.material.sliding import SlideFit
-from calibration.material.stiffness import Stiffness
-from calibration.material.tangential import TangentialFit
-from calibration.result import Estimate, Remark, judge
+from taccel_lab.calibration.material.flow import FlowFit
+from taccel_lab.calibration.material.indentation import IndentationFit
+from taccel_lab.calibration.material.relaxation import DampingFit
+from taccel_lab.calibration.material.sliding import SlideFit
+from taccel_lab.calibration.material.stiffness import Stiffness
+from taccel_lab.calibration.material.tangential import TangentialFit
+from taccel_lab.calibration.result import Estimate, Remark, judge
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.output import to_jsonable

@@ -14,8 +14,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from calibration.material.gel_presses import GelPresses, Stop
-from calibration.material.store import is_kept, keep, kept
+from taccel_lab.calibration.material.gel_presses import GelPresses, Stop
+from taccel_lab.calibration.material.store import is_kept, keep, kept
 from taccel_lab.errors import SimulationError
 
 CPU_BATCH, GPU_BATCH = 1, 128

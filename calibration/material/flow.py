@@ -15,15 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from calibration.markers.flow import MarkerFlow
-from calibration.material.flow_table import FlowTable, ToolPath, flow_likelihood, flow_table
-from calibration.material.friction_fit import FrictionFit
-from calibration.material.likelihood import Solution
-from calibration.material.setup import Gel, Tool
-from calibration.result import NORMAL_95, Estimate, Remark, Severity
-from sensors.registry import sensor_family
+from taccel_lab.calibration.markers.flow import MarkerFlow
+from taccel_lab.calibration.material.flow_table import (
+    FlowTable,
+    ToolPath,
+    flow_likelihood,
+    flow_table,
+)
+from taccel_lab.calibration.material.friction_fit import FrictionFit
+from taccel_lab.calibration.material.likelihood import Solution
+from taccel_lab.calibration.material.setup import Gel, Tool
+from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
+from taccel_lab.sensors.registry import sensor_family
 
 MIN_MARKERS = 6
 

@@ -15,11 +15,11 @@ from numpy.polynomial import chebyshev
 from scipy.interpolate import CubicSpline
 from scipy.spatial import Delaunay
 
-from calibration.material.candidates import Candidate, Reader, prepare, simulate
-from calibration.material.gel_presses import Stop
-from calibration.material.likelihood import Group, Likelihood, Parameter
-from calibration.material.response import NU_RANGE
-from calibration.material.setup import Gel, Tool, compared
+from taccel_lab.calibration.material.candidates import Candidate, Reader, prepare, simulate
+from taccel_lab.calibration.material.gel_presses import Stop
+from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter
+from taccel_lab.calibration.material.response import NU_RANGE
+from taccel_lab.calibration.material.setup import Gel, Tool, compared
 from taccel_lab.envs import PressEnv
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError, SimulationError

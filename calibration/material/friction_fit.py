@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from calibration.material.likelihood import Solution
-from calibration.result import NORMAL_95
+from taccel_lab.calibration.material.likelihood import Solution
+from taccel_lab.calibration.result import NORMAL_95
 
 
 class _Fit(Protocol):

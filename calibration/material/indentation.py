@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.material.likelihood import Group, Likelihood, Parameter, Solution
-from calibration.material.points import IndentationPoints
-from calibration.material.response import ForceTable
-from calibration.result import NORMAL_95
+from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter, Solution
+from taccel_lab.calibration.material.points import IndentationPoints
+from taccel_lab.calibration.material.response import ForceTable
+from taccel_lab.calibration.result import NORMAL_95
 
 TOUCH_SIGMA_MM = {"sphere": 0.1, "cylinder": 0.05, "flat": 0.05}
 """How well first touch is known where a record has few points [mm]. A ball shows no force at first:

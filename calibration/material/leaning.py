@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.material.bonded_layer import layer_force_n
-from calibration.material.candidates import prepare
-from calibration.material.likelihood import root_between
-from calibration.material.setup import Gel, Tool
-from calibration.material.tangential_table import (
+from taccel_lab.calibration.material.bonded_layer import layer_force_n
+from taccel_lab.calibration.material.candidates import prepare
+from taccel_lab.calibration.material.likelihood import root_between
+from taccel_lab.calibration.material.setup import Gel, Tool
+from taccel_lab.calibration.material.tangential_table import (
     FULL_SLIP_DEPTHS,
     GRID,
     motion_candidate,

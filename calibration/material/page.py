@@ -6,8 +6,8 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from calibration.material.calibration import MaterialCalibration
-from calibration.material.pictures import (
+from taccel_lab.calibration.material.calibration import MaterialCalibration
+from taccel_lab.calibration.material.pictures import (
     draw_damping,
     draw_flow,
     draw_indentation,
@@ -15,7 +15,7 @@ from calibration.material.pictures import (
     draw_slide,
     draw_tangential,
 )
-from calibration.report import Page, Picture, Table
+from taccel_lab.calibration.report import Page, Picture, Table
 
 _TITLES = {
     "young_modulus_pa": "Young's modulus [Pa]",

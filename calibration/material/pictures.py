@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.material.calibration import MaterialCalibration
-from calibration.material.flow import FlowFit
-from calibration.material.prediction import force_interval_n
-from calibration.material.relaxation import DampingFit
-from calibration.material.sliding import SlideFit
-from calibration.material.stiffness import Stiffness
-from calibration.material.tangential import TangentialFit
+from taccel_lab.calibration.material.calibration import MaterialCalibration
+from taccel_lab.calibration.material.flow import FlowFit
+from taccel_lab.calibration.material.prediction import force_interval_n
+from taccel_lab.calibration.material.relaxation import DampingFit
+from taccel_lab.calibration.material.sliding import SlideFit
+from taccel_lab.calibration.material.stiffness import Stiffness
+from taccel_lab.calibration.material.tangential import TangentialFit
 from taccel_lab.report.style import (
     BLUE,
     GREEN,

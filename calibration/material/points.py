@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import rankdata
 
-from calibration.capture import CaptureFolder, ForceRecord
-from calibration.capture.schema import ToolEntry
-from calibration.material.bonded_layer import fast_young_modulus_pa
-from calibration.material.setup import Gel, Tool
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material.bonded_layer import fast_young_modulus_pa
+from taccel_lab.calibration.material.setup import Gel, Tool
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 
 PLAUSIBLE_PA = (1e4, 1e7)

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.material.indentation import IndentationFit
-from calibration.material.likelihood import Likelihood, Parameter
-from calibration.result import NORMAL_95
+from taccel_lab.calibration.material.indentation import IndentationFit
+from taccel_lab.calibration.material.likelihood import Likelihood, Parameter
+from taccel_lab.calibration.result import NORMAL_95
 
 NO_DEPTH_MM = 1e-4
 """A tool that has not touched yet is taken to be this deep."""

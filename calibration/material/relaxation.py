@@ -19,11 +19,11 @@ from scipy.signal import savgol_filter
 from scipy.stats import f as f_distribution
 from scipy.stats import t as student
 
-from calibration.capture import ForceRecord
-from calibration.material.points import record_sigma
-from calibration.material.response import ForceTable
-from calibration.material.setup import Tool
-from calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.capture import ForceRecord
+from taccel_lab.calibration.material.points import record_sigma
+from taccel_lab.calibration.material.response import ForceTable
+from taccel_lab.calibration.material.setup import Tool
+from taccel_lab.calibration.result import Estimate, Remark, Severity
 from taccel_lab.errors import InputError
 
 MIN_ROWS = 12

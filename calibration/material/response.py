@@ -21,10 +21,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from calibration.material.candidates import Candidate, Reader, prepare, simulate
-from calibration.material.gel_presses import GelPresses, MaterialStep, Stop
-from calibration.material.setup import UNIT_MODULUS_PA, Gel, Tool
-from calibration.material.surface_fit import chebyshev_basis, chebyshev_nodes, fit_surface
+from taccel_lab.calibration.material.candidates import Candidate, Reader, prepare, simulate
+from taccel_lab.calibration.material.gel_presses import GelPresses, MaterialStep, Stop
+from taccel_lab.calibration.material.setup import UNIT_MODULUS_PA, Gel, Tool
+from taccel_lab.calibration.material.surface_fit import (
+    chebyshev_basis,
+    chebyshev_nodes,
+    fit_surface,
+)
 from taccel_lab.envs import PressPath, profile_material
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError

@@ -18,17 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from calibration.capture.schema import ToolEntry
-from calibration.material.bonded_layer import ToolKind
-from calibration.material.candidates import Candidate
-from calibration.material.gel_presses import GelPresses
-from sensors.press_mesh import press_mesh
-from sensors.registry import sensor_family
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material.bonded_layer import ToolKind
+from taccel_lab.calibration.material.candidates import Candidate
+from taccel_lab.calibration.material.gel_presses import GelPresses
 from taccel_lab.envs import Indenter, parse_indenter, profile_material
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import MaterialBlock, SensorProfile
+from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.sensors.registry import sensor_family
 
 UNIT_MODULUS_PA = 1e6
 COMPARED = {

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
-from calibration.capture import ForceRecord
-from calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.capture import ForceRecord
+from taccel_lab.calibration.result import Estimate, Remark, Severity
 from taccel_lab.errors import InputError
 
 MIN_STROKE = 8

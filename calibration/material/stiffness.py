@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.material.agreement import (
+from taccel_lab.calibration.material.agreement import (
     SECOND_TOOL,
     few_points,
     friction_assumed,
@@ -21,17 +21,17 @@ from calibration.material.agreement import (
     residual_remarks,
     young_unsure,
 )
-from calibration.material.indentation import (
+from taccel_lab.calibration.material.indentation import (
     GEL_NU,
     IndentationFit,
     fit_indentation,
     touch_sigma,
 )
-from calibration.material.likelihood import Profile, Solution
-from calibration.material.points import IndentationPoints
-from calibration.material.prediction import HeldOut, force_interval_n, held_out
-from calibration.material.response import ForceTable
-from calibration.result import NORMAL_95, Estimate, Remark, Severity
+from taccel_lab.calibration.material.likelihood import Profile, Solution
+from taccel_lab.calibration.material.points import IndentationPoints
+from taccel_lab.calibration.material.prediction import HeldOut, force_interval_n, held_out
+from taccel_lab.calibration.material.response import ForceTable
+from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
 
 USUAL_NU = (0.45, 0.495)
 """Poisson's ratios of most gels, over which an untold one is varied to say what it does to E."""

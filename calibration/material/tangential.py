@@ -12,13 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.capture import ForceRecord
-from calibration.material.friction_fit import FrictionFit
-from calibration.material.likelihood import Group, Likelihood, Parameter, Solution
-from calibration.material.points import record_sigma
-from calibration.material.setup import Gel, Tool
-from calibration.material.tangential_table import Motion, TangentialTable, tangential_table
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.capture import ForceRecord
+from taccel_lab.calibration.material.friction_fit import FrictionFit
+from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter, Solution
+from taccel_lab.calibration.material.points import record_sigma
+from taccel_lab.calibration.material.setup import Gel, Tool
+from taccel_lab.calibration.material.tangential_table import (
+    Motion,
+    TangentialTable,
+    tangential_table,
+)
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 

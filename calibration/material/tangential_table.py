@@ -19,9 +19,9 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.interpolate import CubicSpline
 
-from calibration.material.candidates import Candidate, prepare, simulate
-from calibration.material.gel_presses import Stop
-from calibration.material.setup import UNIT_MODULUS_PA, Gel, Tool, compared
+from taccel_lab.calibration.material.candidates import Candidate, prepare, simulate
+from taccel_lab.calibration.material.gel_presses import Stop
+from taccel_lab.calibration.material.setup import UNIT_MODULUS_PA, Gel, Tool, compared
 from taccel_lab.envs import PressEnv
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import SimulationError

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from calibration.capture import CaptureFolder
-from calibration.capture.folder import Video
-from calibration.markers.calibrate import calibrate_markers
-from calibration.markers.flow import MarkerFlow, marker_flow_mm
-from calibration.material.flow_table import ToolPath
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.capture import CaptureFolder
+from taccel_lab.calibration.capture.folder import Video
+from taccel_lab.calibration.markers.calibrate import calibrate_markers
+from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
+from taccel_lab.calibration.material.flow_table import ToolPath
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.material.setup import Gel, Tool
-from calibration.material.store import kept
+from taccel_lab.calibration.material.setup import Gel, Tool
+from taccel_lab.calibration.material.store import kept
 from taccel_lab.envs import profile_material
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.touch import first_touch_m

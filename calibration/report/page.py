@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.result import Remark, judge
+from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.output import atomic_directory, write_json
 from taccel_lab.report.build import data_url, report_environment
 from taccel_lab.report.style import save_figure
@@ -72,7 +72,7 @@ def write_page(page: Page, folder: Path | str) -> None:
         for name, write in page.files.items():
             write(staging / name)
         html = (
-            report_environment("calibration.report")
+            report_environment("taccel_lab.calibration.report")
             .get_template("page.html.j2")
             .render(page=page, verdict=verdict, images=images)
         )

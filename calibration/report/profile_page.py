@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from calibration.report.page import Page, Picture, Table
-from calibration.report.profile_figures import (
+from taccel_lab.calibration.report.page import Page, Picture, Table
+from taccel_lab.calibration.report.profile_figures import (
     draw_depth_response,
     draw_image_at_rest,
     draw_perturbed,
     draw_profile_discs,
     draw_profile_mesh,
 )
-from calibration.result import NORMAL_95, Remark, Severity
+from taccel_lab.calibration.result import NORMAL_95, Remark, Severity
 from taccel_lab.profile import Block, SensorProfile
 
 CORE = ("gel", "material", "camera", "background", "color")

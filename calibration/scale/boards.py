@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calibration.camera.detect import detect_views
-from calibration.camera.on_gel import fit_on_gel
-from calibration.capture.folder import BoardCaptures
-from calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.camera.detect import detect_views
+from taccel_lab.calibration.camera.on_gel import fit_on_gel
+from taccel_lab.calibration.capture.folder import BoardCaptures
+from taccel_lab.calibration.scale.estimate import ScaleEstimate
 
 
 def scale_from_boards(

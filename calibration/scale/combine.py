@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import chi2
 
-from calibration.result import Estimate, Remark, Severity
-from calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.scale.estimate import ScaleEstimate
 
 DISAGREES = 0.01
 """Probability of so large a chi-square by chance below which estimates contradict each other."""

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from calibration.capture.folder import EdgeCapture, Frame
-from calibration.capture.schema import LineEntry
-from calibration.result import Estimate, Remark, Severity
-from calibration.scale.edge_line import EdgeLine, find_edge
-from calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
+from taccel_lab.calibration.capture.schema import LineEntry
+from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
+from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
 
 SQUARE_SIGMA = 0.03

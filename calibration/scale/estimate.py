@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate, Remark
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from calibration.capture.folder import LandmarkCapture
-from calibration.result import Estimate, Remark, Severity
-from calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.capture.folder import LandmarkCapture
+from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
 
 CLICK_SIGMA_PX = 1.0

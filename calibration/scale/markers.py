@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from calibration.capture.folder import MarkerCaptures
-from calibration.markers.pitch import marker_pitch_px
-from calibration.result import Estimate, Remark, Severity
-from calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.capture.folder import MarkerCaptures
+from taccel_lab.calibration.markers.pitch import marker_pitch_px
+from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
 
 PITCH_SIGMA = 0.01

@@ -6,11 +6,11 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from calibration.capture.folder import CaptureFolder
-from calibration.report import Page, Picture, Table
-from calibration.scale.edges import measure_edges
-from calibration.scale.pictures import draw_edge_lengths, draw_edges, draw_estimates
-from calibration.scale.scale_calibration import ScaleCalibration
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.report import Page, Picture, Table
+from taccel_lab.calibration.scale.edges import measure_edges
+from taccel_lab.calibration.scale.pictures import draw_edge_lengths, draw_edges, draw_estimates
+from taccel_lab.calibration.scale.scale_calibration import ScaleCalibration
 
 
 def scale_page(result: ScaleCalibration, folder: CaptureFolder) -> Page:

@@ -6,8 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.scale.edges import MeasuredEdge
-from calibration.scale.scale_calibration import ScaleCalibration
+from taccel_lab.calibration.scale.edges import MeasuredEdge
+from taccel_lab.calibration.scale.scale_calibration import ScaleCalibration
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:

@@ -7,17 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from calibration.camera.blocks import tactile_size, with_camera_block
-from calibration.camera.stated_scale import stated_scale_remarks
-from calibration.capture.folder import CaptureFolder
-from calibration.result import Estimate, Remark, Severity, judge
-from calibration.scale.boards import scale_from_boards
-from calibration.scale.combine import CombinedAxis, agreement_remarks, combine_axis
-from calibration.scale.edges import measure_edges, scale_from_edges
-from calibration.scale.estimate import ScaleEstimate
-from calibration.scale.landmarks import scale_from_landmarks
-from calibration.scale.markers import scale_from_markers
-from calibration.scale.spheres import measure_contacts, scale_from_spheres
+from taccel_lab.calibration.camera.blocks import tactile_size, with_camera_block
+from taccel_lab.calibration.camera.stated_scale import stated_scale_remarks
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.result import Estimate, Remark, Severity, judge
+from taccel_lab.calibration.scale.boards import scale_from_boards
+from taccel_lab.calibration.scale.combine import CombinedAxis, agreement_remarks, combine_axis
+from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
+from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.scale.landmarks import scale_from_landmarks
+from taccel_lab.calibration.scale.markers import scale_from_markers
+from taccel_lab.calibration.scale.spheres import measure_contacts, scale_from_spheres
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile

@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.capture.captures import Press
-from calibration.capture.folder import CaptureFolder
-from calibration.result import NORMAL_95, Estimate, Remark, Severity
-from calibration.scale.estimate import ScaleEstimate
-from calibration.targets.ball import detect_contact
+from taccel_lab.calibration.capture.captures import Press
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
+from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.targets.ball import detect_contact
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

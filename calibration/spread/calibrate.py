@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from calibration.background.drift import Drift
-from calibration.background.drift_report import drift_spread
-from calibration.result import Remark, Severity, judge
-from calibration.spread.units import UnitSpread
+from taccel_lab.calibration.background.drift import Drift
+from taccel_lab.calibration.background.drift_report import drift_spread
+from taccel_lab.calibration.result import Remark, Severity, judge
+from taccel_lab.calibration.spread.units import UnitSpread
 from taccel_lab.errors import InputError
 from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
 

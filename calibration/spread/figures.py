@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.background.drift import Drift
+from taccel_lab.calibration.background.drift import Drift
 from taccel_lab.report.style import BLUE, GREEN, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:

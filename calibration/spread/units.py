@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.background.drift import Drift, fit_robust_drift
+from taccel_lab.calibration.background.drift import Drift, fit_robust_drift
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 

@@ -16,8 +16,8 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
-from calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.surfaces.types import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from calibration.result import Remark, Severity
-from sensors.profile import catalogue_profile
-from sensors.registry import sensor_family
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.quarter_turn import quarter_turned
+from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.registry import sensor_family
 
 FLAT_PAD = "flat_pad"
 MARGIN_MM = 3.0

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.surfaces.depth_search import DepthSearch
-from calibration.surfaces.types import PressSurface, SimulationEffort
-from sensors.press_mesh import press_mesh
+from taccel_lab.calibration.surfaces.depth_search import DepthSearch
+from taccel_lab.calibration.surfaces.types import PressSurface, SimulationEffort
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.profile import MaterialBlock
+from taccel_lab.sensors.press_mesh import press_mesh
 
 if TYPE_CHECKING:
     from taccel_lab.envs import PressEnv

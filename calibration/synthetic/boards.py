@@ -8,8 +8,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from calibration.camera.board import BoardView
-from calibration.camera.lens import Lens
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.lens import Lens
 
 Pattern = Callable[[np.ndarray], np.ndarray]
 """Reflectance 0..1 at points of the board's plane in pitches, [n, 2] -> [n]."""

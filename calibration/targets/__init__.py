@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration targets: what a press of a known object looks like in an image."""
 
-from calibration.targets.agreement import LabelAgreement, compare_with_labels
-from calibration.targets.ball import (
+from taccel_lab.calibration.targets.agreement import LabelAgreement, compare_with_labels
+from taccel_lab.calibration.targets.ball import (
     DetectedContact,
     FoundContacts,
     Refusal,
@@ -10,8 +10,8 @@ from calibration.targets.ball import (
     find_contacts,
     resolve_contacts,
 )
-from calibration.targets.fusion import choose_circles, fuse_circles
-from calibration.targets.selection import MAX_LOST_SHARE, usable_presses
+from taccel_lab.calibration.targets.fusion import choose_circles, fuse_circles
+from taccel_lab.calibration.targets.selection import MAX_LOST_SHARE, usable_presses
 
 __all__ = [
     "MAX_LOST_SHARE",

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find the contact circles of ball presses in their images, without anybody clicking.
 
-1. The light's drift is taken off each frame (``calibration.background``); what is left, smoothed,
+1. The light's drift is taken off each frame (``taccel_lab.calibration.background``); what is left,
+smoothed,
    is the colour change of the press (``change``).
 2. A disc that stands out gives a first circle, the steepest drop of colour along rays from its
    centre says whether it is round (``rough``).
@@ -18,18 +19,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calibration.background.drift import Drift
-from calibration.capture.captures import CaptureSet, ContactCircle
-from calibration.targets.change import ColorChange, color_change
-from calibration.targets.doubt import circle_covariances
-from calibration.targets.photometric import (
+from taccel_lab.calibration.background.drift import Drift
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.targets.change import ColorChange, color_change
+from taccel_lab.calibration.targets.doubt import circle_covariances
+from taccel_lab.calibration.targets.photometric import (
     FittedContact,
     MapTerms,
     PhotometricFit,
     fit_contacts,
 )
-from calibration.targets.polar import PolarSamples, sample_rings
-from calibration.targets.rough import (
+from taccel_lab.calibration.targets.polar import PolarSamples, sample_rings
+from taccel_lab.calibration.targets.rough import (
     MIN_RADIUS_PX,
     fit_drop,
     gathered_share,

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.capture.captures import CaptureSet
-from calibration.result import Remark, Severity
-from calibration.targets.ball import FoundContacts
-from calibration.targets.photometric import fit_contacts
-from calibration.targets.slope_law import MAX_CONTACT_RATIO
+from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.targets.ball import FoundContacts
+from taccel_lab.calibration.targets.photometric import fit_contacts
+from taccel_lab.calibration.targets.slope_law import MAX_CONTACT_RATIO
 
 FACTORS = (0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2)
 """Ball radii that are tried, over the stated one."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calibration.background.drift import Drift, fit_robust_drift, remove_drift, smoothed
+from taccel_lab.calibration.background.drift import Drift, fit_robust_drift, remove_drift, smoothed
 from taccel_lab.geometry import PixelGrid
 
 SMOOTHING_SHARE = 1 / 240

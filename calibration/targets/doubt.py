@@ -19,9 +19,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
-from calibration.targets.photometric import MapTerms, PhotometricFit, fit_contacts
-from calibration.targets.polar import PolarSamples
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.targets.photometric import MapTerms, PhotometricFit, fit_contacts
+from taccel_lab.calibration.targets.polar import PolarSamples
 
 OTHER_SKIRT = 2.0
 OTHER_ROUNDS = 5

@@ -29,8 +29,8 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.capture.captures import CaptureSet, ContactCircle
-from calibration.targets.ball import DetectedContact
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.targets.ball import DetectedContact
 from taccel_lab.errors import InputError
 
 MIN_PRESSES = 8

@@ -16,10 +16,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import calibration.background.drift
-import calibration.targets
-from calibration.capture.captures import CaptureSet, ContactCircle
-from calibration.targets.ball import (
+import taccel_lab.calibration.background.drift
+import taccel_lab.calibration.targets
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.targets.ball import (
     DetectedContact,
     FoundContacts,
     Progress,
@@ -81,8 +81,8 @@ def contacts_path(captures: CaptureSet) -> Path:
 @cache
 def _code_sha256() -> str:
     """Of the modules that search, so that contacts of another version are never taken."""
-    folder = Path(calibration.targets.__file__).parent
-    files = [*sorted(folder.glob("*.py")), Path(calibration.background.drift.__file__)]
+    folder = Path(taccel_lab.calibration.targets.__file__).parent
+    files = [*sorted(folder.glob("*.py")), Path(taccel_lab.calibration.background.drift.__file__)]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.capture.captures import EQUATOR_SLACK, ContactCircle, Press
+from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, ContactCircle, Press
 
 SLOPE_PRIOR = 2.0
 """Presses that the line of the radii counts a slope of one as."""

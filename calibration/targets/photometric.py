@@ -21,9 +21,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
-from calibration.targets.polar import PolarSamples
-from calibration.targets.slope_law import MAX_CONTACT_RATIO, SKIRT, slope_law
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.targets.polar import PolarSamples
+from taccel_lab.calibration.targets.slope_law import MAX_CONTACT_RATIO, SKIRT, slope_law
 
 ITERATIONS = 14
 STEP_PX = 0.2

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.captures import ContactCircle
 
 RING_COUNT = 34
 RAY_COUNT = 48

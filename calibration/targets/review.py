@@ -11,12 +11,17 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calibration.capture.captures import CaptureSet, ContactCircle
-from calibration.capture.overrides import CONTACTS_NAME, override_text
-from calibration.result import Remark, Severity, judge
-from calibration.targets.agreement import LabelAgreement, compare_with_labels
-from calibration.targets.ball import DetectedContact, FoundContacts, Progress, find_contacts
-from calibration.targets.ball_check import BallCheck, check_ball
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_text
+from taccel_lab.calibration.result import Remark, Severity, judge
+from taccel_lab.calibration.targets.agreement import LabelAgreement, compare_with_labels
+from taccel_lab.calibration.targets.ball import (
+    DetectedContact,
+    FoundContacts,
+    Progress,
+    find_contacts,
+)
+from taccel_lab.calibration.targets.ball_check import BallCheck, check_ball
 from taccel_lab.output import atomic_directory, write_json
 from taccel_lab.report.build import data_url, report_environment
 
@@ -129,7 +134,7 @@ def write_review(review: Review, folder: Path | str) -> None:
             cv2.imwrite(str(path), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
             images[press.name] = data_url(path).replace("image/png", "image/jpeg")
         html = (
-            report_environment("calibration.report")
+            report_environment("taccel_lab.calibration.report")
             .get_template("review.html.j2")
             .render(review=review, verdict=judge(review.remarks), images=images)
         )
@@ -191,7 +196,7 @@ def _draw(
 
 
 def _partial_agreement(captures: CaptureSet, found: FoundContacts) -> LabelAgreement | None:
-    from calibration.targets.agreement import agreement
+    from taccel_lab.calibration.targets.agreement import agreement
 
     return agreement(
         [None if press.checked else press.circle for press in captures.presses],
@@ -254,6 +259,6 @@ def _remarks(
 def _drift_remarks(drifts: Sequence[Any], background: np.ndarray) -> list[Remark]:
     if len(drifts) < 2:
         return []
-    from calibration.background.drift_report import drift_remark
+    from taccel_lab.calibration.background.drift_report import drift_remark
 
     return [drift_remark(drifts, background)]

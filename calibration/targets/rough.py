@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from calibration.targets.circle_fit import CircleFit, fit_circle_ransac
+from taccel_lab.calibration.targets.circle_fit import CircleFit, fit_circle_ransac
 
 RAY_COUNT = 180
 MIN_RADIUS_PX = 4.0

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from calibration.capture.captures import CaptureSet
-from calibration.result import Remark, Severity
-from calibration.targets.ball import DetectedContact, Progress, find_contacts
-from calibration.targets.kept import kept_contacts
+from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.targets.ball import DetectedContact, Progress, find_contacts
+from taccel_lab.calibration.targets.kept import kept_contacts
 from taccel_lab.errors import InputError
 
 MAX_LOST_SHARE = 0.1

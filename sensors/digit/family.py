@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cad.parameters import parameter, restated
-from cad.parts.digit_pad import DigitPad
-from sensors.base import SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
+from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parts.digit_pad import DigitPad
 from taccel_lab.optics.description import Light, Window
+from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 
 _GEL = "measured on the gel of digit-design (facebookresearch, figures only)"
 _PARTS = "measured on the parts of digit-design (facebookresearch, figures only)"

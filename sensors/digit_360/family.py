@@ -6,12 +6,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from cad.parameters import parameter, restated
-from cad.parts.dome_pad import SolidDomePad
-from sensors.base import SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
-from sensors.parameter_groups import FisheyeParameters
+from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parts.dome_pad import SolidDomePad
 from taccel_lab.optics.description import Light
+from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.camera_sensor import CameraSensorParameters
+from taccel_lab.sensors.parameter_groups import FisheyeParameters
 
 _TIP = "measured on the fingertip of digit360 (facebookresearch, figures only)"
 _LEDS = 8

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cad.parameters import restated
-from sensors.base import SensorFamily
-from sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.cad.parameters import restated
 from taccel_lab.optics.description import Light
+from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _STAND_IN = "assumption: a stand-in for a sensor that is not in the catalogue; set your own"
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The GelSight Mini."""
 
-from sensors.gelsight_mini.family import FAMILY, GelSightMiniParameters
+from taccel_lab.sensors.gelsight_mini.family import FAMILY, GelSightMiniParameters
 
 __all__ = ["FAMILY", "GelSightMiniParameters"]

@@ -11,13 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cad.parameters import parameter, restated
-from cad.parts.gel_pad import GelPad
-from sensors.base import SensorFamily
-from sensors.parameter_groups.lights import BLUE, GREEN, RED
-from sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import Light
+from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.parameter_groups.lights import BLUE, GREEN, RED
+from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _GEL = "measured on gelsight_mini.step of FEATS (feats-ai/feats, MIT)"
 _FIT = (

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cad.parameters import restated
-from sensors.base import SensorFamily
-from sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.cad.parameters import restated
 from taccel_lab.optics.description import Light
+from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _MODULUS = "EstimateModulus (GelSight-lab)"
 _NOT_PUBLISHED = "assumption: no figure of this sensor is published"

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The 9DTact."""
 
-from sensors.ninedtact.family import FAMILY, NineDTactParameters
+from taccel_lab.sensors.ninedtact.family import FAMILY, NineDTactParameters
 
 __all__ = ["FAMILY", "NineDTactParameters"]

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cad.parameters import parameter, restated
-from cad.parts.gel_pad import GelPad
-from sensors.base import GelMaterial, SensorFamily
-from sensors.parameter_groups import SkinParameters
-from sensors.parameter_groups.lights import WHITE
-from sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.optics.description import Light
+from taccel_lab.sensors.base import GelMaterial, SensorFamily
+from taccel_lab.sensors.parameter_groups import SkinParameters
+from taccel_lab.sensors.parameter_groups.lights import WHITE
+from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _MOULD = "measured on the mould drawings of 9DTact (linchangyi1/9DTact, MIT)"
 _SHELL = "measured on the shell of 9DTact (linchangyi1/9DTact, MIT)"

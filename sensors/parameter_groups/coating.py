@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cad.parameters import ParameterSet, parameter
+from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.optics.description import Coating
 
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from cad.parameters import ParameterSet, parameter
+from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import MarkerGrid
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cad.parameters import ParameterSet, parameter
-from sensors.base import GelMaterial
-from sensors.parameter_groups.unstated import NO_FIGURE
+from taccel_lab.cad.parameters import ParameterSet, parameter
+from taccel_lab.sensors.base import GelMaterial
+from taccel_lab.sensors.parameter_groups.unstated import NO_FIGURE
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cad.parameters import parameter, restated
-from cad.parts.dome_pad import ShellDomePad
-from sensors.base import SensorFamily
-from sensors.camera_sensor import CameraSensorParameters
-from sensors.parameter_groups.lights import WHITE
+from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.optics.description import Light, Window
+from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.camera_sensor import CameraSensorParameters
+from taccel_lab.sensors.parameter_groups.lights import WHITE
 
 _SHELL = "measured on the parts of PP-Tac (bigai-ai/PP-Tac, figures only)"
 _CALIBRATION = "camera calibration of PP-Tac, OV9281, 640 x 480 px"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of merit of a design, one concept a file; importing this package registers them all."""
 
-from studies.metrics import (
+from taccel_lab.studies.metrics import (
     bond_stress,
     contact_area,
     edge_sharpness,
@@ -14,7 +14,7 @@ from studies.metrics import (
     two_point,
     uniformity,
 )
-from studies.metrics.base import METRICS, Metric, Unavailable
+from taccel_lab.studies.metrics.base import METRICS, Metric, Unavailable
 
 __all__ = [
     "METRICS",

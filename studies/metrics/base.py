@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from studies.unavailable import Unavailable
 from taccel_lab.errors import InputError
+from taccel_lab.studies.unavailable import Unavailable
 
 if TYPE_CHECKING:
-    from studies.evidence import Evidence
+    from taccel_lab.studies.evidence import Evidence
 
 __all__ = ["METRICS", "Better", "Metric", "Unavailable", "metric"]
 
@@ -34,7 +34,7 @@ class Metric:
 
 
 METRICS: dict[str, Metric] = {}
-"""All metrics by name; ``studies.metrics`` fills it in."""
+"""All metrics by name; ``taccel_lab.studies.metrics`` fills it in."""
 
 
 def metric(

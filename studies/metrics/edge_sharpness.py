@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from studies.evidence import Evidence, profile_mm
-from studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.evidence import Evidence, profile_mm
+from taccel_lab.studies.metrics.base import Unavailable, metric
 
 _HALF_MM = 8.0
 

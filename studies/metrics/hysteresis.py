@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from studies.evidence import Evidence
-from studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.evidence import Evidence
+from taccel_lab.studies.metrics.base import Unavailable, metric
 
 
 def lost_part(way: np.ndarray, force: np.ndarray) -> float:

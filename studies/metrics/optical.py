@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from studies.camera_view import VIEW_PX
-from studies.evidence import Evidence
-from studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.camera_view import VIEW_PX
+from taccel_lab.studies.evidence import Evidence
+from taccel_lab.studies.metrics.base import Unavailable, metric
 
 
 @metric(

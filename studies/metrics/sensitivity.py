@@ -5,8 +5,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from studies.evidence import Evidence, at_load, contact_radius_mm, dent_mm, marker_motion_mm
-from studies.metrics.base import metric
+from taccel_lab.studies.evidence import (
+    Evidence,
+    at_load,
+    contact_radius_mm,
+    dent_mm,
+    marker_motion_mm,
+)
+from taccel_lab.studies.metrics.base import metric
 
 
 @metric(

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from studies.evidence import Evidence, marker_motion_mm
-from studies.metrics.base import Unavailable, metric
-from studies.press_record import PressRecord
+from taccel_lab.studies.evidence import Evidence, marker_motion_mm
+from taccel_lab.studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.press_record import PressRecord
 
 
 def _stuck_shear(record: PressRecord) -> tuple[int, int, float]:

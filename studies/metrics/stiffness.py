@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from studies.evidence import Evidence, at_load
-from studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.evidence import Evidence, at_load
+from taccel_lab.studies.metrics.base import Unavailable, metric
 
 
 @metric(

@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from studies.report import figures, figures_designs, figures_effects
-from studies.report.values import report_values, sensitivities
-from studies.report.verdict import study_verdict
-from studies.runner import Outcome
-from studies.stored import StoredDesign
 from taccel_lab.output import write_json
 from taccel_lab.report.build import data_url, report_environment
 from taccel_lab.report.style import save_figure
+from taccel_lab.studies.report import figures, figures_designs, figures_effects
+from taccel_lab.studies.report.values import report_values, sensitivities
+from taccel_lab.studies.report.verdict import study_verdict
+from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.stored import StoredDesign
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +43,7 @@ def write_study_report(outcome: Outcome) -> dict[str, Any]:
         if stale.stem not in drawn:
             stale.unlink()
     page = (
-        report_environment("studies.report")
+        report_environment("taccel_lab.studies.report")
         .get_template("study.html.j2")
         .render(
             outcome=outcome,

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studies.judge import is_feasible
-from studies.report.pareto import pareto_front
-from studies.report.values import costs_of, directed
-from studies.runner import Outcome
-from studies.stored import StoredDesign
 from taccel_lab.report.build import format_number
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, in_report_style, new_figure
+from taccel_lab.studies.judge import is_feasible
+from taccel_lab.studies.report.pareto import pareto_front
+from taccel_lab.studies.report.values import costs_of, directed
+from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.stored import StoredDesign
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

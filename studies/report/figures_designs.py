@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studies.runner import Outcome
-from studies.stored import StoredDesign
 from taccel_lab.report.style import GREEN, ORANGE, in_report_style, new_figure
+from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.stored import StoredDesign
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studies.report.figures import (
+from taccel_lab.report.style import BLUE, INK, LIGHT, ORANGE, in_report_style, new_figure
+from taccel_lab.studies.report.figures import (
     color_norm,
     column,
     done_designs,
@@ -15,9 +16,8 @@ from studies.report.figures import (
     parameter_label,
     plain_log_ticks,
 )
-from studies.report.sensitivity import Effect, Sensitivity
-from studies.runner import Outcome
-from taccel_lab.report.style import BLUE, INK, LIGHT, ORANGE, in_report_style, new_figure
+from taccel_lab.studies.report.sensitivity import Effect, Sensitivity
+from taccel_lab.studies.runner import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 
 import taccel_lab
-from studies.judge import (
+from taccel_lab.studies.judge import (
     goal_of,
     is_feasible,
     least_violating,
     ranked,
     violations,
 )
-from studies.report.pareto import pareto_front
-from studies.report.sensitivity import Sensitivity, sensitivity
-from studies.runner import Outcome
-from studies.stored import StoredDesign
-from studies.table import table_rows
+from taccel_lab.studies.report.pareto import pareto_front
+from taccel_lab.studies.report.sensitivity import Sensitivity, sensitivity
+from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.stored import StoredDesign
+from taccel_lab.studies.table import table_rows
 
 COMPARED = 3
 """Best and worst designs that the page shows side by side, of each at most."""

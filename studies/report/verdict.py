@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from studies.runner import Outcome
 from taccel_lab.report.build import format_number
 from taccel_lab.report.verdict import Verdict
+from taccel_lab.studies.runner import Outcome
 
 
 def study_verdict(outcome: Outcome, values: dict[str, Any]) -> Verdict:

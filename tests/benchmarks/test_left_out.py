@@ -9,11 +9,11 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from benchmarks.color_scene import NETWORK, TABLE, circles, network, table
-from benchmarks.color_settings import SETTINGS
-from benchmarks.left_out import beats_default, choose_left_out
-from calibration.estimators.color import ColorFitOptions, RegistrationOptions
-from calibration.taxim_table import fit_taxim_table
+from taccel_lab.benchmarks.color_scene import NETWORK, TABLE, circles, network, table
+from taccel_lab.benchmarks.color_settings import SETTINGS
+from taccel_lab.benchmarks.left_out import beats_default, choose_left_out
+from taccel_lab.calibration.estimators.color import ColorFitOptions, RegistrationOptions
+from taccel_lab.calibration.taxim_table import fit_taxim_table
 
 SETS = ("a", "b", "c")
 

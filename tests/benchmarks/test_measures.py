@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import error, scaling, skips
-from benchmarks.options import Scaling
-from benchmarks.report import sections
-from benchmarks.report.plots import draw_error, draw_scaling
-from benchmarks.scenes import SceneOptions, build_scene
-from benchmarks.shear_press import DEPTH_M
+from taccel_lab.benchmarks import error, scaling, skips
+from taccel_lab.benchmarks.options import Scaling
+from taccel_lab.benchmarks.report import sections
+from taccel_lab.benchmarks.report.plots import draw_error, draw_scaling
+from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.benchmarks.shear_press import DEPTH_M
 from taccel_lab.scene import Element
 
 COARSE = replace(error.DEFAULT, layers=2)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.multi_gpu import main, plan_rows
-from benchmarks.results import read_result
+from taccel_lab.benchmarks.multi_gpu import main, plan_rows
+from taccel_lab.benchmarks.results import read_result
 from taccel_lab.errors import InputError
 
 

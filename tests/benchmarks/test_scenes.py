@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.assets import choose_source, data_folder, has_data, read_stl, read_vtk
-from benchmarks.runner import Runner
-from benchmarks.scenes import SCENES, SceneOptions, build_scene
-from benchmarks.scenes.hand import overlapping_gels
-from benchmarks.scenes.teddy import surface_value, teddy_mesh, without_pinches
-from benchmarks.scenes.threads import PITCH_M, hexagon_nut, threaded_rod
+from taccel_lab.benchmarks.assets import choose_source, data_folder, has_data, read_stl, read_vtk
+from taccel_lab.benchmarks.runner import Runner
+from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
+from taccel_lab.benchmarks.scenes.hand import overlapping_gels
+from taccel_lab.benchmarks.scenes.teddy import surface_value, teddy_mesh, without_pinches
+from taccel_lab.benchmarks.scenes.threads import PITCH_M, hexagon_nut, threaded_rod
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.scene.mass_properties import mass_properties
@@ -64,9 +64,9 @@ class Refuse:
             raise ModuleNotFoundError(name)
 
 sys.meta_path.insert(0, Refuse())
-from benchmarks import compare, error, peers, quick, scaling, skips, speed
-from benchmarks.command_line import main, parse
-from benchmarks.scenes import SCENES, SceneOptions, build_scene
+from taccel_lab.benchmarks import compare, error, peers, quick, scaling, skips, speed
+from taccel_lab.benchmarks.command_line import main, parse
+from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 for name in SCENES:
     assert build_scene(name, SceneOptions(source="generated")).steps > 10
 assert parse(["run", "speed", "--envs", "1,16", "--scene", "peg,hand"]).envs == (1, 16)

@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 import warp as wp
 
-from benchmarks import quick
-from benchmarks.command_line import main, parse
-from benchmarks.compare import compare
-from benchmarks.front import is_on_front, power_law
-from benchmarks.launches import LaunchCounter
-from benchmarks.memory import MemoryMeter
-from benchmarks.options import COMMANDS, SUITES, Speed
-from benchmarks.peers import parse_results, read_field
-from benchmarks.report import PAGES, read_results, render
-from benchmarks.report.sections import HEADLINE, SECTIONS, ratios
-from benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
-from benchmarks.speed import parse_settings
+from taccel_lab.benchmarks import quick
+from taccel_lab.benchmarks.command_line import main, parse
+from taccel_lab.benchmarks.compare import compare
+from taccel_lab.benchmarks.front import is_on_front, power_law
+from taccel_lab.benchmarks.launches import LaunchCounter
+from taccel_lab.benchmarks.memory import MemoryMeter
+from taccel_lab.benchmarks.options import COMMANDS, SUITES, Speed
+from taccel_lab.benchmarks.peers import parse_results, read_field
+from taccel_lab.benchmarks.report import PAGES, read_results, render
+from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, ratios
+from taccel_lab.benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
+from taccel_lab.benchmarks.speed import parse_settings
 from taccel_lab.errors import InputError, SimulationError
 
 
@@ -117,7 +117,7 @@ def test_both_command_lines_have_the_same_options() -> None:
 
 @pytest.mark.parametrize("options", [*SUITES, *COMMANDS], ids=lambda options: options.name)
 def test_every_option_has_help(options: type, capsys: pytest.CaptureFixture[str]) -> None:
-    from benchmarks.command_line import field_help
+    from taccel_lab.benchmarks.command_line import field_help
 
     assert {item.name for item in dataclasses.fields(options)} == set(field_help(options))
     command = ["run", options.name] if options in SUITES else [options.name]
@@ -274,8 +274,8 @@ def test_ratios_are_of_equal_devices_and_counts() -> None:
 
 
 def test_study_rows_hold_stages_and_forces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from benchmarks import design_study
-    from studies.presses import STANDARD_PRESSES
+    from taccel_lab.benchmarks import design_study
+    from taccel_lab.studies.presses import STANDARD_PRESSES
 
     ball = dataclasses.replace(STANDARD_PRESSES["sphere"], depth_fraction=0.1, steps=3)
     monkeypatch.setattr(design_study, "standard_presses", lambda: [ball])

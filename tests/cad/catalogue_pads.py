@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from cad.parts.digit_pad import DigitPad
-from cad.parts.gel_pad import GelPad
-from cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.digit_pad import DigitPad
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.height_pad import HeightPad
 
 MINI = GelPad(
     length_x_mm=25.25, length_y_mm=20.75, corner_radius_mm=1.5, thickness_mm=4.0,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
-from cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
+from taccel_lab.cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
 
 DIGIT_360 = SolidDomePad(
     dome_radius_mm=12.5, wall_height_mm=13.5, pocket_radius_mm=4.927, pocket_taper_deg=2,

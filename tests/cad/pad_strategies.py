@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
-from cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.gel_pad import GelPad
 
 
 @st.composite

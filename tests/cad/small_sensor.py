@@ -6,13 +6,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from cad.assembly import Assembly
-from cad.assembly_sensor import sensor_assembly
-from cad.parts.gel_pad import GelPad
-from cad.parts.housing import HousingShape
-from cad.parts.part import gel_part
-from cad.parts.placeholders import CameraShape, LedShape, Pose
-from cad.parts.window import WindowShape
+from taccel_lab.cad.assembly import Assembly
+from taccel_lab.cad.assembly_sensor import sensor_assembly
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.housing import HousingShape
+from taccel_lab.cad.parts.part import gel_part
+from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, Pose
+from taccel_lab.cad.parts.window import WindowShape
 
 PAD = GelPad(crown_radius_x_mm=50.0, crown_radius_y_mm=50.0, thickness_mm=5.0)
 WINDOW = WindowShape(3.0, (24.0, 20.0), optical_mm=(18.0, 14.0))

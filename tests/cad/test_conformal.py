@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cad.mesh.conformal import disc_automorphism, disc_map
-from cad.mesh.plan_smoothing import smooth_plan
-from cad.parts.pad_outline import PadOutline, d_shape, rounded_rectangle
+from taccel_lab.cad.mesh.conformal import disc_automorphism, disc_map
+from taccel_lab.cad.mesh.plan_smoothing import smooth_plan
+from taccel_lab.cad.parts.pad_outline import PadOutline, d_shape, rounded_rectangle
 
 
 @pytest.mark.parametrize(

@@ -9,15 +9,15 @@ from dome_strategies import DIGIT_360, GEL_TIP, R_TAC, shell_domes, solid_domes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cad.mesh.dome import even_dome_mesh, focused_dome_mesh
-from cad.mesh.dome_columns import graded_shares
-from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh
-from cad.mesh.quality import PRESS_GATE, QualityGate, measure_quality, require_quality
-from cad.mesh.refined_topology import coarse_plan_nodes, refined_topology
-from cad.mesh.structured_topology import plan_triangles
-from cad.mesh.surface import check_closed
-from cad.mesh.tessellate import tessellate_solid
-from cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
+from taccel_lab.cad.mesh.dome import even_dome_mesh, focused_dome_mesh
+from taccel_lab.cad.mesh.dome_columns import graded_shares
+from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh
+from taccel_lab.cad.mesh.quality import PRESS_GATE, QualityGate, measure_quality, require_quality
+from taccel_lab.cad.mesh.refined_topology import coarse_plan_nodes, refined_topology
+from taccel_lab.cad.mesh.structured_topology import plan_triangles
+from taccel_lab.cad.mesh.surface import check_closed
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 

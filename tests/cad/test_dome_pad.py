@@ -11,8 +11,8 @@ from dome_strategies import DIGIT_360, GEL_TIP, R_TAC, domes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cad.mesh.tessellate import tessellate_solid
-from cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 

@@ -11,16 +11,16 @@ from catalogue_pads import BEVELLED, DIGIT, MINI, PADS, SKINNED
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh
-from cad.mesh.quality import measure_quality
-from cad.mesh.quality_measures import dihedral_angles_deg
-from cad.mesh.surface import check_closed
-from cad.mesh.tessellate import tessellate_solid
-from cad.mesh.tet_smoothing import improve_worst_tets
-from cad.parts.digit_pad import DigitPad
-from cad.parts.dome_pad import ShellDomePad
-from cad.parts.gel_pad import GelPad
-from cad.parts.height_pad import HeightPad
+from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh
+from taccel_lab.cad.mesh.quality import measure_quality
+from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
+from taccel_lab.cad.mesh.surface import check_closed
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets
+from taccel_lab.cad.parts.digit_pad import DigitPad
+from taccel_lab.cad.parts.dome_pad import ShellDomePad
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 

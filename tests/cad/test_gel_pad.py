@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from pad_strategies import gel_pads
 
-from cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 
 DOME = {"crown_radius_x_mm": 50.0, "crown_radius_y_mm": 50.0, "thickness_mm": 5.0}

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from build123d import import_step
 
-from cad.export import dimensions, write_step, write_stl
-from cad.mesh.tessellate import tessellate_solid
-from cad.parts.gel_pad import GelPad
-from cad.parts.gel_pad_solid import gel_pad_solid
-from cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.export import dimensions, write_step, write_stl
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.gel_pad_solid import gel_pad_solid
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 

@@ -13,11 +13,11 @@ from catalogue_pads import BEVELLED, DIGIT, MINI, SKINNED
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cad.mesh.closest import ClosestPoint, surface_samples
-from cad.mesh.tessellate import tessellate_solid
-from cad.parts.digit_pad import DigitPad
-from cad.parts.gel_pad import GelPad
-from cad.parts.height_pad import HeightPad
+from taccel_lab.cad.mesh.closest import ClosestPoint, surface_samples
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.parts.digit_pad import DigitPad
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 

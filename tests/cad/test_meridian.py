@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from cad.parts.meridian import Arc, Line, Meridian, Piece, closest_on_pieces
+from taccel_lab.cad.parts.meridian import Arc, Line, Meridian, Piece, closest_on_pieces
 from taccel_lab.geometry import Region
 
 S = Region.SIDE

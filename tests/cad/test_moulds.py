@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from build123d import Axis, Face, Plane, Pos, Solid
 
-from cad.assembly import common_volume_mm3
-from cad.mesh.tessellate import tessellate_solid
-from cad.moulds import Mould, MouldOptions, casting_moulds, check_mould, gel_mould
-from cad.moulds.cast_body import steiner_wedge_mm3
-from cad.moulds.gates import place_gates
-from cad.parts.dome_pad import ShellDomePad, SolidDomePad
-from cad.parts.gel_pad import GelPad
-from cad.parts.labelled_solid import LabelledSolid
-from cad.parts.outline import rounded_rectangle
-from cad.parts.pad import Pad
+from taccel_lab.cad.assembly import common_volume_mm3
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.moulds import Mould, MouldOptions, casting_moulds, check_mould, gel_mould
+from taccel_lab.cad.moulds.cast_body import steiner_wedge_mm3
+from taccel_lab.cad.moulds.gates import place_gates
+from taccel_lab.cad.parts.dome_pad import ShellDomePad, SolidDomePad
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.outline import rounded_rectangle
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cad.mesh.outline_nodes import MAX_SAGITTA_MM, needed_cells, outline_nodes
-from cad.parts.pad_outline import PadOutline, d_shape, rounded_rectangle
+from taccel_lab.cad.mesh.outline_nodes import MAX_SAGITTA_MM, needed_cells, outline_nodes
+from taccel_lab.cad.parts.pad_outline import PadOutline, d_shape, rounded_rectangle
 
 ANY_OUTLINE = st.one_of(
     st.builds(rounded_rectangle, st.floats(14, 40), st.floats(14, 40), st.floats(0.3, 6)),

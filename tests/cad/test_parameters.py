@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from cad.parameters import ParameterSet, parameter, parse_overrides, restated
+from taccel_lab.cad.parameters import ParameterSet, parameter, parse_overrides, restated
 from taccel_lab.errors import InputError
 
 

@@ -11,9 +11,9 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from cad.mesh.closest import ClosestPoint
-from cad.mesh.even import even_gel_mesh
-from cad.mesh.quality import (
+from taccel_lab.cad.mesh.closest import ClosestPoint
+from taccel_lab.cad.mesh.even import even_gel_mesh
+from taccel_lab.cad.mesh.quality import (
     PRESS_GATE,
     QualityGate,
     bad_tets,
@@ -22,11 +22,11 @@ from cad.mesh.quality import (
     require_quality,
     surface_distance_mm,
 )
-from cad.mesh.quality_measures import EDGE_PAIRS, dihedral_angles_deg, mean_ratios
-from cad.mesh.surface import LabelledSurface, check_closed, weld
-from cad.mesh.tessellate import tessellate_solid
-from cad.parts.gel_pad import GelPad
-from cad.parts.gel_pad_solid import gel_pad_solid
+from taccel_lab.cad.mesh.quality_measures import EDGE_PAIRS, dihedral_angles_deg, mean_ratios
+from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed, weld
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.gel_pad_solid import gel_pad_solid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 

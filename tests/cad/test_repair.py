@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cad.mesh.dome import even_dome_mesh
-from cad.mesh.repair import repair_surface, self_intersections
-from cad.mesh.surface import check_closed
-from cad.parts.dome_pad import ShellDomePad
+from taccel_lab.cad.mesh.dome import even_dome_mesh
+from taccel_lab.cad.mesh.repair import repair_surface, self_intersections
+from taccel_lab.cad.mesh.surface import check_closed
+from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.errors import InputError
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])

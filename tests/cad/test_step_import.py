@@ -11,10 +11,10 @@ import pytest
 from build123d import Compound, Face, Plane, Shell, Solid, Wire, export_step
 from small_sensor import PAD, small_sensor
 
-from cad.export import write_assembly_step, write_step
-from cad.parts.dome_pad import ShellDomePad
-from cad.parts.labelled_solid import LabelledSolid
-from cad.step_import import FaceSelection, import_gel, list_faces
+from taccel_lab.cad.export import write_assembly_step, write_step
+from taccel_lab.cad.parts.dome_pad import ShellDomePad
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.step_import import FaceSelection, import_gel, list_faces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 

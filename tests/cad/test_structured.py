@@ -11,10 +11,10 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from pad_strategies import gel_pads
 
-from cad.mesh.even import even_gel_mesh
-from cad.mesh.structured import structured_gel_mesh
-from cad.mesh.surface import check_closed
-from cad.parts.gel_pad import GelPad
+from taccel_lab.cad.mesh.even import even_gel_mesh
+from taccel_lab.cad.mesh.structured import structured_gel_mesh
+from taccel_lab.cad.mesh.surface import check_closed
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cad.mesh.quality_measures import dihedral_angles_deg, mean_ratios
-from cad.mesh.tet_smoothing import improve_worst_tets, shape_energy
+from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg, mean_ratios
+from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets, shape_energy
 
 CELLS = 4
 

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cad.mesh import cache
-from cad.mesh.bond_planes import bond_projection
-from cad.mesh.even import even_gel_mesh
-from cad.mesh.quality import QualityGate, measure_quality, require_quality
-from cad.mesh.regions import transfer_regions
-from cad.mesh.surface import LabelledSurface, check_closed
-from cad.mesh.tessellate import tessellate_solid
-from cad.mesh.tetrahedralize import tetwild_gel_mesh, tetwild_mesh
-from cad.parts.dome_pad import ShellDomePad, SolidDomePad
-from cad.parts.gel_pad import GelPad
-from cad.parts.gel_pad_solid import gel_pad_solid
-from cad.parts.pad import Pad
+from taccel_lab.cad.mesh import cache
+from taccel_lab.cad.mesh.bond_planes import bond_projection
+from taccel_lab.cad.mesh.even import even_gel_mesh
+from taccel_lab.cad.mesh.quality import QualityGate, measure_quality, require_quality
+from taccel_lab.cad.mesh.regions import transfer_regions
+from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh, tetwild_mesh
+from taccel_lab.cad.parts.dome_pad import ShellDomePad, SolidDomePad
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.gel_pad_solid import gel_pad_solid
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
@@ -114,7 +114,7 @@ def test_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
             raise InputError("it turned tets inside out")
         return replace(flat, nodes_m=flat.nodes_m * [1, 1, 0.05] - [0, 0, 2.4e-3 * 0.95])
 
-    monkeypatch.setattr("cad.mesh.tetrahedralize.run_tetwild", poor)
+    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", poor)
     with pytest.raises(InputError, match=r"none of 3 runs: edge 1.6 mm") as error:
         tetwild_gel_mesh(pad, 1.6, epsilon=1e-3, picture_folder=tmp_path)
     for part in ("inside out", "edge 1.2 mm, epsilon 0.0004", "dihedral", "bad_mesh.png"):
@@ -157,9 +157,9 @@ def test_regions_of_a_known_mesh_are_recovered(rim: str) -> None:
 def test_second_request_comes_from_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     pad = small_pad()
     mesh = even_gel_mesh(pad, 1.5)
-    monkeypatch.setattr("cad.mesh.tetrahedralize.run_tetwild", lambda *_, **__: mesh)
+    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", lambda *_, **__: mesh)
     first = tetwild_gel_mesh(pad, 1.5, epsilon=5e-3)
-    monkeypatch.setattr("cad.mesh.tetrahedralize.run_tetwild", None)
+    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", None)
     second = tetwild_gel_mesh(pad, 1.5, epsilon=5e-3)
     assert first.nodes_m.tobytes() == second.nodes_m.tobytes()
     assert np.array_equal(first.face_regions, second.face_regions)

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis.extra import numpy as hnp
 
-from cad.mesh.even import even_gel_mesh
-from cad.parts.gel_pad import GelPad
+from taccel_lab.cad.mesh.even import even_gel_mesh
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.vtu import read_mesh_vtu, read_vtu, write_mesh_vtu, write_vtu
 

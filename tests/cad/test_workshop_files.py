@@ -15,21 +15,21 @@ from build123d import Mesher, Unit
 from ezdxf import bbox
 from small_sensor import PAD, small_sensor
 
-from cad.assembly import Assembly
-from cad.drawing.assembly_drawing import write_assembly_drawing
-from cad.drawing.pad_drawing import write_pad_drawing
-from cad.drawing.sections import circle_through, section
-from cad.export import (
+from taccel_lab.cad.assembly import Assembly
+from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
+from taccel_lab.cad.drawing.pad_drawing import write_pad_drawing
+from taccel_lab.cad.drawing.sections import circle_through, section
+from taccel_lab.cad.export import (
     write_3mf,
     write_assembly_step,
     write_dxf,
     write_part_step,
     write_part_stl,
 )
-from cad.parts.dome_pad import ShellDomePad
-from cad.parts.gel_pad import GelPad
-from cad.parts.labelled_solid import LabelledSolid
-from cad.step_import.reader import read_step
+from taccel_lab.cad.parts.dome_pad import ShellDomePad
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.step_import.reader import read_step
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from calibration.capture import CaptureSet, find_taxim_pack, load_captures
+from taccel_lab.calibration.capture import CaptureSet, find_taxim_pack, load_captures
 from taccel_lab.errors import InputError
 
 

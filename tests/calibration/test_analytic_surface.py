@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from calibration.capture import ContactCircle
-from calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.normals import normals_from_height

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.capture import CaptureSet, ContactCircle
-from calibration.targets import compare_with_labels, detect_contact, resolve_contacts
-from calibration.targets.circle_fit import fit_circle_ransac
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.targets import compare_with_labels, detect_contact, resolve_contacts
+from taccel_lab.calibration.targets.circle_fit import fit_circle_ransac
 from taccel_lab.errors import InputError
 from tests.calibration.synthetic import GRID, flat_background, press_image, synthetic_captures
 

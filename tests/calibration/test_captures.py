@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.capture import CaptureSet, ContactCircle, import_taxim, load_captures
-from calibration.capture.captures import check_circle
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, import_taxim, load_captures
+from taccel_lab.calibration.capture.captures import check_circle
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -16,12 +16,10 @@ import cv2
 import numpy as np
 import pytest
 
-from cad.mesh.gel_mesh import gel_mesh
-from calibration.evaluate import psnr_db
-from calibration.inverse.read_surface import SurfaceReader
-from calibration.inverse.score import angle_between_deg
-from sensors.press_mesh import press_mesh
-from sensors.registry import sensor_family
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.calibration.evaluate import psnr_db
+from taccel_lab.calibration.inverse.read_surface import SurfaceReader
+from taccel_lab.calibration.inverse.score import angle_between_deg
 from taccel_lab.cli.app import main
 from taccel_lab.envs import PressOutcome, PressPath, parse_indenter, simulate_press
 from taccel_lab.envs.physics import PHYSICS, Accuracy
@@ -30,6 +28,8 @@ from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.profile import SensorProfile, load_profile
 from taccel_lab.scene import Material
+from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 
 FAMILY, BALL_MM, PRESSES = "gelsight_mini", 2.0, 14

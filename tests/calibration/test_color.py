@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 import torch
 
-from calibration.background.average import average_background
-from calibration.background.drift import Drift, fit_drift
-from calibration.capture import CaptureSet
-from calibration.color_calibration import ColorPlan, HeldoutSet, calibrate_color
-from calibration.estimators.color import (
+from taccel_lab.calibration.background.average import average_background
+from taccel_lab.calibration.background.drift import Drift, fit_drift
+from taccel_lab.calibration.capture import CaptureSet
+from taccel_lab.calibration.color_calibration import ColorPlan, HeldoutSet, calibrate_color
+from taccel_lab.calibration.estimators.color import (
     ColorFitOptions,
     ColorFrame,
     cross_validate,
     fit_color_model,
 )
-from calibration.surfaces import PressSurface
+from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureSet
-from calibration.color_calibration import ColorPlan
-from calibration.color_report import color_page
-from calibration.color_result import ColorCalibration
-from calibration.estimators.color import ColorFitOptions, drift_choice
-from calibration.report import write_page
-from calibration.result import Severity, Verdict, judge
-from calibration.surfaces import PressSurface
-from calibration.synthetic import add_noise, blur, drift, quantise, vignette
+from taccel_lab.calibration.capture import CaptureSet
+from taccel_lab.calibration.color_calibration import ColorPlan
+from taccel_lab.calibration.color_report import color_page
+from taccel_lab.calibration.color_result import ColorCalibration
+from taccel_lab.calibration.estimators.color import ColorFitOptions, drift_choice
+from taccel_lab.calibration.report import write_page
+from taccel_lab.calibration.result import Severity, Verdict, judge
+from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.synthetic import add_noise, blur, drift, quantise, vignette
 from taccel_lab.errors import InputError
 from tests.calibration.synthetic import calibrated, synthetic_captures
 

@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureSet, ContactCircle, Press, load_captures
-from calibration.color_calibration import ColorPlan, calibrate_color
-from calibration.color_heldout import HeldoutSet
-from calibration.estimators.color import ColorFitOptions, register_presses
-from calibration.estimators.color import drift_choice as drift_choice_module
-from calibration.surfaces import PressSurface
-from calibration.targets.label_placement import LabelPlacement
-from calibration.targets.tiles import even_tiles, filled_from
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press, load_captures
+from taccel_lab.calibration.color_calibration import ColorPlan, calibrate_color
+from taccel_lab.calibration.color_heldout import HeldoutSet
+from taccel_lab.calibration.estimators.color import ColorFitOptions, register_presses
+from taccel_lab.calibration.estimators.color import drift_choice as drift_choice_module
+from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.targets.label_placement import LabelPlacement
+from taccel_lab.calibration.targets.tiles import even_tiles, filled_from
 from taccel_lab.cli.calibrate.color import CalibrateColor
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.profile import load_profile, save_profile
@@ -68,7 +68,7 @@ def test_canary_noise_in_held_out_images_changes_nothing_that_is_fitted(
 ) -> None:
     """The whole command, twice: weights, background, training circles and split stay to the bit."""
     short = partial(register_presses, fit=QUICK)
-    monkeypatch.setattr("calibration.color_calibration.register_presses", short)
+    monkeypatch.setattr("taccel_lab.calibration.color_calibration.register_presses", short)
     monkeypatch.setattr(drift_choice_module, "SHORT_FIT", QUICK)
     captures, _ = synthetic_captures(12, noise=1.0)
     folder = write_folder(tmp_path / "captures", captures, labelled)

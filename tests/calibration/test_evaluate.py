@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from calibration.capture import ContactCircle
-from calibration.evaluate import (
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.evaluate import (
     crop_slices,
     mean_score,
     noise_floor_l1,

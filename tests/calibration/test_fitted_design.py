@@ -6,12 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.result import Severity
-from calibration.surfaces.design import MARGIN_MM, fitted_design, turn_remark
-from sensors.registry import sensor_family
+from taccel_lab.calibration.result import Severity
+from taccel_lab.calibration.surfaces.design import MARGIN_MM, fitted_design, turn_remark
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
+from taccel_lab.sensors.registry import sensor_family
 
 
 def pad_size(profile: SensorProfile) -> np.ndarray:

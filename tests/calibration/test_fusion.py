@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.capture import ContactCircle
-from calibration.targets import choose_circles, fuse_circles, resolve_contacts
-from calibration.targets.ball import DetectedContact
-from calibration.targets.fusion import LABEL_SHIFT_PX
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.targets import choose_circles, fuse_circles, resolve_contacts
+from taccel_lab.calibration.targets.ball import DetectedContact
+from taccel_lab.calibration.targets.fusion import LABEL_SHIFT_PX
 from taccel_lab.errors import InputError
 from tests.calibration.synthetic import synthetic_captures
 

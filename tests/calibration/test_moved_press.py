@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.capture import ContactCircle
-from calibration.surfaces import PressSurface, analytic_surface
-from calibration.surfaces.radial import MARGIN, RadialSurfaces
-from calibration.surfaces.variation import MovedPress, moved_surfaces
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces.radial import MARGIN, RadialSurfaces
+from taccel_lab.calibration.surfaces.variation import MovedPress, moved_surfaces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

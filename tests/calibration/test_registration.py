@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureSet, ContactCircle
-from calibration.estimators.color import (
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.estimators.color import (
     ColorFitOptions,
     ColorFrame,
     RegistrationOptions,
@@ -19,9 +19,9 @@ from calibration.estimators.color import (
     register_presses,
     registration,
 )
-from calibration.estimators.color.frames import NO_DRIFT, Samples
-from calibration.surfaces import PressSurface, analytic_surface
-from calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.calibration.estimators.color.frames import NO_DRIFT, Samples
+from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, synthetic_captures

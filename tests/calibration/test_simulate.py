@@ -13,20 +13,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import calibration.simulate as simulate
-from calibration.capture import CaptureSet, ContactCircle, Press
-from calibration.simulate import simulate_presses
-from calibration.surfaces import PressSurface, press_batch
-from calibration.surfaces.between import SPANNING, spanning_presses
-from calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
-from calibration.surfaces.press_batch import BatchOutcome, PressBatch
-from sensors.profile import catalogue_profile
+import taccel_lab.calibration.simulate as simulate
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.simulate import simulate_presses
+from taccel_lab.calibration.surfaces import PressSurface, press_batch
+from taccel_lab.calibration.surfaces.between import SPANNING, spanning_presses
+from taccel_lab.calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
+from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
 from taccel_lab.cli.calibrate.base import on_grid
 from taccel_lab.envs.physics import PHYSICS, SURFACE_PHYSICS, Accuracy
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.output import CACHE_VARIABLE
 from taccel_lab.profile import SensorProfile
+from taccel_lab.sensors.profile import catalogue_profile
 
 BALL_MM = 2.0
 TOLERANCE_MM = 0.007

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration import taxim_table
-from calibration.background.drift import Drift
-from calibration.capture import ContactCircle
-from calibration.estimators.color import ColorFrame
-from calibration.surfaces import analytic_surface
-from calibration.taxim_table import fit_taxim_table, render_taxim_table
+from taccel_lab.calibration import taxim_table
+from taccel_lab.calibration.background.drift import Drift
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.estimators.color import ColorFrame
+from taccel_lab.calibration.surfaces import analytic_surface
+from taccel_lab.calibration.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TaximTable, bin_indices

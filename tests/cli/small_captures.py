@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.capture import ContactCircle
-from calibration.surfaces import PressSurface, analytic_surface
-from sensors.profile import catalogue_profile
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import (
@@ -23,6 +22,7 @@ from taccel_lab.profile import (
     Provenance,
     save_profile,
 )
+from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 
 GRID = PixelGrid(96, 72, 0.1, 0.1)

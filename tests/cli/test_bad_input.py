@@ -220,7 +220,7 @@ def test_bad_edge_length_of_a_design(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, edge: str
 ) -> None:
     # The solid comes first, and takes a second; the mesh, which is refused, does not need it.
-    monkeypatch.setattr("cad.parts.gel_pad_solid.gel_pad_solid", lambda pad: None)
+    monkeypatch.setattr("taccel_lab.cad.parts.gel_pad_solid.gel_pad_solid", lambda pad: None)
     refuse(["design", "gelsight", "--edge-mm", edge], ["edge_mm = .* is not allowed; use"], capsys)
 
 
@@ -255,9 +255,9 @@ def test_foreign_outputs_are_refused_before_any_work(
     (here / "mine").mkdir()
     (here / "mine" / "notes.txt").write_text("mine")
     for name in (
-        "calibration.capture.load_captures",
+        "taccel_lab.calibration.capture.load_captures",
         "taccel_lab.cli.press.load_sensor",
-        "sensors.design.gel_mesh",
+        "taccel_lab.sensors.design.gel_mesh",
     ):
         monkeypatch.setattr(name, never)
     refuse(command, words, capsys, (out,))

@@ -10,9 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.camera.lens import LENSES
-from calibration.synthetic import add_noise, quantise
-from calibration.synthetic.boards import chess_pattern, dot_pattern, pose_over, render_board
+from taccel_lab.calibration.camera.lens import LENSES
+from taccel_lab.calibration.synthetic import add_noise, quantise
+from taccel_lab.calibration.synthetic.boards import (
+    chess_pattern,
+    dot_pattern,
+    pose_over,
+    render_board,
+)
 from taccel_lab.cli.app import main
 from taccel_lab.profile import load_profile
 from tests.calibration.scale.test_agreement import write_folder

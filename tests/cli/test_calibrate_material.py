@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture.schema import ToolEntry
-from calibration.material import Gel, force_table
-from sensors.profile import catalogue_profile
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material import Gel, force_table
 from taccel_lab.cli.app import main
 from taccel_lab.envs.physics import PHYSICS, Accuracy
 from taccel_lab.profile import load_profile
+from taccel_lab.sensors.profile import catalogue_profile
 
 MODULUS, POISSON, FRICTION = 3e5, 0.47, 0.5
 DEPTH = np.linspace(0.15, 1.2, 10)

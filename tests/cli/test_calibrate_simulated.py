@@ -76,6 +76,6 @@ def test_interrupted_simulation_leaves_the_earlier_profile(
     captures = write_captures(tmp_path / "captures")
     out = write_profile(tmp_path / "unit")
     before = everything_below(tmp_path)
-    monkeypatch.setattr("calibration.simulate.simulate_presses", interrupt)
+    monkeypatch.setattr("taccel_lab.calibration.simulate.simulate_presses", interrupt)
     assert calibrate(captures, out) == 130
     assert everything_below(tmp_path) == before

@@ -18,7 +18,7 @@ from taccel_lab.profile import load_profile, validate_profile
 from tests.cli.small_captures import CIRCLES, GRID, everything_below, never, write_captures
 
 HELDOUT = ("p0",)
-"""By the rule of ``calibration.capture.split``."""
+"""By the rule of ``taccel_lab.calibration.capture.split``."""
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def interrupt(*_: object, **__: object) -> None:
 def test_interrupted_in_the_middle(
     captures: Path, out: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("calibration.simulate.simulate_presses", interrupt)
+    monkeypatch.setattr("taccel_lab.calibration.simulate.simulate_presses", interrupt)
     assert run(captures, tmp_path / "new" / "demo") == 130
     assert everything_below(tmp_path) == {}
     before = everything_below(out.parent)
@@ -150,7 +150,7 @@ def test_bad_options_are_refused_before_any_work(
     options: list[str],
     words: str,
 ) -> None:
-    monkeypatch.setattr("sensors.design.design_sensor", never)
+    monkeypatch.setattr("taccel_lab.sensors.design.design_sensor", never)
     assert run(captures, tmp_path / "demo", *options) == 2
     assert words in capsys.readouterr().err
     assert everything_below(tmp_path) == {}
@@ -176,7 +176,7 @@ def test_bad_captures_are_refused_before_any_work(
     text = manifest.read_text()
     assert old in text
     manifest.write_text(text.replace(old, new))
-    monkeypatch.setattr("sensors.design.design_sensor", never)
+    monkeypatch.setattr("taccel_lab.sensors.design.design_sensor", never)
     assert run(folder, tmp_path / "demo") == 2
     message = capsys.readouterr().err
     assert words in message and str(folder) in message
@@ -190,7 +190,7 @@ def test_too_few_captures_to_hold_one_out(
     manifest = folder / "captures.toml"
     blocks = manifest.read_text().split("[[presses]]")
     manifest.write_text("[[presses]]".join(blocks[:4]))
-    monkeypatch.setattr("sensors.design.design_sensor", never)
+    monkeypatch.setattr("taccel_lab.sensors.design.design_sensor", never)
     assert run(folder, tmp_path / "demo") == 2
     assert "holds 3 presses, too few" in capsys.readouterr().err
 
@@ -198,7 +198,7 @@ def test_too_few_captures_to_hold_one_out(
 def test_foreign_folder_is_refused_before_any_work(
     captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calibration.capture.load_captures", never)
+    monkeypatch.setattr("taccel_lab.calibration.capture.load_captures", never)
     (tmp_path / "notes.txt").write_text("mine")
     assert run(captures, tmp_path) == 2
     assert everything_below(tmp_path) == {"notes.txt": b"mine"}

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from cad.export import write_step
-from cad.parts.gel_pad import GelPad
-from cad.step_import import FaceSelection
+from taccel_lab.cad.export import write_step
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.step_import import FaceSelection
 from taccel_lab.cli.app import main, parse
 
 
@@ -39,7 +39,7 @@ def test_options_override_the_selection_file(
         seen.append((path, selection, args))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sensors.imported.import_design", stop)
+    monkeypatch.setattr("taccel_lab.sensors.imported.import_design", stop)
     file = tmp_path / "faces.toml"
     file.write_text('contact = "normal:+y"\nbond = "plane:-y"\nnormal = "+y"\n')
     arguments = [

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensors.registry import sensor_families, sensor_family
 from taccel_lab.cli import app
 from taccel_lab.cli.sensor_picture import pad_section, sight_paths
+from taccel_lab.sensors.registry import sensor_families, sensor_family
 
 NAMES = sorted(sensor_families())
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from studies.plan import Kit, default_kit
 from taccel_lab.cli import app
+from taccel_lab.studies.plan import Kit, default_kit
 from tests.studies.fake_kit import METRICS, PRESSES, evaluate, logged
 
 STUDY = """
@@ -45,7 +45,7 @@ def stopped(designs, presses, metrics, **rest):
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A study file in a folder of its own; fakes press, in this process."""
     use(monkeypatch, evaluate)
-    monkeypatch.setattr("studies.runner.default_processes", lambda device: 0)
+    monkeypatch.setattr("taccel_lab.studies.runner.default_processes", lambda device: 0)
     path = tmp_path / "thickness.toml"
     path.write_text(STUDY.replace("\n[run]\nprocesses = 2\n", ""))
     monkeypatch.chdir(tmp_path)
@@ -53,7 +53,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def use(monkeypatch: pytest.MonkeyPatch, how) -> None:
-    monkeypatch.setattr("studies.plan.default_kit", lambda: Kit(PRESSES, METRICS, how))
+    monkeypatch.setattr("taccel_lab.studies.plan.default_kit", lambda: Kit(PRESSES, METRICS, how))
 
 
 def test_a_study_runs_and_says_where_to_look(

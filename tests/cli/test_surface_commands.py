@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import torch
 
-from calibration.capture import ContactCircle
-from calibration.capture.check.findings import error, info, warning
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.capture.check.findings import error, info, warning
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.cli.app import main
 from taccel_lab.cli.calibrate.base import on_grid
 from taccel_lab.cli.calibrate.findings import joined, lost_blocks, refusing_with

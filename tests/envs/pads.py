@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import functools
 
-from sensors.press_mesh import press_mesh
 from taccel_lab.envs import PressMeshOptions
 from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import Material
+from taccel_lab.sensors.press_mesh import press_mesh
 
 GEL = Material(1.5e5, 0.46)
 COARSE = PressMeshOptions(elements_per_radius=3.0, core=4, rings=8, layers=2)

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sensors.press_mesh import press_mesh
 from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
 from taccel_lab.scene import Element, Material
+from taccel_lab.sensors.press_mesh import press_mesh
 
 DEFAULT = PHYSICS[Accuracy.DEFAULT]
 PAD = {"length_x_mm": 25.25, "length_y_mm": 20.75, "thickness_mm": 4.25}

@@ -6,8 +6,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sensors.profile import catalogue_profile
 from taccel_lab.profile import SensorProfile
+from taccel_lab.sensors.profile import catalogue_profile
 from tests.interop.profiles import mini_profile
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.capture import ContactCircle
-from calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from taccel_lab.signals.normals import normals_from_slopes

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensors.profile import catalogue_profile
 from taccel_lab.profile import (
     BackgroundBlock,
     CameraBlock,
@@ -14,6 +13,7 @@ from taccel_lab.profile import (
     Provenance,
     SensorProfile,
 )
+from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from taccel_lab.signals.normal_model import NormalModelConfig
 from taccel_lab.signals.normal_model import expected_shapes as normal_shapes

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cad.mesh.gel_mesh import gel_mesh
-from cad.parts.dome_pad import ShellDomePad
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import quadratic_mesh
 from taccel_lab.optics.media import glued_back_mm

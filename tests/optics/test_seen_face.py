@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from cad.mesh.gel_mesh import gel_mesh
-from cad.parts.gel_pad import GelPad
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh, quadratic_mesh
 from taccel_lab.optics import Camera, Light, MarkerGrid, OpticalDesign, Window

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sensors.profile import catalogue_profile
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.quarter_turn import quarter_turned
+from taccel_lab.sensors.profile import catalogue_profile
 
 
 def turned_xyz(points: np.ndarray) -> np.ndarray:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from cad.parameters import Parameter
-from sensors import FamilyParameters, SensorFamily
+from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
+from taccel_lab.sensors import FamilyParameters, SensorFamily
 
 _WIDE = 30.0
 """Ratio of the bounds from which on values are drawn evenly in their logarithm."""

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sensors.design import DesignResult, design_sensor
-from sensors.gelsight import FAMILY
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.vtu import read_mesh_vtu
 from taccel_lab.profile import load_profile
+from taccel_lab.sensors.design import DesignResult, design_sensor
+from taccel_lab.sensors.gelsight import FAMILY
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +159,7 @@ def test_command_line_refuses_unknown_sensor(tmp_path: Path) -> None:
 def test_a_bad_mesh_is_refused_with_a_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from cad.mesh.gel_mesh import gel_mesh
+    from taccel_lab.cad.mesh.gel_mesh import gel_mesh
     from taccel_lab.geometry import TetMesh
 
     def squeezed(pad: Any, edge_mm: float) -> TetMesh:
@@ -172,7 +172,7 @@ def test_a_bad_mesh_is_refused_with_a_picture(
         nodes[inner[0]] += 0.95 * (nodes[neighbour] - nodes[inner[0]])
         return dataclasses.replace(mesh, nodes_m=nodes)
 
-    monkeypatch.setattr("sensors.design.gel_mesh", squeezed)
+    monkeypatch.setattr("taccel_lab.sensors.design.gel_mesh", squeezed)
     with pytest.raises(InputError, match=r"angle under .*/out_refused/bad_mesh\.png .* tetwild"):
         design_sensor(FAMILY, None, tmp_path / "out", edge_mm=1.5, parts=())
     assert [path.name for path in tmp_path.iterdir()] == ["out_refused"]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from sensors import FamilyParameters, sensor_families, sensor_family
-from sensors.derived import lens_difference, pad_volume_mm3
-from sensors.parameter_groups import CameraParameters
+from taccel_lab.sensors import FamilyParameters, sensor_families, sensor_family
+from taccel_lab.sensors.derived import lens_difference, pad_volume_mm3
+from taccel_lab.sensors.parameter_groups import CameraParameters
 
 
 @dataclass(frozen=True)

@@ -10,20 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh
-from cad.mesh.quality import measure_quality, require_quality
-from cad.mesh.tetrahedralize import tetwild_gel_mesh
-from cad.parameters import Parameter
-from cad.parts.pad import Pad
-from sensors import FamilyParameters, SensorFamily, sensor_families
-from sensors.derived import derived_figures, pad_volume_mm3
-from sensors.press_mesh import press_mesh
-from sensors.profile import catalogue_profile
+from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh
+from taccel_lab.cad.mesh.quality import measure_quality, require_quality
+from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh
+from taccel_lab.cad.parameters import Parameter
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.envs import PressEnv, PressMeshOptions, layered_material, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.scene import Material
+from taccel_lab.sensors import FamilyParameters, SensorFamily, sensor_families
+from taccel_lab.sensors.derived import derived_figures, pad_volume_mm3
+from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.sensors.profile import catalogue_profile
 from tests.sensors.random_parameters import random_parameters
 
 FAMILIES = sensor_families()

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensors import sensor_family
-from sensors.gelsight import FAMILY
 from taccel_lab.errors import InputError
+from taccel_lab.sensors import sensor_family
+from taccel_lab.sensors.gelsight import FAMILY
 
 
 def gelmap() -> np.ndarray:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from build123d import Plane, Solid, export_step
 
-from cad.step_import import FaceSelection
-from sensors.imported import import_design
+from taccel_lab.cad.step_import import FaceSelection
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.vtu import read_mesh_vtu
+from taccel_lab.sensors.imported import import_design
 
 SELECTION = FaceSelection(contact=("plane:+z",), bond=("plane:-z",), window=("rect:5x4",))
 

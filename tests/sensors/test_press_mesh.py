@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cad.mesh.quality_measures import dihedral_angles_deg
-from sensors.press_mesh import press_mesh
-from sensors.registry import sensor_families, sensor_family
+from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
 from taccel_lab.envs import PressMeshOptions, normal_frame
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.sensors.registry import sensor_families, sensor_family
 
 SMALL = PressMeshOptions(elements_per_radius=4.0, core=6, rings=10, layers=3)
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from sensors import sensor_families, sensor_family
-from sensors.gelsight import FAMILY
-from sensors.registry import catalogue
 from taccel_lab.cli import app
 from taccel_lab.errors import InputError
+from taccel_lab.sensors import sensor_families, sensor_family
+from taccel_lab.sensors.gelsight import FAMILY
+from taccel_lab.sensors.registry import catalogue
 
 
 class Installed:
@@ -41,7 +41,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Installed:
 
 GOOD = """
 from dataclasses import replace
-from sensors.gelsight import FAMILY as gelsight
+from taccel_lab.sensors.gelsight import FAMILY as gelsight
 FAMILY = replace(gelsight, name="{name}", title="{title}")
 """
 

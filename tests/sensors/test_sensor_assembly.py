@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cad.assembly import require_no_overlap
-from cad.moulds import casting_moulds
-from sensors.assembly import camera_shape, gel_layers, led_shapes, sensor_parts
-from sensors.registry import sensor_families, sensor_family
+from taccel_lab.cad.assembly import require_no_overlap
+from taccel_lab.cad.moulds import casting_moulds
 from taccel_lab.optics.description import Camera, Light
+from taccel_lab.sensors.assembly import camera_shape, gel_layers, led_shapes, sensor_parts
+from taccel_lab.sensors.registry import sensor_families, sensor_family
 
 FAMILIES = sorted(sensor_families())
 

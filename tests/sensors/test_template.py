@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from cad.mesh.gel_mesh import gel_mesh
-from cad.mesh.quality import measure_quality, require_quality
-from sensors import sensor_family
-from sensors.registry import catalogue
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.cad.mesh.quality import measure_quality, require_quality
 from taccel_lab.cli import app
+from taccel_lab.sensors import sensor_family
+from taccel_lab.sensors.registry import catalogue
 
 TEMPLATE = Path(__file__).parents[2] / "docs" / "examples" / "my_sensor"
 

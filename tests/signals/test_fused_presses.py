@@ -14,11 +14,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sensors.press_mesh import press_mesh
 from taccel_lab.envs import Indenter, PressEnv, PressMeshOptions
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Ball, Material
+from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.signals import (
     ContactSurface,
     SignalFusedSurface,

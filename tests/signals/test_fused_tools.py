@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensors.press_mesh import press_mesh
 from taccel_lab.envs import PressPath, parse_indenter, simulate_press
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.scene import Material
+from taccel_lab.sensors.press_mesh import press_mesh
 
 DEPTH_MM, AT_MM = 0.5, (1.2, -0.8)
 

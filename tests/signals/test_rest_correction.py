@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sensors.press_mesh import press_mesh
-from sensors.profile import catalogue_profile
-from sensors.registry import sensor_family
 from taccel_lab.envs import PHYSICS, Accuracy, PressPath, parse_indenter, simulate_press
 from taccel_lab.scene import Material
+from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import RestCorrection, RestSurface, rest_surface
 

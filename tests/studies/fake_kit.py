@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sensors.registry import sensor_family
-from studies.design_point import DesignPoint, DesignResult
-from studies.metrics.base import Metric
-from studies.plan import Kit, Study, plan_study
-from studies.spec import study_of
 from taccel_lab.errors import InputError
+from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.metrics.base import Metric
+from taccel_lab.studies.plan import Kit, Study, plan_study
+from taccel_lab.studies.spec import study_of
 
 LOG = "evaluated.log"
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from sensors.gelsight import GelSightParameters
-from studies.press_batch import simulate
-from studies.press_job import PressJob, press_jobs
-from studies.press_record import PressRecord
-from studies.presses import STANDARD_PRESSES, StandardPress
 from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions, PressMeshOptions
+from taccel_lab.sensors.gelsight import GelSightParameters
+from taccel_lab.studies.press_batch import simulate
+from taccel_lab.studies.press_job import PressJob, press_jobs
+from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.presses import STANDARD_PRESSES, StandardPress
 
 COARSE = PressMeshOptions(
     elements_per_radius=2.5,

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from studies.describe import press_in_words, with_tables
-from studies.plan import default_kit, plan_study
-from studies.presses import STANDARD_PRESSES
-from studies.spec import StudySpec, study_of
+from taccel_lab.studies.describe import press_in_words, with_tables
+from taccel_lab.studies.plan import default_kit, plan_study
+from taccel_lab.studies.presses import STANDARD_PRESSES
+from taccel_lab.studies.spec import StudySpec, study_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "studies.md"
 
 
 def test_tables_are_up_to_date() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert with_tables(text) == text, "run: python -m studies.describe docs/studies.md"
+    assert with_tables(text) == text, "run: python -m taccel_lab.studies.describe docs/studies.md"
 
 
 def test_pages_without_places_for_tables_are_refused() -> None:

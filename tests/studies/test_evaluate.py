@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from studies import press_batch
-from studies.evaluate import METRICS, STANDARD_PRESSES, DesignPoint, evaluate_designs
 from taccel_lab.envs import PressEnv
 from taccel_lab.errors import InputError
 from taccel_lab.output import to_jsonable
 from taccel_lab.solvers import EnvStatus, StepReport
+from taccel_lab.studies import press_batch
+from taccel_lab.studies.evaluate import METRICS, STANDARD_PRESSES, DesignPoint, evaluate_designs
 from tests.studies.quick import coarse
 
 SPHERE = coarse("sphere", steps=3)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from studies.judge import (
+from taccel_lab.studies.judge import (
     Goal,
     goal_of,
     is_feasible,
@@ -17,9 +17,9 @@ from studies.judge import (
     total_violation,
     violations,
 )
-from studies.report.pareto import pareto_front
-from studies.spec import Constraint, Objective
-from studies.stored import StoredDesign
+from taccel_lab.studies.report.pareto import pareto_front
+from taccel_lab.studies.spec import Constraint, Objective
+from taccel_lab.studies.stored import StoredDesign
 from tests.studies.fake_kit import METRICS
 
 

@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from sensors.registry import sensor_family
-from studies import keep
-from studies.design_point import DesignPoint, DesignResult
-from studies.folder import StudyFolder
-from studies.plan import default_kit, plan_study
-from studies.report import write_study_report
-from studies.runner import run_study
-from studies.spec import Output, study_of
 from taccel_lab.geometry.vtu import read_vtu
+from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.studies import keep
+from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.folder import StudyFolder
+from taccel_lab.studies.plan import default_kit, plan_study
+from taccel_lab.studies.report import write_study_report
+from taccel_lab.studies.runner import run_study
+from taccel_lab.studies.spec import Output, study_of
 
 
 def kept(folder: StudyFolder, output: Output, **parameters: float) -> tuple[dict, dict]:

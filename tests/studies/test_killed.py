@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from studies.folder import RESULT, StudyFolder
-from studies.runner import run_study
-from studies.stored import StoredDesign
+from taccel_lab.studies.folder import RESULT, StudyFolder
+from taccel_lab.studies.runner import run_study
+from taccel_lab.studies.stored import StoredDesign
 from tests.studies.fake_kit import logged, study
 from tests.studies.run_fake import CHANGES
 

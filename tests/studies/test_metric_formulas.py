@@ -11,15 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sensors.gelsight import GelSightParameters
-from studies.evidence import Evidence, at_load, contact_radius_mm, dent_mm
-from studies.metrics import METRICS, Unavailable
-from studies.metrics.edge_sharpness import rise_width
-from studies.metrics.hysteresis import lost_part
-from studies.metrics.two_point import contrast, sizes
-from studies.metrics.uniformity import variation
-from studies.press_record import PressRecord
-from studies.presses import STANDARD_PRESSES
+from taccel_lab.sensors.gelsight import GelSightParameters
+from taccel_lab.studies.evidence import Evidence, at_load, contact_radius_mm, dent_mm
+from taccel_lab.studies.metrics import METRICS, Unavailable
+from taccel_lab.studies.metrics.edge_sharpness import rise_width
+from taccel_lab.studies.metrics.hysteresis import lost_part
+from taccel_lab.studies.metrics.two_point import contrast, sizes
+from taccel_lab.studies.metrics.uniformity import variation
+from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.presses import STANDARD_PRESSES
 from tests.studies.quick import down_record, sphere_on_gelsight
 
 GELSIGHT = GelSightParameters()

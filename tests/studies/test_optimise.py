@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from cad.parameters import Parameter
-from studies.axis import Axis
-from studies.optimise import METHODS, OptimiserState, optimise, require_method
-from studies.report import write_study_report
-from studies.runner import run_study
-from studies.spec import Constraint, Objective, Sweep
+from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
+from taccel_lab.studies.axis import Axis
+from taccel_lab.studies.optimise import METHODS, OptimiserState, optimise, require_method
+from taccel_lab.studies.report import write_study_report
+from taccel_lab.studies.runner import run_study
+from taccel_lab.studies.spec import Constraint, Objective, Sweep
 from tests.studies.fake_kit import logged, study
 
 X = Axis(Parameter("x", 0.5, "mm", "", "", 0, 4), None, 0, 4)

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from cad.parameters import Parameter
-from studies.axis import Axis, axis_of
-from studies.batches import MAX_BATCH, gather
-from studies.spec import ParameterRange
-from studies.sweep import random_points
-from studies.work import Batch
+from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
+from taccel_lab.studies.axis import Axis, axis_of
+from taccel_lab.studies.batches import MAX_BATCH, gather
+from taccel_lab.studies.spec import ParameterRange
+from taccel_lab.studies.sweep import random_points
+from taccel_lab.studies.work import Batch
 from tests.studies.fake_kit import study, table
 
 WIDE = {"min": 300, "max": 900}

@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from studies.evidence import profile_mm
-from studies.metrics.edge_sharpness import rise_width
-from studies.metrics.two_point import contrast
-from studies.press_batch import REFERENCE_PA, simulate
-from studies.presses import STANDARD_PRESSES
 from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions
 from taccel_lab.scene import Material
+from taccel_lab.studies.evidence import profile_mm
+from taccel_lab.studies.metrics.edge_sharpness import rise_width
+from taccel_lab.studies.metrics.two_point import contrast
+from taccel_lab.studies.press_batch import REFERENCE_PA, simulate
+from taccel_lab.studies.presses import STANDARD_PRESSES
 from tests.studies.quick import THICK, coarse, jobs, pressed
 
 NU = 0.46
@@ -133,7 +133,7 @@ def test_far_pins_are_told_apart_and_near_ones_less() -> None:
 
 
 def test_friction_alone_makes_loops_that_lose_work() -> None:
-    from studies.metrics.hysteresis import lost_part
+    from taccel_lab.studies.metrics.hysteresis import lost_part
 
     press = coarse("shear", steps=2, shear_steps=2, shear_fraction=0.5, twist_deg=0.0)
     lost = {}

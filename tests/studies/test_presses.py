@@ -10,13 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sensors.gelsight import GelSightParameters
-from sensors.press_mesh import press_mesh
-from studies.press_job import place_mm, press_jobs
-from studies.presses import DEFAULT_PRESSES, STANDARD_PRESSES, StandardPress, standard_presses
 from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.sensors.gelsight import GelSightParameters
+from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.studies.press_job import place_mm, press_jobs
+from taccel_lab.studies.presses import (
+    DEFAULT_PRESSES,
+    STANDARD_PRESSES,
+    StandardPress,
+    standard_presses,
+)
 from tests.studies.quick import COARSE, coarse, jobs
 
 

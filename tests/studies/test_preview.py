@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sensors.registry import sensor_family
-from studies import preview as previews
-from studies.camera_view import photometry
-from studies.preview import preview_design, write_preview
 from taccel_lab.cli.app import main
+from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.studies import preview as previews
+from taccel_lab.studies.camera_view import photometry
+from taccel_lab.studies.preview import preview_design, write_preview
 from tests.studies.quick import coarse
 
 

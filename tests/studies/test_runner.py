@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from studies.folder import STUDY_MARKER, StudyFolder
-from studies.runner import Listener, run_study, stored_outcome
-from studies.table import write_table
 from taccel_lab.errors import InputError
 from taccel_lab.output import require_replaceable
+from taccel_lab.studies.folder import STUDY_MARKER, StudyFolder
+from taccel_lab.studies.runner import Listener, run_study, stored_outcome
+from taccel_lab.studies.table import write_table
 from tests.studies.fake_kit import evaluate, evaluate_and_crash, figures_of, logged, study, table
 
 

@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from studies.report.sensitivity import sensitivity
+from taccel_lab.studies.report.sensitivity import sensitivity
 
 
 def grid(*columns: list[float]) -> list[tuple[float, ...]]:

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from studies.spec import Constraint, load_study, study_of
 from taccel_lab.errors import InputError
+from taccel_lab.studies.spec import Constraint, load_study, study_of
 from tests.studies.fake_kit import table
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "studies" / "examples").glob("*.toml"))
@@ -127,7 +127,7 @@ def test_files_are_named_in_errors(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_are_sound(path: Path) -> None:
-    from studies.plan import default_kit, plan_study
+    from taccel_lab.studies.plan import default_kit, plan_study
 
     study = plan_study(load_study(path), default_kit())
     if study.spec.sweep.kind != "optimize":

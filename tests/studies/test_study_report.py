@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from studies.report import write_study_report
-from studies.runner import Outcome, run_study
+from taccel_lab.studies.report import write_study_report
+from taccel_lab.studies.runner import Outcome, run_study
 from tests.studies.fake_kit import study, table
 
 SQUARE = {

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture import (
+from taccel_lab.calibration.capture import (
     CaptureFolder,
     find_taxim_pack,
     import_captures,
     load_capture_folder,
 )
-from calibration.capture.check import CaptureCheck, check_captures
-from calibration.capture.importers import detect_layout
+from taccel_lab.calibration.capture.check import CaptureCheck, check_captures
+from taccel_lab.calibration.capture.importers import detect_layout
 from taccel_lab.errors import InputError
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture.folder import EdgeCapture, Frame
-from calibration.capture.images import read_image
-from calibration.capture.schema import EdgeEntry
-from calibration.scale.edges import MeasuredEdge, measure_edges, scale_from_edges
+from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
+from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.capture.schema import EdgeEntry
+from taccel_lab.calibration.scale.edges import MeasuredEdge, measure_edges, scale_from_edges
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
 CUBE = DATA / "gsmini_cube_edges"

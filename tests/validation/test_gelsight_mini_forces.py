@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cad.mesh.structured import structured_gel_mesh
-from cad.parts.gel_pad import GelPad
+from taccel_lab.cad.mesh.structured import structured_gel_mesh
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.envs import PressEnv, parse_indenter
 from taccel_lab.scene import Material
 

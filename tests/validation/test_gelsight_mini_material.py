@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture import load_capture_folder
-from calibration.material import MaterialOptions, calibrate_material
-from calibration.material.calibration import MaterialCalibration
-from calibration.result import Verdict, judge
-from sensors.profile import catalogue_profile
+from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.calibration.material import MaterialOptions, calibrate_material
+from taccel_lab.calibration.material.calibration import MaterialCalibration
+from taccel_lab.calibration.result import Verdict, judge
 from taccel_lab.cli.app import main
 from taccel_lab.envs.physics import PHYSICS, Accuracy
 from taccel_lab.profile import save_profile
+from taccel_lab.sensors.profile import catalogue_profile
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
 MEASURED = DATA / "gsmini_feats_calib" / "force_indentation.json"

@@ -14,8 +14,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks import optics_captures, optics_comparison
-from benchmarks.optics_captures import RealSensor
+from taccel_lab.benchmarks import optics_captures, optics_comparison
+from taccel_lab.benchmarks.optics_captures import RealSensor
 from taccel_lab.optics.compare import compare_press
 
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sensors.press_mesh import PressMeshOptions, press_mesh
 from taccel_lab.envs import Indenter, PressEnv
 from taccel_lab.scene import Ball, Material, TriangleMesh, sphere_mesh
+from taccel_lab.sensors.press_mesh import PressMeshOptions, press_mesh
 from taccel_lab.solvers import SolverConfig
 
 RADIUS_M = 2e-3

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from benchmarks.assets import data_folder, read_stl
+from taccel_lab.benchmarks.assets import data_folder, read_stl
 from taccel_lab.scene import (
     AffineBody,
     KinematicBody,

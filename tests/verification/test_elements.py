@@ -7,9 +7,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.element_choice import press
-from benchmarks.element_convergence import COOK_ENERGY, cook_error, rate, referee, swirl_error
-from benchmarks.nodal_loads import surface_load, whole_faces
+from taccel_lab.benchmarks.element_choice import press
+from taccel_lab.benchmarks.element_convergence import (
+    COOK_ENERGY,
+    cook_error,
+    rate,
+    referee,
+    swirl_error,
+)
+from taccel_lab.benchmarks.nodal_loads import surface_load, whole_faces
 from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
 from tests.verification.blocks import block_mesh
 from tests.verification.elements import ElementForces

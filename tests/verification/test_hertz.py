@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from benchmarks.hertz_convergence import HertzCase, HertzResult, press
+from taccel_lab.benchmarks.hertz_convergence import HertzCase, HertzResult, press
 from taccel_lab.scene import Element
 
 RADIUS = HertzCase().contact_radius_m

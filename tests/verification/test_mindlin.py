@@ -30,7 +30,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from benchmarks.half_space_mesh import half_space_mesh
+from taccel_lab.benchmarks.half_space_mesh import half_space_mesh
 from taccel_lab.scene import Ball
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from tests.verification.half_space import DOMAIN_OVER_RADIUS, GROWTH, HalfSpace

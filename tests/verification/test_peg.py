@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.assets import data_folder
-from benchmarks.scenes.peg import (
+from taccel_lab.benchmarks.assets import data_folder
+from taccel_lab.benchmarks.scenes.peg import (
     CENTRED,
     DT_S,
     GRAVITY,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All families of the stress; importing this registers them."""
 
-from benchmarks.stress.families import (
+from taccel_lab.benchmarks.stress.families import (
     close_calls,
     grasps,
     impacts,

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.stress.case import Case, family
-from benchmarks.stress.draw import Draw
-from benchmarks.stress.families.common import (
+from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
     FREE,
     bonded_block,
@@ -16,7 +16,7 @@ from benchmarks.stress.families.common import (
     material,
     settings,
 )
-from benchmarks.stress.shapes import about, after, pose, soft_box, stiff_shape, wedge
+from taccel_lab.benchmarks.stress.shapes import about, after, pose, soft_box, stiff_shape, wedge
 from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody, TimeScheme
 
 SMALLEST_GAP = 1e-9

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.stress.draw import Draw
-from benchmarks.stress.shapes import soft_ball, soft_box, with_slivers
+from taccel_lab.benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.shapes import soft_ball, soft_box, with_slivers
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import Element, Material, MaterialModel, TimeScheme, TimeStepping

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.stress.case import Case, family
-from benchmarks.stress.draw import Draw
-from benchmarks.stress.families.common import (
+from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
     bonded_block,
     friction,
@@ -17,7 +17,15 @@ from benchmarks.stress.families.common import (
     material,
     settings,
 )
-from benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape, turned
+from taccel_lab.benchmarks.stress.shapes import (
+    STIFF_SHAPES,
+    about,
+    after,
+    pose,
+    reach,
+    stiff_shape,
+    turned,
+)
 from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody, TimeScheme
 
 GEL = (6e-3, 6e-3, 2e-3)

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.stress.case import Case, family
-from benchmarks.stress.draw import Draw
-from benchmarks.stress.families.common import (
+from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
     FREE,
     WORLD,
@@ -20,7 +20,15 @@ from benchmarks.stress.families.common import (
     material,
     settings,
 )
-from benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape, wedge
+from taccel_lab.benchmarks.stress.shapes import (
+    STIFF_SHAPES,
+    about,
+    after,
+    pose,
+    reach,
+    stiff_shape,
+    wedge,
+)
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from benchmarks.stress.case import Case, family
-from benchmarks.stress.draw import Draw
-from benchmarks.stress.families.common import (
+from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
     bonded_block,
     friction,
@@ -18,7 +18,7 @@ from benchmarks.stress.families.common import (
     maybe_in_time,
     settings,
 )
-from benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape
+from taccel_lab.benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.stress.case import Case, family
-from benchmarks.stress.draw import Draw
-from benchmarks.stress.families.common import (
+from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
     bonded_block,
     friction,
@@ -15,7 +15,7 @@ from benchmarks.stress.families.common import (
     maybe_in_time,
     settings,
 )
-from benchmarks.stress.shapes import (
+from taccel_lab.benchmarks.stress.shapes import (
     STIFF_SHAPES,
     about,
     after,

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.stress.case import Case, family
-from benchmarks.stress.draw import Draw
-from benchmarks.stress.families.common import (
+from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
     FREE,
     free_block,
@@ -17,7 +17,7 @@ from benchmarks.stress.families.common import (
     maybe_in_time,
     settings,
 )
-from benchmarks.stress.shapes import about, after, pose, reach, soft_box
+from taccel_lab.benchmarks.stress.shapes import about, after, pose, reach, soft_box
 from taccel_lab.scene import Element, KinematicBody, Plane, Scene, SoftBody, box_mesh
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import State

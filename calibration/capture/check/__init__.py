@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of captures before anything is fitted to them."""
 
-from calibration.capture.check.content import BlockStatus, Readiness
-from calibration.capture.check.findings import Finding
-from calibration.capture.check.page import check_page
-from calibration.capture.check.run import CaptureCheck, check_captures
+from taccel_lab.calibration.capture.check.content import BlockStatus, Readiness
+from taccel_lab.calibration.capture.check.findings import Finding
+from taccel_lab.calibration.capture.check.page import check_page
+from taccel_lab.calibration.capture.check.run import CaptureCheck, check_captures
 
 __all__ = [
     "BlockStatus",

@@ -8,17 +8,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.capture.captures import Press
-from calibration.capture.check.findings import Finding, error, info, warning
-from calibration.capture.check.framing import (
+from taccel_lab.calibration.capture.captures import Press
+from taccel_lab.calibration.capture.check.findings import Finding, error, info, warning
+from taccel_lab.calibration.capture.check.framing import (
     Crop,
     best_channel_order,
     find_crop,
     misfit_levels,
     thumb,
 )
-from calibration.capture.check.pressed_background import MAX_COMPARED, find_pressed_background
-from calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.check.pressed_background import (
+    MAX_COMPARED,
+    find_pressed_background,
+)
+from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.errors import InputError
 
 OTHER_FRAMING_LEVELS = 5.0
@@ -44,7 +47,7 @@ class BackgroundCheck:
 
 def median_background(presses: Sequence[Press]) -> np.ndarray:
     """Median of the presses, RGB uint8: untouched where no pixel is pressed in half of them."""
-    from calibration.capture.importers.background_guess import median_image
+    from taccel_lab.calibration.capture.importers.background_guess import median_image
 
     return median_image([press.image() for press in presses])
 

@@ -8,7 +8,8 @@ A radius on its own cannot be read from a contact circle. It shows where it cont
   (Hertz; K. L. Johnson, Contact Mechanics, 1985, eq. 4.22) and ``a^2 = 2 R d - d^2`` in a gel that
   does not rise beside the ball, so ``a^2 / 2 d < R < a^2 / d``;
 - slopes: a ball that is too small has contacts steeper than the gel beside them
-  (``calibration.targets.ball_check``; a ball that is stated too large does not show there);
+  (``taccel_lab.calibration.targets.ball_check``; a ball that is stated too large does not show
+  there);
 - two balls: the colour changes over the contact's centre at a rate of 1/R, so that presses of one
   ball agree and those of two differ as their radii do.
 """
@@ -20,12 +21,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.capture.captures import CaptureSet
-from calibration.capture.check.findings import Finding, error, name_some, warning
-from calibration.capture.check.frames import FrameFigures
-from calibration.capture.folder import CaptureFolder
-from calibration.targets.ball import find_contacts
-from calibration.targets.ball_check import check_ball
+from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.capture.check.findings import Finding, error, name_some, warning
+from taccel_lab.calibration.capture.check.frames import FrameFigures
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.targets.ball import find_contacts
+from taccel_lab.calibration.targets.ball_check import check_ball
 from taccel_lab.geometry import PixelGrid
 
 TRAVEL_SLACK = 1.35

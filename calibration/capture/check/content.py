@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from calibration.capture.check.findings import COMMANDS, Finding, error
-from calibration.capture.folder import CaptureFolder
-from calibration.result import Severity
+from taccel_lab.calibration.capture.check.findings import COMMANDS, Finding, error
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.result import Severity
 
 
 class Readiness(StrEnum):

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
-from calibration.capture.check.background import BackgroundCheck
-from calibration.capture.check.frames import FrameFigures
-from calibration.capture.check.presses import coverage_map
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.check.background import BackgroundCheck
+from taccel_lab.calibration.capture.check.frames import FrameFigures
+from taccel_lab.calibration.capture.check.presses import coverage_map
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.style import BLUE, GREEN, INK, ORANGE, in_report_style, new_figure
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark, Severity
 
 COMMANDS = ("camera", "scale", "background", "color", "normals", "depth", "markers", "material")
 """Blocks that captures calibrate, by the name of their command."""

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calibration.capture.captures import ContactCircle, Press
-from calibration.capture.check.framing import level_fit, thumb
-from calibration.targets import DetectedContact, detect_contact
-from calibration.targets.ball import CutContactError
+from taccel_lab.calibration.capture.captures import ContactCircle, Press
+from taccel_lab.calibration.capture.check.framing import level_fit, thumb
+from taccel_lab.calibration.targets import DetectedContact, detect_contact
+from taccel_lab.calibration.targets.ball import CutContactError
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

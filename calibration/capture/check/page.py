@@ -3,16 +3,16 @@
 
 from __future__ import annotations
 
-from calibration.capture.check import drawings
-from calibration.capture.check.presses import label_gaps
-from calibration.capture.check.run import CaptureCheck
-from calibration.report import Page, Picture, Table
+from taccel_lab.calibration.capture.check import drawings
+from taccel_lab.calibration.capture.check.presses import label_gaps
+from taccel_lab.calibration.capture.check.run import CaptureCheck
+from taccel_lab.calibration.report import Page, Picture, Table
 
 MAX_ROWS = 40
 
 
 def check_page(check: CaptureCheck) -> Page:
-    """Describe the check for ``calibration.report.write_page``."""
+    """Describe the check for ``taccel_lab.calibration.report.write_page``."""
     contents = [f"{n} {name.replace('_', ' ')}" for name, n in check.folder.contents().items() if n]
     state = (
         "Nothing stops what these captures are there for."

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.capture.captures import ContactCircle
-from calibration.capture.check.findings import Finding, error, info, name_some, warning
-from calibration.capture.check.frames import FrameFigures
-from calibration.targets.selection import too_many_lost
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.check.findings import Finding, error, info, name_some, warning
+from taccel_lab.calibration.capture.check.frames import FrameFigures
+from taccel_lab.calibration.targets.selection import too_many_lost
 from taccel_lab.geometry import PixelGrid
 
 LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3

@@ -9,19 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from calibration.capture.check.background import BackgroundCheck, check_background
-from calibration.capture.check.balls import check_balls, check_scale, check_slopes
-from calibration.capture.check.content import BlockStatus, block_statuses, check_content
-from calibration.capture.check.findings import Finding, error, info, warning, worst_first
-from calibration.capture.check.frames import FrameFigures, measure_presses
-from calibration.capture.check.framing import thumb
-from calibration.capture.check.light import check_handedness, check_light, is_grey
-from calibration.capture.check.presses import check_contacts, coverage_map, empty_cells, label_gaps
-from calibration.capture.check.sensor_facts import SensorFacts, sensor_facts
-from calibration.capture.check.targets import check_targets
-from calibration.capture.folder import CaptureFolder
-from calibration.result import Severity
-from calibration.surfaces.design import FLAT_PAD, turn_remark
+from taccel_lab.calibration.capture.check.background import BackgroundCheck, check_background
+from taccel_lab.calibration.capture.check.balls import check_balls, check_scale, check_slopes
+from taccel_lab.calibration.capture.check.content import BlockStatus, block_statuses, check_content
+from taccel_lab.calibration.capture.check.findings import Finding, error, info, warning, worst_first
+from taccel_lab.calibration.capture.check.frames import FrameFigures, measure_presses
+from taccel_lab.calibration.capture.check.framing import thumb
+from taccel_lab.calibration.capture.check.light import check_handedness, check_light, is_grey
+from taccel_lab.calibration.capture.check.presses import (
+    check_contacts,
+    coverage_map,
+    empty_cells,
+    label_gaps,
+)
+from taccel_lab.calibration.capture.check.sensor_facts import SensorFacts, sensor_facts
+from taccel_lab.calibration.capture.check.targets import check_targets
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.result import Severity
+from taccel_lab.calibration.surfaces.design import FLAT_PAD, turn_remark
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from calibration.capture.check.frames import handedness
-from sensors import sensor_families
+from taccel_lab.calibration.capture.check.frames import handedness
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.sensors import sensor_families
 
 GENERIC = ("flat_pad",)
 """Families that stand for any sensor: their figures contradict nothing."""

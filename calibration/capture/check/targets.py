@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.camera.detect import detect_views
-from calibration.capture.check.findings import Finding, error, info, name_some, warning
-from calibration.capture.check.framing import thumb
-from calibration.capture.folder import (
+from taccel_lab.calibration.camera.detect import detect_views
+from taccel_lab.calibration.capture.check.findings import Finding, error, info, name_some, warning
+from taccel_lab.calibration.capture.check.framing import thumb
+from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,
     EdgeCapture,
@@ -19,9 +19,9 @@ from calibration.capture.folder import (
     MarkerCaptures,
     Video,
 )
-from calibration.capture.record_checks import LIKELY_MPA, apparent_modulus_mpa
-from calibration.capture.video import cut_short
-from calibration.markers import find_markers
+from taccel_lab.calibration.capture.record_checks import LIKELY_MPA, apparent_modulus_mpa
+from taccel_lab.calibration.capture.video import cut_short
+from taccel_lab.calibration.markers import find_markers
 from taccel_lab.errors import InputError
 
 GOOD_VIEWS, FEW_VIEWS = 15, 6

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calibration.capture.folder import CaptureFolder
-from calibration.capture.importers import (
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.importers import (
     cube_edges,
     feats,
     fots,
@@ -21,13 +21,13 @@ from calibration.capture.importers import (
     rvsathu,
     taxim,
 )
-from calibration.capture.importers.crop import crop_draft
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.layout import Layout
-from calibration.capture.load import load_capture_folder
-from calibration.capture.schema import MANIFEST_NAME
-from calibration.capture.split import HOLDOUT_EVERY
-from calibration.capture.taxim_pack import find_taxim_pack
+from taccel_lab.calibration.capture.importers.crop import crop_draft
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.load import load_capture_folder
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME
+from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
+from taccel_lab.calibration.capture.taxim_pack import find_taxim_pack
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_directory
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calibration.capture.images import read_image
+from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.errors import InputError
 
 BACKGROUND_NAME = re.compile(

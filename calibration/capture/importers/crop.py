@@ -13,8 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calibration.capture.images import read_image
-from calibration.capture.importers.draft import Draft
+from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.capture.importers.draft import Draft
 from taccel_lab.errors import InputError
 
 AUTO_CROP = "auto"
@@ -95,8 +95,8 @@ def _parse(text: str, width: int, height: int) -> Part:
 def _find(draft: Draft, background: np.ndarray) -> tuple[Part, bool]:
     """The part that one framing shows of the other, and whether it is one of the presses."""
     # Loaded here: the check of captures itself opens drafts.
-    from calibration.capture.check.background import CROP_GAIN, OTHER_FRAMING_LEVELS
-    from calibration.capture.check.framing import find_crop, misfit_levels, thumb
+    from taccel_lab.calibration.capture.check.background import CROP_GAIN, OTHER_FRAMING_LEVELS
+    from taccel_lab.calibration.capture.check.framing import find_crop, misfit_levels, thumb
 
     if len(draft.manifest["presses"]) < MIN_PRESSES:
         raise InputError(

@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import (
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import (
     first_existing,
     load_npz,
     natural_key,
     number_in,
     point_in,
 )
-from calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
 
 SOURCE = "cube edges (jonaszilke/gs_sdk)"

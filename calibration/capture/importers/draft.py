@@ -14,9 +14,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calibration.capture.folder import CaptureFolder
-from calibration.capture.load import load_capture_folder
-from calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.load import load_capture_folder
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -122,7 +122,7 @@ class Draft:
 
     def median_of_presses(self) -> np.ndarray:
         """Median of the presses, RGB uint8: the untouched gel where presses are spread enough."""
-        from calibration.capture.importers.background_guess import median_image
+        from taccel_lab.calibration.capture.importers.background_guess import median_image
 
         names = [entry["image"] for entry in self.manifest.get("presses", [])]
         if len(names) < 3:
@@ -143,7 +143,7 @@ class Draft:
             elif content.suffix.lower() in IMAGE_SUFFIXES and path.suffix == ".png" != (
                 content.suffix.lower()
             ):
-                from calibration.capture.images import read_image
+                from taccel_lab.calibration.capture.images import read_image
 
                 write_png(path, read_image(content))
             else:

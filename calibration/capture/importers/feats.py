@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import first_existing
-from calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import first_existing
+from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
 
 SOURCE = "FEATS (feats-ai/feats)"

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.capture.importers.draft import IMAGE_SUFFIXES
-from calibration.capture.records import kind_of_record
+from taccel_lab.calibration.capture.importers.draft import IMAGE_SUFFIXES
+from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
 
 _FILE_COLUMNS = ("file", "image", "img_name", "img_names", "filename", "name", "frame")

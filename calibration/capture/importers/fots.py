@@ -10,14 +10,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import (
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import (
     first_existing,
     images_in,
     label_for,
     labels_of,
 )
-from calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
 
 SOURCE = "FOTS (Rancho-zhao/FOTS)"
@@ -77,7 +77,7 @@ def _presses(path: Path, part: str, sensor: str, labels: dict[str, dict[str, flo
 
 def _add_untouched(draft: Draft, image: Path) -> None:
     """A further background, unless it is the same image again."""
-    from calibration.capture.images import file_sha256, read_image
+    from taccel_lab.calibration.capture.images import file_sha256, read_image
 
     first = draft.files[draft.manifest["background"]]
     assert isinstance(first, Path)

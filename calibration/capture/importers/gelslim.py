@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import first_existing, images_in
-from calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import first_existing, images_in
+from taccel_lab.calibration.capture.importers.layout import Layout
 
 SOURCE = "GelSlim 3.0 (mcubelab/gelslim)"
 LICENSE = "CC BY-NC 4.0"

@@ -12,8 +12,8 @@ import csv
 import re
 from pathlib import Path
 
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import (
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import (
     first_existing,
     load_npz,
     load_yaml,
@@ -21,8 +21,8 @@ from calibration.capture.importers.files import (
     number_in,
     point_in,
 )
-from calibration.capture.importers.layout import Layout
-from calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
+from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
 
 CATALOG = "catalog.csv"

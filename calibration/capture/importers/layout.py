@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 
 
 @dataclass(frozen=True)

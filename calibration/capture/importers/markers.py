@@ -8,11 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calibration.capture.images import read_image
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import images_in
-from calibration.capture.importers.layout import Layout
-from calibration.capture.video import read_video
+from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import images_in
+from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.video import read_video
 from taccel_lab.errors import InputError
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv")
@@ -66,7 +66,7 @@ def _distance(a: np.ndarray, b: np.ndarray) -> float:
 
 def _shows_dots(path: Path) -> bool:
     # Loaded here: the detector's package reads capture folders itself.
-    from calibration.markers.finding import find_markers
+    from taccel_lab.calibration.markers.finding import find_markers
 
     try:
         find_markers(read_image(path))

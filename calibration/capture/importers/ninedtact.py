@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import first_existing, load_yaml
-from calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import first_existing, load_yaml
+from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
 
 SOURCE = "9DTact (linchangyi1/9DTact)"

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import images_in
-from calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import images_in
+from taccel_lab.calibration.capture.importers.layout import Layout
 
 SOURCE = "Photon26/Gelsight_controller"
 BALL_RADIUS_MM = 5.5

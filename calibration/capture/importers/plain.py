@@ -10,13 +10,21 @@ from typing import Any
 
 import cv2
 
-from calibration.capture.images import image_size
-from calibration.capture.importers.background_guess import BACKGROUND_NAME, guess_background
-from calibration.capture.importers.draft import MEDIAN, Draft, ImportOptions
-from calibration.capture.importers.files import images_in, label_for, label_notes, labels_of
-from calibration.capture.importers.layout import Layout
-from calibration.capture.importers.markers import VIDEO_SUFFIXES
-from calibration.capture.records import kind_of_record
+from taccel_lab.calibration.capture.images import image_size
+from taccel_lab.calibration.capture.importers.background_guess import (
+    BACKGROUND_NAME,
+    guess_background,
+)
+from taccel_lab.calibration.capture.importers.draft import MEDIAN, Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import (
+    images_in,
+    label_for,
+    label_notes,
+    labels_of,
+)
+from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.markers import VIDEO_SUFFIXES
+from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
 
 _MASK_NAME = re.compile(r"(^|[_\-. ])mask($|[_\-. \d])", re.IGNORECASE)

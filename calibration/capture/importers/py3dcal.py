@@ -11,9 +11,9 @@ import csv
 import json
 from pathlib import Path
 
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import first_existing
-from calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import first_existing
+from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
 
 SOURCE = "py3DCal layout (rohankotanu/py3DCal)"

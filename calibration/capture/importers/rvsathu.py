@@ -8,10 +8,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calibration.capture.importers.background_guess import BACKGROUND_NAME
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.files import first_existing, images_in, label_for, labels_of
-from calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.background_guess import BACKGROUND_NAME
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import (
+    first_existing,
+    images_in,
+    label_for,
+    labels_of,
+)
+from taccel_lab.calibration.capture.importers.layout import Layout
 
 SOURCE = "GelSight-Sim2Real (RVSATHU), depth_reconstruction"
 BALL_RADIUS_MM = 2.92

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calibration.capture.importers.draft import Draft, ImportOptions
-from calibration.capture.importers.layout import Layout
-from calibration.capture.taxim_pack import PACK_NAME, load_taxim_folder
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.taxim_pack import PACK_NAME, load_taxim_folder
 
 
 def _pack(path: Path) -> Path:

@@ -5,12 +5,12 @@ Pixels are drawn from the contact disc, the ring around it and the untouched res
 Huber's in levels unless another is asked for.
 """
 
-from calibration.estimators.color.drift_choice import DriftChoice, choose_drift
-from calibration.estimators.color.fit import ColorFit, disc_l1, fit_color_model
-from calibration.estimators.color.folds import FoldResult, cross_validate, fold_fits
-from calibration.estimators.color.frames import ColorFrame
-from calibration.estimators.color.options import ColorFitOptions, Loss, Progress
-from calibration.estimators.color.registration import (
+from taccel_lab.calibration.estimators.color.drift_choice import DriftChoice, choose_drift
+from taccel_lab.calibration.estimators.color.fit import ColorFit, disc_l1, fit_color_model
+from taccel_lab.calibration.estimators.color.folds import FoldResult, cross_validate, fold_fits
+from taccel_lab.calibration.estimators.color.frames import ColorFrame
+from taccel_lab.calibration.estimators.color.options import ColorFitOptions, Loss, Progress
+from taccel_lab.calibration.estimators.color.registration import (
     Registration,
     RegistrationOptions,
     place_press,

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.estimators.color.fit import disc_l1
-from calibration.estimators.color.folds import fold_fits
-from calibration.estimators.color.frames import ColorFrame, frame_drift
-from calibration.estimators.color.options import SHORT_FIT
+from taccel_lab.calibration.estimators.color.fit import disc_l1
+from taccel_lab.calibration.estimators.color.folds import fold_fits
+from taccel_lab.calibration.estimators.color.frames import ColorFrame, frame_drift
+from taccel_lab.calibration.estimators.color.options import SHORT_FIT
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -9,17 +9,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calibration.background.average import average_background
-from calibration.background.drift import Drift
-from calibration.estimators.color.frames import (
+from taccel_lab.calibration.background.average import average_background
+from taccel_lab.calibration.background.drift import Drift
+from taccel_lab.calibration.estimators.color.frames import (
     ColorFrame,
     draw_samples,
     frame_drift,
     samples_at,
 )
-from calibration.estimators.color.options import ColorFitOptions, Progress
-from calibration.estimators.color.training import SSIM_WINDOW_PX, Crop, train
-from calibration.evaluate import crop_slices
+from taccel_lab.calibration.estimators.color.options import ColorFitOptions, Progress
+from taccel_lab.calibration.estimators.color.training import SSIM_WINDOW_PX, Crop, train
+from taccel_lab.calibration.evaluate import crop_slices
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModel

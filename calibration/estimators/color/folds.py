@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.estimators.color.fit import ColorFit, disc_l1, fit_color_model
-from calibration.estimators.color.frames import ColorFrame, frame_drift
-from calibration.estimators.color.options import ColorFitOptions, Progress
+from taccel_lab.calibration.estimators.color.fit import ColorFit, disc_l1, fit_color_model
+from taccel_lab.calibration.estimators.color.frames import ColorFrame, frame_drift
+from taccel_lab.calibration.estimators.color.options import ColorFitOptions, Progress
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.background.drift import Drift, fit_drift
-from calibration.capture.captures import ContactCircle
-from calibration.estimators.color.options import ColorFitOptions
-from calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.background.drift import Drift, fit_drift
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.estimators.color.options import ColorFitOptions
+from taccel_lab.calibration.surfaces.types import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModelConfig, pixel_uv

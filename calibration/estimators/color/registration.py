@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.background.drift import Drift
-from calibration.capture.captures import ContactCircle
-from calibration.estimators.color.fit import rest_background
-from calibration.estimators.color.frames import (
+from taccel_lab.calibration.background.drift import Drift
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.estimators.color.fit import rest_background
+from taccel_lab.calibration.estimators.color.frames import (
     ColorFrame,
     Samples,
     draw_pixels,
@@ -26,10 +26,10 @@ from calibration.estimators.color.frames import (
     join_samples,
     samples_at,
 )
-from calibration.estimators.color.options import SHORT_FIT, ColorFitOptions
-from calibration.estimators.color.training import train
-from calibration.surfaces.radial import RadialSurfaces
-from calibration.surfaces.variation import MovedPress
+from taccel_lab.calibration.estimators.color.options import SHORT_FIT, ColorFitOptions
+from taccel_lab.calibration.estimators.color.training import train
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.calibration.surfaces.variation import MovedPress
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModel

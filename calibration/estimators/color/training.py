@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.estimators.color.frames import Samples
-from calibration.estimators.color.options import ColorFitOptions, Progress
-from calibration.estimators.one_thread import one_thread
+from taccel_lab.calibration.estimators.color.frames import Samples
+from taccel_lab.calibration.estimators.color.options import ColorFitOptions, Progress
+from taccel_lab.calibration.estimators.one_thread import one_thread
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import (
     ColorModel,

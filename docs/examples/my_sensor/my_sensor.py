@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cad.parameters import parameter, restated
-from cad.parts.gel_pad import GelPad
-from sensors.base import SensorFamily
-from sensors.parameter_groups.lights import BLUE, GREEN, RED, WHITE
-from sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.optics.description import Light
+from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.parameter_groups.lights import BLUE, GREEN, RED, WHITE
+from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _DRAWING = "our drawing 1207, revision B"
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from benchmarks.stress.balance import Balance, Snapshot
-from benchmarks.stress.shapes import pose, soft_box, stiff_shape
+from taccel_lab.benchmarks.stress.balance import Balance, Snapshot
+from taccel_lab.benchmarks.stress.shapes import pose, soft_box, stiff_shape
 from taccel_lab.scene import (
     AffineBody,
     Element,

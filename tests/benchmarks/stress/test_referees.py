@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.stress.balance import Snapshot
-from benchmarks.stress.case import Case
-from benchmarks.stress.crossings import pierces
-from benchmarks.stress.referees import Finding, Referees, Taken, take
-from benchmarks.stress.shapes import pose
+from taccel_lab.benchmarks.stress.balance import Snapshot
+from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.crossings import pierces
+from taccel_lab.benchmarks.stress.referees import Finding, Referees, Taken, take
+from taccel_lab.benchmarks.stress.shapes import pose
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import (

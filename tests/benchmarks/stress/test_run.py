@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import benchmarks.stress as stress
-from benchmarks.stress import FAMILIES, case_ids, load, run, summarize, table
-from benchmarks.stress.case import make_case
-from benchmarks.stress.pool import run_all
-from benchmarks.stress.runner import BudgetOverrun, run_case, time_limit
-from benchmarks.stress.summary import WRONG
+import taccel_lab.benchmarks.stress as stress
+from taccel_lab.benchmarks.stress import FAMILIES, case_ids, load, run, summarize, table
+from taccel_lab.benchmarks.stress.case import make_case
+from taccel_lab.benchmarks.stress.pool import run_all
+from taccel_lab.benchmarks.stress.runner import BudgetOverrun, run_case, time_limit
+from taccel_lab.benchmarks.stress.summary import WRONG
 from tests.benchmarks.stress.rigged import rigged_case
 
 BUDGET_S = 0.4

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.background import Drift, average_background
-from calibration.capture import ContactCircle
-from calibration.synthetic import add_noise, quantise
+from taccel_lab.calibration.background import Drift, average_background
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.synthetic import add_noise, quantise
 from tests.calibration.targets.presses import GRID, gel, pressed
 
 STILL = Drift(np.ones(3), np.zeros(3))

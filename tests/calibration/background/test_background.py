@@ -13,14 +13,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from calibration.background import Drift, fit_robust_drift
-from calibration.background.calibrate import calibrate_background
-from calibration.background.drift import PRIOR_SIGMA, normal_equations
-from calibration.background.drift_report import drift_remark, drift_spread
-from calibration.background.dust import dust_mask, speck_count
-from calibration.capture import ContactCircle, Press
-from calibration.capture.folder import CaptureFolder, Frame
-from calibration.synthetic import add_dust, add_gradient, add_noise, drift, poison, quantise
+from taccel_lab.calibration.background import Drift, fit_robust_drift
+from taccel_lab.calibration.background.calibrate import calibrate_background
+from taccel_lab.calibration.background.drift import PRIOR_SIGMA, normal_equations
+from taccel_lab.calibration.background.drift_report import drift_remark, drift_spread
+from taccel_lab.calibration.background.dust import dust_mask, speck_count
+from taccel_lab.calibration.capture import ContactCircle, Press
+from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
+from taccel_lab.calibration.synthetic import (
+    add_dust,
+    add_gradient,
+    add_noise,
+    drift,
+    poison,
+    quantise,
+)
 from taccel_lab.errors import InputError
 from tests.calibration.synthetic import tiny_profile
 from tests.calibration.targets.presses import BALL_MM, GRID, gel, pressed, scattered
@@ -93,7 +100,9 @@ def test_a_wider_prior_makes_no_gain_of_noise(
     sigma: float, shade: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A background without shades of its own tells no gain, however little is known before."""
-    monkeypatch.setattr("calibration.background.drift.PRIOR_SIGMA", PRIOR_SIGMA * sigma / 0.07)
+    monkeypatch.setattr(
+        "taccel_lab.calibration.background.drift.PRIOR_SIGMA", PRIOR_SIGMA * sigma / 0.07
+    )
     rng = np.random.default_rng(2)
     # The slope over the image is what a gradient explains as well.
     flat = add_gradient(np.full((150, 200, 3), 120.0), shade, 0.0)

@@ -8,12 +8,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calibration.background.light_change import RefitFrame, fit_light_change
-from calibration.background.refit import Refit, refit_profile
-from calibration.background.refit_page import refit_page
-from calibration.capture import ContactCircle
-from calibration.surfaces import analytic_surface
-from calibration.synthetic import add_gradient, add_noise, drift, poison, quantise
+from taccel_lab.calibration.background.light_change import RefitFrame, fit_light_change
+from taccel_lab.calibration.background.refit import Refit, refit_profile
+from taccel_lab.calibration.background.refit_page import refit_page
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.surfaces import analytic_surface
+from taccel_lab.calibration.synthetic import add_gradient, add_noise, drift, poison, quantise
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes

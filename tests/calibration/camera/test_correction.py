@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.camera.board import BoardView
-from calibration.camera.gel_plane import correct_plane, fit_planes
-from calibration.camera.plane_models import BentHomography
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.gel_plane import correct_plane, fit_planes
+from taccel_lab.calibration.camera.plane_models import BentHomography
 
 SIZE, SHAPE, NOISE_PX = (300, 300), (9, 7), 0.3
 

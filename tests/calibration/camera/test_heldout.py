@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.camera import calibrate_intrinsics, detect_views
-from calibration.camera.bundle import rms
-from calibration.camera.heldout import fold_of_views
-from calibration.camera.lens import LENSES
-from calibration.capture.folder import BoardCaptures, Frame
-from calibration.capture.schema import BoardEntry
-from calibration.synthetic import add_noise, quantise
-from calibration.synthetic.boards import chess_pattern, pose_over, render_board
+from taccel_lab.calibration.camera import calibrate_intrinsics, detect_views
+from taccel_lab.calibration.camera.bundle import rms
+from taccel_lab.calibration.camera.heldout import fold_of_views
+from taccel_lab.calibration.camera.lens import LENSES
+from taccel_lab.calibration.capture.folder import BoardCaptures, Frame
+from taccel_lab.calibration.capture.schema import BoardEntry
+from taccel_lab.calibration.synthetic import add_noise, quantise
+from taccel_lab.calibration.synthetic.boards import chess_pattern, pose_over, render_board
 from tests.calibration.camera.views import TRUTHS, views_of
 
 FOLDS = 3

@@ -7,9 +7,9 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from calibration.camera.dots import MIN_SHARE
-from calibration.camera.lattice import index_lattice
-from calibration.synthetic.boards import lattice_points
+from taccel_lab.calibration.camera.dots import MIN_SHARE
+from taccel_lab.calibration.camera.lattice import index_lattice
+from taccel_lab.calibration.synthetic.boards import lattice_points
 
 COLUMNS, ROWS = 9, 7
 

@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calibration.camera import calibrate_intrinsics, fit_on_gel, gel_maps
-from calibration.camera.board import BoardView
-from calibration.camera.dots import detect_dots
-from calibration.camera.lens import LENSES
-from calibration.camera.plane_models import CameraPose
-from calibration.capture.images import read_image
-from calibration.synthetic.boards import exact_view, lattice_points, pose_over
+from taccel_lab.calibration.camera import calibrate_intrinsics, fit_on_gel, gel_maps
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.dots import detect_dots
+from taccel_lab.calibration.camera.lens import LENSES
+from taccel_lab.calibration.camera.plane_models import CameraPose
+from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.synthetic.boards import exact_view, lattice_points, pose_over
 from taccel_lab.errors import InputError
 from taccel_lab.optics.refraction import FlatMedia
 from tests.calibration.camera.views import SIZE, TRUTHS, views_of

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.camera.rectification import RectificationMaps
-from calibration.camera.rectify_captures import rectify_captures
-from calibration.capture import load_capture_folder
-from calibration.capture.images import file_sha256
-from calibration.capture.load import read_manifest
+from taccel_lab.calibration.camera.rectification import RectificationMaps
+from taccel_lab.calibration.camera.rectify_captures import rectify_captures
+from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.calibration.capture.images import file_sha256
+from taccel_lab.calibration.capture.load import read_manifest
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

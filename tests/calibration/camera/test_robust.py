@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.camera.board import BoardView
-from calibration.camera.bundle import HUBER, huber_weights
-from calibration.camera.gel_plane import fit_planes
-from calibration.camera.plane_models import BentHomography
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.bundle import HUBER, huber_weights
+from taccel_lab.calibration.camera.gel_plane import fit_planes
+from taccel_lab.calibration.camera.plane_models import BentHomography
 
 
 def test_weights_fall_from_the_stated_length_on() -> None:

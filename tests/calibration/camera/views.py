@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.camera.board import BoardView
-from calibration.camera.lens import LENSES
-from calibration.synthetic.boards import exact_view, pose_over
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.lens import LENSES
+from taccel_lab.calibration.synthetic.boards import exact_view, pose_over
 
 SIZE = (640, 480)
 TRUTHS = {

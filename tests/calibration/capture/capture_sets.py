@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calibration.capture import CaptureFolder, ContactCircle, load_capture_folder
-from calibration.surfaces import analytic_surface
-from calibration.synthetic import quantise
+from taccel_lab.calibration.capture import CaptureFolder, ContactCircle, load_capture_folder
+from taccel_lab.calibration.surfaces import analytic_surface
+from taccel_lab.calibration.synthetic import quantise
 from tests.calibration.synthetic import GRID, flat_background, known_change
 
 BALL_MM = 2.0

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.capture import ContactCircle
-from calibration.capture.check import CaptureCheck, check_captures, check_page
-from calibration.capture.check.findings import Finding
-from calibration.result import Severity
-from calibration.synthetic import blur, drift
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.capture.check import CaptureCheck, check_captures, check_page
+from taccel_lab.calibration.capture.check.findings import Finding
+from taccel_lab.calibration.result import Severity
+from taccel_lab.calibration.synthetic import blur, drift
 from tests.calibration.capture.capture_sets import (
     HEIGHT,
     WIDTH,
@@ -126,7 +126,7 @@ def test_duplicates(tmp_path: Path) -> None:
     maker = CaptureMaker(circles=circles)
     folder = maker.write(tmp_path)
     (folder / "p04.png").write_bytes((folder / "p02.png").read_bytes())
-    from calibration.capture import load_capture_folder
+    from taccel_lab.calibration.capture import load_capture_folder
 
     codes = by_code(check_captures(load_capture_folder(folder), fit_ball=False))
     assert codes["duplicates"].frames == ("p02", "p04")
@@ -202,7 +202,7 @@ def test_no_background_falls_back_on_the_median(tmp_path: Path) -> None:
     folder = CaptureMaker().write(tmp_path)
     text = (folder / "captures.toml").read_text().replace('background = "background.png"\n', "")
     (folder / "captures.toml").write_text(text)
-    from calibration.capture import load_capture_folder
+    from taccel_lab.calibration.capture import load_capture_folder
 
     found = check_captures(load_capture_folder(folder), fit_ball=False)
     assert "no_background" in by_code(found)

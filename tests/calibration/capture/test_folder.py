@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureFolder, load_capture_folder
-from calibration.capture.guide import capture_plan
-from calibration.capture.schema import CaptureManifest
-from calibration.capture.video import cut_short
-from sensors import sensor_families
+from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
+from taccel_lab.calibration.capture.guide import capture_plan
+from taccel_lab.calibration.capture.schema import CaptureManifest
+from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.errors import InputError
+from taccel_lab.sensors import sensor_families
 from tests.calibration.capture.capture_sets import write_image
 
 MANIFEST = """

@@ -11,15 +11,15 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureFolder, import_captures, load_capture_folder
-from calibration.capture.importers import (
+from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_capture_folder
+from taccel_lab.calibration.capture.importers import (
     LAYOUTS,
     ImportOptions,
     detect_layout,
     read_drafts,
 )
-from calibration.capture.importers.background_guess import guess_background
-from calibration.capture.importers.files import natural_key, read_labels
+from taccel_lab.calibration.capture.importers.background_guess import guess_background
+from taccel_lab.calibration.capture.importers.files import natural_key, read_labels
 from taccel_lab.errors import InputError
 from tests.calibration.capture.capture_sets import gel, press, spread_circles, write_image
 from tests.calibration.capture.made_up_layouts import (

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.capture.record_checks import apparent_modulus_mpa, check_record
-from calibration.capture.records import kind_of_record, load_record
-from calibration.capture.schema import RecordEntry, ToolEntry
+from taccel_lab.calibration.capture.record_checks import apparent_modulus_mpa, check_record
+from taccel_lab.calibration.capture.records import kind_of_record, load_record
+from taccel_lab.calibration.capture.schema import RecordEntry, ToolEntry
 from taccel_lab.errors import InputError
 
 RADIUS_MM = 4.0

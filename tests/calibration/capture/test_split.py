@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.capture import (
+from taccel_lab.calibration.capture import (
     CaptureSet,
     ContactCircle,
     ImportOptions,
@@ -21,7 +21,7 @@ from calibration.capture import (
     import_captures,
     load_capture_folder,
 )
-from calibration.capture.split import SAME_PLACE_RADII, split_presses
+from taccel_lab.calibration.capture.split import SAME_PLACE_RADII, split_presses
 from taccel_lab.errors import InputError
 from tests.calibration.capture.made_up_layouts import picture
 from tests.cli.small_captures import write_captures

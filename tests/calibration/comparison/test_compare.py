@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.comparison import compare_profiles
-from calibration.report import write_page
+from taccel_lab.calibration.comparison import compare_profiles
+from taccel_lab.calibration.report import write_page
 from taccel_lab.profile import (
     BackgroundBlock,
     ColorBlock,

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureSet, ContactCircle, Press
-from calibration.capture.images import file_sha256, read_image
-from calibration.depth.depth_calibration import DepthCalibration, calibrate_depth
-from calibration.depth.grey_contact import find_grey_contact
-from calibration.depth.page import depth_page
-from calibration.inverse.read_surface import SurfaceReader
-from calibration.report import write_page
-from calibration.surfaces import analytic_surface
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.images import file_sha256, read_image
+from taccel_lab.calibration.depth.depth_calibration import DepthCalibration, calibrate_depth
+from taccel_lab.calibration.depth.grey_contact import find_grey_contact
+from taccel_lab.calibration.depth.page import depth_page
+from taccel_lab.calibration.inverse.read_surface import SurfaceReader
+from taccel_lab.calibration.report import write_page
+from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 import torch
 
-from calibration.capture import CaptureSet, ContactCircle
-from calibration.inverse.ball_normals import ball_center_px, ball_normals
-from calibration.inverse.fit import InverseFitOptions, fit_normal_model
-from calibration.inverse.normal_calibration import NormalCalibration, calibrate_normals
-from calibration.inverse.page import normals_page
-from calibration.inverse.read_surface import SurfaceReader
-from calibration.inverse.samples import SampleOptions, Scene
-from calibration.inverse.score import angle_between_deg, ball_depth_mm
-from calibration.report import write_page
-from calibration.result import Verdict, judge
-from calibration.surfaces import PressSurface, analytic_surface
-from calibration.synthetic import drift as light_drift
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.inverse.ball_normals import ball_center_px, ball_normals
+from taccel_lab.calibration.inverse.fit import InverseFitOptions, fit_normal_model
+from taccel_lab.calibration.inverse.normal_calibration import NormalCalibration, calibrate_normals
+from taccel_lab.calibration.inverse.page import normals_page
+from taccel_lab.calibration.inverse.read_surface import SurfaceReader
+from taccel_lab.calibration.inverse.samples import SampleOptions, Scene
+from taccel_lab.calibration.inverse.score import angle_between_deg, ball_depth_mm
+from taccel_lab.calibration.report import write_page
+from taccel_lab.calibration.result import Verdict, judge
+from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.synthetic import drift as light_drift
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile

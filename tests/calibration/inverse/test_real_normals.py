@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureSet, ContactCircle, Press
-from calibration.capture.images import file_sha256, read_image
-from calibration.inverse.normal_calibration import calibrate_normals
-from calibration.inverse.skirt import hertz_skirts
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.images import file_sha256, read_image
+from taccel_lab.calibration.inverse.normal_calibration import calibrate_normals
+from taccel_lab.calibration.inverse.skirt import hertz_skirts
 from taccel_lab.geometry import PixelGrid
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))

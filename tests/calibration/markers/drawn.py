@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.synthetic import add_noise, blur, draw_dots, quantise
+from taccel_lab.calibration.synthetic import add_noise, blur, draw_dots, quantise
 
 WIDTH, HEIGHT = 320, 240
 MARGIN = 40

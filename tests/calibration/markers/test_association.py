@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.markers.association import associate
-from calibration.markers.neighbourhood import Neighbourhood
+from taccel_lab.calibration.markers.association import associate
+from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 
 REST = np.stack(np.meshgrid(np.arange(9.0), np.arange(9.0)), axis=-1).reshape(-1, 2)
 """A square grid of pitch 1."""

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture.images import read_image
-from calibration.markers import find_markers, track_figures, track_markers
+from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.markers import find_markers, track_figures, track_markers
 from taccel_lab.errors import InputError
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))

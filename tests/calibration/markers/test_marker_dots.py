@@ -6,9 +6,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.markers import DotFlag, find_markers, marker_pitch_px
-from calibration.markers import dot_model as model
-from calibration.synthetic import add_dust, add_gradient, disc_coverage, draw_dots, vignette
+from taccel_lab.calibration.markers import DotFlag, find_markers, marker_pitch_px
+from taccel_lab.calibration.markers import dot_model as model
+from taccel_lab.calibration.synthetic import (
+    add_dust,
+    add_gradient,
+    disc_coverage,
+    draw_dots,
+    vignette,
+)
 from taccel_lab.errors import InputError
 from tests.calibration.markers.drawn import HEIGHT, WIDTH, grid_points, nearest, picture
 

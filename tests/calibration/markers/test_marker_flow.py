@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureFolder
-from calibration.markers import (
+from taccel_lab.calibration.capture import CaptureFolder
+from taccel_lab.calibration.markers import (
     CameraView,
     GridView,
     MarkerTracks,
@@ -20,10 +20,9 @@ from calibration.markers import (
     lattice_index,
     marker_flow_mm,
 )
-from calibration.markers.calibrate import layout_on_gel
-from calibration.markers.flow import MarkerFlow
-from calibration.markers.gel_view import pixel_jacobian
-from sensors.profile import catalogue_profile
+from taccel_lab.calibration.markers.calibrate import layout_on_gel
+from taccel_lab.calibration.markers.flow import MarkerFlow
+from taccel_lab.calibration.markers.gel_view import pixel_jacobian
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
@@ -32,6 +31,7 @@ from taccel_lab.optics.camera_model import CameraModel, look_at
 from taccel_lab.optics.media import media_between
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.profile import Provenance
+from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.markers.drawn import grid_points
 
 GRID_VIEW = GridView(PixelGrid(320, 240, 0.06, 0.05), "a test")

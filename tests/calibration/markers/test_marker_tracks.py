@@ -8,10 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.markers import MarkerTracks, Status, find_markers, track_figures, track_markers
-from calibration.markers.neighbourhood import Neighbourhood
-from calibration.markers.remarks import track_remarks
-from calibration.result import Severity
+from taccel_lab.calibration.markers import (
+    MarkerTracks,
+    Status,
+    find_markers,
+    track_figures,
+    track_markers,
+)
+from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
+from taccel_lab.calibration.markers.remarks import track_remarks
+from taccel_lab.calibration.result import Severity
 from taccel_lab.errors import InputError
 from tests.calibration.markers.drawn import HEIGHT, WIDTH, grid_points, picture
 

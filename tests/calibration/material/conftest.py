@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from calibration.material import Gel
-from sensors.profile import catalogue_profile
+from taccel_lab.calibration.material import Gel
 from taccel_lab.output import CACHE_VARIABLE
 from taccel_lab.profile import SensorProfile
+from taccel_lab.sensors.profile import catalogue_profile
 
 
 @pytest.fixture(scope="session")

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.capture import ForceRecord
-from calibration.capture.schema import RecordEntry, ToolEntry
+from taccel_lab.calibration.capture import ForceRecord
+from taccel_lab.calibration.capture.schema import RecordEntry, ToolEntry
 
 
 def record(

@@ -10,7 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.material import fast_young_modulus_pa, layer_force_n, sphere_force_series_n
+from taccel_lab.calibration.material import (
+    fast_young_modulus_pa,
+    layer_force_n,
+    sphere_force_series_n,
+)
 from taccel_lab.errors import InputError
 
 

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture import load_capture_folder
-from calibration.material import MaterialOptions, calibrate_material
-from calibration.material.calibration import MaterialCalibration
-from sensors.press_mesh import press_mesh
+from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.calibration.material import MaterialOptions, calibrate_material
+from taccel_lab.calibration.material.calibration import MaterialCalibration
 from taccel_lab.envs import (
     PHYSICS,
     Accuracy,
@@ -24,6 +23,7 @@ from taccel_lab.envs import (
     simulate_press,
 )
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
+from taccel_lab.sensors.press_mesh import press_mesh
 
 FAST = PHYSICS[Accuracy.FAST]
 MODULUS, NOISE = 3.1e5, 0.01

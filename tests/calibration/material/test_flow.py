@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture.schema import ToolEntry
-from calibration.markers.flow import MarkerFlow
-from calibration.material import Gel, ToolPath, fit_flow
-from calibration.material.flow_table import path_displacements
-from calibration.material.setup import Tool
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.markers.flow import MarkerFlow
+from taccel_lab.calibration.material import Gel, ToolPath, fit_flow
+from taccel_lab.calibration.material.flow_table import path_displacements
+from taccel_lab.calibration.material.setup import Tool
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
 from tests.calibration.material.physics import COARSE, DEFAULT, FAST

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.material.candidates import Candidate, follow, prepare, simulate
-from calibration.material.gel_presses import (
+from taccel_lab.calibration.material.candidates import Candidate, follow, prepare, simulate
+from taccel_lab.calibration.material.gel_presses import (
     GelPresses,
     MaterialStep,
     Stop,
     split_by_modulus,
 )
-from calibration.material.store import is_kept
-from calibration.material.tangential_table import tangential_and_normal
+from taccel_lab.calibration.material.store import is_kept
+from taccel_lab.calibration.material.tangential_table import tangential_and_normal
 from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import SimulationError
 from taccel_lab.geometry.block import block_mesh
@@ -221,7 +221,7 @@ def test_presses_need_no_optimiser_and_no_reader_of_files() -> None:
     absent = ("pydantic", "rich", "tyro", "matplotlib", "cv2", "nlopt", "torch")
     code = (
         f"import sys; sys.modules.update(dict.fromkeys({absent!r}))\n"
-        "import calibration.material.candidates, taccel_lab.geometry.block"
+        "import taccel_lab.calibration.material.candidates, taccel_lab.geometry.block"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

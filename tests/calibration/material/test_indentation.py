@@ -9,13 +9,19 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from calibration.capture.schema import ToolEntry
-from calibration.material import ForceTable, Gel, IndentationPoints, fit_indentation, force_table
-from calibration.material.agreement import together_remark
-from calibration.material.candidates import Candidate
-from calibration.material.response import simulate_press
-from calibration.material.setup import GelBench, Tool
-from calibration.result import Severity
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material import (
+    ForceTable,
+    Gel,
+    IndentationPoints,
+    fit_indentation,
+    force_table,
+)
+from taccel_lab.calibration.material.agreement import together_remark
+from taccel_lab.calibration.material.candidates import Candidate
+from taccel_lab.calibration.material.response import simulate_press
+from taccel_lab.calibration.material.setup import GelBench, Tool
+from taccel_lab.calibration.result import Severity
 from taccel_lab.envs.physics import Accuracy, PressMeshOptions, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -117,7 +123,7 @@ def test_slopes_replace_presses(
                 found["by_nu_n"][0] = np.nan
         return found
 
-    monkeypatch.setattr("calibration.material.response.simulate", simulated)
+    monkeypatch.setattr("taccel_lab.calibration.material.response.simulate", simulated)
     table = force_table(gel, tool, (0.2, 1.0), friction=friction)
     count *= len(table.depths_mm)
     assert (table.press_count, table.seconds) == (count, 0.5 * count)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from calibration.material.likelihood import Group, Likelihood, Parameter
+from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter
 
 X = np.linspace(0.0, 1.0, 8)
 

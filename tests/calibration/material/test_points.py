@@ -8,8 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.material import Gel, IndentationPoints, points_of_record, sphere_force_series_n
-from calibration.material.points import loading_branch, require_plausible
+from taccel_lab.calibration.material import (
+    Gel,
+    IndentationPoints,
+    points_of_record,
+    sphere_force_series_n,
+)
+from taccel_lab.calibration.material.points import loading_branch, require_plausible
 from taccel_lab.errors import InputError
 from tests.calibration.material.records import record
 
@@ -98,7 +103,7 @@ def test_wrong_signs_are_refused(gel: Gel, depth, force, words: str) -> None:
 
 
 def test_tools_are_checked(gel: Gel) -> None:
-    from calibration.capture.schema import ToolEntry
+    from taccel_lab.calibration.capture.schema import ToolEntry
 
     with pytest.raises(InputError, match="radius of the cylinder is missing"):
         gel.tool(ToolEntry(kind="cylinder"))

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture import ForceRecord
-from calibration.capture.schema import ToolEntry
-from calibration.material import Gel, force_table
-from calibration.material.relaxation import DampingFit, fit_damping
-from calibration.material.response import ForceTable, TableError
-from calibration.material.setup import Tool
-from calibration.material.viscous_gain import damped_forces, viscous_gain
+from taccel_lab.calibration.capture import ForceRecord
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material import Gel, force_table
+from taccel_lab.calibration.material.relaxation import DampingFit, fit_damping
+from taccel_lab.calibration.material.response import ForceTable, TableError
+from taccel_lab.calibration.material.setup import Tool
+from taccel_lab.calibration.material.viscous_gain import damped_forces, viscous_gain
 from taccel_lab.errors import InputError
 from tests.calibration.material.physics import COARSE, FAST
 from tests.calibration.material.records import record

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.capture import ForceRecord
-from calibration.material import SlideFit, fit_slide
-from calibration.material.sliding import combine
+from taccel_lab.calibration.capture import ForceRecord
+from taccel_lab.calibration.material import SlideFit, fit_slide
+from taccel_lab.calibration.material.sliding import combine
 from taccel_lab.errors import InputError
 from tests.calibration.material.records import record
 

@@ -13,12 +13,12 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from calibration.capture.schema import ToolEntry
-from calibration.material import ForceTable, Gel, IndentationPoints, force_table
-from calibration.material.response import TableError
-from calibration.material.setup import Tool
-from calibration.material.stiffness import Law, Stiffness, fit_stiffness
-from calibration.result import Severity, Verdict, judge
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material import ForceTable, Gel, IndentationPoints, force_table
+from taccel_lab.calibration.material.response import TableError
+from taccel_lab.calibration.material.setup import Tool
+from taccel_lab.calibration.material.stiffness import Law, Stiffness, fit_stiffness
+from taccel_lab.calibration.result import Severity, Verdict, judge
 from tests.calibration.material.physics import COARSE
 
 MODULUS, HELD = 3e5, 0.46

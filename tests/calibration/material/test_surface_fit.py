@@ -9,7 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import polynomial
 
-from calibration.material.surface_fit import chebyshev_basis, chebyshev_nodes, fit_surface
+from taccel_lab.calibration.material.surface_fit import (
+    chebyshev_basis,
+    chebyshev_nodes,
+    fit_surface,
+)
 
 
 def evaluated(coefficients: np.ndarray, x: float, y: float) -> np.ndarray:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from calibration.capture import ForceRecord
-from calibration.capture.schema import ToolEntry
-from calibration.material import Gel, fit_tangential
-from calibration.material.leaning import leaning
-from calibration.material.setup import Tool
-from calibration.material.tangential_table import simulate_motion
+from taccel_lab.calibration.capture import ForceRecord
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material import Gel, fit_tangential
+from taccel_lab.calibration.material.leaning import leaning
+from taccel_lab.calibration.material.setup import Tool
+from taccel_lab.calibration.material.tangential_table import simulate_motion
 from taccel_lab.errors import InputError
 from tests.calibration.material.physics import COARSE, FAST
 from tests.calibration.material.records import record

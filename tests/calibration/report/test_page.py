@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from calibration.report import Page, Picture, Table, write_page
-from calibration.report.profile_page import profile_page
-from calibration.result import Remark, Severity
-from sensors.profile import catalogue_profile
+from taccel_lab.calibration.report import Page, Picture, Table, write_page
+from taccel_lab.calibration.report.profile_page import profile_page
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import DepthResponseBlock, Provenance
 from taccel_lab.report.style import new_figure
+from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.synthetic import GRID, tiny_profile
 
 

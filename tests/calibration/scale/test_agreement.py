@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.capture.captures import ContactCircle, Press
-from calibration.capture.load import load_capture_folder
-from calibration.result import Estimate, judge
-from calibration.scale import calibrate_scale, combine_axis
-from calibration.scale.landmarks import fit_map, scale_of_map
-from calibration.scale.spheres import BETA, BallContact, scale_from_spheres
-from calibration.synthetic import add_noise, quantise
+from taccel_lab.calibration.capture.captures import ContactCircle, Press
+from taccel_lab.calibration.capture.load import load_capture_folder
+from taccel_lab.calibration.result import Estimate, judge
+from taccel_lab.calibration.scale import calibrate_scale, combine_axis
+from taccel_lab.calibration.scale.landmarks import fit_map, scale_of_map
+from taccel_lab.calibration.scale.spheres import BETA, BallContact, scale_from_spheres
+from taccel_lab.calibration.synthetic import add_noise, quantise
 from taccel_lab.errors import InputError
 from tests.calibration.scale.test_edges import BACKGROUND, edges_at
 

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.capture.folder import EdgeCapture, Frame
-from calibration.capture.images import read_image
-from calibration.capture.schema import EdgeEntry, LineEntry
-from calibration.scale import find_edge
-from calibration.scale.edges import measure_edges, scale_from_edges
-from calibration.synthetic import add_dust, add_noise, blur, poison, quantise
+from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
+from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.capture.schema import EdgeEntry, LineEntry
+from taccel_lab.calibration.scale import find_edge
+from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
+from taccel_lab.calibration.synthetic import add_dust, add_noise, blur, poison, quantise
 from taccel_lab.errors import InputError
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.background.drift import fit_robust_drift
-from calibration.spread import calibrate_spread, spread_of_units
-from calibration.synthetic import add_noise, quantise
+from taccel_lab.calibration.background.drift import fit_robust_drift
+from taccel_lab.calibration.spread import calibrate_spread, spread_of_units
+from taccel_lab.calibration.synthetic import add_noise, quantise
 from taccel_lab.errors import InputError
 from taccel_lab.profile import (
     BackgroundBlock,

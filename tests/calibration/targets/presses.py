@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from calibration.capture import CaptureSet, ContactCircle, Press
-from calibration.targets.slope_law import SKIRT, slope_law
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.targets.slope_law import SKIRT, slope_law
 from taccel_lab.geometry import PixelGrid
 
 GRID = PixelGrid(200, 150, 0.08, 0.08)

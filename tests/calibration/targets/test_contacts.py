@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.capture import CaptureSet, ContactCircle
-from calibration.synthetic import (
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.synthetic import (
     add_dust,
     add_gradient,
     add_noise,
@@ -21,9 +21,14 @@ from calibration.synthetic import (
     quantise,
     vignette,
 )
-from calibration.targets import compare_with_labels, detect_contact, find_contacts, resolve_contacts
-from calibration.targets.ball_check import check_ball
-from calibration.targets.slope_law import SKIRT, hertz_slope, slope_law
+from taccel_lab.calibration.targets import (
+    compare_with_labels,
+    detect_contact,
+    find_contacts,
+    resolve_contacts,
+)
+from taccel_lab.calibration.targets.ball_check import check_ball
+from taccel_lab.calibration.targets.slope_law import SKIRT, hertz_slope, slope_law
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.targets.presses import BALL_MM, GRID, gel, press_set, pressed, scattered

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from calibration.capture import CaptureSet
-from calibration.targets import kept, usable_presses
-from calibration.targets.kept import contacts_path, kept_contacts
+from taccel_lab.calibration.capture import CaptureSet
+from taccel_lab.calibration.targets import kept, usable_presses
+from taccel_lab.calibration.targets.kept import contacts_path, kept_contacts
 from taccel_lab.errors import InputError
 from taccel_lab.output import CACHE_VARIABLE
 from tests.calibration.synthetic import synthetic_captures

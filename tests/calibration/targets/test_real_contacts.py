@@ -19,14 +19,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureSet, ContactCircle, Press
-from calibration.capture.images import read_image
-from calibration.synthetic import add_noise, quantise
-from calibration.targets import find_contacts, fuse_circles, resolve_contacts
-from calibration.targets.agreement import LabelAgreement, agreement
-from calibration.targets.ball import DetectedContact
-from calibration.targets.change import color_change
-from calibration.targets.rough import fit_drop
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.synthetic import add_noise, quantise
+from taccel_lab.calibration.targets import find_contacts, fuse_circles, resolve_contacts
+from taccel_lab.calibration.targets.agreement import LabelAgreement, agreement
+from taccel_lab.calibration.targets.ball import DetectedContact
+from taccel_lab.calibration.targets.change import color_change
+from taccel_lab.calibration.targets.rough import fit_drop
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.targets.presses import press_set, pressed, scattered
 

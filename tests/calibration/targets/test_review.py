@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureSet, ContactCircle, load_captures
-from calibration.capture.overrides import read_overrides, with_overrides
-from calibration.synthetic import add_noise, quantise
-from calibration.targets import choose_circles, resolve_contacts
-from calibration.targets.review import review_contacts, write_review
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, load_captures
+from taccel_lab.calibration.capture.overrides import read_overrides, with_overrides
+from taccel_lab.calibration.synthetic import add_noise, quantise
+from taccel_lab.calibration.targets import choose_circles, resolve_contacts
+from taccel_lab.calibration.targets.review import review_contacts, write_review
 from taccel_lab.cli.capture.review import CaptureReview
 from taccel_lab.errors import InputError
 from tests.calibration.targets.presses import BALL_MM, GRID, gel, press_set, pressed, scattered

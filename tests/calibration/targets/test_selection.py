@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calibration.capture import CaptureSet
-from calibration.targets import usable_presses
-from calibration.targets.selection import too_many_lost
+from taccel_lab.calibration.capture import CaptureSet
+from taccel_lab.calibration.targets import usable_presses
+from taccel_lab.calibration.targets.selection import too_many_lost
 from taccel_lab.errors import InputError
 from tests.calibration.synthetic import synthetic_captures
 

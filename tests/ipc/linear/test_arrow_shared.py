@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from benchmarks.linear_solvers import Variant, build, direct, scale_factors
-from benchmarks.linear_systems import System, peg, with_contact_in_pattern
+from taccel_lab.benchmarks.linear_solvers import Variant, build, direct, scale_factors
+from taccel_lab.benchmarks.linear_systems import System, peg, with_contact_in_pattern
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.linear.arrow_shared import ArrowShared, fits_shared
 from taccel_lab.ipc.linear.elimination import eliminate

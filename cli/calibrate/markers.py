@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab calibrate markers``: a picture of the dots, and videos of their motion, in; the
+profile's markers and the dots' tracks out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.calibration.markers.result import MarkerCalibration
+
+
+@dataclass(frozen=True)
+class CalibrateMarkers:
+    """Find the dots painted on the gel, fit their grid and follow them through videos.
+
+    Dots may be dark or bright, of any size, in a square, rectangular or hexagonal grid, with some
+    missing; nothing has to be tuned. The picture at rest is [markers] rest in captures.toml, or the
+    background; videos are those of [[markers.videos]].
+    """
+
+    captures: Positional[Path]
+    """Capture folder with captures.toml (docs/captures.md)."""
+    out: Path
+    """Profile folder to write."""
+    base: Path | None = None
+    """Profile to extend; the catalogue's design of the sensor when left out. A profile with a
+    calibrated camera or scale gives the millimetres."""
+    report: Path | None = None
+    """Folder for the report with its pictures; <out>_report when left out."""
+    tracks: Path | None = None
+    """File for the dots' places and displacements in every frame, pixels and millimetres:
+    .json, .npz or .csv."""
+    json: bool = False
+    """Print the figures as JSON."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from taccel_lab.calibration.markers import calibrate_markers
+        from taccel_lab.calibration.markers.page import marker_page
+        from taccel_lab.calibration.markers.track_files import require_track_file, write_tracks
+        from taccel_lab.cli.calibrate.base import open_job
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.progress import count_progress
+
+        if self.tracks is not None:
+            require_track_file(self.tracks)
+        job = open_job(self.captures, self.out, self.base, self.report)
+        folder = job.folder
+        if folder.markers is None or not folder.markers.videos:
+            with job.console.status("finding the dots"):
+                result = calibrate_markers(folder, job.base)
+        else:
+            with count_progress(job.console, "following the dots") as bar:
+                result = calibrate_markers(
+                    folder, job.base, progress=lambda name, done, total: bar(done, total)
+                )
+        if self.tracks is not None:
+            write_tracks(self.tracks, {v.name: v.tracks for v in result.videos}, result.flows())
+        if self.json:
+            print_json({"profile": str(self.out), "markers": result.figures()})
+        else:
+            _print_figures(Console(), result)
+        job.write(result, marker_page(result))
+        if self.tracks is not None:
+            job.console.print(f"wrote {self.tracks}", highlight=False)
+
+
+def _print_figures(console: Console, result: MarkerCalibration) -> None:
+    from rich.table import Table
+
+    table = Table(
+        "quantity",
+        "value",
+        "sigma",
+        "unit",
+        title=f"{result.picture.dots.count} dots, {result.picture.lattice.kind} grid of "
+        f"{result.layout_mm.rows} rows and {result.layout_mm.columns} columns",
+        title_justify="left",
+    )
+    for name, estimate in result.estimates().items():
+        table.add_row(name, f"{estimate.value:.4f}", f"{estimate.sigma:.4f}", estimate.unit)
+    for name, value in result.residuals().items():
+        table.add_row(name, f"{value:.4f}", "", name.rsplit("_", 1)[-1])
+    console.print(table)
+    for video in result.videos:
+        figures = video.figures
+        line = (
+            f"{figures.name}: {figures.frames} frames, {100 * figures.seen_share:.1f} % seen, up "
+            f"to {figures.largest_px:.1f} px from rest"
+        )
+        if figures.jitter_px is not None:
+            line += f", jitter {figures.jitter_px:.4f} px over {figures.quiet_frames} frames"
+        if figures.return_frame is not None:
+            line += (
+                f", back to {figures.return_median_px:.2f} px at the median in frame "
+                f"{figures.return_frame}"
+            )
+        console.print(line, highlight=False)

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab capture check``: what a folder of captures holds, lacks, and where it is weak."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.calibration.capture import CaptureFolder
+    from taccel_lab.calibration.capture.check import CaptureCheck
+
+
+@dataclass(frozen=True)
+class CaptureCheckCommand:
+    """Say what captures are there, what is missing and for which command, and what is weak.
+
+    Looks at light (white balance, saturation, channel order), contacts (found, coverage, blur,
+    duplicates, labels against the images), the background (framing), the ball and the scale,
+    boards, markers and force records. Exit code 0: usable; 1: something stops a calibration or
+    makes it wrong; 2: the folder cannot be read.
+    """
+
+    captures: Positional[Path]
+    """Capture folder with captures.toml, or captures in any layout that capture import reads."""
+    report: Path | None = None
+    """Folder for a page with pictures (report.html); none is written when left out."""
+    json: bool = False
+    """Print everything found as JSON."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from taccel_lab.calibration.capture.check import check_captures, check_page
+        from taccel_lab.calibration.report import write_page
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.progress import count_progress
+        from taccel_lab.output import require_replaceable
+
+        console = Console(stderr=True)
+        if self.report is not None:
+            require_replaceable(self.report)
+        checks = []
+        with _opened(self.captures) as parts:
+            for folder, notes in parts:
+                with count_progress(console, "looking at the presses") as progress:
+                    check = check_captures(folder, notes=notes, progress=progress)
+                checks.append(check)
+                if not self.json:
+                    _print_check(Console(), check)
+                if self.report is not None:
+                    place = self.report if len(parts) == 1 else self.report / folder.root.name
+                    write_page(check_page(check), place)
+                    console.print(f"wrote {place / 'report.html'}", highlight=False)
+        if self.json:
+            figures = [check.figures() for check in checks]
+            print_json(figures[0] if len(figures) == 1 else {"parts": figures})
+        if not all(check.usable for check in checks):
+            sys.exit(1)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[list[tuple[CaptureFolder, tuple[str, ...]]]]:
+    """The folders to check, with what an importer assumed where there is no manifest."""
+    from contextlib import ExitStack
+
+    from taccel_lab.calibration.capture import load_capture_folder
+    from taccel_lab.calibration.capture.importers import read_drafts
+    from taccel_lab.calibration.capture.schema import MANIFEST_NAME
+
+    if not path.exists() or path.name == MANIFEST_NAME or (path / MANIFEST_NAME).is_file():
+        yield [(load_capture_folder(path), ())]
+        return
+    below = sorted(place.parent for place in path.glob(f"*/{MANIFEST_NAME}"))
+    if below:
+        yield [(load_capture_folder(place), ()) for place in below]
+        return
+    with ExitStack() as stack:
+        layout, drafts = read_drafts(path)
+        parts = []
+        for draft in drafts:
+            notes = (f"read as {layout.name}: {layout.title}", *draft.notes)
+            parts.append((stack.enter_context(draft.opened()), notes))
+        yield parts
+
+
+def _print_check(console: Console, check: CaptureCheck) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    console.print(f"{check.folder.source} ({check.folder.sensor})", highlight=False, markup=False)
+    for note in check.notes:
+        console.print(f"note: {note}", highlight=False, markup=False)
+    table = Table("command", "state", "found", "missing")
+    colors = {"ready": "green", "weak": "yellow", "blocked": "red"}
+    absent = [block for block in check.blocks if block.readiness == "absent"]
+    for block in check.blocks:
+        if block in absent:
+            continue
+        color = colors[block.readiness]
+        table.add_row(
+            f"calibrate {block.command}",
+            f"[{color}]{block.readiness}[/{color}]",
+            escape(block.found),
+            escape(block.missing),
+        )
+    if len(absent) < len(check.blocks):
+        console.print(table)
+    for block in absent:
+        console.print(f"not for calibrate {block.command}: needs {block.missing}", highlight=False)
+    for finding in check.findings:
+        console.print(str(finding), highlight=False, markup=False)
+    if not check.findings:
+        console.print("nothing to remark")

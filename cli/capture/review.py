@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab capture review``: a page with every contact that was found, worst first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True)
+class CaptureReview:
+    """Find the contact circle of every ball press and show them on a page, the worst first.
+
+    Also writes contacts.toml with the circles found: edit it where you disagree and put it into the
+    capture folder; all commands that read the folder then take your circles. Exit code 0: all
+    presses usable; 1: a press has no contact or the ball cannot be the stated one; 2: bad input.
+    """
+
+    captures: Positional[Path]
+    """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
+    out: Path
+    """Folder to write: review.html, review.json, contacts.toml and a picture a press."""
+    contacts: Path | None = None
+    """A contacts.toml to take into account; that of the capture folder when left out."""
+    json: bool = False
+    """Print the figures as JSON."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from taccel_lab.calibration.capture import load_captures
+        from taccel_lab.calibration.capture.overrides import with_overrides
+        from taccel_lab.calibration.result import Severity, judge
+        from taccel_lab.calibration.targets.review import review_contacts, write_review
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.progress import count_progress
+        from taccel_lab.output import require_replaceable
+
+        console = Console(stderr=True)
+        require_replaceable(self.out)
+        captures = load_captures(self.captures)
+        if self.contacts is not None:
+            captures = with_overrides(captures, self.contacts)
+        with count_progress(console, "finding the contacts") as progress:
+            review = review_contacts(captures, progress)
+        write_review(review, self.out)
+        if self.json:
+            print_json(review.figures())
+        for remark in review.remarks:
+            console.print(str(remark), highlight=False)
+        console.print(f"verdict: {judge(review.remarks)}", highlight=False)
+        console.print(f"wrote {self.out / 'review.html'}", highlight=False)
+        stopped = any(remark.severity == Severity.ERROR for remark in review.remarks)
+        if stopped or review.found.refusals:
+            raise SystemExit(1)

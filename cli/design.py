@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab design``: a sensor as CAD files, moulds, drawings, labelled mesh and profile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.sensors.design import DesignResult
+
+_STAGES = {
+    "cad": "building the solid",
+    "mesh": "meshing",
+    "quality": "measuring the mesh",
+    "pad": "writing the gel pad",
+    "assembly": "joining the parts",
+    "mould": "building the moulds",
+    "drawing": "drawing",
+    "files": "writing files",
+}
+
+
+@dataclass(frozen=True)
+class Design:
+    """Build a sensor: gel, assembly, moulds, drawings, labelled tet mesh (VTU), profile."""
+
+    sensor: Positional[str]
+    """Sensor of the catalogue, e.g. gelsight."""
+    out: Path
+    """Folder to write; an earlier one is replaced when everything is done."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())
+    """Parameters other than the defaults, e.g. thickness_mm=4 crown_radius_mm=0."""
+    mesher: Literal["structured", "tetwild"] = "structured"
+    """structured: exact, repeatable, at once. tetwild: follows free-form edges, takes longer."""
+    edge_mm: float = 1.0
+    """Wanted edge length of the mesh [mm]."""
+    parts: tuple[Literal["pad", "assembly", "mould", "drawing"], ...] = (
+        "pad",
+        "assembly",
+        "mould",
+        "drawing",
+    )
+    """Files for the workshop: pad as STEP, STL, 3MF and DXF; all parts in place; moulds for casting
+    the gel; dimensioned drawings."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from taccel_lab.cad.parameters import parse_overrides
+        from taccel_lab.sensors.design import design_sensor
+        from taccel_lab.sensors.registry import sensor_family
+
+        console = Console()
+        family, overrides = sensor_family(self.sensor), parse_overrides(self.set)
+        with console.status("starting") as status:
+            result = design_sensor(
+                family,
+                overrides,
+                self.out,
+                self.mesher,
+                self.edge_mm,
+                parts=self.parts,
+                progress=lambda stage: status.update(_STAGES[stage]),
+            )
+        _print_result(console, result)
+
+
+def _print_result(console: Console, result: DesignResult) -> None:
+    from rich.table import Table
+
+    quality = result.quality
+    table = Table(title=f"{result.family.name}: {result.mesher} mesh", title_justify="left")
+    table.add_column("figure", style="cyan")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    rows: list[tuple[str, float | int | None, str, str]] = [
+        ("nodes", quality.node_count, ",", ""),
+        ("tets", quality.tet_count, ",", ""),
+        ("smallest dihedral angle", quality.min_dihedral_deg, ".1f", "deg"),
+        ("its first percentile", quality.p1_dihedral_deg, ".1f", "deg"),
+        ("mean ratio, mean", quality.mean_mean_ratio, ".3f", ""),
+        ("volume error", quality.volume_error_percent, ".3f", "%"),
+        ("Hausdorff distance to the CAD", quality.hausdorff_mm, ".4f", "mm"),
+        ("back plane error", quality.back_plane_error_mm, ".1e", "mm"),
+        ("meshing time", result.seconds.get("mesh"), ".2f", "s"),
+    ]
+    for name, value, style, unit in rows:
+        table.add_row(name, "-" if value is None else format(value, style), unit)
+    console.print(table)
+    for kind, path in result.files.items():
+        console.print(f"{kind:>16}  {path}", highlight=False, soft_wrap=True)
+    for words in result.warnings:
+        console.print(f"note: {words}", highlight=False, soft_wrap=True)

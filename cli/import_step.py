@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab import-step``: a gel from a STEP file as labelled mesh, moulds and drawing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+from tyro.conf import Positional
+
+from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.sensors.imported import ImportResult
+
+_STAGES = {
+    "import": "reading and checking the STEP file",
+    "mesh": "meshing with fTetWild (up to a minute)",
+    "quality": "measuring the mesh",
+    "pad": "writing the gel",
+    "mould": "building the moulds",
+    "drawing": "drawing",
+    "files": "writing files",
+}
+_SELECTOR = tyro.conf.arg(metavar="SELECTOR")
+
+
+@dataclass(frozen=True)
+class ImportStep:
+    """Import your own gel from STEP: select its faces, check it, mesh it, make its moulds.
+
+    A selector is name:NAME, color:RRGGBB, plane:-z (the outermost plane facing that way),
+    normal:+z or normal:+z@45 (facing within that angle), index:3,5-8; several are joined. Faces
+    that nothing selects are sides. Without --out the faces of the file are listed.
+    """
+
+    step: Positional[Path]
+    """STEP file with one solid, or several of which --body names one."""
+    out: Path | None = None
+    """Folder to write; an earlier one is replaced when everything is done."""
+    select: Path | None = None
+    """TOML file with the options below as keys (contact, bond, window, normal, ...)."""
+    contact: Annotated[tuple[str, ...], _SELECTOR] = field(default=())
+    """Faces that are touched. [name:contact]"""
+    bond: Annotated[tuple[str, ...], _SELECTOR] = field(default=())
+    """Faces that are glued. [name:bond]"""
+    window: Annotated[tuple[str, ...], _SELECTOR] = field(default=())
+    """Glued faces that the camera looks through, or rect:18x14 to split off. [name:window]"""
+    normal: str = ""
+    """Direction of the file that points out of the gel. [+z]"""
+    right: str = ""
+    """Direction of the file that becomes the gel's x. [+x, or +y for a normal along x]"""
+    origin: Literal["", "center", "file"] = ""
+    """center: middle of the gel in plan, at its apex. file: keep the file's origin. [center]"""
+    body: str = ""
+    """Name of the solid in a file with several."""
+    unit: Literal["", "mm", "cm", "m", "um", "in"] = ""
+    """Unit of the numbers, when the file declares a wrong one."""
+    edge_mm: float = 1.0
+    """Wanted edge length of the mesh [mm]."""
+    parts: tuple[Literal["pad", "mould", "drawing"], ...] = ("pad", "mould", "drawing")
+    """Files for the workshop."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from taccel_lab.cad.step_import import FaceSelection, list_faces, listing
+        from taccel_lab.sensors.imported import import_design
+
+        console = Console()
+        if self.out is None:
+            table = list_faces(self.step, self.body)
+            text = listing(table, most=len(table))
+            console.print(text, highlight=False, soft_wrap=True, markup=False)
+            return
+        selection = FaceSelection.from_values(self._values(), "import-step")
+        with console.status("starting") as status:
+            result = import_design(
+                self.step,
+                selection,
+                self.out,
+                self.edge_mm,
+                parts=self.parts,
+                progress=lambda stage: status.update(_STAGES[stage]),
+            )
+        _print_result(console, result)
+
+    def _values(self) -> dict[str, Any]:
+        """The selection file's keys, overridden by the options that were given."""
+        from dataclasses import asdict
+
+        from taccel_lab.cad.step_import import FaceSelection
+
+        values: dict[str, Any] = {}
+        if self.select is not None:
+            if not self.select.is_file():
+                raise InputError(f"{self.select} does not exist or is no file")
+            values = asdict(FaceSelection.from_toml(self.select))
+        for item in fields(FaceSelection):
+            given = getattr(self, item.name)
+            if given:
+                values[item.name] = given
+        return {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in values.items()
+        }
+
+
+def _print_result(console: Console, result: ImportResult) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{result.gel.name}: imported gel", title_justify="left")
+    table.add_column("figure", style="cyan")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    quality = result.quality
+    for name, area in quality.region_areas_mm2.items():
+        table.add_row(f"{name} area", f"{area:.1f}", "mm^2")
+    table.add_row("least thickness", f"{result.gel.min_thickness_mm:.3f}", "mm")
+    table.add_row("nodes", f"{quality.node_count:,}", "")
+    table.add_row("tets", f"{quality.tet_count:,}", "")
+    table.add_row("smallest dihedral angle", f"{quality.min_dihedral_deg:.1f}", "deg")
+    table.add_row("volume error", f"{quality.volume_error_percent:.3f}", "%")
+    table.add_row("Hausdorff distance to the CAD", f"{quality.hausdorff_mm:.4f}", "mm")
+    console.print(table)
+    for kind, path in result.files.items():
+        console.print(f"{kind:>12}  {path}", highlight=False, soft_wrap=True)

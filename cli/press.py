@@ -1,0 +1,387 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab press``: press a rigid indenter into a sensor's gel and read what it senses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import Positional
+
+from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from rich.console import Console
+
+    from taccel_lab.envs import Indenter, PressOutcome, PressPhysics
+    from taccel_lab.geometry import TetMesh
+    from taccel_lab.profile import SensorProfile
+    from taccel_lab.signals.color_model import ColorModel
+
+
+PREDICTED_PX = 640
+"""Longest side of the picture that the optical model predicts."""
+
+
+@dataclass(frozen=True)
+class Press:
+    """Press an indenter into a gel: height map, normals, image, force and wrench, mesh, figures.
+
+    Lengths are in mm in the gel frame: x right and y down in the image, z out of the gel; the
+    origin is the middle of the contact face. Example: taccel-lab press gelsight --indenter
+    sphere:2.0 --depth-mm 0.8 --shear-mm 0.3 0 --out out/press
+    """
+
+    sensor: Positional[str]
+    """Profile folder, or a sensor of the catalogue, which has no colour model yet: its image is
+    the one that the optical model predicts (predicted.png)."""
+    out: Path
+    """Folder to write; an earlier one is replaced when everything is done."""
+    depth_mm: float
+    """Depth past first touch [mm]."""
+    indenter: str = "sphere:2.0"
+    """sphere:RADIUS, cylinder:RADIUS, box:XxY, roller:RADIUSxLENGTH, edge:ANGLExLENGTH[xRADIUS],
+    grating:PITCHxRIDGESxLENGTH, pair:RADIUSxGAP or mesh:FILE (STL, PLY, OBJ), in mm and degrees."""
+    at_mm: tuple[float, float] = (0.0, 0.0)
+    """Gel x and y of the indenter's axis [mm]."""
+    shear_mm: tuple[float, float] = (0.0, 0.0)
+    """Sideways motion at full depth [mm]."""
+    twist_deg: float = 0.0
+    """Turn about +z at full depth [deg]."""
+    friction: float | None = None
+    """Friction coefficient; the profile's when left out."""
+    step_mm: float = 0.2
+    """Largest motion of a step [mm]."""
+    step_deg: float = 2.0
+    """Largest turn of a step [deg]."""
+    accuracy: Literal["fast", "default", "reference"] = "default"
+    """fast: errors of a few per cent in less time. default: force within 3 per cent, heights within
+    5 um. reference: to check the others, ten times as long. Each estimates its own error."""
+    tolerance: float | None = None
+    """Force residual over the sum of the contact forces at which a step has converged; that of the
+    accuracy when left out."""
+    dhat_mm: float | None = None
+    """Gap at which contact begins [mm]; that of the accuracy when left out."""
+    element: Literal["linear", "quadratic"] | None = None
+    """linear: only to see what it costs: forces tens of per cent too large near nu 0.5."""
+    mesh: Literal["focused", "profile"] = "focused"
+    """focused: graded around the contact (sensors of the catalogue). profile: the stored mesh."""
+    device: str = "cpu"
+    """Device of the solver: cpu or cuda:0."""
+
+    def run(self) -> None:
+        import warp as wp
+        from rich.console import Console
+
+        wp.config.log_level = wp.LOG_WARNING
+        console = Console(stderr=True)
+        outcome, _ = self.execute(console)
+        _print_outcome(console, outcome)
+        console.print(f"wrote {self.out}", highlight=False)
+
+    def execute(self, console: Console) -> tuple[PressOutcome, np.ndarray | None]:
+        """Press, write the files and return what was read and the image, if there is one."""
+        import time
+
+        from taccel_lab.envs import PressPath, parse_indenter, profile_material, simulate_press
+        from taccel_lab.envs.fitted_physics import physics_difference
+        from taccel_lab.output import atomic_directory, require_replaceable
+        from taccel_lab.signals.rest_surface import rest_surface
+
+        require_replaceable(self.out)
+        require_device(self.device)
+        path = PressPath(self.depth_mm, self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
+        indenter = parse_indenter(self.indenter)
+        physics = self._physics()
+        profile = load_sensor(self.sensor)
+        stated = profile.material.friction_coefficient
+        friction = stated if self.friction is None else self.friction
+        note = physics_difference(profile.material, physics, friction)
+        if note is not None:
+            console.print(f"note: {note}", highlight=False)
+        check_depth(self.depth_mm, profile)
+        model = _color_model(profile)
+        gel = self._mesh(profile, indenter, physics)
+        material = profile_material(profile.material, gel)
+        started = time.perf_counter()
+        with step_progress(console, f"pressing {self.indenter}") as progress:
+            outcome = simulate_press(
+                gel,
+                material,
+                indenter,
+                self.at_mm,
+                path,
+                profile.grid(),
+                friction_coefficient=friction,
+                physics=physics,
+                designed_rest=rest_surface(profile.mesh, profile.grid()),
+                device=self.device,
+                progress=progress,
+            )
+        seconds = time.perf_counter() - started
+        rgb = None
+        if model is not None and profile.background_rgb is not None:
+            rgb = outcome.render(model, profile.background_rgb)
+        with atomic_directory(self.out) as folder:
+            _write(folder, self, profile, outcome, rgb, friction, seconds, note)
+        return outcome, rgb
+
+    def _physics(self) -> PressPhysics:
+        """That of the accuracy, but for what is set here."""
+        from dataclasses import replace
+
+        from taccel_lab.envs import PHYSICS, Accuracy
+        from taccel_lab.scene import Element
+
+        physics = PHYSICS[Accuracy(self.accuracy)]
+        if self.tolerance is not None:
+            physics = replace(physics, relative_tolerance=self.tolerance)
+        if self.dhat_mm is not None:
+            physics = replace(physics, dhat_m=self.dhat_mm * 1e-3)
+        if self.element is not None:
+            physics = replace(physics, element=Element(self.element))
+        return physics
+
+    def _mesh(self, profile: SensorProfile, indenter: Indenter, physics: PressPhysics) -> TetMesh:
+        if self.mesh == "profile":
+            return profile.mesh
+        from taccel_lab.sensors.press_mesh import press_mesh
+
+        try:
+            return press_mesh(
+                profile.sensor.family,
+                profile.sensor.parameters,
+                self.at_mm,
+                indenter.contact(self.depth_mm),
+                physics.mesh,
+            )
+        except InputError as error:
+            x, y = self.at_mm
+            raise InputError(
+                f"{self.sensor} cannot be meshed for a press at ({x:g}, {y:g}) mm: {error}"
+            ) from error
+
+
+def load_sensor(name: str) -> SensorProfile:
+    """A profile folder, or the default design of a catalogue sensor."""
+    from taccel_lab.profile import load_profile
+    from taccel_lab.sensors.profile import catalogue_profile
+    from taccel_lab.sensors.registry import sensor_families
+
+    if Path(name).exists():
+        return load_profile(Path(name))
+    if name in sensor_families():
+        return catalogue_profile(name)
+    raise InputError(
+        f"{name!r} is neither a profile folder nor a sensor of the catalogue "
+        f"({', '.join(sorted(sensor_families()))})"
+    )
+
+
+def check_depth(depth_mm: float, profile: SensorProfile) -> None:
+    """Refuse a depth that no place of the pad allows, before a mesh is made for it."""
+    from taccel_lab.envs.press import MAX_DEPTH_FRACTION
+
+    thickness_mm = profile.gel.thickness_mm
+    if not depth_mm <= MAX_DEPTH_FRACTION * thickness_mm:
+        raise InputError(
+            f"depth {depth_mm:g} mm goes past the gel, which is {thickness_mm:g} mm thick; at most "
+            f"{MAX_DEPTH_FRACTION * thickness_mm:.3g} mm ({MAX_DEPTH_FRACTION:.0%}) is allowed"
+        )
+
+
+def require_device(name: str) -> None:
+    """Refuse a device that this machine does not have."""
+    import warp as wp
+
+    try:
+        wp.get_device(name)
+    except ValueError:
+        known = ", ".join(device.alias for device in wp.get_devices())
+        raise InputError(f"device {name!r} is not there; this machine has: {known}") from None
+
+
+def _color_model(profile: SensorProfile) -> ColorModel | None:
+    """The profile's colour model, None when it has none."""
+    if profile.color is None or profile.background_rgb is None or profile.color_weights is None:
+        return None
+    from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+
+    config = ColorModelConfig.from_dict(profile.color.architecture)
+    camera = profile.camera
+    if (config.width_px, config.height_px) != (camera.width_px, camera.height_px):
+        raise InputError(
+            f"color.architecture is for {config.width_px}x{config.height_px} px but the camera "
+            f"block says {camera.width_px}x{camera.height_px} px; both have to agree"
+        )
+    return ColorModel(config, profile.color_weights)
+
+
+def step_progress(console: Console, title: str) -> Any:
+    """A bar over the steps of a press, with the figures of the latest step beside it."""
+    from contextlib import contextmanager
+
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    @contextmanager
+    def bar() -> Any:
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[note]}"),
+            TimeElapsedColumn(),
+        )
+        with Progress(*columns, console=console) as progress:
+            task = progress.add_task(title, total=None, note="compiling kernels")
+
+            def update(done: int, total: int, step: Any) -> None:
+                report = step.report
+                note = (
+                    f"depth {step.depth_mm:.2f} mm, force {step.wrench[2]:.3g} N, residual "
+                    f"{report.residual_n[0]:.1e} N, {report.newton_iterations[0]} Newton, "
+                    f"{report.seconds:.2f} s"
+                )
+                progress.update(task, completed=done, total=total, note=note)
+
+            yield update
+
+    return bar()
+
+
+def _write(
+    folder: Path,
+    options: Press,
+    profile: SensorProfile,
+    outcome: PressOutcome,
+    rgb: Any,
+    friction: float,
+    seconds: float,
+    note: str | None,
+) -> None:
+    import numpy as np
+
+    from taccel_lab import __version__
+    from taccel_lab.geometry import Region
+    from taccel_lab.geometry.vtu import write_mesh_vtu
+    from taccel_lab.output import write_json
+    from taccel_lab.report import (
+        draw_contact_forces,
+        draw_force_depth,
+        draw_height_map,
+        draw_image,
+        draw_normals,
+        save_figure,
+    )
+    from taccel_lab.report.model import ForceDepth
+
+    grid = profile.grid()
+    arrays: dict[str, Any] = {
+        "height_m": outcome.height_m,
+        "rest_height_m": outcome.rest_height_m,
+        "normals": outcome.normals,
+        "rest_normals": outcome.rest_normals,
+        "contact_mask": outcome.contact_mask,
+        "contact_forces_n": outcome.contact_forces_n,
+        "contact_pressures_pa": outcome.contact_pressures_pa,
+    }
+    if rgb is not None:
+        arrays["rgb"] = np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
+        save_figure(draw_image(rgb, grid), folder / "image.png")
+        import cv2
+
+        cv2.imwrite(str(folder / "image_raw.png"), arrays["rgb"][..., ::-1])
+    else:
+        _write_predicted(folder / "predicted.png", profile, outcome)
+    np.savez_compressed(folder / "signals.npz", **arrays)
+    write_mesh_vtu(
+        folder / "gel.vtu",
+        outcome.mesh,
+        positions_m=outcome.positions_m,
+        point_data={
+            "displacement_m": outcome.positions_m - outcome.mesh.nodes_m,
+            "contact_force_n": outcome.contact_forces_n,
+            "contact_pressure_pa": outcome.contact_pressures_pa,
+        },
+    )
+    save_figure(draw_height_map(outcome.height_m, grid), folder / "height_map.png")
+    save_figure(draw_normals(outcome.normals, grid), folder / "normals.png")
+    faces = outcome.mesh.region_faces(Region.CONTACT)
+    save_figure(
+        draw_contact_forces(
+            outcome.positions_m, faces, outcome.contact_forces_n, outcome.contact_pressures_pa
+        ),
+        folder / "contact_pressure.png",
+    )
+    down = [s for s in outcome.steps if s.shear_mm == (0.0, 0.0) and s.twist_deg == 0.0]
+    curve = ForceDepth(
+        label=options.indenter,
+        depth_mm=np.array([0.0] + [s.depth_mm for s in down]),
+        force_n=np.array([0.0] + [s.wrench[2] for s in down]),
+    )
+    save_figure(draw_force_depth(curve), folder / "force_depth.png")
+    write_json(
+        folder / "press.json",
+        {
+            "sensor": options.sensor,
+            "indenter": options.indenter,
+            "at_mm": options.at_mm,
+            "path": {
+                "depth_mm": options.depth_mm,
+                "shear_mm": options.shear_mm,
+                "twist_deg": options.twist_deg,
+            },
+            "friction_coefficient": friction,
+            "material": profile.material.model_dump(
+                include={"young_modulus_pa", "poisson_ratio", "layers"}, exclude_defaults=True
+            ),
+            "mesh": {"node_count": outcome.mesh.node_count, "tet_count": outcome.mesh.tet_count},
+            "physics": outcome.physics.record(),
+            "differs_from_calibration": note,
+            "press": outcome.figures(),
+            "indenter_pose": outcome.indenter_pose,
+            "seconds": seconds,
+            "tool_version": __version__,
+        },
+    )
+
+
+def _write_predicted(path: Path, profile: SensorProfile, outcome: PressOutcome) -> None:
+    """The picture that the optical model of an uncalibrated sensor expects, if it has one."""
+    design = profile.optical_design()
+    if design is None:
+        return
+    import cv2
+
+    from taccel_lab.optics.render import OpticalModel
+
+    size = design.camera.size_within(PREDICTED_PX)
+    markers = None if profile.markers is None else profile.markers.grid()
+    model = OpticalModel(design, outcome.mesh, size_px=size, markers=markers)
+    cv2.imwrite(str(path), model.render(outcome.positions_m).rgb[..., ::-1])
+
+
+def _print_outcome(console: Console, outcome: PressOutcome) -> None:
+    from rich.table import Table
+
+    figures = outcome.figures()
+    force = figures["wrench"]["force_n"]
+    moment = figures["wrench"]["moment_nm"] * 1e3
+    table = Table("figure", "value", "unit", title="press", title_justify="left")
+    for name, value, unit in (
+        ("force of the gel on the indenter", "  ".join(f"{v:.4f}" for v in force), "N"),
+        ("moment about the gel's origin", "  ".join(f"{v:.4f}" for v in moment), "N mm"),
+        ("error of the force, estimated", f"{figures['force_error_n']:.4f}", "N"),
+        ("error of the heights, estimated", f"{figures['height_error_m'] * 1e6:.1f}", "um rms"),
+        ("contact radius (equal area)", f"{figures['contact_radius_mm']:.3f}", "mm"),
+        ("force residual", f"{figures['residual_n']:.1e}", "N"),
+        ("Newton iterations", f"{figures['newton_iterations']}", ""),
+        ("smallest gap", f"{figures['min_distance_m'] * 1e6:.2f}", "um"),
+        ("smallest volume ratio of a tet", f"{figures['smallest_volume_ratio']:.3f}", ""),
+        ("time a step", f"{figures['seconds_per_step']:.2f}", "s"),
+        ("nodes, tets", f"{outcome.mesh.node_count}, {outcome.mesh.tet_count}", ""),
+    ):
+        table.add_row(name, value, unit)
+    console.print(table)

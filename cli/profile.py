@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab profile show``, ``validate``, ``compare`` and ``report``."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    from taccel_lab.calibration.comparison import ProfileComparison
+    from taccel_lab.profile import SensorProfile
+
+
+@dataclass(frozen=True)
+class ProfileShow:
+    """Show what a sensor profile holds and where each block comes from."""
+
+    profile: Positional[Path]
+    """Profile folder."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.profile import load_profile
+
+        profile = load_profile(self.profile)
+        if self.json:
+            print_json(_as_dict(profile))
+        else:
+            _print_tables(profile)
+
+
+@dataclass(frozen=True)
+class ProfileValidate:
+    """Check a sensor profile: schema, bounds, file hashes, arrays, networks. Exits with 2 when
+    unsound."""
+
+    profile: Positional[Path]
+    """Profile folder."""
+    json: bool = False
+    """Print the findings as JSON."""
+
+    def run(self) -> None:
+        from rich.console import Console
+        from rich.text import Text
+
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.profile import Finding, load_profile, validate_profile
+        from taccel_lab.signals.network_faults import network_faults
+
+        findings = validate_profile(self.profile)
+        if all(finding.severity != "error" for finding in findings):
+            findings += [
+                Finding("error", f"{self.profile}: {key}", fault)
+                for key, fault in network_faults(load_profile(self.profile)).items()
+            ]
+        errors = sum(finding.severity == "error" for finding in findings)
+        if self.json:
+            print_json(
+                {
+                    "profile": str(self.profile),
+                    "valid": errors == 0,
+                    "findings": [dataclasses.asdict(finding) for finding in findings],
+                }
+            )
+        else:
+            console = Console(soft_wrap=True)
+            for finding in findings:
+                style = "red" if finding.severity == "error" else "yellow"
+                console.print(Text(f"{finding.severity}: {finding}", style=style))
+            if not errors:
+                console.print(Text(f"{self.profile} is a sound profile", style="green"))
+        if errors:
+            plural = "s" if errors > 1 else ""
+            raise InputError(f"{self.profile} is not a sound profile: {errors} error{plural}")
+
+
+@dataclass(frozen=True)
+class ProfileCompare:
+    """Compare two sensor profiles: every value that differs, and what they do.
+
+    Differences are measured in standard deviations where the blocks state their spread. Networks
+    are compared by their answers: the colour of every normal at five places of the image.
+    """
+
+    a: Positional[Path]
+    """Profile folder."""
+    b: Positional[Path]
+    """The other profile folder."""
+    out: Path | None = None
+    """Folder for a report (HTML, JSON, pictures); none is written when left out."""
+    json: bool = False
+    """Print the comparison as JSON instead of a table."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from taccel_lab.calibration.comparison import compare_profiles
+        from taccel_lab.calibration.report import write_page
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.output import require_replaceable
+        from taccel_lab.profile import load_profile
+
+        if self.out is not None:
+            require_replaceable(self.out)
+        names = (self.a.name, self.b.name)
+        if names[0] == names[1]:
+            names = (str(self.a), str(self.b))
+        found = compare_profiles(load_profile(self.a), load_profile(self.b), names)
+        if self.json:
+            print_json(found.figures())
+        else:
+            _print_comparison(found)
+        if self.out is not None:
+            write_page(found.page(), self.out)
+            Console(stderr=True).print(f"wrote {self.out / 'report.html'}", highlight=False)
+
+
+@dataclass(frozen=True)
+class ProfileReport:
+    """Write a page about a sensor profile: each block with its evidence, verdict and pictures."""
+
+    profile: Positional[Path]
+    """Profile folder."""
+    out: Path
+    """Folder to write: report.html, report.json and the pictures."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from taccel_lab.calibration.report import write_page
+        from taccel_lab.calibration.report.profile_page import profile_page
+        from taccel_lab.output import require_replaceable
+        from taccel_lab.profile import load_profile
+
+        require_replaceable(self.out)
+        page = profile_page(load_profile(self.profile))
+        console = Console(stderr=True)
+        with console.status("drawing the pictures"):
+            write_page(page, self.out)
+        console.print(f"wrote {self.out / 'report.html'}", highlight=False)
+
+
+def _print_comparison(found: ProfileComparison) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from taccel_lab.report.build import format_number
+
+    console = Console()
+    for remark in found.remarks:
+        console.print(Text(str(remark)))
+    for part in found.page().tables:
+        if not part.rows:
+            continue
+        table = Table(*part.columns, title=part.title, title_justify="left")
+        for row in part.rows:
+            table.add_row(*(Text(format_number(cell)) for cell in row))
+        console.print(table)
+
+
+def _as_dict(profile: SensorProfile) -> dict[str, Any]:
+    blocks = {key: block.model_dump(mode="json") for key, block in profile.blocks().items()}
+    if profile.color_weights is not None:
+        blocks["color"]["weight_shapes"] = {
+            name: list(array.shape) for name, array in profile.color_weights.items()
+        }
+    if profile.normal_weights is not None:
+        blocks["normals"]["weight_shapes"] = {
+            name: list(array.shape) for name, array in profile.normal_weights.items()
+        }
+    return blocks
+
+
+def _print_tables(profile: SensorProfile) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    for key, values in _as_dict(profile).items():
+        provenance = values.pop("provenance")
+        table = Table(title=f"[bold]{key}[/]", title_justify="left", show_header=False)
+        table.add_column(style="cyan", no_wrap=True)
+        table.add_column(overflow="fold")
+        for name, value in (_flat(values) | _flat(provenance, "provenance.")).items():
+            table.add_row(Text(name), Text(str(value)))
+        console.print(table)
+
+
+def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, dict):
+            flat |= _flat(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = value
+    return flat

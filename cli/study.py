@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab study``: sweep a sensor's parameters, press every design, report what is best."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from taccel_lab.errors import InputError, SimulationError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.studies.plan import Study as PlannedStudy
+    from taccel_lab.studies.runner import Outcome
+
+
+@dataclass(frozen=True)
+class Study:
+    """Sweep a sensor's parameters: standard presses on every design, a table, a report.
+
+    The study file says which sensor, parameters, presses and metrics (docs/studies.md). Every
+    design becomes a row as soon as it is finished; the same command goes on with a study that was
+    stopped, and evaluates only what a changed file adds. Exit code 1: no design keeps the
+    constraints; the report says which one comes nearest.
+
+    Example: taccel-lab study studies/examples/mini_thickness_hardness.toml --out out/mini
+    """
+
+    study: Positional[Path | None] = None
+    """Study file (TOML)."""
+    out: Path | None = None
+    """Folder of the study, new or begun; out/NAME-OF-THE-FILE when left out."""
+    processes: int | None = None
+    """Processes that work side by side; one a core when left out, one on a GPU."""
+    device: str | None = None
+    """Device of the solver: cpu or cuda:0; the study file's when left out."""
+    limit: int | None = None
+    """Stop after so many new designs; a later run goes on."""
+    report_only: bool = False
+    """Write table and report from the designs that are there; evaluate nothing."""
+    list_metrics: bool = False
+    """Show what can be measured, and stop."""
+    list_presses: bool = False
+    """Show the standard presses, and stop."""
+    json: bool = False
+    """Print the result, or a list, as JSON."""
+
+    def run(self) -> None:
+        if self.list_metrics or self.list_presses:
+            _print_lists(self)
+            return
+        if self.study is None:
+            raise InputError("name a study file; docs/studies.md shows how to write one")
+        if self.limit is not None and self.limit < 1:
+            raise InputError(f"limit must be at least 1, got {self.limit}")
+        if self.processes is not None and not 1 <= self.processes <= 1024:
+            raise InputError(f"processes must lie in 1..1024, got {self.processes}")
+        self._run(self.study)
+
+    def _run(self, file: Path) -> None:
+        import warp as wp
+        from rich.console import Console
+
+        from taccel_lab.studies.plan import default_kit, plan_study
+        from taccel_lab.studies.report import write_study_report
+        from taccel_lab.studies.runner import stored_outcome
+        from taccel_lab.studies.spec import load_study
+
+        wp.config.log_level = wp.LOG_WARNING
+        console = Console(stderr=True)
+        study = plan_study(load_study(file), default_kit())
+        root = self.out or Path("out") / file.stem
+        try:
+            if self.report_only:
+                outcome = stored_outcome(study, root)
+            else:
+                outcome = self._evaluate(study, root, file, console)
+            with console.status("writing the report"):
+                values = write_study_report(outcome)
+        except KeyboardInterrupt:
+            console.print(
+                f"interrupted; finished designs are kept. Go on with:\n  {self._again(file, root)}",
+                highlight=False,
+                soft_wrap=True,
+            )
+            raise SystemExit(130) from None
+        self._conclude(console, outcome, values, root, self._again(file, root))
+
+    def _again(self, file: Path, root: Path) -> str:
+        words = ["taccel-lab", "study", str(file), "--out", str(root)]
+        for name in ("processes", "device"):
+            if getattr(self, name) is not None:
+                words += [f"--{name}", str(getattr(self, name))]
+        return shlex.join(words)
+
+    def _evaluate(self, study: PlannedStudy, root: Path, file: Path, console: Console) -> Outcome:
+        from taccel_lab.cli.press import require_device
+        from taccel_lab.cli.study_progress import StudyProgress
+        from taccel_lab.studies.runner import run_study
+
+        require_device(self.device or study.spec.run.device)
+        presses = ", ".join(study.presses) or "none"
+        console.print(
+            f"{study.spec.study.name}: {study.family.name}, presses {presses}, "
+            f"{len(study.metrics)} metrics, into {root}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        with StudyProgress(console) as progress:
+            return run_study(
+                study,
+                root,
+                device=self.device,
+                processes=self.processes,
+                limit=self.limit,
+                source=file.read_text(encoding="utf-8"),
+                listener=progress,
+            )
+
+    def _conclude(
+        self, console: Console, outcome: Outcome, values: dict, root: Path, again: str
+    ) -> None:
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.studies.table import CSV_NAME, has_parquet
+
+        if self.json:
+            print_json(values)
+        else:
+            from taccel_lab.cli.study_progress import print_summary
+
+            print_summary(outcome, values)
+        note = "" if has_parquet() else " (Parquet too, once pyarrow is installed)"
+        console.print(f"table: {root / CSV_NAME}{note}", highlight=False, soft_wrap=True)
+        console.print(f"report: {root / 'report.html'}", highlight=False, soft_wrap=True)
+        if not outcome.complete:
+            console.print(f"not finished; go on with:\n  {again}", highlight=False, soft_wrap=True)
+            return
+        if not any(row.status == "done" for row in outcome.rows):
+            raise SimulationError(f"no design has a figure; the causes stand in {root / CSV_NAME}")
+        if not values["verdict"]["good"]:
+            raise SystemExit(1)
+
+
+def _print_lists(options: Study) -> None:
+    from taccel_lab.cli.console import print_json
+    from taccel_lab.studies.describe import press_in_words
+    from taccel_lab.studies.plan import default_kit
+
+    kit = default_kit()
+    metrics = {
+        name: {
+            "unit": metric.unit,
+            "better": metric.better,
+            "presses": list(metric.presses),
+            "description": metric.description,
+        }
+        for name, metric in kit.metrics.items()
+    }
+    presses = {name: press_in_words(press) for name, press in kit.presses.items()}
+    if options.json:
+        print_json(
+            ({"metrics": metrics} if options.list_metrics else {})
+            | ({"presses": presses} if options.list_presses else {})
+        )
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    if options.list_metrics:
+        table = Table("metric", "unit", "better", "read from", "what it is", title="metrics")
+        for name, metric in metrics.items():
+            read = ", ".join(metric["presses"]) or "no press"
+            cells = (metric["unit"], metric["better"], read, metric["description"])
+            table.add_row(Text(name, style="cyan"), *map(Text, cells))
+        table.columns[0].no_wrap = True
+        console.print(table)
+    if options.list_presses:
+        table = Table("press", "what it does", title="standard presses")
+        for name, text in presses.items():
+            table.add_row(Text(name, style="cyan"), Text(text))
+        console.print(table)

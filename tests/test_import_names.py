@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All our modules are taccel_lab's own: a user's sensors.py or calibration.py does no harm."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = sorted(link.name for link in (ROOT / "taccel_lab").iterdir() if link.is_symlink())
+SCRIPT = """
+import importlib, sys
+import {names}
+import taccel_lab
+from taccel_lab.cli.app import main
+for room in {names!r}.split(", "):
+    found = importlib.import_module("taccel_lab." + room)
+    assert found.__file__.startswith({root!r}), found.__file__
+    assert sys.modules[room].MINE == "the user's own"
+main(["sensors", "list", "--json"])
+"""
+
+
+def run_beside_the_users_own_modules(folder: Path, root: Path) -> str:
+    """A script in a folder that has a module named like each of our rooms."""
+    for room in ROOMS:
+        (folder / f"{room}.py").write_text('MINE = "the user\'s own"\n')
+    script = folder / "my_script.py"
+    script.write_text(SCRIPT.format(names=", ".join(ROOMS), root=str(root)))
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(root)])},
+        capture_output=True,
+        text=True,
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_every_room_is_a_part_of_the_package() -> None:
+    assert ROOMS == ["benchmarks", "cad", "calibration", "cli", "sensors", "studies"]
+    for room in ROOMS:
+        assert (ROOT / "taccel_lab" / room).resolve() == ROOT / room
+
+
+def test_a_users_own_modules_do_no_harm_to_a_checkout(tmp_path: Path) -> None:
+    assert "gelsight_mini" in run_beside_the_users_own_modules(tmp_path, ROOT)
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel's files, unpacked."""
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (path,) = folder.glob("*.whl")
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder / "unpacked")
+    return folder / "unpacked"
+
+
+def test_the_wheel_installs_one_name(wheel: Path) -> None:
+    names = {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"}
+    assert names == {"taccel_lab"}
+    for room in ROOMS:
+        ours = {str(p.relative_to(ROOT / room)) for p in (ROOT / room).rglob("*.py")}
+        assert ours == {
+            str(p.relative_to(wheel / "taccel_lab" / room))
+            for p in (wheel / "taccel_lab" / room).rglob("*.py")
+        }
+    assert not list(wheel.rglob("test_*.py"))
+
+
+def test_a_users_own_modules_do_no_harm_to_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:
+    assert "gelsight_mini" in run_beside_the_users_own_modules(tmp_path, wheel)
