@@ -211,7 +211,7 @@ def _contact_report(folder: Path) -> dict[str, Any]:
     from dataclasses import asdict
 
     from taccel_lab.calibration.capture import load_captures
-    from taccel_lab.calibration.targets import compare_with_labels, resolve_contacts
+    from taccel_lab.calibration.contacts import compare_with_labels, resolve_contacts
 
     captures = load_captures(folder)
     agreement = compare_with_labels(captures, resolve_contacts(captures))

@@ -18,25 +18,21 @@ import numpy as np
 from taccel_lab.calibration.background.drift import Drift, fit_drift
 from taccel_lab.calibration.capture import CaptureSet, load_captures
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.estimators.color import (
-    ColorFitOptions,
-    ColorFrame,
-    RegistrationOptions,
-    choose_drift,
-    register_presses,
-)
-from taccel_lab.calibration.estimators.color.fit import rest_background
-from taccel_lab.calibration.estimators.color.frames import NO_DRIFT, draw_samples, frame_drift
-from taccel_lab.calibration.estimators.color.training import train
-from taccel_lab.calibration.evaluate import crop_slices, psnr_db
+from taccel_lab.calibration.color.drift_choice import choose_drift
+from taccel_lab.calibration.color.evaluate import crop_slices, psnr_db
+from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame, draw_samples, frame_drift
+from taccel_lab.calibration.color.network_fit import rest_background
+from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.color.registration import RegistrationOptions, register_presses
+from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
+from taccel_lab.calibration.color.training import train
+from taccel_lab.calibration.contacts import choose_circles, usable_presses
+from taccel_lab.calibration.contacts.label_placement import LabelPlacement
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces.design import fitted_design
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.calibration.surfaces.types import PressSurface
 from taccel_lab.calibration.surfaces.variation import moved_surfaces
-from taccel_lab.calibration.targets import choose_circles, usable_presses
-from taccel_lab.calibration.targets.label_placement import LabelPlacement
-from taccel_lab.calibration.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.profile import CameraBlock, Provenance
 from taccel_lab.signals.color_model import ColorModel
 

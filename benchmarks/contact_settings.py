@@ -22,9 +22,9 @@ from taccel_lab.benchmarks.capture_sets import CASES, ImportedSets
 from taccel_lab.benchmarks.left_out import beats_default, choose_left_out
 from taccel_lab.benchmarks.results import FOLDER, ResultFile, note
 from taccel_lab.calibration.capture import load_captures
-from taccel_lab.calibration.targets import find_contacts
-from taccel_lab.calibration.targets.photometric import fit_contacts
-from taccel_lab.calibration.targets.slope_law import SKIRT
+from taccel_lab.calibration.contacts import find_contacts
+from taccel_lab.calibration.contacts.photometric import fit_contacts
+from taccel_lab.calibration.contacts.slope_law import SKIRT
 
 WHAT = "length of the skirt in the law of contacts, chosen on two sets and quoted on the third"
 SUITE = "contact_settings"

@@ -32,10 +32,10 @@ from taccel_lab.report.model import (
 
 if TYPE_CHECKING:
     from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-    from taccel_lab.calibration.color_calibration import ColorCalibration
-    from taccel_lab.calibration.evaluate import ImageScore
+    from taccel_lab.calibration.color.evaluate import ImageScore
+    from taccel_lab.calibration.color.fit import ColorCalibration
+    from taccel_lab.calibration.contacts import DetectedContact
     from taccel_lab.calibration.surfaces import PressSurface
-    from taccel_lab.calibration.targets import DetectedContact
     from taccel_lab.envs import PressOutcome
     from taccel_lab.profile import SensorProfile
     from taccel_lab.sensors.design import DesignResult
@@ -111,8 +111,8 @@ def _cause(results: DemoResults) -> str:
 
 
 def _color(results: DemoResults) -> ColorSection:
-    from taccel_lab.calibration.color_heldout import mean_bare
-    from taccel_lab.calibration.color_report import PLACED_BY
+    from taccel_lab.calibration.color.heldout import mean_bare
+    from taccel_lab.calibration.color.report import PLACED_BY
 
     calibration = results.calibration
     way = calibration.placement

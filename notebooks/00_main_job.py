@@ -65,7 +65,7 @@ print(f"{base.mesh.node_count} nodes, {base.mesh.tet_count} tets")
 # in the image and compared with the labels.
 
 # %%
-from taccel_lab.calibration.targets import choose_circles, compare_with_labels, resolve_contacts
+from taccel_lab.calibration.contacts import choose_circles, compare_with_labels, resolve_contacts
 
 split = captures.split(4)
 training = captures.only(split.train)
@@ -112,8 +112,8 @@ axes[1].legend()
 # beside the figures, because whole-image figures flatter.
 
 # %%
-from taccel_lab.calibration.color_calibration import HeldoutSet, calibrate_color
-from taccel_lab.calibration.estimators.color import ColorFitOptions
+from taccel_lab.calibration.color.fit import HeldoutSet, calibrate_color
+from taccel_lab.calibration.color.options import ColorFitOptions
 
 
 def simulated(presses, places):

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.evaluate import FAR_RADII
+from taccel_lab.calibration.color.evaluate import FAR_RADII
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

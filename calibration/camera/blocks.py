@@ -12,7 +12,7 @@ from taccel_lab.calibration.result import judge
 from taccel_lab.profile import CameraBlock, OpticsBlock, Provenance, SensorProfile
 
 if TYPE_CHECKING:
-    from taccel_lab.calibration.camera.camera_calibration import CameraCalibration
+    from taccel_lab.calibration.camera.fit import CameraCalibration
 
 
 def tactile_size(profile: SensorProfile, raw_px: tuple[int, int]) -> tuple[int, int] | None:

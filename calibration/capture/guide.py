@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from taccel_lab.calibration.capture.check.sensor_facts import SensorFacts, sensor_facts
+from taccel_lab.calibration.check.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import sensor_family
 

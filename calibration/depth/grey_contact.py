@@ -18,7 +18,7 @@ import numpy as np
 from scipy import ndimage
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.targets.circle_fit import fit_circle_ransac
+from taccel_lab.calibration.contacts.circle_fit import fit_circle_ransac
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dots on the gel: found, numbered, fitted to a layout, followed through videos."""
 
-from taccel_lab.calibration.markers.calibrate import calibrate_markers
 from taccel_lab.calibration.markers.choose_view import choose_view
 from taccel_lab.calibration.markers.detection import detect_dots
 from taccel_lab.calibration.markers.dots import DotFlag, Dots
 from taccel_lab.calibration.markers.finding import MarkerPicture, find_markers
+from taccel_lab.calibration.markers.fit import calibrate_markers
 from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
 from taccel_lab.calibration.markers.gel_view import (
     CameraView,

@@ -16,16 +16,16 @@ if TYPE_CHECKING:
         layer_force_n,
         sphere_force_series_n,
     )
-    from taccel_lab.calibration.material.calibrate import calibrate_material
-    from taccel_lab.calibration.material.calibration import MaterialCalibration
+    from taccel_lab.calibration.material.fit import calibrate_material
     from taccel_lab.calibration.material.flow import FlowFit, fit_flow
     from taccel_lab.calibration.material.flow_table import ToolPath
     from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
     from taccel_lab.calibration.material.options import MaterialOptions
-    from taccel_lab.calibration.material.page import material_page
     from taccel_lab.calibration.material.points import IndentationPoints, points_of_record
     from taccel_lab.calibration.material.relaxation import DampingFit, fit_damping
+    from taccel_lab.calibration.material.report import material_page
     from taccel_lab.calibration.material.response import ForceTable, force_table
+    from taccel_lab.calibration.material.result import MaterialCalibration
     from taccel_lab.calibration.material.setup import Gel, Tool
     from taccel_lab.calibration.material.sliding import SlideFit, fit_slide
     from taccel_lab.calibration.material.tangential import TangentialFit, fit_tangential
@@ -64,13 +64,13 @@ _HOME = {
     "Gel": "taccel_lab.calibration.material.setup",
     "IndentationFit": "taccel_lab.calibration.material.indentation",
     "IndentationPoints": "taccel_lab.calibration.material.points",
-    "MaterialCalibration": "taccel_lab.calibration.material.calibration",
+    "MaterialCalibration": "taccel_lab.calibration.material.result",
     "MaterialOptions": "taccel_lab.calibration.material.options",
     "SlideFit": "taccel_lab.calibration.material.sliding",
     "TangentialFit": "taccel_lab.calibration.material.tangential",
     "Tool": "taccel_lab.calibration.material.setup",
     "ToolPath": "taccel_lab.calibration.material.flow_table",
-    "calibrate_material": "taccel_lab.calibration.material.calibrate",
+    "calibrate_material": "taccel_lab.calibration.material.fit",
     "fast_young_modulus_pa": "taccel_lab.calibration.material.bonded_layer",
     "fit_damping": "taccel_lab.calibration.material.relaxation",
     "fit_flow": "taccel_lab.calibration.material.flow",
@@ -79,7 +79,7 @@ _HOME = {
     "fit_tangential": "taccel_lab.calibration.material.tangential",
     "force_table": "taccel_lab.calibration.material.response",
     "layer_force_n": "taccel_lab.calibration.material.bonded_layer",
-    "material_page": "taccel_lab.calibration.material.page",
+    "material_page": "taccel_lab.calibration.material.report",
     "points_of_record": "taccel_lab.calibration.material.points",
     "sphere_force_series_n": "taccel_lab.calibration.material.bonded_layer",
 }

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.material.calibration import MaterialCalibration
 from taccel_lab.calibration.material.flow import FlowFit
 from taccel_lab.calibration.material.prediction import force_interval_n
 from taccel_lab.calibration.material.relaxation import DampingFit
+from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.sliding import SlideFit
 from taccel_lab.calibration.material.stiffness import Stiffness
 from taccel_lab.calibration.material.tangential import TangentialFit

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.folder import Video
-from taccel_lab.calibration.markers.calibrate import calibrate_markers
+from taccel_lab.calibration.markers.fit import calibrate_markers
 from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
 from taccel_lab.calibration.material.flow_table import ToolPath
 from taccel_lab.calibration.result import Remark, Severity

@@ -5,8 +5,8 @@ from taccel_lab.calibration.scale.combine import CombinedAxis, combine_axis
 from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
 from taccel_lab.calibration.scale.edges import MeasuredEdge, scale_from_edges
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
-from taccel_lab.calibration.scale.page import scale_page
-from taccel_lab.calibration.scale.scale_calibration import ScaleCalibration, calibrate_scale
+from taccel_lab.calibration.scale.fit import ScaleCalibration, calibrate_scale
+from taccel_lab.calibration.scale.report import scale_page
 
 __all__ = [
     "CombinedAxis",

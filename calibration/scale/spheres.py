@@ -22,9 +22,9 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.contacts.ball import detect_contact
 from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
-from taccel_lab.calibration.targets.ball import detect_contact
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

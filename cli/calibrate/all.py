@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.calibration.capture import CaptureFolder
-    from taccel_lab.calibration.capture.check.run import CaptureCheck
+    from taccel_lab.calibration.check.run import CaptureCheck
     from taccel_lab.cli.app import Command
 
 
@@ -170,7 +170,7 @@ def all_stages() -> list[Stage]:
 
 def stage_states(check: CaptureCheck) -> dict[str, tuple[str, str]]:
     """What the check lets every stage do: ``run``, ``skipped`` or ``blocked``, and why."""
-    from taccel_lab.calibration.capture.check.content import Readiness
+    from taccel_lab.calibration.check.content import Readiness
 
     states = {}
     for block in check.blocks:

@@ -34,8 +34,8 @@ class CalibrateBackground:
         import cv2
         import numpy as np
 
-        from taccel_lab.calibration.background.calibrate import calibrate_background
-        from taccel_lab.calibration.background.page import background_page
+        from taccel_lab.calibration.background.fit import calibrate_background
+        from taccel_lab.calibration.background.report import background_page
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import count_progress

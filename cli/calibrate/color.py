@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-    from taccel_lab.calibration.color_result import ColorCalibration
+    from taccel_lab.calibration.color.result import ColorCalibration
     from taccel_lab.calibration.result import Remark
     from taccel_lab.calibration.surfaces import PressSurface
     from taccel_lab.calibration.surfaces.between import SharedLaw
@@ -95,9 +95,9 @@ class CalibrateColor:
         import warp as wp
         from rich.console import Console
 
-        from taccel_lab.calibration.color_calibration import ColorPlan, HeldoutSet, calibrate_color
-        from taccel_lab.calibration.color_report import color_page
-        from taccel_lab.calibration.estimators.color import ColorFitOptions
+        from taccel_lab.calibration.color.fit import ColorPlan, HeldoutSet, calibrate_color
+        from taccel_lab.calibration.color.options import ColorFitOptions
+        from taccel_lab.calibration.color.report import color_page
         from taccel_lab.cli.calibrate.base import report_folder, require_outputs, write_results
         from taccel_lab.cli.calibrate.contacts import contact_circles
         from taccel_lab.cli.calibrate.findings import refusing_with
@@ -239,7 +239,7 @@ class Surfaces:
 def _print_figures(console: Console, result: ColorCalibration) -> None:
     from rich.table import Table
 
-    from taccel_lab.calibration.color_report import FIGURES, figure_columns
+    from taccel_lab.calibration.color.report import FIGURES, figure_columns
 
     columns = figure_columns(result)
     if not result.has_scores:

@@ -26,7 +26,7 @@ def contact_circles(
     labels is printed. ``labels`` needs a label of every press. With ``cache``, contacts that an
     earlier run or stage found in these images are taken as they are.
     """
-    from taccel_lab.calibration.targets import choose_circles, compare_with_labels, usable_presses
+    from taccel_lab.calibration.contacts import choose_circles, compare_with_labels, usable_presses
 
     unlabelled = sum(press.circle is None for press in captures.presses)
     if which == "labels" and unlabelled:

@@ -59,9 +59,9 @@ class CalibrateDepth:
         import warp as wp
         from rich.console import Console
 
-        from taccel_lab.calibration.depth.depth_calibration import calibrate_depth
-        from taccel_lab.calibration.depth.page import depth_page
+        from taccel_lab.calibration.depth.fit import calibrate_depth
         from taccel_lab.calibration.depth.rectified import grey_captures
+        from taccel_lab.calibration.depth.report import depth_page
         from taccel_lab.cli.calibrate.base import on_grid, open_job
         from taccel_lab.cli.calibrate.findings import (
             capture_findings,

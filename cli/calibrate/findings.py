@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.calibration.capture import CaptureFolder
-    from taccel_lab.calibration.capture.check import Finding
-    from taccel_lab.calibration.capture.check.run import CaptureCheck
+    from taccel_lab.calibration.check import Finding
+    from taccel_lab.calibration.check.run import CaptureCheck
     from taccel_lab.calibration.result import Remark
     from taccel_lab.profile import SensorProfile
 
@@ -52,7 +52,7 @@ def capture_check(
     One that has the ball fitted serves those that do not ask for it: what it says more is of other
     blocks.
     """
-    from taccel_lab.calibration.capture.check import check_captures
+    from taccel_lab.calibration.check import check_captures
     from taccel_lab.cli.progress import count_progress
 
     shared = _shared.get()
@@ -91,7 +91,7 @@ def lost_blocks(before: SensorProfile, after: SensorProfile) -> list[Remark]:
 def refusing_with(findings: Sequence[Remark]) -> Iterator[None]:
     """A refusal inside names what the check found as well: the cause may be among it. Remarks that
     are no findings say nothing of the captures and are passed over."""
-    from taccel_lab.calibration.capture.check import Finding
+    from taccel_lab.calibration.check import Finding
     from taccel_lab.calibration.result import Severity
 
     try:

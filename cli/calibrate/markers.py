@@ -44,7 +44,7 @@ class CalibrateMarkers:
         from rich.console import Console
 
         from taccel_lab.calibration.markers import calibrate_markers
-        from taccel_lab.calibration.markers.page import marker_page
+        from taccel_lab.calibration.markers.report import marker_page
         from taccel_lab.calibration.markers.track_files import require_track_file, write_tracks
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-    from taccel_lab.calibration.inverse.normal_calibration import NormalCalibration
+    from taccel_lab.calibration.normals.fit import NormalCalibration
     from taccel_lab.calibration.surfaces import PressSurface
     from taccel_lab.profile import SensorProfile
 
@@ -64,11 +64,11 @@ class CalibrateNormals:
 
         import warp as wp
         from rich.console import Console
+        from taccel_lab.calibration.normals.samples import Scene
 
-        from taccel_lab.calibration.inverse.fit import InverseFitOptions
-        from taccel_lab.calibration.inverse.normal_calibration import calibrate_normals
-        from taccel_lab.calibration.inverse.page import normals_page
-        from taccel_lab.calibration.inverse.samples import Scene
+        from taccel_lab.calibration.normals.fit import calibrate_normals
+        from taccel_lab.calibration.normals.network_fit import InverseFitOptions
+        from taccel_lab.calibration.normals.report import normals_page
         from taccel_lab.cli.calibrate.base import open_job, presses_on_camera
         from taccel_lab.cli.calibrate.contacts import contact_circles
         from taccel_lab.cli.calibrate.findings import (
@@ -139,7 +139,7 @@ class CalibrateNormals:
 
             with count_progress(console, "simulating the presses") as progress:
                 return simulate_presses(captures, circles, base, cache=True, progress=progress)
-        from taccel_lab.calibration.inverse.skirt import hertz_skirts
+        from taccel_lab.calibration.normals.skirt import hertz_skirts
 
         return hertz_skirts(captures, circles)
 

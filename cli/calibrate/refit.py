@@ -50,7 +50,7 @@ class CalibrateRefit:
 
         from taccel_lab.calibration.background.refit import refit_profile
         from taccel_lab.calibration.background.refit_frames import refit_frames
-        from taccel_lab.calibration.background.refit_page import refit_page
+        from taccel_lab.calibration.background.refit_report import refit_page
         from taccel_lab.calibration.capture import load_capture_folder
         from taccel_lab.cli.calibrate.base import report_folder, require_outputs, write_results
         from taccel_lab.cli.console import print_json

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 if TYPE_CHECKING:
-    from taccel_lab.calibration.background.calibrate import BackgroundCalibration, FrameLight
+    from taccel_lab.calibration.background.fit import BackgroundCalibration, FrameLight
     from taccel_lab.calibration.report import Page
     from taccel_lab.calibration.spread import SpreadCalibration
 
@@ -39,7 +39,7 @@ class CalibrateSpread:
     """Print the figures as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.calibration.background.calibrate import calibrate_background
+        from taccel_lab.calibration.background.fit import calibrate_background
         from taccel_lab.calibration.spread import calibrate_spread, spread_of_units
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json

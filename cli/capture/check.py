@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.calibration.capture import CaptureFolder
-    from taccel_lab.calibration.capture.check import CaptureCheck
+    from taccel_lab.calibration.check import CaptureCheck
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class CaptureCheckCommand:
     def run(self) -> None:
         from rich.console import Console
 
-        from taccel_lab.calibration.capture.check import check_captures, check_page
+        from taccel_lab.calibration.check import check_captures, check_page
         from taccel_lab.calibration.report import write_page
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import count_progress

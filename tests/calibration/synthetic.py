@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.color_calibration import HeldoutSet, calibrate_color
-from taccel_lab.calibration.color_result import ColorCalibration
+from taccel_lab.calibration.color.fit import HeldoutSet, calibrate_color
+from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-import taccel_lab.calibration.capture.check as check
+import taccel_lab.calibration.check as check
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
-from taccel_lab.calibration.capture.check.run import CaptureCheck
+from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.cli import app
 from taccel_lab.cli.calibrate.color import CalibrateColor
 from taccel_lab.cli.calibrate.findings import capture_check, capture_findings, shared_checks

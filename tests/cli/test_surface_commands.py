@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.capture.check.findings import error, info, warning
+from taccel_lab.calibration.check.findings import error, info, warning
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.cli.app import main
 from taccel_lab.cli.calibrate.base import on_grid

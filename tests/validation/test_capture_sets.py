@@ -17,8 +17,8 @@ from taccel_lab.calibration.capture import (
     import_captures,
     load_capture_folder,
 )
-from taccel_lab.calibration.capture.check import CaptureCheck, check_captures
 from taccel_lab.calibration.capture.importers import detect_layout
+from taccel_lab.calibration.check import CaptureCheck, check_captures
 from taccel_lab.errors import InputError
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))

@@ -16,7 +16,7 @@ import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.material import MaterialOptions, calibrate_material
-from taccel_lab.calibration.material.calibration import MaterialCalibration
+from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.result import Verdict, judge
 from taccel_lab.cli.app import main
 from taccel_lab.envs.physics import PHYSICS, Accuracy

@@ -95,8 +95,8 @@ def _parse(text: str, width: int, height: int) -> Part:
 def _find(draft: Draft, background: np.ndarray) -> tuple[Part, bool]:
     """The part that one framing shows of the other, and whether it is one of the presses."""
     # Loaded here: the check of captures itself opens drafts.
-    from taccel_lab.calibration.capture.check.background import CROP_GAIN, OTHER_FRAMING_LEVELS
-    from taccel_lab.calibration.capture.check.framing import find_crop, misfit_levels, thumb
+    from taccel_lab.calibration.check.background import CROP_GAIN, OTHER_FRAMING_LEVELS
+    from taccel_lab.calibration.check.framing import find_crop, misfit_levels, thumb
 
     if len(draft.manifest["presses"]) < MIN_PRESSES:
         raise InputError(

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter, uniform_filter
 
 from taccel_lab.calibration.background import Drift, fit_robust_drift
-from taccel_lab.calibration.background.calibrate import calibrate_background
 from taccel_lab.calibration.background.drift import PRIOR_SIGMA, normal_equations
 from taccel_lab.calibration.background.drift_report import drift_remark, drift_spread
 from taccel_lab.calibration.background.dust import dust_mask, speck_count
+from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.capture import ContactCircle, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
 from taccel_lab.calibration.synthetic import (
@@ -29,8 +29,8 @@ from taccel_lab.calibration.synthetic import (
     quantise,
 )
 from taccel_lab.errors import InputError
+from tests.calibration.contacts.presses import BALL_MM, GRID, gel, pressed, scattered
 from tests.calibration.synthetic import tiny_profile
-from tests.calibration.targets.presses import BALL_MM, GRID, gel, pressed, scattered
 
 
 def frame(name: str, image: np.ndarray) -> Frame:

@@ -10,7 +10,7 @@ import pytest
 
 from taccel_lab.calibration.background.light_change import RefitFrame, fit_light_change
 from taccel_lab.calibration.background.refit import Refit, refit_profile
-from taccel_lab.calibration.background.refit_page import refit_page
+from taccel_lab.calibration.background.refit_report import refit_page
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.calibration.synthetic import add_gradient, add_noise, drift, poison, quantise

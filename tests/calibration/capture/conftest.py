@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture.check import frames
+from taccel_lab.calibration.check import frames
 from taccel_lab.errors import InputError
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.capture.check import CaptureCheck, check_captures, check_page
-from taccel_lab.calibration.capture.check.findings import Finding
+from taccel_lab.calibration.check import CaptureCheck, check_captures, check_page
+from taccel_lab.calibration.check.findings import Finding
 from taccel_lab.calibration.result import Severity
 from taccel_lab.calibration.synthetic import blur, drift
 from tests.calibration.capture.capture_sets import (

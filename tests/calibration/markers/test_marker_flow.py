@@ -20,7 +20,7 @@ from taccel_lab.calibration.markers import (
     lattice_index,
     marker_flow_mm,
 )
-from taccel_lab.calibration.markers.calibrate import layout_on_gel
+from taccel_lab.calibration.markers.fit import layout_on_gel
 from taccel_lab.calibration.markers.flow import MarkerFlow
 from taccel_lab.calibration.markers.gel_view import pixel_jacobian
 from taccel_lab.errors import InputError

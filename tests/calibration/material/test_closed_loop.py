@@ -11,7 +11,7 @@ import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.material import MaterialOptions, calibrate_material
-from taccel_lab.calibration.material.calibration import MaterialCalibration
+from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.envs import (
     PHYSICS,
     Accuracy,

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Findings about the background: missing, of another framing, of another light, with a contact."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import Press
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.check.findings import Finding, error, info, warning
+from taccel_lab.calibration.check.framing import (
+    Crop,
+    best_channel_order,
+    find_crop,
+    misfit_levels,
+    thumb,
+)
+from taccel_lab.calibration.check.pressed_background import (
+    MAX_COMPARED,
+    find_pressed_background,
+)
+from taccel_lab.errors import InputError
+
+OTHER_FRAMING_LEVELS = 5.0
+CROP_GAIN = 2.0
+"""A crop is believed when it fits this many times better than the whole image."""
+MIN_MEDIAN_PRESSES = 7
+FINE_THUMB_PX = 320
+
+
+@dataclass(frozen=True)
+class BackgroundCheck:
+    """Which picture of the untouched gel the other checks compare with."""
+
+    image: np.ndarray
+    """RGB uint8, shape [height_px, width_px, 3]: the background, or the median of the presses."""
+    is_median: bool
+    findings: tuple[Finding, ...]
+    crop: Crop | None = None
+    """Part of the one framing that the other shows."""
+    crop_of_presses: bool = True
+    """Whether it is a part of the presses' framing, not of the background's."""
+
+
+def median_background(presses: Sequence[Press]) -> np.ndarray:
+    """Median of the presses, RGB uint8: untouched where no pixel is pressed in half of them."""
+    from taccel_lab.calibration.capture.importers.background_guess import median_image
+
+    return median_image([press.image() for press in presses])
+
+
+def check_background(folder: CaptureFolder) -> BackgroundCheck:
+    """Judge the background against the median of the presses.
+
+    Raises:
+        InputError: There is none, and too few presses for their median.
+    """
+    presses = folder.presses
+    if folder.background is None:
+        if len(presses) < MIN_MEDIAN_PRESSES:
+            raise InputError(
+                f"{folder.source}: no background and {len(presses)} presses; give an image of the "
+                f"untouched sensor, or at least {MIN_MEDIAN_PRESSES} presses for their median"
+            )
+        finding = error(
+            "no_background",
+            "there is no image of the untouched gel. The median of the presses stands in for it "
+            "here; capture import --background median makes it the background",
+            "background",
+            "color",
+            "normals",
+        )
+        return BackgroundCheck(median_background(presses), True, (finding,))
+    image = folder.background.image()
+    if len(presses) < 3:
+        return BackgroundCheck(image, False, ())
+    median_image = median_background(presses)
+    small, median = thumb(image), thumb(median_image)
+    misfit = misfit_levels(median, small)
+    own = float(np.median([misfit_levels(thumb(press.image()), median) for press in presses[:20]]))
+    if misfit < OTHER_FRAMING_LEVELS or misfit < CROP_GAIN * own:
+        picked = presses[:: max(1, len(presses) // MAX_COMPARED)][:MAX_COMPARED]
+        pressed = find_pressed_background(image, [press.image() for press in picked], folder.mask)
+        if pressed is not None:
+            enough = len(presses) >= MIN_MEDIAN_PRESSES
+            return BackgroundCheck(median_image if enough else image, enough, (pressed,))
+        return BackgroundCheck(image, False, tuple(_check_untouched(folder)))
+    order, swapped, _ = best_channel_order(small, median)
+    if order != (0, 1, 2) and swapped * CROP_GAIN < misfit:
+        # Said by the check of channels, which sees all images against each other.
+        return BackgroundCheck(np.ascontiguousarray(image), False, ())
+    longer = FINE_THUMB_PX
+    fine = thumb(image, longer), thumb(median_image, longer)
+    inner, outer = find_crop(*fine), find_crop(*fine[::-1])
+    height, width = image.shape[:2]
+    enough = len(presses) >= MIN_MEDIAN_PRESSES
+    advice = (
+        " The median of the presses is used here, and as the background with capture import "
+        "--background median"
+        if enough
+        else ""
+    )
+    if min(inner.misfit_levels, outer.misfit_levels) * CROP_GAIN < misfit:
+        crop, who, whom = (
+            (inner, "background", "presses")
+            if inner.misfit_levels <= outer.misfit_levels
+            else (outer, "presses", "background")
+        )
+        of_presses = whom == "presses"
+        left, top, wide, high = crop.in_pixels(width, height)
+        finding = error(
+            "background_is_a_crop",
+            f"the background is framed differently: the {who} show{'s' * (who[-1] != 's')} a part "
+            f"of the framing of the {whom}, enlarged: {wide} x {high} px of it from ({left}, "
+            f"{top}) px (misfit {crop.misfit_levels:.1f} levels there, {misfit:.1f} as it is). "
+            f"Record both alike, or crop the {whom} so: capture import --crop "
+            + (f"{left},{top},{wide}x{high}." if of_presses else "auto.")
+            + advice,
+            "background",
+            "color",
+            "normals",
+        )
+    else:
+        crop, of_presses = None, True
+        finding = error(
+            "background_differs",
+            f"the background is not that of the presses: {misfit:.0f} levels apart after exposure "
+            f"and white balance are fitted, the presses among themselves {own:.0f}. It is of "
+            f"another sensor, another time or another lamp setting.{advice}",
+            "background",
+            "color",
+            "normals",
+        )
+    chosen = median_image if enough else image
+    return BackgroundCheck(chosen, enough, (finding,), crop, of_presses)
+
+
+def _check_untouched(folder: CaptureFolder) -> list[Finding]:
+    """Further images of the untouched sensor: how far it has drifted."""
+    background = folder.require_background().image()
+    if folder.mask is None and background.mean() < 8:
+        return [
+            error("dark_background", "the background is black: lamps off, or wrong file", "color")
+        ]
+    found = []
+    for frame in folder.untouched:
+        misfit = misfit_levels(thumb(frame.image()), thumb(background))
+        if misfit > OTHER_FRAMING_LEVELS:
+            found.append(
+                warning(
+                    "untouched_differs",
+                    f"{frame.name} is {misfit:.0f} levels from the background after exposure and "
+                    "white balance are fitted: the sensor has changed, or it is another one",
+                    "background",
+                    frames=[frame.name],
+                )
+            )
+    if not folder.untouched and folder.presses:
+        found.append(
+            info(
+                "one_background",
+                "one image of the untouched sensor; five more at other times tell noise and drift",
+                "background",
+            )
+        )
+    return found

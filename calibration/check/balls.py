@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Findings about the ball's radius and the scale: what contradicts what is stated.
+
+A radius on its own cannot be read from a contact circle. It shows where it contradicts something:
+
+- a contact wider than the ball, or a ball pushed in deeper than the gel is thick;
+- travel: a ball that is pressed ``d`` deep leaves a contact of ``a^2 = R d`` on an elastic gel
+  (Hertz; K. L. Johnson, Contact Mechanics, 1985, eq. 4.22) and ``a^2 = 2 R d - d^2`` in a gel that
+  does not rise beside the ball, so ``a^2 / 2 d < R < a^2 / d``;
+- slopes: a ball that is too small has contacts steeper than the gel beside them
+  (``taccel_lab.calibration.contacts.ball_check``; a ball that is stated too large does not show
+  there);
+- two balls: the colour changes over the contact's centre at a rate of 1/R, so that presses of one
+  ball agree and those of two differ as their radii do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.check.findings import Finding, error, name_some, warning
+from taccel_lab.calibration.check.frames import FrameFigures
+from taccel_lab.calibration.contacts.ball import find_contacts
+from taccel_lab.calibration.contacts.ball_check import check_ball
+from taccel_lab.geometry import PixelGrid
+
+TRAVEL_SLACK = 1.35
+"""Factor left to both bounds: contact radii are known to 5 %, first touch less well."""
+ODD_RATE = 1.45
+"""Centre slopes differ by this factor between balls; presses of one ball by 1.25."""
+BALL_FACTOR = 4.0
+"""Two balls of one set hardly differ by more."""
+FIELD_SLACK = 1.05
+FITTED_PRESSES, MIN_PRESSES = 12, 4
+FEW_SHARE = 0.1
+"""So many contacts may be wrongly found or labelled before the radius is at fault."""
+SCALE_FACTOR = 1.4
+"""Published scales of one and the same sensor differ by up to this."""
+
+
+def check_balls(
+    frames: Sequence[FrameFigures],
+    grid: PixelGrid | None,
+    ball_radius_mm: float | None,
+    gel_thickness_mm: float | None,
+) -> list[Finding]:
+    """Findings on the radius; ``grid`` only with a known scale, thickness of a known sensor."""
+    found = list(_check_rates(frames, ball_radius_mm))
+    if grid is not None and ball_radius_mm is not None:
+        found += _check_size(frames, grid, ball_radius_mm, gel_thickness_mm)
+        found += _check_travel(frames, grid, ball_radius_mm)
+    return found
+
+
+def _radius_mm(frame: FrameFigures, ball_radius_mm: float | None) -> float | None:
+    return frame.press.radius_mm or ball_radius_mm
+
+
+def _check_size(
+    frames: Sequence[FrameFigures],
+    grid: PixelGrid,
+    ball_radius_mm: float,
+    gel_thickness_mm: float | None,
+) -> list[Finding]:
+    too_wide, too_deep, widest, deepest, measured = [], [], 0.0, 0.0, 0
+    for frame in frames:
+        smallest = _smallest_radius_px(frame)
+        if smallest is None:
+            continue
+        measured += 1
+        radius = _radius_mm(frame, ball_radius_mm) or ball_radius_mm
+        contact = smallest * grid.mm_per_px_x
+        if contact > radius:
+            too_wide.append(frame.press.name)
+            widest = max(widest, contact)
+            continue
+        depth = radius - np.sqrt(radius**2 - contact**2)
+        if gel_thickness_mm is not None and depth > 0.9 * gel_thickness_mm:
+            too_deep.append(frame.press.name)
+            deepest = max(deepest, float(depth))
+    found = []
+    if too_wide:
+        make = error if len(too_wide) > FEW_SHARE * measured else warning
+        found.append(
+            make(
+                "ball_too_small",
+                f"{len(too_wide)} of {measured} contacts are wider than the ball: a radius of "
+                f"up to {widest:.2f} mm at {grid.mm_per_px_x:g} mm/px, the ball has "
+                f"{ball_radius_mm:g} mm ({name_some(too_wide)}). The ball's radius is too small "
+                "(a diameter taken for it?), or the scale too large",
+                "color",
+                "normals",
+                "scale",
+                frames=too_wide,
+            )
+        )
+    if too_deep:
+        found.append(
+            error(
+                "ball_too_deep",
+                f"{len(too_deep)} contacts of the stated ball would be up to {deepest:.1f} mm deep "
+                f"in a gel of {gel_thickness_mm:g} mm: radius or scale is wrong",
+                "color",
+                "normals",
+                "scale",
+                frames=too_deep,
+            )
+        )
+    return found
+
+
+def _smallest_radius_px(frame: FrameFigures) -> float | None:
+    """The contact's radius at the least: given or found, less what the detector is unsure of."""
+    radii = []
+    if frame.press.circle is not None:
+        radii.append(frame.press.circle.radius_px)
+    if frame.contact is not None:
+        unsure = max(2.0, 2 * frame.contact.radius_sigma_px)
+        radii.append(frame.contact.circle.radius_px - unsure)
+    return min(radii, default=None)
+
+
+def _check_travel(
+    frames: Sequence[FrameFigures], grid: PixelGrid, ball_radius_mm: float
+) -> list[Finding]:
+    ratios = []
+    for frame in frames:
+        circle, depth = frame.circle, frame.press.depth_mm
+        if circle is None or depth is None or depth <= 0:
+            continue
+        radius = _radius_mm(frame, ball_radius_mm) or ball_radius_mm
+        contact = circle.radius_px * grid.mm_per_px_x
+        ratios.append(contact**2 / depth / radius)
+    if len(ratios) < 2:
+        return []
+    ratio = float(np.median(ratios))
+    if 1 / TRAVEL_SLACK <= ratio <= 2 * TRAVEL_SLACK:
+        return []
+    low, high = ratio * ball_radius_mm / 2, ratio * ball_radius_mm
+    return [
+        error(
+            "ball_against_travel",
+            f"contacts and travel of {len(ratios)} presses belong to a ball of {low:.2g} to "
+            f"{high:.2g} mm, stated is {ball_radius_mm:g} mm: the radius (a diameter taken for "
+            "it?), the scale or the travel is wrong",
+            "color",
+            "normals",
+            "scale",
+            "material",
+        )
+    ]
+
+
+def center_rate(frame: FrameFigures) -> float:
+    """Colour change per pixel at the contact's centre, over all lamps [levels/px]."""
+    circle = frame.circle
+    if circle is None or not np.isfinite(frame.lamps).all():
+        return float("nan")
+    return float(np.linalg.norm(frame.lamps)) / circle.radius_px
+
+
+def _check_rates(frames: Sequence[FrameFigures], ball_radius_mm: float | None) -> list[Finding]:
+    rates = np.array([center_rate(frame) for frame in frames])
+    radii = np.array([_radius_mm(frame, ball_radius_mm) or np.nan for frame in frames])
+    if not np.isfinite(radii).any():
+        radii = np.ones(len(frames))
+    known = np.isfinite(rates) & np.isfinite(radii) & (rates > 0)
+    if known.sum() < 6:
+        return []
+    balls = np.unique(radii[known])
+    if len(balls) > 1:
+        return _check_stated_ratio(rates[known], radii[known], balls)
+    middle = float(np.median(rates[known]))
+    spread = float(np.exp(np.median(np.abs(np.log(rates[known] / middle))) * 1.4826))
+    limit = max(ODD_RATE, spread**4)
+    odd = known & ((rates > limit * middle) | (rates < middle / limit))
+    if not odd.any() or odd.sum() > 0.4 * known.sum():
+        return []
+    names = [frame.press.name for frame, is_odd in zip(frames, odd, strict=True) if is_odd]
+    factor = middle / float(np.median(rates[odd]))
+    as_ball = f"as with a ball of {factor:.2g} times the radius, or a wrong circle"
+    if not 1 / BALL_FACTOR < factor < BALL_FACTOR:
+        as_ball = "a wrong circle, or hardly a contact"
+    return [
+        warning(
+            "other_ball",
+            f"in {name_some(names)} the colour changes {1 / factor:.2g} times as fast over the "
+            f"contact as in the other presses: {as_ball}. State radius_mm of these presses, or "
+            "remove them",
+            "color",
+            "normals",
+            frames=names,
+        )
+    ]
+
+
+def _check_stated_ratio(rates: np.ndarray, radii: np.ndarray, balls: np.ndarray) -> list[Finding]:
+    """Whether presses of several balls differ as their stated radii do."""
+    first, last = float(balls[0]), float(balls[-1])
+    seen = float(np.median(rates[radii == first]) / np.median(rates[radii == last]))
+    stated = last / first
+    if 1 / ODD_RATE < seen / stated < ODD_RATE:
+        return []
+    return [
+        error(
+            "ball_ratio",
+            f"balls of {first:g} and {last:g} mm are stated, a ratio of {stated:.2f}; by the "
+            f"colours over their contacts it is {seen:.2f}. One of the radii is wrong, or the "
+            "presses are mixed up",
+            "color",
+            "normals",
+            "scale",
+        )
+    ]
+
+
+def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Finding]:
+    """Whether the colours of up to twelve presses allow the stated ball."""
+    plain = tuple(press for press in folder.presses if press.radius_mm is None)
+    if len(plain) < MIN_PRESSES or folder.mm_per_px is None or folder.ball_radius_mm is None:
+        return []
+    pick = np.unique(np.linspace(0, len(plain) - 1, min(len(plain), FITTED_PRESSES)).astype(int))
+    grid = PixelGrid(background.shape[1], background.shape[0], *folder.mm_per_px)
+    chosen = CaptureSet(
+        source=folder.source,
+        sensor=folder.sensor,
+        background=background,
+        background_sha256="",
+        mask=np.ones(background.shape[:2], dtype=bool) if folder.mask is None else folder.mask,
+        ball_radius_mm=folder.ball_radius_mm,
+        grid=grid,
+        # Labels that contradict the ball are a finding of their own.
+        presses=tuple(replace(plain[i], circle=None) for i in pick),
+        provenance={},
+    )
+    found = check_ball(chosen, find_contacts(chosen))
+    if found is None:
+        return []
+    remark = found.remark()
+    return [Finding(remark.severity, remark.code, remark.message, (), ("color", "normals"))]
+
+
+def check_scale(
+    mm_per_px: tuple[float, float],
+    size_px: tuple[int, int],
+    pad_mm: tuple[float, float] | None,
+    usual_width_mm: float | None,
+    family: str,
+) -> list[Finding]:
+    """Whether the stated scale fits the sensor: its pad's plan, and its usual field of view."""
+    width, height = size_px[0] * mm_per_px[0], size_px[1] * mm_per_px[1]
+    longer, shorter = max(width, height), min(width, height)
+    # Lenses of domes see past the pad, as their usual view says.
+    wide = pad_mm is None or (usual_width_mm or 0.0) > max(pad_mm)
+    if (
+        pad_mm is not None
+        and not wide
+        and (longer > FIELD_SLACK * max(pad_mm) or shorter > FIELD_SLACK * min(pad_mm))
+    ):
+        return [
+            warning(
+                "scale_past_pad",
+                f"at {mm_per_px[0]:g} x {mm_per_px[1]:g} mm/px the image shows {width:.1f} x "
+                f"{height:.1f} mm, the pad of a {family} has {pad_mm[0]:g} x {pad_mm[1]:g} mm: the "
+                "scale is too large, or the image shows more than the gel",
+                "scale",
+                "color",
+                "normals",
+                "depth",
+            )
+        ]
+    if usual_width_mm is not None and not (
+        1 / SCALE_FACTOR < longer / usual_width_mm < SCALE_FACTOR
+    ):
+        return [
+            warning(
+                "scale_unusual",
+                f"at {mm_per_px[0]:g} mm/px the image is {longer:.1f} mm long, that of a {family} "
+                f"usually {usual_width_mm:.1f} mm: check the scale, or the crop of the images",
+                "scale",
+                "color",
+                "normals",
+                "depth",
+            )
+        ]
+    return []

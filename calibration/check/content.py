@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a folder holds for each block, what is missing, and which command that stops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.check.findings import COMMANDS, Finding, error
+from taccel_lab.calibration.result import Severity
+
+
+class Readiness(StrEnum):
+    """Whether a command can be run on the folder."""
+
+    READY = "ready"
+    WEAK = "weak"
+    """It runs; findings say why its result will not be good."""
+    BLOCKED = "blocked"
+    """Captures are there, and something stops the command."""
+    ABSENT = "absent"
+    """No captures for it: nothing wrong, nothing to do."""
+
+
+@dataclass(frozen=True)
+class BlockStatus:
+    """One command and what the folder holds for it."""
+
+    command: str
+    readiness: Readiness
+    found: str
+    missing: str
+
+    def to_dict(self) -> dict[str, str]:
+        return {
+            "command": f"taccel-lab calibrate {self.command}",
+            "readiness": str(self.readiness),
+            "found": self.found,
+            "missing": self.missing,
+        }
+
+
+def check_content(folder: CaptureFolder) -> list[Finding]:
+    """Things that captures which are there need and the manifest does not state."""
+    findings = []
+    if folder.presses and not folder.ball_radii_mm():
+        findings.append(
+            error(
+                "ball_radius_unstated",
+                "the radius of the ball is not stated: without it a contact says nothing about "
+                "slopes. Measure the ball and add [indenter] radius_mm",
+                "color",
+                "normals",
+                "scale",
+                "depth",
+            )
+        )
+    if folder.presses and folder.mm_per_px is None and not _scale_sources(folder):
+        findings.append(
+            error(
+                "scale_unstated",
+                "the scale is not stated and nothing here gives it: add mm_per_px_x and "
+                "mm_per_px_y, a press of a board or of a known edge, or the pitch of the markers",
+                "color",
+                "normals",
+                "depth",
+            )
+        )
+    return findings
+
+
+def _scale_sources(folder: CaptureFolder) -> list[str]:
+    sources = []
+    if any(board.entry.on_gel and board.entry.pitch_mm is not None for board in folder.boards):
+        sources.append("board on the gel")
+    if folder.landmarks:
+        sources.append(f"{len(folder.landmarks)} images with landmarks")
+    if folder.edges:
+        sources.append(f"{len(folder.edges)} edges")
+    if folder.markers is not None and folder.markers.pitch_x_mm is not None:
+        sources.append("marker pitch")
+    if any(press.depth_mm is not None for press in folder.presses):
+        sources.append("ball presses with travel")
+    return sources
+
+
+def block_statuses(
+    folder: CaptureFolder, findings: Sequence[Finding], *, grey: bool | None = None
+) -> list[BlockStatus]:
+    """Readiness of every command; ``grey`` says that grey levels stand for depth."""
+    statuses = []
+    for command in COMMANDS:
+        found, missing = _needs(folder, command)
+        if grey is False and command == "depth":
+            found, missing = "", "a sensor whose grey levels stand for depth, such as a 9DTact"
+        if grey and command in ("color", "normals"):
+            found, missing = "", "coloured lamps: this sensor's grey levels stand for depth"
+        mine = {finding.severity for finding in findings if command in finding.blocks}
+        if not found:
+            readiness = Readiness.ABSENT
+        elif missing or Severity.ERROR in mine:
+            readiness = Readiness.BLOCKED
+        else:
+            readiness = Readiness.WEAK if Severity.WARNING in mine else Readiness.READY
+        statuses.append(BlockStatus(command, readiness, found, missing))
+    return statuses
+
+
+def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
+    """What is there for a command, and what is missing, both in words."""
+    presses, labelled = len(folder.presses), sum(p.circle is not None for p in folder.presses)
+    balls = f"{presses} ball presses ({labelled} with circles)" if presses else ""
+    if command == "camera":
+        views = sum(len(b.frames) for b in folder.boards)
+        return (f"{views} views of boards" if views else ""), (
+            "" if views else "views of a board: chessboard, ChArUco, dots or pins"
+        )
+    if command == "scale":
+        sources = _scale_sources(folder)
+        stated = ""
+        if folder.mm_per_px is not None:
+            stated = f" (stated: {folder.mm_per_px[0]:g} x {folder.mm_per_px[1]:g} mm/px)"
+        return ", ".join(sources), (
+            ""
+            if sources
+            else f"a board pressed on, a known edge, balls with travel or marker pitch{stated}"
+        )
+    if command == "background":
+        images = int(folder.background is not None) + len(folder.untouched)
+        found = f"{images} images of the untouched gel" if images else balls
+        return found, "" if folder.background is not None else "an image of the untouched gel"
+    if command in ("color", "normals", "depth"):
+        missing = []
+        if folder.background is None:
+            missing.append("an image of the untouched gel")
+        if not presses:
+            missing.append("ball presses")
+        if presses and not folder.ball_radii_mm():
+            missing.append("the ball's radius")
+        if presses and folder.mm_per_px is None:
+            sources = _scale_sources(folder)
+            if sources:
+                balls += f"; scale first, by calibrate scale ({sources[0]})"
+            else:
+                missing.append("the scale")
+        return balls, ", ".join(missing)
+    if command == "markers":
+        if folder.markers is None:
+            return "", "an image of the dots at rest, videos of them moving"
+        return f"dots at rest, {len(folder.markers.videos)} videos", ""
+    kinds = [record.entry.kind for record in folder.records]
+    if not kinds:
+        return "", "force records: indentation (E), slide (friction), relaxation (damping)"
+    return ", ".join(f"{kinds.count(kind)} x {kind}" for kind in dict.fromkeys(kinds)), ""

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is measured on every press: light, contact, sharpness, saturation, direction of the lamps"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import ContactCircle, Press
+from taccel_lab.calibration.check.framing import level_fit, thumb
+from taccel_lab.calibration.contacts import DetectedContact, detect_contact
+from taccel_lab.calibration.contacts.ball import CutContactError
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+
+SATURATED_LEVEL = 254
+TEXTURE_SIGMA_PX = 1.5
+UNTOUCHED_RADII = 2.0
+LAMP_RADII = 0.9
+"""Part of the contact disc over which the direction of each lamp is fitted."""
+
+
+@dataclass(frozen=True)
+class FrameFigures:
+    """Figures of one press."""
+
+    press: Press
+    thumb: np.ndarray
+    """The image made small, RGB levels, float32."""
+    reference: np.ndarray
+    """The background in this frame's light, as small."""
+    shift_levels: np.ndarray
+    """Colour of the untouched gel less that of the background, at its mean colour, shape [3]."""
+    contact: DetectedContact | None
+    fault: str
+    """Why no contact was found; empty when one was."""
+    cut: bool
+    """Whether the border of the image cuts the contact."""
+    saturated_share: float
+    """Pixels of the contact (of the image, without one) with a channel at 254 or above."""
+    texture: float
+    """How much of the background's fine texture is seen beside the contact: 1 all of it."""
+    texture_correlation: float
+    rim_px: float
+    """Width over which the colour changes at its steepest [px]; NaN without a contact."""
+    lamps: np.ndarray
+    """Slope of each channel's colour change across the contact (levels a radius, along u and v),
+    shape [3, 2]; NaN without a contact."""
+
+    @property
+    def circle(self) -> ContactCircle | None:
+        """The contact as found, or else as given."""
+        return self.contact.circle if self.contact is not None else self.press.circle
+
+
+def measure_presses(
+    presses: Sequence[Press],
+    background: np.ndarray,
+    mask: np.ndarray | None,
+    grid: PixelGrid,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[FrameFigures]:
+    """Figures of every press against a background of the same framing (RGB uint8)."""
+    small = thumb(background)
+    figures = []
+    for i, press in enumerate(presses):
+        figures.append(_measure(press, background, small, mask, grid))
+        if progress is not None:
+            progress(i + 1, len(presses))
+    return figures
+
+
+def _measure(
+    press: Press,
+    background: np.ndarray,
+    background_small: np.ndarray,
+    mask: np.ndarray | None,
+    grid: PixelGrid,
+) -> FrameFigures:
+    image = press.image()
+    small = thumb(image)
+    gain, offset = level_fit(small, background_small)
+    level = background_small.reshape(-1, 3).mean(axis=0)
+    shift = (gain - 1) * level + offset
+    lit = np.clip(gain * background + offset, 0, 255).astype(np.float32)
+    contact, fault, cut = None, "", False
+    try:
+        contact = detect_contact(image, lit, grid, mask=mask, name=press.name)
+    except InputError as error:
+        fault = str(error).removeprefix(f"{press.name}: ")
+        cut = isinstance(error, CutContactError)
+    circle = contact.circle if contact is not None else press.circle
+    disc = np.ones(image.shape[:2], dtype=bool) if mask is None else mask.copy()
+    beside = disc.copy()
+    rim, lamps = float("nan"), np.full((3, 2), np.nan)
+    if circle is not None:
+        distance = circle.distance_px(grid)
+        disc &= distance <= circle.radius_px
+        beside &= distance > UNTOUCHED_RADII * circle.radius_px
+        change = image.astype(np.float32) - lit
+        rim = _rim_width(change, distance, circle.radius_px)
+        lamps = _lamp_slopes(change, distance, circle)
+    texture, correlation = _texture(image, background, beside)
+    saturated = (image.max(axis=-1) >= SATURATED_LEVEL)[disc]
+    return FrameFigures(
+        press=press,
+        thumb=small,
+        reference=(gain * background_small + offset).astype(np.float32),
+        shift_levels=shift,
+        contact=contact,
+        fault=fault,
+        cut=cut,
+        saturated_share=float(saturated.mean()) if saturated.size else 0.0,
+        texture=texture,
+        texture_correlation=correlation,
+        rim_px=rim,
+        lamps=lamps,
+    )
+
+
+def _texture(image: np.ndarray, background: np.ndarray, beside: np.ndarray) -> tuple[float, float]:
+    """Regression of the image's fine structure on the background's, and their correlation.
+
+    Camera noise is not shared between the two, so that it does not count as sharpness, as it does
+    in the variance of the Laplacian.
+    """
+    a, b = (_fine(picture)[beside] for picture in (background, image))
+    if a.size < 500 or not a.std() > 0 or not b.std() > 0:
+        return float("nan"), 0.0
+    shared = float((a * b).mean() - a.mean() * b.mean())
+    return shared / float(a.var()), shared / float(a.std() * b.std())
+
+
+def _fine(image: np.ndarray) -> np.ndarray:
+    grey = image.astype(np.float32).mean(axis=-1)
+    return grey - cv2.GaussianBlur(grey, (0, 0), TEXTURE_SIGMA_PX)
+
+
+def _rim_width(change: np.ndarray, distance: np.ndarray, radius: float) -> float:
+    """Colour change over its steepest gradient, both near the contact [px]."""
+    near = distance <= 1.3 * radius
+    smooth = cv2.GaussianBlur(change, (0, 0), 0.8)
+    gradient = np.hypot(
+        *(np.linalg.norm(cv2.Sobel(smooth, cv2.CV_32F, dx, dy) / 8, axis=-1) for dx, dy in _AXES)
+    )
+    steepest = float(np.percentile(gradient[near], 99))
+    return float(np.percentile(np.linalg.norm(smooth[near], axis=-1), 99)) / max(steepest, 1e-6)
+
+
+_AXES = ((1, 0), (0, 1))
+
+
+def _lamp_slopes(change: np.ndarray, distance: np.ndarray, circle: ContactCircle) -> np.ndarray:
+    inside = distance <= LAMP_RADII * circle.radius_px
+    if inside.sum() < 20:
+        return np.full((3, 2), np.nan)
+    v, u = np.nonzero(inside)
+    design = np.column_stack(
+        [
+            (u - circle.u_px) / circle.radius_px,
+            (v - circle.v_px) / circle.radius_px,
+            np.ones(len(u)),
+        ]
+    )
+    slopes, *_ = np.linalg.lstsq(design, change[inside].astype(np.float64), rcond=None)
+    return slopes[:2].T
+
+
+def handedness(lamps: np.ndarray) -> float:
+    """Which way round red, green and blue light come, from +3 (clockwise as seen) to -3.
+
+    ``lamps``: directions of the three channels, shape [3, 2] (u, v). Turning the camera leaves it
+    as it is; swapping two channels, or mirroring the image, turns its sign.
+    """
+    unit = lamps / np.maximum(np.linalg.norm(lamps, axis=-1, keepdims=True), 1e-9)
+    following = np.roll(unit, -1, axis=0)
+    return float((unit[:, 0] * following[:, 1] - unit[:, 1] * following[:, 0]).sum())

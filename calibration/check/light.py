@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Findings about light: drift, white balance, saturation, channel order, another sensor's frames"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+
+from taccel_lab.calibration.check.findings import Finding, error, name_some, warning
+from taccel_lab.calibration.check.frames import FrameFigures, handedness
+from taccel_lab.calibration.check.framing import best_channel_order, misfit_levels, thumb
+
+CHROMA_LEVELS = 5.0
+"""Change of the untouched gel's colour, apart from its brightness, that fixed settings never make.
+Cameras with fixed settings: 0.5 to 2; one with automatic white balance: 20."""
+EXPOSURE_LEVELS = 6.0
+OUTER = (3, 97)
+"""Percentiles of the frames that a change is taken over: a contact on most of the gel misleads."""
+SATURATED_SHARE, VERY_SATURATED_SHARE = 0.05, 0.3
+SWAP_MIN_LEVELS, SWAP_RATIO = 6.0, 1.6
+"""A frame's channels are swapped when another order fits this much better. Real sets: 2.3 and more
+with red and blue swapped, 1.0 without."""
+GREY_SHARE = 0.2
+"""Colour changes across the commonest direction, relative to those along it, under white light."""
+MIXED_MIN_LEVELS, MIXED_RATIO = 5.0, 2.0
+"""Two groups of frames are of different sensors when they differ by this much, and this many times
+as much as the frames of the tighter group among themselves."""
+MIN_MIXED = 4
+PAIR_THUMB_PX = 48
+MAX_PAIRED = 60
+HANDED = 0.7
+CHANNELS = "RGB"
+
+
+def check_light(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Finding]:
+    """All findings of this module that need presses and a background (small, RGB levels)."""
+    swapped = check_channel_order(frames, background)
+    if swapped:  # Drift and other sensors would be found as a consequence.
+        return [*swapped, *_check_saturation(frames)]
+    return [*_check_drift(frames), *_check_saturation(frames), *check_mixed(frames)]
+
+
+def is_grey(frames: Sequence[FrameFigures]) -> bool:
+    """Whether contacts change all channels alike, as under white light."""
+    strongest = []
+    for frame in frames:
+        change = frame.thumb - frame.reference
+        size = np.linalg.norm(change, axis=-1)
+        strongest.append(change[size >= np.percentile(size, 97)])
+    values = np.linalg.svd(np.concatenate(strongest), compute_uv=False)
+    return bool(values[1] < GREY_SHARE * values[0])
+
+
+def _check_drift(frames: Sequence[FrameFigures]) -> list[Finding]:
+    shifts = np.stack([frame.shift_levels for frame in frames])
+    brightness = shifts.mean(axis=1)
+    chroma = shifts - brightness[:, None]
+    spread = float(np.ptp(np.percentile(chroma, OUTER, axis=0), axis=0).max())
+    exposure = float(np.ptp(np.percentile(brightness, OUTER)))
+    if spread > CHROMA_LEVELS:
+        worst = np.argsort(-np.abs(chroma - np.median(chroma, axis=0)).max(axis=1))
+        return [
+            warning(
+                "auto_white_balance",
+                f"the colour of the untouched gel changes by up to {spread:.0f} levels between "
+                f"frames (brightness by {exposure:.0f}): the camera's white balance was automatic. "
+                "Fix white balance and exposure and record again; until then the fits correct gain "
+                "and offset of each frame",
+                "color",
+                "normals",
+                frames=[frames[i].press.name for i in worst[:MAX_LISTED]],
+            )
+        ]
+    if exposure > EXPOSURE_LEVELS:
+        return [
+            warning(
+                "auto_exposure",
+                f"the brightness of the untouched gel changes by up to {exposure:.0f} levels "
+                "between frames: fix exposure and gain of the camera, or let the lamps warm up",
+                "color",
+                "normals",
+                "depth",
+            )
+        ]
+    return []
+
+
+MAX_LISTED = 8
+
+
+def _check_saturation(frames: Sequence[FrameFigures]) -> list[Finding]:
+    shares = np.array([frame.saturated_share for frame in frames])
+    bad = np.flatnonzero(shares > SATURATED_SHARE)
+    if len(bad) < max(1, 0.1 * len(frames)):
+        return []
+    worst = bad[np.argsort(-shares[bad])]
+    names = [frames[i].press.name for i in worst]
+    message = (
+        f"{len(bad)} of {len(frames)} contacts have more than {SATURATED_SHARE:.0%} of their "
+        f"pixels at full level (up to {shares.max():.0%}): their colours are cut off. Lower the "
+        "exposure"
+    )
+    make = error if np.median(shares) > VERY_SATURATED_SHARE else warning
+    return [make("saturated", message, "color", "normals", frames=names)]
+
+
+def check_channel_order(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Finding]:
+    """Channels that are swapped in some frames, or between the frames and the background."""
+    orders = [best_channel_order(frame.thumb, background) for frame in frames]
+    swapped = [
+        i
+        for i, (order, best, asis) in enumerate(orders)
+        if order != (0, 1, 2) and asis > SWAP_MIN_LEVELS and asis > SWAP_RATIO * best
+    ]
+    if not swapped:
+        return []
+    order = "".join(CHANNELS[c] for c in orders[swapped[0]][0])
+    names = [frames[i].press.name for i in swapped]
+    _, best, asis = orders[swapped[0]]
+    if len(swapped) > 0.5 * len(frames):
+        what = f"{len(swapped)} of {len(frames)} presses and the background"
+    else:
+        what = f"{name_some(names)} and the other images"
+    return [
+        error(
+            "channels_swapped",
+            f"the colour channels of {what} are in different orders: read as {order} the frames "
+            f"are {best:.0f} levels from the background, as they are {asis:.0f}. Save all images "
+            "through one program (OpenCV writes BGR)",
+            "color",
+            "normals",
+            "background",
+            frames=names,
+        )
+    ]
+
+
+def check_handedness(
+    frames: Sequence[FrameFigures], family: str, expected: float | None
+) -> list[Finding]:
+    """Channels that are swapped in all images alike, told by the order of the lamps.
+
+    ``expected`` is the handedness of the family's lamps; None when it has no three colours.
+    """
+    lamps = [frame.lamps for frame in frames if np.isfinite(frame.lamps).all()]
+    if expected is None or not lamps or is_grey(frames):
+        return []
+    found = float(np.median([handedness(lamp) for lamp in lamps]))
+    if abs(found) < HANDED or found * expected > 0:
+        return []
+    turn = {True: "clockwise", False: "counter-clockwise"}
+    return [
+        warning(
+            "lamps_reversed",
+            f"red, green and blue light come {turn[found > 0]} round the contacts, on a {family} "
+            f"{turn[expected > 0]}: red and blue are swapped in all images (BGR saved as RGB), "
+            "the images are mirrored, or it is another sensor",
+            "color",
+            "normals",
+        )
+    ]
+
+
+def check_mixed(frames: Sequence[FrameFigures]) -> list[Finding]:
+    """Frames of two sensors (or framings) in one folder."""
+    if len(frames) < MIN_MIXED:
+        return []
+    pick = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), MAX_PAIRED)).astype(int))
+    small = [thumb(frames[i].thumb, PAIR_THUMB_PX) for i in pick]
+    count = len(small)
+    distance = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i):
+            distance[i, j] = distance[j, i] = misfit_levels(small[i], small[j])
+    group = fcluster(linkage(squareform(distance), "average"), 2, "maxclust")
+    first, second = (np.flatnonzero(group == k) for k in (1, 2))
+    if not len(first) or not len(second):
+        return []
+    between = float(np.median(distance[np.ix_(first, second)]))
+    inner = [
+        float(np.median(distance[np.ix_(part, part)][~np.eye(len(part), dtype=bool)]))
+        for part in (first, second)
+        if len(part) > 1
+    ]
+    within = max(inner) if inner else 0.0
+    if between < MIXED_MIN_LEVELS or between < MIXED_RATIO * within:
+        return []
+    fewer, more = sorted((first, second), key=len)
+    names = [frames[pick[i]].press.name for i in fewer]
+    return [
+        error(
+            "mixed_sensors",
+            f"the untouched gel looks different in {name_some(names)} than in the other "
+            f"{len(more)} images compared: {between:.0f} levels apart where frames of one kind "
+            f"differ by {within:.0f}. They are of another sensor, another crop, or another lamp "
+            "setting; give each its own folder",
+            "color",
+            "normals",
+            "background",
+            frames=names,
+        )
+    ]

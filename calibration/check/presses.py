@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Findings about contacts: none there, blurred, at one spot, all alike, against their labels"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.check.findings import Finding, error, info, name_some, warning
+from taccel_lab.calibration.check.frames import FrameFigures
+from taccel_lab.calibration.contacts.selection import too_many_lost
+from taccel_lab.geometry import PixelGrid
+
+LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3
+"""A label is off when its centre lies this part of its radius (and ``LABEL_OFF_PX``) from the
+contact found, or its radius differs by that part. Careful labels: 0.05 to 0.1 on real sets."""
+LABEL_OFF_PX = 6.0
+SURE_OF_CONTACT = 0.4
+"""Confidence of a contact below which it says nothing against a label."""
+LABELS_BAD_SHARE = 0.25
+FEW_PRESSES, GOOD_PRESSES = 10, 30
+ONE_SPOT_RADII = 2.0
+"""Presses are at one spot when their centres lie within this many contact radii."""
+GOOD_COVERAGE = 0.5
+CELLS = (4, 3)
+"""Columns and rows of the coverage table."""
+SAME_DEPTH = 0.12
+BLUR_TEXTURE, BLUR_RIM, BLUR_RIM_WITHOUT_TEXTURE = 0.5, 1.8, 1.3
+"""Share of the usual texture, and multiples of the usual width of the rim."""
+USEFUL_TEXTURE = 0.25
+"""Correlation of fine structure above which a lack of it means blur."""
+NEAR_DUPLICATE = 0.1
+"""Images are the same press when they differ by less than this part of the contact's contrast."""
+MIN_DUPLICATE_LEVELS = 1.5
+LARGEST_ANGLE = 0.98
+"""Contact radius over ball radius beyond which a contact reaches the equator."""
+
+
+def check_contacts(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Finding]:
+    """All findings of this module on presses of one ball."""
+    return [
+        *_check_found(frames),
+        *_check_labels(frames, grid),
+        *_check_spots(frames, grid),
+        *_check_count(frames),
+        *_check_depths(frames),
+        *_check_blur(frames),
+        *_check_duplicates(frames),
+    ]
+
+
+def _check_found(frames: Sequence[FrameFigures]) -> list[Finding]:
+    lost = [frame for frame in frames if frame.contact is None]
+    if not lost:
+        return []
+    names = [frame.press.name for frame in lost]
+    reason = lost[0].fault
+    make = error if too_many_lost(len(frames), [frame.cut for frame in lost]) else warning
+    cut = sum(frame.cut for frame in lost)
+    border = f" In {cut} of them the border of the image cuts it." if cut else ""
+    return [
+        make(
+            "no_contact",
+            f"no contact was found in {len(lost)} of {len(frames)} presses ({name_some(names)}). "
+            f"{names[0]}: {reason}{border}",
+            "color",
+            "normals",
+            "scale",
+            frames=names,
+        )
+    ]
+
+
+@dataclass(frozen=True)
+class LabelGap:
+    """How far a label is from the contact that was found [px]."""
+
+    name: str
+    center_px: float
+    radius_px: float
+    """Found less labelled."""
+    off: bool
+
+
+def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap]:
+    """Of every press that has both a label and a contact found."""
+    ratio = grid.mm_per_px_y / grid.mm_per_px_x
+    gaps = []
+    for frame in frames:
+        if frame.contact is None or frame.press.circle is None:
+            continue
+        found, label = frame.contact.circle, frame.press.circle
+        center = float(np.hypot(found.u_px - label.u_px, (found.v_px - label.v_px) * ratio))
+        radius = found.radius_px - label.radius_px
+        # What the detector itself is unsure of is not held against the label.
+        limit = max(LABEL_OFF_PX, LABEL_OFF_SHARE * label.radius_px)
+        unsure = 2 * frame.contact.radius_sigma_px
+        sure = frame.contact.confidence >= SURE_OF_CONTACT
+        off = sure and (
+            center > limit or abs(radius) > LABEL_RADIUS_SHARE * label.radius_px + unsure
+        )
+        gaps.append(LabelGap(frame.press.name, center, radius, off))
+    return gaps
+
+
+def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Finding]:
+    gaps = label_gaps(frames, grid)
+    off = sorted((gap for gap in gaps if gap.off), key=lambda gap: -gap.center_px)
+    if not off:
+        return []
+    centers = np.array([gap.center_px for gap in gaps])
+    names = [gap.name for gap in off]
+    many = len(off) > LABELS_BAD_SHARE * len(gaps)
+    make = error if many else warning
+    worst_radius = max((gap.radius_px for gap in off), key=abs)
+    return [
+        make(
+            "labels_off",
+            f"{len(off)} of {len(gaps)} labelled circles disagree with the images: centres by up "
+            f"to {centers.max():.0f} px (median {np.median(centers):.1f} px), radii by up to "
+            f"{abs(worst_radius):.0f} px; {name_some(names)}. "
+            + ("Calibrate with the circles found (--circles detected)" if many else "Look at them"),
+            "color",
+            "normals",
+            frames=names,
+        )
+    ]
+
+
+def _circles(frames: Sequence[FrameFigures]) -> list[ContactCircle]:
+    return [frame.circle for frame in frames if frame.circle is not None]
+
+
+def coverage_map(frames: Sequence[FrameFigures], grid: PixelGrid) -> np.ndarray:
+    """How many contacts touched each pixel, int, shape [height_px, width_px]."""
+    count = np.zeros((grid.height_px, grid.width_px), dtype=np.int32)
+    for circle in _circles(frames):
+        count += circle.distance_px(grid) <= circle.radius_px
+    return count
+
+
+def empty_cells(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[str]:
+    """Names of the cells of a 4 x 3 table of the image that no contact's centre lies in."""
+    used = {
+        (
+            min(int(circle.u_px / grid.width_px * CELLS[0]), CELLS[0] - 1),
+            min(int(circle.v_px / grid.height_px * CELLS[1]), CELLS[1] - 1),
+        )
+        for circle in _circles(frames)
+    }
+    rows, columns = ("top", "middle", "bottom"), ("left", "left centre", "right centre", "right")
+    return [
+        f"{rows[v]} {columns[u]}"
+        for v in range(CELLS[1])
+        for u in range(CELLS[0])
+        if (u, v) not in used
+    ]
+
+
+def _check_spots(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Finding]:
+    circles = _circles(frames)
+    if len(circles) < 3:
+        return []
+    centers = np.array([[c.u_px, c.v_px] for c in circles])
+    reach = float(np.linalg.norm(centers[:, None] - centers[None], axis=-1).max())
+    radius = float(np.median([c.radius_px for c in circles]))
+    covered = float((coverage_map(frames, grid) > 0).mean())
+    spread = max(radius, 0.05 * min(grid.width_px, grid.height_px))
+    if reach < ONE_SPOT_RADII * spread:
+        return [
+            error(
+                "one_spot",
+                f"all {len(circles)} presses lie within {reach:.0f} px of each other and cover "
+                f"{covered:.0%} of the gel: colours elsewhere cannot be learned. Press all over "
+                "the gel, also near its edges",
+                "color",
+                "normals",
+            )
+        ]
+    cells = empty_cells(frames, grid)
+    if covered < GOOD_COVERAGE or len(cells) > 3:
+        return [
+            warning(
+                "coverage",
+                f"the contacts cover {covered:.0%} of the gel; no press in {len(cells)} of "
+                f"{CELLS[0] * CELLS[1]} parts of the image"
+                + (f" ({name_some(cells)})" if cells else "")
+                + ". The colour model is only valid where balls were",
+                "color",
+                "normals",
+            )
+        ]
+    return []
+
+
+def _check_count(frames: Sequence[FrameFigures]) -> list[Finding]:
+    if len(frames) >= GOOD_PRESSES:
+        return []
+    make = warning if len(frames) < FEW_PRESSES else info
+    return [
+        make(
+            "few_presses",
+            f"{len(frames)} press{'es' if len(frames) != 1 else ''}; {GOOD_PRESSES} to 50 leave "
+            "enough to hold some out and still cover the gel",
+            "color",
+            "normals",
+        )
+    ]
+
+
+def _check_depths(frames: Sequence[FrameFigures]) -> list[Finding]:
+    radii = np.array([circle.radius_px for circle in _circles(frames)])
+    if len(radii) < 5 or np.ptp(np.percentile(radii, [5, 95])) > SAME_DEPTH * np.median(radii):
+        return []
+    return [
+        warning(
+            "same_depth",
+            f"all contacts are of nearly one size ({radii.min():.0f} to {radii.max():.0f} px): "
+            "press with different forces, so that every slope is seen at every place",
+            "color",
+            "normals",
+        )
+    ]
+
+
+def _check_blur(frames: Sequence[FrameFigures]) -> list[Finding]:
+    if len(frames) < 4:
+        return []
+    texture = np.array([frame.texture for frame in frames])
+    seen = np.isfinite(texture)
+    rims = np.array([frame.rim_px for frame in frames])
+    known = np.isfinite(rims)
+    if known.sum() < 4:
+        return []
+    wide = rims / np.nanmedian(rims)
+    blurred = known & (wide > BLUR_RIM)
+    correlation = np.median([frame.texture_correlation for frame in frames])
+    if correlation > USEFUL_TEXTURE and seen.sum() >= 4:
+        # Texture alone would not do: shear under the ball moves it.
+        gone = seen & (texture < BLUR_TEXTURE * np.nanmedian(texture))
+        blurred |= gone & known & (wide > BLUR_RIM_WITHOUT_TEXTURE)
+    if not blurred.any():
+        return []
+    names = [frame.press.name for frame, bad in zip(frames, blurred, strict=True) if bad]
+    return [
+        warning(
+            "blurred",
+            f"{len(names)} of {len(frames)} presses are blurred against the others "
+            f"({name_some(names)}): the fine texture of the gel is gone beside the contact, or its "
+            "rim is wide. They were moving, or out of focus",
+            "color",
+            "normals",
+            "scale",
+            frames=names,
+        )
+    ]
+
+
+def _check_duplicates(frames: Sequence[FrameFigures]) -> list[Finding]:
+    same: dict[str, list[str]] = {}
+    for frame in frames:
+        same.setdefault(frame.press.sha256, []).append(frame.press.name)
+    copies = [names for names in same.values() if len(names) > 1]
+    findings = []
+    if copies:
+        names = [name for group in copies for name in group]
+        findings.append(
+            warning(
+                "duplicates",
+                f"the same image stands several times: {'; '.join(map(' = '.join, copies[:4]))}. "
+                "Figures on held-out frames would be of frames that the fit has seen",
+                "color",
+                "normals",
+                frames=names,
+            )
+        )
+    near = _near_duplicates(frames)
+    if near:
+        findings.append(
+            warning(
+                "near_duplicates",
+                f"{len(near)} pairs of frames show the same press: "
+                f"{name_some([f'{a} and {b}' for a, b in near])}. Keep one of each, so that "
+                "held-out frames are new ones",
+                "color",
+                "normals",
+                frames=sorted({name for pair in near for name in pair}),
+            )
+        )
+    return findings
+
+
+def _near_duplicates(frames: Sequence[FrameFigures]) -> list[tuple[str, str]]:
+    """Pairs whose contacts are at one place, of one size and of one colour."""
+    pairs = []
+    for i, a in enumerate(frames):
+        for b in frames[:i]:
+            if a.press.sha256 == b.press.sha256 or a.contact is None or b.contact is None:
+                continue
+            one, two = a.contact.circle, b.contact.circle
+            apart = np.hypot(one.u_px - two.u_px, one.v_px - two.v_px)
+            if apart > 2.0 or abs(one.radius_px - two.radius_px) > 2.0:
+                continue
+            change = a.thumb - b.thumb
+            change = change - np.median(change, axis=(0, 1))
+            strongest = float(np.percentile(np.linalg.norm(change, axis=-1), 99.5))
+            if strongest < max(MIN_DUPLICATE_LEVELS, NEAR_DUPLICATE * a.contact.contrast_levels):
+                pairs.append((b.press.name, a.press.name))
+    return pairs

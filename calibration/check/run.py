@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole check of a capture folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.check.background import BackgroundCheck, check_background
+from taccel_lab.calibration.check.balls import check_balls, check_scale, check_slopes
+from taccel_lab.calibration.check.content import BlockStatus, block_statuses, check_content
+from taccel_lab.calibration.check.findings import Finding, error, info, warning, worst_first
+from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
+from taccel_lab.calibration.check.framing import thumb
+from taccel_lab.calibration.check.light import check_handedness, check_light, is_grey
+from taccel_lab.calibration.check.presses import (
+    check_contacts,
+    coverage_map,
+    empty_cells,
+    label_gaps,
+)
+from taccel_lab.calibration.check.sensor_facts import SensorFacts, sensor_facts
+from taccel_lab.calibration.check.targets import check_targets
+from taccel_lab.calibration.result import Severity
+from taccel_lab.calibration.surfaces.design import FLAT_PAD, turn_remark
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+
+ANY_SCALE_MM_PER_PX = 0.05
+"""Where no scale is stated: pixels are then square and lengths are only told in pixels."""
+SPOILS_SLOPES = {"channels_swapped", "mixed_sensors", "ball_too_small", "background_differs"}
+"""Faults that leave nothing to learn about the ball from colours."""
+
+
+@dataclass(frozen=True)
+class CaptureCheck:
+    """What the check of one folder found."""
+
+    folder: CaptureFolder
+    findings: tuple[Finding, ...]
+    """Worst first."""
+    blocks: tuple[BlockStatus, ...]
+    frames: tuple[FrameFigures, ...] = ()
+    grid: PixelGrid | None = None
+    """Of the presses; its scale is made up where none is stated."""
+    background: BackgroundCheck | None = None
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def usable(self) -> bool:
+        """Whether nothing stops what the captures are there for."""
+        return all(finding.severity != Severity.ERROR for finding in self.findings)
+
+    def figures(self) -> dict[str, Any]:
+        """Everything found, ready for JSON."""
+        return {
+            "source": self.folder.source,
+            "sensor": self.folder.sensor,
+            "usable": self.usable,
+            "contents": self.folder.contents(),
+            "blocks": [block.to_dict() for block in self.blocks],
+            "findings": [finding.to_dict() for finding in self.findings],
+            "notes": list(self.notes),
+            "presses": self._press_figures(),
+            "coverage": self._coverage(),
+        }
+
+    def _press_figures(self) -> list[dict[str, Any]]:
+        if self.grid is None:
+            return []
+        gaps = {gap.name: gap for gap in label_gaps(self.frames, self.grid)}
+        rows = []
+        for frame in self.frames:
+            circle, gap = frame.circle, gaps.get(frame.press.name)
+            rows.append(
+                {
+                    "name": frame.press.name,
+                    "u_px": None if circle is None else circle.u_px,
+                    "v_px": None if circle is None else circle.v_px,
+                    "radius_px": None if circle is None else circle.radius_px,
+                    "found": frame.contact is not None,
+                    "fault": frame.fault,
+                    "label_center_px": None if gap is None else gap.center_px,
+                    "label_radius_px": None if gap is None else gap.radius_px,
+                    "shift_levels": frame.shift_levels,
+                    "saturated_share": frame.saturated_share,
+                    "rim_px": frame.rim_px,
+                    "texture": frame.texture,
+                }
+            )
+        return rows
+
+    def _coverage(self) -> dict[str, Any] | None:
+        if self.grid is None or not self.frames:
+            return None
+        return {
+            "share": float((coverage_map(self.frames, self.grid) > 0).mean()),
+            "empty_parts": empty_cells(self.frames, self.grid),
+        }
+
+
+def check_captures(
+    folder: CaptureFolder,
+    *,
+    notes: tuple[str, ...] = (),
+    progress: Callable[[int, int], None] | None = None,
+    fit_ball: bool = True,
+) -> CaptureCheck:
+    """Judge everything in a folder; ``notes`` are what an importer assumed.
+
+    ``fit_ball`` holds the ball's radius against the slopes that colours show, which takes several
+    seconds.
+
+    Raises:
+        InputError: A file cannot be read.
+    """
+    facts = sensor_facts(folder.sensor)
+    findings = [*check_content(folder), *check_targets(folder)]
+    if facts is None:
+        findings.append(
+            error(
+                "sensor_unknown",
+                f"the catalogue has no sensor {folder.sensor!r} (taccel-lab sensors list); "
+                "flat_pad stands for any flat gel",
+                "color",
+                "normals",
+                "material",
+            )
+        )
+    frames: list[FrameFigures] = []
+    grid, background = None, None
+    if folder.presses:
+        try:
+            background = check_background(folder)
+        except InputError as fault:
+            findings.append(error("no_background", str(fault), "color", "normals", "background"))
+    if background is not None:
+        findings += background.findings
+        grid = _grid(folder, background.image)
+        frames = measure_presses(folder.presses, background.image, folder.mask, grid, progress)
+        findings += _check_presses(folder, frames, background, grid, facts)
+        if fit_ball and not any(finding.code in SPOILS_SLOPES for finding in findings):
+            findings += check_slopes(folder, background.image)
+    elif folder.background is None and not folder.presses and not _has_other(folder):
+        findings.append(error("empty", "the folder holds no captures"))
+    grey = None if facts is None else facts.is_grey
+    if folder.presses and background is not None and grey is not True:
+        grey = is_grey(frames)
+    findings = worst_first(findings)
+    return CaptureCheck(
+        folder=folder,
+        findings=tuple(findings),
+        blocks=tuple(block_statuses(folder, findings, grey=grey)),
+        frames=tuple(frames),
+        grid=grid,
+        background=background,
+        notes=notes,
+    )
+
+
+def _has_other(folder: CaptureFolder) -> bool:
+    return bool(folder.boards or folder.edges or folder.markers or folder.records)
+
+
+def _grid(folder: CaptureFolder, image: np.ndarray) -> PixelGrid:
+    scale = folder.mm_per_px or (ANY_SCALE_MM_PER_PX, ANY_SCALE_MM_PER_PX)
+    return PixelGrid(image.shape[1], image.shape[0], *scale)
+
+
+def _check_presses(
+    folder: CaptureFolder,
+    frames: list[FrameFigures],
+    background: BackgroundCheck,
+    grid: PixelGrid,
+    facts: SensorFacts | None,
+) -> list[Finding]:
+    findings = [
+        *check_light(frames, thumb(background.image)),
+        *check_contacts(frames, grid),
+        *check_balls(
+            frames,
+            grid if folder.mm_per_px is not None else None,
+            folder.ball_radius_mm,
+            None if facts is None else facts.thickness_mm,
+        ),
+    ]
+    if facts is None:
+        return findings
+    findings += check_handedness(frames, facts.family, facts.handedness)
+    if folder.mm_per_px is not None:
+        size = (grid.width_px, grid.height_px)
+        findings += check_scale(folder.mm_per_px, size, facts.pad_mm, facts.view_mm, facts.family)
+        across = None if facts.family == FLAT_PAD else turn_remark(facts.family, grid)
+        if across is not None:
+            findings.append(warning(across.code, across.message, "color", "normals", "depth"))
+    grey = is_grey(frames)
+    if grey != facts.is_grey and facts.family != "flat_pad":
+        have, want = ("grey", "coloured") if grey else ("coloured", "grey")
+        findings.append(
+            warning(
+                "grey_or_colour",
+                f"the images are {have}, those of a {facts.family} are {want}: another sensor, or "
+                "images converted on the way",
+                "color",
+                "normals",
+                "depth",
+            )
+        )
+    if background.is_median and not any(f.code == "no_background" for f in background.findings):
+        findings.append(
+            info("median_used", "checks of contacts were made against the median of the presses")
+        )
+    return findings

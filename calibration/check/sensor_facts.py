@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the catalogue knows of a sensor that captures can be held against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.calibration.check.frames import handedness
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.sensors import sensor_families
+
+GENERIC = ("flat_pad",)
+"""Families that stand for any sensor: their figures contradict nothing."""
+PURE = 0.6
+"""Share of a lamp's light in its strongest channel above which it counts as of that colour."""
+
+
+@dataclass(frozen=True)
+class SensorFacts:
+    """Figures of one family; None where it has none."""
+
+    family: str
+    pad_mm: tuple[float, float] | None = None
+    """Plan of the pad, x and y."""
+    thickness_mm: float | None = None
+    view_mm: float | None = None
+    """Longer side of what the camera usually shows."""
+    handedness: float | None = None
+    """Which way round its red, green and blue lamps stand, see ``frames.handedness``."""
+    drop_mm: float = 0.0
+    """How far the face lies lower at the sides of the view than at its apex."""
+    has_markers: bool = False
+    is_grey: bool = False
+    """Whether all its lamps are white: grey levels stand for depth."""
+
+
+def sensor_facts(name: str) -> SensorFacts | None:
+    """Figures of the family called ``name``; None when the catalogue has no such family."""
+    family = sensor_families().get(name)
+    if family is None:
+        return None
+    parameters = family.parameters()
+    design = parameters.optics()
+    lamps = [] if design is None else list(design.lights)
+    grey = bool(lamps) and all(np.ptp(lamp.rgb) < 1e-6 for lamp in lamps)
+    if name in GENERIC:
+        return SensorFacts(name, is_grey=grey)
+    pad = parameters.pad()
+    size = np.ptp(pad.bounds_mm(), axis=0)
+    grid = parameters.grid()
+    view = max(grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y)
+    return SensorFacts(
+        family=name,
+        pad_mm=(float(size[0]), float(size[1])),
+        # A shell on a hard dome is thinner than it is high.
+        thickness_mm=float(getattr(parameters, "thickness_mm", size[2])),
+        view_mm=float(view),
+        drop_mm=_drop_mm(pad, size, grid),
+        handedness=_handedness([(lamp.rgb, lamp.position_mm) for lamp in lamps]),
+        has_markers=parameters.markers() is not None,
+        is_grey=grey,
+    )
+
+
+def _drop_mm(pad: Any, size_mm: np.ndarray, grid: PixelGrid) -> float:
+    """Of the points at the middle of the view's sides, or well inside the pad's."""
+    view = np.array([grid.width_px * grid.mm_per_px_x / 2, grid.height_px * grid.mm_per_px_y / 2])
+    x, y = np.minimum(0.4 * size_mm[:2], view)
+    sides = np.array([[0.0, 0.0], [x, 0.0], [-x, 0.0], [0.0, y], [0.0, -y]])
+    heights = pad.top_mm(sides)
+    return float(heights[0] - heights[1:].min())
+
+
+def _handedness(
+    lamps: list[tuple[tuple[float, float, float], tuple[float, float, float]]],
+) -> float | None:
+    """Of three lamps of one colour each; None for any other lighting."""
+    if len(lamps) != 3:
+        return None
+    directions = np.zeros((3, 2))
+    for rgb, position in lamps:
+        channel = int(np.argmax(rgb))
+        if rgb[channel] < PURE * sum(rgb):
+            return None
+        directions[channel] = position[:2]
+    if not np.linalg.norm(directions, axis=1).all():
+        return None
+    return handedness(directions)

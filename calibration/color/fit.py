@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Captures and simulated surfaces to the profile blocks ``background`` and ``color``.
+
+All that is chosen or fitted rests on the training presses; then the model is frozen, and the
+held-out presses are read, placed and scored (``taccel_lab.calibration.color.heldout``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from taccel_lab.calibration.background.drift import fit_drift
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.color.drift_choice import DriftChoice, choose_drift
+from taccel_lab.calibration.color.evaluate import ImageScore, noise_floor_l1, score_image
+from taccel_lab.calibration.color.folds import FoldResult, fold_fits
+from taccel_lab.calibration.color.frames import ColorFrame
+from taccel_lab.calibration.color.heldout import (
+    HeldoutFailure,
+    HeldoutPress,
+    HeldoutSet,
+    score_heldout,
+    without_light,
+)
+from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
+from taccel_lab.calibration.color.options import ColorFitOptions, Progress
+from taccel_lab.calibration.color.registration import MIN_PRESSES, Registration, register_presses
+from taccel_lab.calibration.color.result import ColorCalibration, PressScore, Spread
+from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
+from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.result import Remark
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.surfaces.variation import moved_surfaces
+from taccel_lab.errors import InputError
+from taccel_lab.interop.taxim_table import TaximTable
+
+__all__ = ["ColorCalibration", "ColorPlan", "HeldoutSet", "calibrate_color"]
+
+Stage = Callable[[str], None]
+"""Told what is being done."""
+SPREAD_PIXELS = 2000
+"""Pixels of each press at which the fits' disagreement is taken."""
+
+
+@dataclass(frozen=True)
+class ColorPlan:
+    """What is done besides the fit itself; the defaults fit, and score what is held out."""
+
+    drift: Literal["auto", "on", "off"] | None = None
+    """Whether drift is taken off; ``auto`` compares; None leaves it to the fit's options."""
+    register: bool = False
+    """Read the training circles again with the colours of the other training presses."""
+    folds: int = 0
+    """Fits that leave training presses out: their spread; 0 for none."""
+    table: bool = False
+    """Fit Taxim's table too, as a baseline and for export."""
+
+
+def calibrate_color(
+    captures: CaptureSet,
+    circles: Sequence[ContactCircle],
+    surfaces: Sequence[PressSurface],
+    heldout: HeldoutSet | None = None,
+    *,
+    options: ColorFitOptions | None = None,
+    plan: ColorPlan | None = None,
+    remarks: Sequence[Remark] = (),
+    progress: Progress | None = None,
+    stage: Stage | None = None,
+) -> ColorCalibration:
+    """Fit the colour model to ``captures`` and score it on ``heldout``.
+
+    Args:
+        captures: The training presses alone.
+        circles: Their contact circles to start from, in order.
+        surfaces: Their surfaces, in order.
+        heldout: Presses that are read when the model is frozen; None leaves figures out.
+        options: Settings of the fit.
+        plan: What is done besides it.
+        remarks: What is known of the captures already.
+        progress: Told of the fits' steps.
+        stage: Told what is being done.
+
+    Raises:
+        InputError: Numbers that do not match, a press on both sides, or captures no fit can take.
+    """
+    if not len(circles) == len(surfaces) == len(captures.presses):
+        raise InputError(
+            f"{len(captures.presses)} presses need as many circles and surfaces, got "
+            f"{len(circles)} and {len(surfaces)}"
+        )
+    if heldout is not None:
+        both = {p.name for p in captures.presses} & {p.name for p in heldout.captures.presses}
+        if both:
+            raise InputError(f"{', '.join(sorted(both))}: held out and fitted at once")
+    frames = [
+        ColorFrame(press.name, press.image(), circle, surface, press.sha256)
+        for press, circle, surface in zip(captures.presses, circles, surfaces, strict=True)
+    ]
+    job = _Job(
+        captures, frames, plan or ColorPlan(), options or ColorFitOptions(),
+        stage or (lambda _: None),
+    )  # fmt: skip
+    return job.run(surfaces, heldout, tuple(remarks), progress)
+
+
+@dataclass
+class _Job:
+    captures: CaptureSet
+    frames: list[ColorFrame]
+    plan: ColorPlan
+    options: ColorFitOptions
+    tell: Stage
+    drift: DriftChoice | None = None
+    registration: Registration | None = None
+
+    def run(
+        self,
+        surfaces: Sequence[PressSurface],
+        heldout: HeldoutSet | None,
+        remarks: tuple[Remark, ...],
+        progress: Progress | None,
+    ) -> ColorCalibration:
+        captures, grid, mask = self.captures, self.captures.grid, self.captures.mask
+        self._choose_drift()
+        dark = {} if heldout is None else without_light(heldout.captures, self.options.remove_drift)
+        for name, reason in dark.items():
+            self.tell(f"{name} will count as a failure: {reason}")
+        start = [frame.circle for frame in self.frames]
+        library = RadialSurfaces.of([f.surface for f in self.frames], start, grid)
+        if self.plan.register and len(self.frames) >= MIN_PRESSES:
+            self._register(library)
+        self.tell("fitting the colour model")
+        fit = fit_color_model(
+            self.frames, captures.background, grid, self.options, mask=mask, progress=progress
+        )
+        found: FoldResult | None = None
+        if self.plan.folds > 1:
+            self.tell("fitting without some of the presses")
+            found = fold_fits(
+                self.frames, captures.background, grid, self.options, folds=self.plan.folds,
+                mask=mask, progress=progress,
+            )  # fmt: skip
+        table = None
+        if self.plan.table:
+            table = fit_taxim_table(self.frames, fit.background, fit.drifts, grid, mask=mask)
+        shift = LabelPlacement.of(captures.presses, [frame.circle for frame in self.frames])
+        held: list[HeldoutPress] = []
+        failures: list[HeldoutFailure] = []
+        if heldout is not None:
+            self.tell("scoring the held-out presses")
+            held, failures = score_heldout(heldout, fit, shift, library)
+        return ColorCalibration(
+            fit=fit,
+            heldout=held,
+            failures=failures,
+            split=None if heldout is None else heldout.split,
+            label_shift=shift,
+            train_names=[frame.name for frame in self.frames],
+            noise_floor_l1=self._noise_floor(),
+            validated=[] if found is None else self._validated(found),
+            source=captures.source,
+            provenance=captures.provenance,
+            background_sha256=captures.background_sha256,
+            surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
+            valid_region=_valid_region(self.frames),
+            circles=tuple(frame.circle for frame in self.frames),
+            start_circles=tuple(start),
+            grid=grid,
+            drift_choice=self.drift,
+            registration=self.registration,
+            spread=None if found is None else self._spread(found),
+            table=table,
+            table_scores=[] if table is None else self._table_scores(table, fit, held),
+            capture_remarks=remarks,
+        )
+
+    def _choose_drift(self) -> None:
+        wanted = self.plan.drift
+        if wanted is None:
+            return
+        if wanted == "auto":
+            self.tell("comparing fits with and without drift")
+            captures = self.captures
+            self.drift = choose_drift(
+                self.frames, captures.background, captures.grid, mask=captures.mask,
+                seed=self.options.seed,
+            )  # fmt: skip
+        else:
+            self.drift = DriftChoice(wanted == "on", reason="as asked")
+        self.options = replace(self.options, remove_drift=self.drift.remove)
+
+    def _register(self, library: RadialSurfaces) -> None:
+        self.tell("reading the circles again with the colours")
+        captures, frames = self.captures, self.frames
+        self.registration = register_presses(
+            frames,
+            captures.background,
+            captures.grid,
+            mask=captures.mask,
+            remove_drift=self.options.remove_drift,
+            seed=self.options.seed,
+        )
+        circles = self.registration.circles
+        surfaces = moved_surfaces(
+            [f.surface for f in frames], [f.circle for f in frames], circles, library
+        )
+        self.frames = [
+            replace(frame, circle=circle, surface=surface)
+            for frame, circle, surface in zip(frames, circles, surfaces, strict=True)
+        ]
+
+    def _validated(self, found: FoldResult) -> list[PressScore]:
+        """Training presses by fits without them, in the circles that the colours gave them."""
+        scores = []
+        for i, frame in enumerate(self.frames):
+            fit, surface = found.fit_without(i), frame.surface
+            rendered = fit.model.render(
+                surface.normals, surface.displacement_mm(), surface.rest_normals, fit.background
+            )
+            given = self.captures.presses[i].circle or frame.circle
+            score = self._in_its_light(rendered, frame.image, frame.circle, given, fit)
+            scores.append(PressScore(frame.name, score))
+        return scores
+
+    def _table_scores(
+        self, table: TaximTable, fit: ColorFit, held: Sequence[HeldoutPress]
+    ) -> list[PressScore]:
+        """Held-out presses by Taxim's table, placed as the model's quoted figures have them."""
+        return [
+            PressScore(
+                item.name,
+                self._in_its_light(
+                    render_taxim_table(table, item.surface, fit.background),
+                    item.captured,
+                    item.circle,
+                    item.circle,
+                    fit,
+                    item.pixels,
+                ),
+            )
+            for item in held
+        ]
+
+    def _in_its_light(
+        self,
+        rendered: np.ndarray,
+        captured: np.ndarray,
+        circle: ContactCircle,
+        figures_in: ContactCircle,
+        fit: ColorFit,
+        pixels: np.ndarray | None = None,
+    ) -> ImageScore:
+        """Figures of a render in the light of the capture, where the fit took drift off."""
+        grid = self.captures.grid
+        if self.options.remove_drift:
+            drift = fit_drift(captured, fit.background, circle, grid, self.captures.mask)
+            rendered = np.clip(drift.apply(rendered), 0.0, 255.0)
+        return score_image(rendered, captured, figures_in, grid, pixels)
+
+    def _spread(self, found: FoldResult) -> Spread:
+        """Disagreement of the fits inside and outside the contacts."""
+        grid = self.captures.grid
+        inside, beside = [], []
+        for frame in self.frames:
+            away = frame.circle.distance_px(grid) / frame.circle.radius_px
+            for region, kept in ((away <= 1, inside), ((away > 1) & (away <= 2), beside)):
+                idx = np.flatnonzero(region & self.captures.mask)
+                idx = idx[:: max(1, len(idx) // SPREAD_PIXELS)]
+                if len(idx):
+                    kept.append(found.spread_levels(frame, idx).mean())
+        return Spread(float(np.mean(inside)), float(np.mean(beside)), len(found.fits))
+
+    def _noise_floor(self) -> float:
+        floors = []
+        for frame in self.frames:
+            try:
+                floors.append(
+                    noise_floor_l1(
+                        frame.image, self.captures.background, frame.circle, self.captures.grid
+                    )
+                )
+            except InputError:
+                # This contact fills the image; the others tell the floor.
+                continue
+        return float(np.mean(floors)) if floors else math.nan
+
+
+def _valid_region(frames: Sequence[ColorFrame]) -> dict[str, tuple[float, float]]:
+    """Where the training presses lie: positions of the contacts, slopes and displacements."""
+    u = [frame.circle.u_px for frame in frames]
+    v = [frame.circle.v_px for frame in frames]
+    tilt = max(math.degrees(math.acos(min(1.0, f.surface.normals[..., 2].min()))) for f in frames)
+    low = min(float(f.surface.displacement_mm().min()) for f in frames)
+    high = max(float(f.surface.displacement_mm().max()) for f in frames)
+    return {
+        "contact_u_px": (min(u), max(u)),
+        "contact_v_px": (min(v), max(v)),
+        "surface_tilt_deg": (0.0, tilt),
+        "displacement_mm": (low, high),
+    }

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the colour fit is given: presses with images and surfaces, and pixels drawn of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.calibration.background.drift import Drift, fit_drift
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.color_model import ColorModelConfig, pixel_uv
+
+NO_DRIFT = Drift(np.ones(3), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class ColorFrame:
+    """One training press: what the camera saw and the surface the simulation gave."""
+
+    name: str
+    image: np.ndarray
+    """RGB levels, shape [height_px, width_px, 3]."""
+    circle: ContactCircle
+    surface: PressSurface
+    sha256: str = ""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Pixels drawn from presses."""
+
+    uv: np.ndarray
+    normals: np.ndarray
+    rest_normals: np.ndarray
+    displacement_mm: np.ndarray
+    change: np.ndarray
+    """Captured minus background [levels], shape [n, 3]."""
+
+
+def frame_drift(
+    frame: ColorFrame,
+    background: np.ndarray,
+    grid: PixelGrid,
+    mask: np.ndarray | None,
+    options: ColorFitOptions,
+) -> Drift:
+    """Drift of a frame against the background; none where the options leave it in."""
+    if not options.remove_drift:
+        return NO_DRIFT
+    return fit_drift(frame.image, background, frame.circle, grid, mask)
+
+
+def draw_samples(
+    frames: Sequence[ColorFrame],
+    rest_image: np.ndarray,
+    drifts: Mapping[str, Drift],
+    grid: PixelGrid,
+    mask: np.ndarray | None,
+    options: ColorFitOptions,
+) -> Samples:
+    """Pixels of the frames: the contact disc, the ring around it and the untouched rest."""
+    rng = np.random.default_rng(options.seed)
+    parts = []
+    for frame in frames:
+        idx = draw_pixels(frame, grid, mask, options, rng)
+        parts.append(samples_at(frame, idx, rest_image, drifts[frame.name], grid))
+    return join_samples(parts)
+
+
+def join_samples(parts: Sequence[Samples]) -> Samples:
+    """One after the other."""
+    return Samples(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in Samples.__dataclass_fields__
+        )
+    )
+
+
+def samples_at(
+    frame: ColorFrame, pixel_idx: np.ndarray, rest_image: np.ndarray, drift: Drift, grid: PixelGrid
+) -> Samples:
+    """Given pixels of a frame; ``pixel_idx`` counts along rows."""
+    surface = frame.surface
+    image = drift.remove(frame.image.reshape(-1, 3)[pixel_idx].astype(np.float64))
+    return Samples(
+        pixel_uv(ColorModelConfig(grid.width_px, grid.height_px), pixel_idx),
+        surface.normals.reshape(-1, 3)[pixel_idx],
+        surface.rest_normals.reshape(-1, 3)[pixel_idx],
+        surface.displacement_mm().reshape(-1)[pixel_idx],
+        image - rest_image.reshape(-1, 3)[pixel_idx],
+    )
+
+
+def draw_pixels(
+    frame: ColorFrame,
+    grid: PixelGrid,
+    mask: np.ndarray | None,
+    options: ColorFitOptions,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Indices of the pixels that the options ask for, counted along rows."""
+    distance = frame.circle.distance_px(grid) / frame.circle.radius_px
+    usable = np.ones_like(distance, dtype=bool) if mask is None else mask
+    picked = []
+    for low, high, count in (
+        (0.0, 1.3, options.disc_pixels),
+        (1.3, 2.5, options.ring_pixels),
+        (2.5, np.inf, options.far_pixels),
+    ):
+        region = np.flatnonzero(usable & (distance >= low) & (distance < high))
+        picked.append(rng.permutation(region)[:count])
+    if len(picked[0]) == 0:
+        raise InputError(f"{frame.name}: every pixel of the contact is masked")
+    return np.concatenate(picked)

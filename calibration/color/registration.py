@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contact circles read again with the help of the colours of all the other presses.
+
+A circle that is clicked, or found where the colours change most, is off by a pixel or two; a colour
+model that was fitted to other presses knows what a normal looks like and places the press to a
+fraction of that. No press is placed by a fit that saw it. What the presses have in common, circles
+that are all too large, is looked for first: a few scales are tried, and the one whose left-out
+presses are predicted best is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taccel_lab.calibration.background.drift import Drift
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.color.frames import (
+    ColorFrame,
+    Samples,
+    draw_pixels,
+    frame_drift,
+    join_samples,
+    samples_at,
+)
+from taccel_lab.calibration.color.network_fit import rest_background
+from taccel_lab.calibration.color.options import SHORT_FIT, ColorFitOptions
+from taccel_lab.calibration.color.training import train
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.calibration.surfaces.variation import MovedPress
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.color_model import ColorModel
+
+MIN_PRESSES = 8
+"""Fewer presses say too little about each other."""
+FOLDS = 2
+ROUNDS = 2
+SURE_DEVIATIONS = 2.0
+"""A factor other than one is taken when the presses' gain is this many standard errors."""
+CORRELATED_PIXELS = 25.0
+"""Neighbouring pixels err alike: as many count as one."""
+ROBUST_LEVELS = 4.0
+AGAIN_STEPS = 30
+"""Steps of a fit that goes on from another, of a hundred of the first."""
+AGAIN_RATE = 0.5
+"""Its learning rate against the first one's."""
+REACH = 1.8
+"""Pixels up to this many contact radii are compared."""
+MAX_PIXELS = 1500
+
+
+@dataclass(frozen=True)
+class RegistrationOptions:
+    """Settings of how circles are read again; docs/calibration_color.md has what others give."""
+
+    scales: tuple[float, ...] = (0.86, 0.93, 1.0, 1.07)
+    """Factors on all radii that are tried first, at least three with one among them; none leaves
+    the radii what they are."""
+    worth: float = 0.01
+    """Share of the loss that a factor other than one has to gain: fits that go on from one another
+    differ by less than they are wrong by."""
+    center_sigma_px: float = 2.0
+    """How far a given circle's centre is thought to be off [px]."""
+    radius_sigma: float = 0.05
+    """How far a given radius is thought to be off, as a share of it, beside what all have in
+    common."""
+
+    def __post_init__(self) -> None:
+        if self.scales and (len(self.scales) < 3 or 1.0 not in self.scales):
+            raise InputError(
+                f"scales must be at least three factors with 1 among them, or none; got "
+                f"{self.scales}"
+            )
+        for name in ("center_sigma_px", "radius_sigma"):
+            if getattr(self, name) <= 0:
+                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Circles as the colours have them."""
+
+    circles: list[ContactCircle]
+    sigma_px: np.ndarray
+    """Standard deviations of u, v and radius by the curvature of the misfit, shape [press, 3]; what
+    all presses have in common, such as a shift of all circles, is not in them."""
+    scale: float
+    """Factor on all radii that predicts left-out presses best."""
+    scale_losses: list[tuple[float, float]]
+    """(scale, loss of left-out presses in levels), by scale."""
+
+
+def register_presses(
+    frames: Sequence[ColorFrame],
+    background: np.ndarray,
+    grid: PixelGrid,
+    *,
+    mask: np.ndarray | None = None,
+    remove_drift: bool = False,
+    seed: int = 0,
+    fit: ColorFitOptions = SHORT_FIT,
+    settings: RegistrationOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Registration:
+    """Place the presses; ``frames`` hold the circles to start from and surfaces simulated there.
+
+    ``fit`` are the settings of the short fits that place them, ``settings`` those of the placing.
+
+    Raises:
+        InputError: Fewer than 8 presses.
+    """
+    if len(frames) < MIN_PRESSES:
+        raise InputError(
+            f"{len(frames)} presses are too few to place each by the others; at least {MIN_PRESSES}"
+        )
+    options = replace(fit, remove_drift=remove_drift, seed=seed)
+    settings = settings or RegistrationOptions()
+    job = _Job(frames, background, grid, mask, options, settings)
+    total = len(settings.scales) + 2 + ROUNDS
+    done = 0
+
+    def tell() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(done, total), total)
+
+    circles = [frame.circle for frame in frames]
+    scale, losses = _best_scale(job, circles, tell)
+    circles = [replace(c, radius_px=c.radius_px * scale) for c in circles]
+    start = circles
+    sigma = np.zeros((len(frames), 3))
+    for _ in range(ROUNDS):
+        fits = [job.fit_without(circles, k) for k in range(FOLDS)]
+        placed = [job.place(i, fits[i % FOLDS], circles[i], start[i]) for i in range(len(frames))]
+        circles = [circle for circle, _ in placed]
+        sigma = np.array([deviation for _, deviation in placed])
+        tell()
+    return Registration(circles, sigma, scale, losses)
+
+
+def place_press(
+    model: ColorModel,
+    rest_image: np.ndarray,
+    frame: ColorFrame,
+    library: RadialSurfaces,
+    grid: PixelGrid,
+    drift: Drift,
+    *,
+    mask: np.ndarray | None = None,
+) -> ContactCircle:
+    """Circle of a press that a model never saw, from the one that ``frame`` comes with.
+
+    Nothing but the circle is taken from its image, and from pixels where ``mask`` is true alone.
+    """
+    moved = MovedPress.of(frame.surface, frame.circle, library)
+    return _place(
+        model, rest_image, frame, moved, drift, grid, mask, frame.circle, frame.circle,
+        RegistrationOptions(),
+    )[0]  # fmt: skip
+
+
+def _best_scale(
+    job: _Job, circles: Sequence[ContactCircle], tell: Callable[[], None]
+) -> tuple[float, list[tuple[float, float]]]:
+    """The factor on all radii with the least loss: a few, then two steps of a parabola."""
+    losses: dict[float, np.ndarray] = {}
+    if not job.settings.scales:
+        return 1.0, []
+
+    def look(scale: float) -> None:
+        losses[scale] = job.left_out_losses(
+            [replace(c, radius_px=c.radius_px * scale) for c in circles]
+        )
+        tell()
+
+    for scale in job.settings.scales:
+        look(scale)
+    for _ in range(2):
+        x = np.array(sorted(losses))
+        y = np.array([losses[scale].mean() for scale in x])
+        middle = int(np.clip(np.argmin(y), 1, len(x) - 2))
+        a, b, _ = np.polyfit(x[middle - 1 : middle + 2], y[middle - 1 : middle + 2], 2)
+        best = -b / (2 * a) if a > 0 else x[int(np.argmin(y))]
+        best = round(float(np.clip(best, x[middle - 1], x[middle + 1])), 3)
+        if best in losses:
+            tell()
+            continue
+        look(best)
+    means = {scale: float(np.mean(values)) for scale, values in losses.items()}
+    best = min(means, key=lambda scale: means[scale])
+    gain = losses[1.0] - losses[best]
+    sure = gain.mean() > SURE_DEVIATIONS * gain.std(ddof=1) / np.sqrt(len(gain))
+    return best if sure and gain.mean() > job.settings.worth * means[1.0] else 1.0, sorted(
+        means.items()
+    )
+
+
+class _Job:
+    """Presses, their pixels, and the short fits."""
+
+    def __init__(
+        self,
+        frames: Sequence[ColorFrame],
+        background: np.ndarray,
+        grid: PixelGrid,
+        mask: np.ndarray | None,
+        options: ColorFitOptions,
+        settings: RegistrationOptions,
+    ) -> None:
+        self.frames, self.grid, self.mask, self.options = list(frames), grid, mask, options
+        self.settings = settings
+        self.drifts = [frame_drift(frame, background, grid, mask, options) for frame in frames]
+        by_name = {f.name: drift for f, drift in zip(frames, self.drifts, strict=True)}
+        self.rest_image = rest_background(frames, background, by_name, grid, mask, options)
+        self.library = RadialSurfaces.of(
+            [frame.surface for frame in frames], [frame.circle for frame in frames], grid
+        )
+        self.moved = [MovedPress.of(f.surface, f.circle, self.library) for f in frames]
+        rng = np.random.default_rng(options.seed)
+        self.pixels = [draw_pixels(frame, grid, mask, options, rng) for frame in frames]
+        self.again = replace(
+            options,
+            steps=max(1, options.steps * AGAIN_STEPS // 100),
+            learning_rate=AGAIN_RATE * options.learning_rate,
+        )
+        self._first: dict[int, ColorModel] = {}
+
+    def samples(self, i: int, circle: ContactCircle) -> Samples:
+        """The drawn pixels of a press as if its contact were ``circle``."""
+        idx, frame = self.pixels[i], self.frames[i]
+        found = samples_at(frame, idx, self.rest_image, self.drifts[i], self.grid)
+        near = frame.circle.distance_px(self.grid).ravel()[idx] < 2.5 * frame.circle.radius_px
+        normals, sunk = self.moved[i].at(circle, idx[near])
+        found.normals[near] = normals
+        found.displacement_mm[near] = sunk
+        return found
+
+    def fit_without(self, circles: Sequence[ContactCircle], fold: int) -> ColorModel:
+        """A short fit to the presses whose index modulo the number of folds is not ``fold``.
+
+        The first one of a fold, to the circles as they came, is what all later ones go on from:
+        they have seen the same presses, and each has taken as many steps.
+        """
+        kept = [i for i in range(len(self.frames)) if i % FOLDS != fold]
+        if fold not in self._first:
+            given = [self.frames[i].circle for i in kept]
+            start = join_samples([self.samples(i, c) for i, c in zip(kept, given, strict=True)])
+            self._first[fold] = train(start, self.grid, self.options).model
+        samples = join_samples([self.samples(i, circles[i]) for i in kept])
+        return train(samples, self.grid, self.again, start=self._first[fold]).model
+
+    def left_out_losses(self, circles: Sequence[ContactCircle]) -> np.ndarray:
+        """Mean absolute error of each press by a fit without it [levels], shape [press]."""
+        losses = np.zeros(len(self.frames))
+        for fold in range(FOLDS):
+            model = self.fit_without(circles, fold)
+            for i in range(fold, len(self.frames), FOLDS):
+                s = self.samples(i, circles[i])
+                change = model.predict_pixels(
+                    self.pixels[i], s.normals, s.displacement_mm, s.rest_normals
+                )
+                losses[i] = np.abs(change - s.change).mean()
+        return losses
+
+    def place(
+        self, i: int, model: ColorModel, start: ContactCircle, prior: ContactCircle
+    ) -> tuple[ContactCircle, np.ndarray]:
+        return _place(
+            model, self.rest_image, self.frames[i], self.moved[i], self.drifts[i], self.grid,
+            self.mask, start, prior, self.settings,
+        )  # fmt: skip
+
+
+def _place(
+    model: ColorModel,
+    rest_image: np.ndarray,
+    frame: ColorFrame,
+    moved: MovedPress,
+    drift: Drift,
+    grid: PixelGrid,
+    mask: np.ndarray | None,
+    start: ContactCircle,
+    prior: ContactCircle,
+    settings: RegistrationOptions,
+) -> tuple[ContactCircle, np.ndarray]:
+    """The circle where the render meets the image best, by Gauss-Newton steps with a prior.
+
+    Large residuals (scratches of the ball, dust) count less, after Huber.
+    """
+    near = start.distance_px(grid) <= REACH * start.radius_px
+    if mask is not None:
+        near &= mask
+    idx = np.flatnonzero(near)
+    idx = idx[:: max(1, len(idx) // MAX_PIXELS)]
+    wanted = drift.remove(frame.image.reshape(-1, 3)[idx].astype(np.float64))
+    wanted -= rest_image.reshape(-1, 3)[idx]
+    rest = frame.surface.rest_normals.reshape(-1, 3)[idx]
+
+    def residual(p: np.ndarray) -> np.ndarray:
+        normals, sunk = moved.at(ContactCircle(*map(float, p)), idx)
+        return (model.predict_pixels(idx, normals, sunk, rest) - wanted).ravel()
+
+    middle = np.array([prior.u_px, prior.v_px, prior.radius_px])
+    radius_sigma_px = settings.radius_sigma * prior.radius_px
+    deviation = np.array([settings.center_sigma_px, settings.center_sigma_px, radius_sigma_px])
+    # Pixels beside each other err alike, and the channels of a pixel do.
+    share = 1.0 / (3 * CORRELATED_PIXELS * len(idx) / max(1, near.sum()))
+    share = min(share, 1.0 / 3)
+    p = np.array([start.u_px, start.v_px, start.radius_px])
+    normal = np.diag(1 / deviation**2)
+    for _ in range(6):
+        r = residual(p)
+        jacobian = np.stack([(residual(p + step) - r) / 0.5 for step in 0.5 * np.eye(3)], axis=-1)
+        scale = max(1.0, 1.4826 * float(np.median(np.abs(r))))
+        weight = share / scale**2 / np.maximum(1.0, np.abs(r) / max(ROBUST_LEVELS, scale))
+        normal = (jacobian * weight[:, None]).T @ jacobian + np.diag(1 / deviation**2)
+        gradient = jacobian.T @ (weight * r) + (p - middle) / deviation**2
+        step = np.clip(-np.linalg.solve(normal, gradient), -1.5, 1.5)
+        p = np.clip(p + step, middle - 3 * deviation, middle + 3 * deviation)
+        if np.abs(step).max() < 0.05:
+            break
+    return ContactCircle(*map(float, p)), np.sqrt(np.diag(np.linalg.inv(normal)))

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a person has to know about a colour calibration, beyond what its captures already show."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taccel_lab.calibration.color.heldout import mean_bare
+from taccel_lab.calibration.result import Remark, Severity
+
+if TYPE_CHECKING:
+    from taccel_lab.calibration.color.result import ColorCalibration
+
+LEAST_PRESSES = 4
+"""With fewer presses a model knows a few places and depths, and nothing tells of the others."""
+LEAST_GAIN_DB = 6.0
+"""A colour model that beats the bare background by less, in the crop, explains little."""
+OUTLIER_FACTOR = 2.5
+"""A press that is predicted worse than the median by this factor is named."""
+OUTLIER_LEVELS = 3.0
+"""And by these levels at least."""
+SCALE_OFF = 0.04
+"""Radii that are all off by more than this share are worth a remark."""
+MOVED_RADII = 0.15
+"""A circle whose centre moves by more than this share of its radius is named."""
+FAR_LEVELS = 6.0
+"""Captures that differ from the background by more far from the contact have drifted."""
+UNSURE_SHARE = 0.5
+"""Fits whose disagreement is more than this share of their error lack presses."""
+
+
+def color_remarks(result: ColorCalibration) -> list[Remark]:
+    """Remarks on a fit and its figures."""
+    return [
+        *_few(result),
+        *_against_background(result),
+        *_failures(result),
+        *_outliers(result),
+        *_circles(result),
+        *_light(result),
+        *_spread(result),
+    ]
+
+
+def _few(result: ColorCalibration) -> list[Remark]:
+    count = len(result.train_names)
+    if count >= LEAST_PRESSES:
+        return []
+    return [
+        Remark(
+            Severity.ERROR,
+            "few_presses",
+            f"the model was fitted to {count} press{'es' if count != 1 else ''}: it holds at those "
+            "places and depths at best. Give 30 to 50, spread over the gel",
+        )
+    ]
+
+
+def _against_background(result: ColorCalibration) -> list[Remark]:
+    if not result.has_scores:
+        text = "no press was held out, so that nothing tells how well the model does on others"
+        if result.validated:
+            text = "no press was held out; presses left out of single fits are the only figures"
+            return [Remark(Severity.INFO, "nothing_held_out", text)]
+        return [Remark(Severity.WARNING, "nothing_held_out", f"{text}; use --holdout-every 4")]
+    model = result.heldout_means()["crop_psnr_db"]
+    bare = mean_bare(result.heldout, result.failures)["crop_psnr_db"]
+    if model - bare >= LEAST_GAIN_DB:
+        return []
+    return [
+        Remark(
+            Severity.ERROR,
+            "explains_little",
+            f"held-out presses are rendered at {model:.1f} dB, the bare background alone has "
+            f"{bare:.1f} dB: circles, scale, ball or background are wrong, or the gel was not "
+            "pressed where it is held out",
+        )
+    ]
+
+
+def _failures(result: ColorCalibration) -> list[Remark]:
+    if not result.failures:
+        return []
+    named = "; ".join(f"{item.name}: {item.reason}" for item in result.failures)
+    count = len(result.failures)
+    return [
+        Remark(
+            Severity.WARNING,
+            "heldout_failed",
+            f"{count} of {count + len(result.heldout)} held-out presses could not be rendered and "
+            f"count as the bare background: {named}",
+        )
+    ]
+
+
+def _outliers(result: ColorCalibration) -> list[Remark]:
+    values = {**result.left_out_l1, **result.heldout_l1()}
+    if len(values) < 5:
+        return []
+    median = float(np.median(list(values.values())))
+    limit = max(OUTLIER_FACTOR * median, median + OUTLIER_LEVELS)
+    worst = sorted((name for name in values if values[name] > limit), key=lambda n: -values[n])
+    if not worst:
+        return []
+    named = ", ".join(f"{name} ({values[name]:.1f})" for name in worst[:5])
+    more = f" and {len(worst) - 5} more" if len(worst) > 5 else ""
+    return [
+        Remark(
+            Severity.WARNING,
+            "outliers",
+            f"{len(worst)} of {len(values)} presses are predicted much worse than the median of "
+            f"{median:.1f} levels: {named}{more}; look at their images and circles "
+            "(taccel-lab capture review), and leave out what is not a clean ball press",
+        )
+    ]
+
+
+def _circles(result: ColorCalibration) -> list[Remark]:
+    found = result.registration
+    if found is None:
+        return []
+    remarks = []
+    if abs(found.scale - 1) > SCALE_OFF:
+        size = "large" if found.scale < 1 else "small"
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "circles_off",
+                f"all contact circles look too {size}: {found.scale:.3f} times their radii predict "
+                "left-out presses best. Labels that include the sunk rim do that; so do a wrong "
+                "scale and a wrong ball radius, which the colours alone cannot tell apart",
+            )
+        )
+    far = [
+        name
+        for name, a, b in zip(result.train_names, result.start_circles, result.circles, strict=True)
+        if np.hypot(b.u_px - a.u_px, b.v_px - a.v_px) > max(4.0, MOVED_RADII * a.radius_px)
+    ]
+    if far:
+        named = ", ".join(far[:6]) + (f" and {len(far) - 6} more" if len(far) > 6 else "")
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "circles_moved",
+                f"the colours put {len(far)} of {len(result.circles)} contacts well away from "
+                f"their circles: {named}; correct these circles (taccel-lab capture review)",
+            )
+        )
+    return remarks
+
+
+def _light(result: ColorCalibration) -> list[Remark]:
+    choice = result.drift_choice
+    if result.drift_corrected:
+        text = "the light drifts between the frames; it was taken off each of them"
+        if choice is not None and choice.disc_l1_off and choice.disc_l1_on:
+            text += (
+                f" ({choice.disc_l1_on:.1f} instead of {choice.disc_l1_off:.1f} levels on left-out "
+                "presses)"
+            )
+        return [
+            Remark(
+                Severity.WARNING,
+                "light_drifts",
+                f"{text}. Fix exposure and white balance of the camera: renders are in the light "
+                "of the background image",
+            )
+        ]
+    if result.noise_floor_l1 > FAR_LEVELS:
+        return [
+            Remark(
+                Severity.WARNING,
+                "light_drifts",
+                f"captures differ from the background by {result.noise_floor_l1:.1f} levels where "
+                "nothing touches: take a new background with the same exposure and white balance, "
+                "or calibrate with --drift on",
+            )
+        ]
+    return []
+
+
+def _spread(result: ColorCalibration) -> list[Remark]:
+    if result.spread is None or not result.validated:
+        return []
+    error = float(np.mean(list(result.left_out_l1.values())))
+    if result.spread.disc_levels < UNSURE_SHARE * error:
+        return []
+    return [
+        Remark(
+            Severity.INFO,
+            "fits_disagree",
+            f"fits to different presses disagree by {result.spread.disc_levels:.1f} levels in the "
+            f"contacts, of {error:.1f} that they are off: more presses would help",
+        )
+    ]

@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a colour calibration found: the fit, its figures, and the blocks that it becomes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.split import PressSplit
+from taccel_lab.calibration.color.drift_choice import DriftChoice
+from taccel_lab.calibration.color.evaluate import ImageScore, mean_score
+from taccel_lab.calibration.color.heldout import (
+    PLACEMENTS,
+    HeldoutFailure,
+    HeldoutPress,
+    Placement,
+    mean_bare,
+    mean_heldout,
+)
+from taccel_lab.calibration.color.network_fit import ColorFit
+from taccel_lab.calibration.color.registration import Registration
+from taccel_lab.calibration.color.remarks import color_remarks
+from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.interop.taxim_table import TaximTable
+from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
+
+
+@dataclass(frozen=True)
+class PressScore:
+    """Figures of one press, in the light of the capture where the fit took drift off."""
+
+    name: str
+    score: ImageScore
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviation of the renders of fits to different presses [levels]."""
+
+    disc_levels: float
+    """Mean inside the contacts."""
+    ring_levels: float
+    """Mean from one to two contact radii."""
+    fit_count: int
+
+
+@dataclass(frozen=True)
+class ColorCalibration:
+    """Result of ``calibrate_color``."""
+
+    fit: ColorFit
+    heldout: list[HeldoutPress]
+    """Presses that were held out and could be rendered."""
+    failures: list[HeldoutFailure]
+    """Presses that were held out and could not: they count as the bare background."""
+    split: PressSplit | None
+    """How the held-out presses were chosen; None where there are none."""
+    label_shift: LabelPlacement
+    train_names: list[str]
+    noise_floor_l1: float
+    """Mean difference of captures to the background beyond 3 contact radii [levels]; NaN when no
+    capture shows that much."""
+    source: str
+    provenance: dict[str, str]
+    background_sha256: str
+    surface_provider: str
+    """What made the surfaces."""
+    valid_region: dict[str, tuple[float, float]]
+    """Range of contact positions, tilts and displacements in the training presses."""
+    circles: tuple[ContactCircle, ...]
+    """Circles that the surfaces belong to, of the training presses in order."""
+    start_circles: tuple[ContactCircle, ...]
+    """Circles of theirs that were simulated."""
+    grid: PixelGrid
+    validated: list[PressScore] = field(default_factory=list)
+    """Training presses by fits without them, in the circles that the colours gave them: which are
+    worst, no score. Empty if not asked."""
+    drift_choice: DriftChoice | None = None
+    """None where the options alone said whether drift is taken off."""
+    registration: Registration | None = None
+    """How the circles of the training presses were read again; None if not."""
+    spread: Spread | None = None
+    table: TaximTable | None = None
+    """Taxim's table, fitted to the training presses; None if not asked."""
+    table_scores: list[PressScore] = field(default_factory=list)
+    """Held-out presses rendered by the table."""
+    capture_remarks: tuple[Remark, ...] = ()
+    """What was known of the captures before the fit."""
+
+    @property
+    def drift_corrected(self) -> bool:
+        """Whether figures in the capture's own light are the ones that count."""
+        return self.fit.options.remove_drift
+
+    @property
+    def left_out_l1(self) -> dict[str, float]:
+        """L1 in the disc of each training press by a fit without it [levels]; empty if not
+        asked."""
+        return {item.name: item.score.disc_l1 for item in self.validated}
+
+    @property
+    def has_scores(self) -> bool:
+        """Whether there are figures of held-out presses, be they of failures."""
+        return bool(self.heldout) or any(item.background_only for item in self.failures)
+
+    @property
+    def placement(self) -> Placement:
+        """How the presses of the quoted figures were placed (``color_heldout``)."""
+        return "label" if all("label" in item.placed for item in self.heldout) else "tiles"
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """All ways in which the held-out presses were placed, the strictest first."""
+        return tuple(p for p in PLACEMENTS if all(p in item.placed for item in self.heldout))
+
+    def heldout_means(self, placement: Placement | None = None) -> dict[str, float]:
+        """Mean figures of the held-out presses, failures as the bare background."""
+        return mean_heldout(self.heldout, self.failures, placement or self.placement)
+
+    def heldout_l1(self) -> dict[str, float]:
+        """L1 in the disc of each held-out press, as quoted [levels]."""
+        return {item.name: item.placed[self.placement].score.disc_l1 for item in self.heldout}
+
+    @property
+    def remarks(self) -> tuple[Remark, ...]:
+        """What a person has to know before the model is used."""
+        return (*self.capture_remarks, *color_remarks(self))
+
+    def figures(self) -> dict[str, Any]:
+        """Means over the held-out presses and the table of presses, worst crop PSNR first."""
+        common = self._common_figures()
+        if not self.has_scores:
+            return {"heldout": None, "background_only": None, "presses": [], **common}
+        way = self.placement
+        worst_first = sorted(self.heldout, key=lambda item: item.placed[way].score.crop_psnr_db)
+        return {
+            "heldout": self.heldout_means(),
+            "heldout_placed_by": way,
+            "heldout_by": {name: self.heldout_means(name) for name in self.placements},
+            "background_only": mean_bare(self.heldout, self.failures),
+            "presses": [
+                {
+                    "name": item.name,
+                    **vars(item.placed[way].score),
+                    "crop_psnr_db_by": {
+                        name: item.placed[name].score.crop_psnr_db for name in self.placements
+                    },
+                }
+                for item in worst_first
+            ],
+            **common,
+        }
+
+    def _common_figures(self) -> dict[str, Any]:
+        found: dict[str, Any] = {
+            "failures": {item.name: item.reason for item in self.failures},
+            "heldout_failed": len(self.failures),
+            "noise_floor_l1": self.noise_floor_l1,
+            "train_disc_l1": self.fit.disc_l1_train,
+            "left_out_disc_l1": self.left_out_l1,
+            "loss_curve": self.fit.loss_curve,
+            "fit_seconds": self.fit.seconds,
+            "drift_removed": self.drift_corrected,
+        }
+        if self.split is not None:
+            found["split"] = self.split.figures()
+        if self.label_shift.count:
+            found["label_shift"] = {
+                "mean_px": self.label_shift.mean_px.tolist(),
+                "radius_slope": self.label_shift.radius_slope,
+                "deviation_px": self.label_shift.deviation_px.tolist(),
+                "presses": self.label_shift.count,
+            }
+        if self.drift_choice is not None:
+            found["drift_choice"] = asdict(self.drift_choice)
+        if self.spread is not None:
+            found["spread"] = asdict(self.spread)
+        if self.table_scores:
+            found["taxim_table"] = mean_score([item.score for item in self.table_scores])
+        if self.registration is not None:
+            found["circles"] = {
+                "scale": self.registration.scale,
+                "scale_losses": self.registration.scale_losses,
+                "sigma_px": self.registration.sigma_px.mean(axis=0).tolist(),
+                **self.circle_changes(),
+                "presses": {
+                    name: {"u_px": c.u_px, "v_px": c.v_px, "radius_px": c.radius_px}
+                    for name, c in zip(self.train_names, self.circles, strict=True)
+                },
+            }
+        return found
+
+    def circle_changes(self) -> dict[str, float]:
+        """How far the circles moved when they were read again [px]."""
+        pairs = list(zip(self.start_circles, self.circles, strict=True))
+        moved = [np.hypot(b.u_px - a.u_px, b.v_px - a.v_px) for a, b in pairs]
+        grown = [b.radius_px - a.radius_px for a, b in pairs]
+        return {
+            "center_moved_median_px": float(np.median(moved)),
+            "center_moved_largest_px": float(np.max(moved)),
+            "radius_grown_median_px": float(np.median(grown)),
+        }
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with the blocks background and color of this calibration."""
+        # An old background or model may be of another image size; both are replaced.
+        profile = profile.without("background", "color")
+        return profile.with_block(
+            BackgroundBlock(provenance=self._background_provenance()), self.fit.background
+        ).with_block(
+            ColorBlock(
+                architecture=self.fit.model.config.to_dict(), provenance=self._color_provenance()
+            ),
+            self.fit.model.weights,
+        )
+
+    def _inputs(self) -> dict[str, str]:
+        return {"background": self.background_sha256} | self.fit.inputs
+
+    def _source(self) -> str:
+        return self.provenance.get("source", self.source)
+
+    def _background_provenance(self) -> Provenance:
+        averaged = "; averaged with the untouched parts of the training presses"
+        residuals = {}
+        if np.isfinite(self.noise_floor_l1):
+            residuals["far_field_l1_levels"] = self.noise_floor_l1
+        return Provenance(
+            kind="calibrated",
+            method="captured background" + averaged * self.fit.options.average_background,
+            source=self._source(),
+            inputs=self._inputs(),
+            residuals=residuals,
+            valid_region={"level": (0.0, 255.0)},
+        )
+
+    def _color_provenance(self) -> Provenance:
+        train = list(self.fit.disc_l1_train.values())
+        residuals = {"train_disc_l1_levels": float(np.mean(train))}
+        spread = {"train_disc_l1_levels": float(np.std(train))}
+        if self.has_scores:
+            for key, value in self.heldout_means().items():
+                residuals[f"heldout_{key}"] = value
+            if self.heldout:
+                spread["heldout_disc_l1_levels"] = float(np.std(list(self.heldout_l1().values())))
+            residuals["heldout_self_placed_crop_psnr_db"] = self.heldout_means("self")[
+                "crop_psnr_db"
+            ]
+            residuals["heldout_failures"] = float(len(self.failures))
+        if self.validated:
+            values = list(self.left_out_l1.values())
+            residuals["left_out_disc_l1_levels"] = float(np.mean(values))
+            spread["left_out_disc_l1_levels"] = float(np.std(values))
+        if self.spread is not None:
+            spread["ensemble_disc_levels"] = self.spread.disc_levels
+            spread["ensemble_ring_levels"] = self.spread.ring_levels
+        return Provenance(
+            kind="calibrated",
+            method=self._method(),
+            source=self._source(),
+            inputs=self._inputs(),
+            residuals=residuals,
+            spread=spread,
+            valid_region=self.valid_region,
+            verdict=judge(self.remarks).value,
+            remarks=tuple(str(remark) for remark in self.remarks),
+        )
+
+    def _method(self) -> str:
+        options = self.fit.options
+        parts = [
+            f"MLP {list(options.hidden)} on {', '.join(options.inputs)}"
+            + f" and {options.position_bands} bands of position" * (options.position_bands > 0)
+            + f"; {options.steps} Adam "
+            f"steps of {options.batch_pixels} pixels, {options.loss.capitalize()} loss, seed "
+            f"{options.seed}; surfaces: {self.surface_provider}"
+        ]
+        if options.validation_every:
+            parts.append(f"stopped at step {self.fit.step} by held-back presses")
+        if options.remove_drift:
+            parts.append("drift of the light taken off each frame")
+        if self.registration is not None:
+            parts.append("contact circles read again with the colours of the other presses")
+        if self.split is not None and self.has_scores:
+            parts.append(
+                f"{len(self.split.heldout) + len(self.split.gone)} presses held out by "
+                f"{self.split.by} (SHA-256 of their names {self.split.sha256[:16]}), placed by "
+                f"{self.placement}, {len(self.failures)} failed"
+            )
+        return "; ".join(parts)

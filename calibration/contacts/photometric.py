@@ -1,0 +1,335 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contact circles from the colours themselves: all presses of one ball explained together.
+
+Inside a contact the gel has the ball's slope, around it the slope falls off by a known law
+(``slope_law``). One map from slope, sinking and place in the image to colour change has to explain
+every press; the map is linear in its coefficients, so that only centre and radius of each press
+and one blur are searched for, by Gauss-Newton, while the map is solved for anew in each round
+(variable projection, G. H. Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973). Nobody clicks,
+and no lamp has to be known. Each press may have its own gain and offset of every channel: light
+falls off over a gel in more ways than the map's terms of place.
+
+Residuals are weighed after Huber, since shadows, dust and markers are no part of the model. They
+are also alike among neighbours; standard deviations come from the sums over sectors of a press (the
+sandwich estimate with clusters, K.-Y. Liang and S. L. Zeger, Biometrika 73, 1986).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.contacts.polar import PolarSamples
+from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO, SKIRT, slope_law
+
+ITERATIONS = 14
+STEP_PX = 0.2
+"""Of the finite differences over centre and radius."""
+GAIN_PRIOR = 0.15
+"""Spread of the gain of a press's colour change around the map's."""
+BLUR_PRIOR = 0.5
+"""Spread of the logarithm of the blur around its guess."""
+HUBER = 1.5
+RIDGE = 1e-6
+MAX_STEP = 0.08
+"""Largest change of centre and radius in one round, in contact radii."""
+CONVERGED_PX = 0.02
+PRIOR_SAMPLES = 30.0
+"""Independent samples that a press counts as against the priors."""
+
+
+@dataclass(frozen=True)
+class MapTerms:
+    """Which terms the map from slope to colour has."""
+
+    degree: int
+    """Highest total power of the two slopes."""
+    place_degree: int
+    """Powers up to this one also depend on the place in the image, linearly."""
+    drop_place: bool
+    """The sinking's term depends on the place too."""
+
+    @classmethod
+    def for_presses(cls, count: int) -> MapTerms:
+        """As many terms as so many presses can tell apart."""
+        if count < 4:
+            return cls(3, 0, False)
+        return cls(4, 1, False) if count < 12 else cls(4, 2, True)
+
+    def finer(self) -> MapTerms:
+        """One power more of everything: how far circles move then says what the map leaves out."""
+        return MapTerms(self.degree + 1, self.place_degree + 1, self.drop_place)
+
+    def values(
+        self, nx: np.ndarray, ny: np.ndarray, drop: np.ndarray, u: np.ndarray, v: np.ndarray
+    ) -> np.ndarray:
+        """Terms of the map, shape [n, term_count]; the arguments have shape [n]."""
+        powers_x, powers_y = [np.ones_like(nx)], [np.ones_like(ny)]
+        for _ in range(self.degree):
+            powers_x.append(powers_x[-1] * nx)
+            powers_y.append(powers_y[-1] * ny)
+        columns = []
+        for total in range(1, self.degree + 1):
+            for i in range(total + 1):
+                term = powers_x[i] * powers_y[total - i]
+                columns.append(term)
+                if total <= self.place_degree:
+                    columns += [term * u, term * v]
+        columns.append(drop)
+        if self.drop_place:
+            columns += [drop * u, drop * v]
+        return np.stack(columns, axis=-1)
+
+
+@dataclass
+class _State:
+    """Everything that is fitted of one press."""
+
+    samples: PolarSamples
+    ball_px: float
+    shape: np.ndarray
+    """u, v, radius [px], shape [3]."""
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    gain: np.ndarray = field(default_factory=lambda: np.ones(3))
+    robust: np.ndarray = field(default_factory=lambda: np.ones(1))
+    explained: float = 0.0
+    covariance: np.ndarray = field(default_factory=lambda: np.eye(3))
+    rms: float = 0.0
+
+
+@dataclass(frozen=True)
+class FittedContact:
+    """Circle of one press in pixels of the sampled picture."""
+
+    circle: ContactCircle
+    covariance: np.ndarray
+    """Of u, v and radius [px^2], shape [3, 3]."""
+    explained: float
+    """Share of the colour change's energy that the map explains, at most 1."""
+    rms_levels: float
+    """Root mean square of what it leaves, a channel [levels]."""
+
+
+@dataclass(frozen=True)
+class PhotometricFit:
+    """What ``fit_contacts`` found."""
+
+    contacts: list[FittedContact]
+    blur_px: float
+    rms_levels: float
+    """Root mean square residual over all presses, robustly weighed [levels]."""
+    iterations: int
+    sums_by_press: np.ndarray
+    """Weighted squared residual of each press [levels^2], shape [press_count]."""
+
+
+def fit_contacts(
+    samples: Sequence[PolarSamples],
+    circles: Sequence[ContactCircle],
+    ball_px: Sequence[float],
+    *,
+    blur_px: float,
+    terms: MapTerms | None = None,
+    iterations: int = ITERATIONS,
+    skirt: float | None = None,
+) -> PhotometricFit:
+    """Refine the circles of presses of one sensor.
+
+    ``samples`` are colour changes around the starting ``circles``; ``ball_px`` is the radius of
+    each press's ball in pixels. ``blur_px`` is the guess of the picture's blur, ``skirt`` another
+    damping length of the slope's law than its own.
+    """
+    terms = terms or MapTerms.for_presses(len(samples))
+    fit = _JointFit(samples, circles, ball_px, blur_px, terms, SKIRT if skirt is None else skirt)
+    done = 0
+    for done in range(1, iterations + 1):
+        if fit.round(done) < CONVERGED_PX and done > 4:
+            break
+    return fit.result(done)
+
+
+class _JointFit:
+    def __init__(
+        self,
+        samples: Sequence[PolarSamples],
+        circles: Sequence[ContactCircle],
+        ball_px: Sequence[float],
+        blur_px: float,
+        terms: MapTerms,
+        skirt: float,
+    ) -> None:
+        self.skirt = skirt
+        self.blur_px = self.blur_guess = blur_px
+        self.terms = terms
+        self.presses = [
+            _State(
+                sample,
+                ball,
+                np.array([c.u_px, c.v_px, min(c.radius_px, 0.9 * ball)]),
+                robust=np.ones(len(sample.change)),
+            )
+            for sample, c, ball in zip(samples, circles, ball_px, strict=True)
+        ]
+        self.map = np.zeros((1, 3))
+        self.sums = np.zeros(len(self.presses))
+        self.total = 0.0
+
+    def design(self, press: _State, shape: np.ndarray, blur_px: float) -> np.ndarray:
+        """Terms of the map at the samples of a press, were its circle ``shape``."""
+        s = press.samples
+        du, dv = s.u_px - shape[0], s.v_px - shape[1]
+        distance = np.hypot(du, dv) + 1e-9
+        law = slope_law(shape[2], press.ball_px, blur_px, 1.5 * s.reach_px, self.skirt)
+        normal, drop = law.at(distance)
+        return self.terms.values(
+            normal * du / distance, normal * dv / distance, drop, s.unit_u, s.unit_v
+        )
+
+    def round(self, number: int) -> float:
+        """One round over map, presses and blur; the largest step of a circle [px]."""
+        designs = [self.design(press, press.shape, self.blur_px) for press in self.presses]
+        self.map = self._solve_map(designs)
+        blur_step = 0.04 * self.blur_px
+        pieces = []
+        shared = np.zeros(2)
+        self.total = 0.0
+        for i, (press, design) in enumerate(zip(self.presses, designs, strict=True)):
+            model = design @ self.map
+            left = press.samples.change - press.offset - press.gain * model
+            self._weigh(press, left, number)
+            weight = press.samples.weight * press.robust
+            jacobian = self._jacobian(press, model, blur_step)
+            flat = (jacobian * weight[:, None, None]).reshape(-1, jacobian.shape[-1])
+            residual = (left * weight[:, None]).ravel()
+            normal, slope = flat.T @ flat, flat.T @ residual
+            self.sums[i] = residual @ residual
+            variance = self.sums[i] / max(len(residual), 1)
+            prior = variance * PRIOR_SAMPLES / GAIN_PRIOR**2
+            normal[range(6, 9), range(6, 9)] += prior
+            slope[6:9] -= prior * (press.gain - 1)
+            normal[range(9), range(9)] += 1e-9 * np.trace(normal)
+            self._state_quality(press, left, jacobian, weight, normal)
+            inner, outer = normal[:9, :9], normal[:9, 9:]
+            eliminated = np.linalg.solve(inner, np.column_stack([slope[:9], outer]))
+            pieces.append(eliminated)
+            shared += [
+                float(normal[9, 9] - outer[:, 0] @ eliminated[:, 1]),
+                float(slope[9] - outer[:, 0] @ eliminated[:, 0]),
+            ]
+            self.total += self.sums[i]
+        blur_change = self._blur_change(shared, number)
+        largest = 0.0
+        for press, eliminated in zip(self.presses, pieces, strict=True):
+            step = eliminated[:, 0] - eliminated[:, 1] * blur_change
+            limit = MAX_STEP * press.shape[2]
+            step[:3] = np.clip(step[:3], -limit, limit)
+            press.shape = press.shape + step[:3]
+            press.shape[2] = np.clip(
+                press.shape[2], 0.05 * press.ball_px, MAX_CONTACT_RATIO * press.ball_px
+            )
+            press.offset = press.offset + step[3:6]
+            press.gain = np.clip(press.gain + np.clip(step[6:9], -0.2, 0.2), 0.3, 3.0)
+            largest = max(largest, float(np.abs(step[:3]).max()))
+        self.blur_px += blur_change
+        return largest
+
+    def _solve_map(self, designs: list[np.ndarray]) -> np.ndarray:
+        columns = []
+        weights = [(press.samples.weight * press.robust) ** 2 for press in self.presses]
+        for c in range(3):
+            normal, wanted = 0.0, 0.0
+            for press, design, weight in zip(self.presses, designs, weights, strict=True):
+                scaled = design * weight[:, None]
+                normal = normal + press.gain[c] ** 2 * (scaled.T @ design)
+                wanted = wanted + press.gain[c] * (
+                    scaled.T @ (press.samples.change[:, c] - press.offset[c])
+                )
+            normal = np.asarray(normal)
+            ridge = RIDGE * np.trace(normal) / len(normal) + 1e-12
+            columns.append(np.linalg.solve(normal + ridge * np.eye(len(normal)), wanted))
+        return np.stack(columns, axis=-1)
+
+    def _weigh(self, press: _State, left: np.ndarray, number: int) -> None:
+        distance = np.linalg.norm(left, axis=1)
+        press.rms = float(np.sqrt(np.mean(distance**2) / 3))
+        scale = 1.4826 * float(np.median(distance)) + 1e-6
+        if number > 1:  # The first map has seen only starting circles.
+            press.robust = np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(distance, 1e-9)))
+
+    def _jacobian(self, press: _State, model: np.ndarray, blur_step: float) -> np.ndarray:
+        """Change of the modelled colours with u, v, radius, offsets, gains and blur."""
+        columns = []
+        for k in range(3):
+            step = np.zeros(3)
+            step[k] = STEP_PX
+            ahead = self.design(press, press.shape + step, self.blur_px)
+            behind = self.design(press, press.shape - step, self.blur_px)
+            columns.append(((ahead - behind) @ self.map) * press.gain / (2 * STEP_PX))
+        each = np.eye(3)
+        count = len(model)
+        blurred = self.design(press, press.shape, self.blur_px + blur_step)
+        sharper = self.design(press, press.shape, self.blur_px - blur_step)
+        by_blur = ((blurred - sharper) @ self.map) * press.gain / (2 * blur_step)
+        return np.concatenate(
+            [
+                np.stack(columns, axis=-1),
+                np.broadcast_to(each, (count, 3, 3)),
+                model[:, :, None] * each,
+                by_blur[:, :, None],
+            ],
+            axis=-1,
+        )
+
+    def _blur_change(self, shared: np.ndarray, number: int) -> float:
+        if number < 3:
+            return 0.0
+        count = sum(press.samples.change.size for press in self.presses)
+        prior = self.total / max(count, 1) * PRIOR_SAMPLES * len(self.presses)
+        prior /= (BLUR_PRIOR * self.blur_guess) ** 2
+        normal = shared[0] + prior
+        slope = shared[1] - prior * (self.blur_px - self.blur_guess)
+        limit = 0.3 * self.blur_px
+        return float(np.clip(slope / max(normal, 1e-12), -limit, limit))
+
+    def _state_quality(
+        self,
+        press: _State,
+        left: np.ndarray,
+        jacobian: np.ndarray,
+        weight: np.ndarray,
+        normal: np.ndarray,
+    ) -> None:
+        change = press.samples.change - np.average(press.samples.change, axis=0, weights=weight**2)
+        energy = float(np.sum((change * weight[:, None]) ** 2))
+        press.explained = 1.0 - self._energy(left, weight) / max(energy, 1e-9)
+        scores = np.einsum("ncp,nc->np", jacobian[..., :9], left * (weight**2)[:, None])
+        sums = np.zeros((press.samples.sector_count, 9))
+        np.add.at(sums, press.samples.sector, scores)
+        bread = np.linalg.inv(normal[:9, :9])
+        count = press.samples.sector_count
+        press.covariance = (bread @ (sums.T @ sums) @ bread)[:3, :3] * (count / max(count - 3, 1))
+
+    @staticmethod
+    def _energy(left: np.ndarray, weight: np.ndarray) -> float:
+        return float(np.sum((left * weight[:, None]) ** 2))
+
+    def result(self, iterations: int) -> PhotometricFit:
+        weights = sum(float(np.sum(press.robust**2)) for press in self.presses) * 3
+        return PhotometricFit(
+            contacts=[
+                FittedContact(
+                    ContactCircle(*(float(x) for x in press.shape)),
+                    press.covariance,
+                    press.explained,
+                    press.rms,
+                )
+                for press in self.presses
+            ],
+            blur_px=float(self.blur_px),
+            rms_levels=float(np.sqrt(self.total / max(weights, 1.0))),
+            iterations=iterations,
+            sums_by_press=self.sums.copy(),
+        )

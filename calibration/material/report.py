@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report of a material calibration."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from taccel_lab.calibration.material.pictures import (
+    draw_damping,
+    draw_flow,
+    draw_indentation,
+    draw_profiles,
+    draw_slide,
+    draw_tangential,
+)
+from taccel_lab.calibration.material.result import MaterialCalibration
+from taccel_lab.calibration.report import Page, Picture, Table
+
+_TITLES = {
+    "young_modulus_pa": "Young's modulus [Pa]",
+    "poisson_ratio": "Poisson's ratio",
+    "mooney_ratio": "Mooney ratio",
+    "friction_coefficient": "coefficient of friction",
+    "damping_time_s": "damping time [s]",
+}
+
+
+def material_page(result: MaterialCalibration) -> Page:
+    """Verdict, estimates with intervals, fits, residuals and profiles."""
+    rows: list[list[Any]] = [
+        [_TITLES[name], item.value, item.sigma, *item.interval95]
+        for name, item in result.estimates.items()
+    ]
+    rows += [
+        [f"{_TITLES[name]} (held)", value, "", "", ""] for name, value in result.held().items()
+    ]
+    tables = [
+        Table(
+            "Parameters",
+            ["parameter", "value", "sigma", "95 % from", "to"],
+            rows,
+            f"Law: {result.model}. Held parameters are not calibrated; others keep the values of "
+            "the profile before.",
+        )
+    ]
+    stiffness = result.stiffness
+    pictures = []
+    if stiffness is not None:
+        fit = stiffness.fit
+        pictures.append(
+            Picture(
+                "indentation",
+                partial(draw_indentation, stiffness),
+                "Forces, and what the fit leaves.",
+            )
+        )
+        if stiffness.held_out:
+            tables.append(
+                Table(
+                    "Points predicted from the others",
+                    ["record", "depth [mm]", "force [N]", "predicted [N]", "off [%]", "95 % from",
+                     "to"],
+                    [
+                        [fit.points[h.index].name, h.depth_mm, h.force_n, h.predicted_n,
+                         100 * h.relative, *h.interval_n]
+                        for (h,) in _thinned(stiffness.held_out)
+                    ],
+                    "What the fit is worth where it was not fitted; the interval is of a reading.",
+                )
+            )  # fmt: skip
+        tables.append(
+            Table(
+                "Forces of presses",
+                [
+                    "indenter",
+                    "depth [mm]",
+                    "press [N]",
+                    "95 % from",
+                    "to",
+                    "reading [N]",
+                    "95 % from",
+                    "to",
+                ],
+                [
+                    [
+                        item.tool.description,
+                        p.depth_mm,
+                        p.press_n,
+                        *p.press_interval95_n,
+                        p.reading_n,
+                        *p.reading_interval95_n,
+                    ]
+                    for i, item in enumerate(fit.points)
+                    for p in result.predicted(i)
+                ],
+                "Press: of this profile, so far past first touch as taccel-lab press --depth-mm "
+                f"says, friction {result.used_friction:g}. Reading: where the record, whose zero "
+                "may be off, calls the depth this. Intervals are over all that the records leave "
+                "open: first touch, Poisson's ratio, friction, noise.",
+            )
+        )
+        tables.append(
+            Table(
+                "Residuals of the indentations",
+                ["record", "depth [mm]", "force [N]", "fit [N]", "fit − 1 [%]"],
+                [
+                    [item.name, float(d), float(f), float(p), 100 * float(p / f - 1)]
+                    for i, item in enumerate(fit.points)
+                    for d, f, p in _thinned(
+                        item.depth_mm, item.force_n, fit.predicted_n(i, item.depth_mm)
+                    )
+                ],
+                f"Noise: {fit.noise}; mesh and tables add {100 * fit.model_error:.2g} % to "
+                f"Young's modulus (one standard deviation). First touch of "
+                + ", ".join(
+                    f"{item.name}: {fit.touch_mm(i):+.3f} mm "
+                    f"({fit.touch_interval_mm(i)[0]:+.3f} to {fit.touch_interval_mm(i)[1]:+.3f})"
+                    for i, item in enumerate(fit.points)
+                    if f"touch_{i}" in fit.solution.names
+                )
+                + ".",
+            )
+        )
+    if stiffness is not None or result.tangential or result.flows:
+        pictures.append(
+            Picture(
+                "profiles",
+                partial(draw_profiles, result),
+                "Profile likelihood: the least misfit for each value of one parameter, all others "
+                "free. Where it stays below the dashed line is the 95 % interval; a flat profile "
+                "means that the data do not tell.",
+            )
+        )
+    if result.correlation:
+        tables.append(
+            Table(
+                "Correlation of estimates",
+                ["pair", "correlation"],
+                [[name.replace("*", " and "), value] for name, value in result.correlation.items()],
+            )
+        )
+    constants = result.mooney_rivlin_pa()
+    if constants:
+        tables.append(
+            Table(
+                "Constants of the law",
+                ["constant", "Pa"],
+                [[name.removesuffix("_pa"), value] for name, value in constants.items()],
+                "mu = 2 (c10 + c01) and the bulk modulus, of small strains.",
+            )
+        )
+    pictures += [
+        Picture(f"slide{i}", partial(draw_slide, item), "Friction along each stroke.")
+        for i, item in enumerate(result.slides)
+    ]
+    pictures += [
+        Picture(f"tangential{i}", partial(draw_tangential, item), "Stick before slip.")
+        for i, item in enumerate(result.tangential)
+    ]
+    pictures += [
+        Picture(f"flow{i}", partial(draw_flow, item), "Motion of the markers.")
+        for i, item in enumerate(result.flows)
+    ]
+    pictures += [
+        Picture(f"damping{i}", partial(draw_damping, item), "Force over time.")
+        for i, item in enumerate(result.damping)
+    ]
+    told = ", ".join(_TITLES[name].split(" [")[0] for name in result.estimates) or "nothing"
+    return Page(
+        title="Material of the gel",
+        summary=f"From {len(result.inputs)} inputs of {result.source}: {told}.",
+        remarks=result.remarks,
+        tables=tables,
+        pictures=pictures,
+        figures=result.figures(),
+    )
+
+
+def _thinned(*columns: Any, most: int = 12) -> list[tuple[Any, ...]]:
+    """At most ``most`` rows, evenly chosen."""
+    rows = list(zip(*columns, strict=True))
+    if len(rows) <= most:
+        return rows
+    return [rows[round(i * (len(rows) - 1) / (most - 1))] for i in range(most)]

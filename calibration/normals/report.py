@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report of a calibration of normals."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from taccel_lab.calibration.normals.fit import NormalCalibration
+from taccel_lab.calibration.normals.pictures import draw_errors, draw_reliability, draw_training
+from taccel_lab.calibration.normals.samples import Scene
+from taccel_lab.calibration.report import Page, Picture, Table
+
+
+def normals_page(result: NormalCalibration, scene: Scene) -> Page:
+    """Tables worst first, error maps, reliability and training of one calibration."""
+    tables, pictures = [], []
+    if result.heldout:
+        tables = [_summary(result), _presses(result)]
+        pictures = [
+            Picture(
+                "errors",
+                partial(draw_errors, result, scene),
+                "The worst, the middle and the best held-out press. Errors are angles to the "
+                "ball's normal in the dotted circle; depths are integrated from the normals over "
+                "the whole image and stand on the resting gel, the ball is aligned at its rim.",
+            ),
+            Picture(
+                "reliability",
+                partial(draw_reliability, result),
+                "How large errors of held-out pixels are, by how large the model expects them to "
+                "be. Points below the line: the model is more careful than it has to be.",
+            ),
+        ]
+    pictures.append(
+        Picture(
+            "training",
+            partial(draw_training, result),
+            "Each network stops where the presses that it leaves out are read best.",
+        )
+    )
+    if result.fit.label_shifts:
+        tables.append(_shifts(result))
+    return Page(
+        title="Calibration of surface normals",
+        summary=_sentence(result),
+        remarks=result.remarks,
+        tables=tables,
+        pictures=pictures,
+        figures=result.figures(),
+    )
+
+
+def _sentence(result: NormalCalibration) -> str:
+    text = (
+        f"{result.fit.model.config.members} networks from colour and position to the surface "
+        f"normal, fitted to {len(result.train_names)} presses in {result.fit.seconds:.0f} s. "
+    )
+    if not result.heldout:
+        return text + "No press was held out."
+    scores = result.heldout_means("used")
+    return text + (
+        f"Normals of {len(result.heldout)} held-out presses are off by {scores['mean_deg']:.2f} "
+        f"degrees on average (a flat guess by {scores['flat_deg']:.1f}), integrated depths by "
+        f"{scores['depth_mae_mm']:.3f} mm of {scores['depth_mm']:.2f} mm."
+    )
+
+
+def _summary(result: NormalCalibration) -> Table:
+    given = result.heldout_means("given")
+    used = result.heldout_means("used")
+    labels = {
+        "mean_deg": "normals, mean [deg]",
+        "median_deg": "median [deg]",
+        "p90_deg": "90th percentile [deg]",
+        "flat_deg": "flat guess, mean [deg]",
+        "depth_mae_mm": "depth, mean absolute error [mm]",
+        "depth_mm": "depth of the ball, mean [mm]",
+    }
+    rows = [[label, used[key], given[key]] for key, label in labels.items()]
+    if result.baseline_deg is not None:
+        rows.insert(1, ["colour of the pixel alone, mean [deg]", result.baseline_deg, "-"])
+    return Table(
+        "Held-out presses",
+        ["figure", "in the circles used", "in the circles given"],
+        rows,
+        "Chosen before any image was read, seen when the model was frozen. Circles used: labels "
+        "as the training presses say that labels lie; found in the image without one. Circles by "
+        "hand are off by a pixel or more; that error is part of both columns. Depths are aligned "
+        "on the circle. Presses that could not be read count as a flat guess: "
+        f"{', '.join(result.failures) or 'none'}.",
+    )
+
+
+def _presses(result: NormalCalibration) -> Table:
+    order = sorted(result.heldout, key=lambda item: -item.used.mean_deg)
+    return Table(
+        "Held-out presses, worst first",
+        ["press", "mean [deg]", "90 % [deg]", "given circle [deg]", "depth error [mm]"],
+        [
+            [
+                item.name,
+                item.used.mean_deg,
+                item.used.p90_deg,
+                item.given.mean_deg,
+                item.used.depth_mae_mm,
+            ]
+            for item in order
+        ],
+    )
+
+
+def _shifts(result: NormalCalibration) -> Table:
+    shifts = result.fit.label_shifts
+    order = sorted(shifts, key=lambda name: -shifts[name].length_px)[:10]
+    return Table(
+        "Circles of training presses against the colours, furthest off first",
+        ["press", "du [px]", "dv [px]", "left-out error [deg]"],
+        [
+            [
+                name,
+                shifts[name].du_px,
+                shifts[name].dv_px,
+                result.fit.left_out_deg.get(name, float("nan")),
+            ]
+            for name in order
+        ],
+        "Where a network that never saw the press puts the ball, against the circle it was "
+        "labelled with; the mean of all presses is taken out.",
+    )

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pixels with known normals, drawn from ball presses: the training data of the inverse model.
+
+Inside the contact the ball gives the normal, far from it the resting face does. Between the two
+lies the gel's skirt, whose normals only a surface (``PressSurface``) gives; without one those
+pixels are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.normals.ball_normals import ball_normals
+from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.normal_features import color_change
+from taccel_lab.signals.normal_model import NormalModelConfig, rotate_to_z
+
+RIM_RADII = 0.98
+"""Within this many contact radii a pixel lies in the contact, as well as circles are known."""
+SKIRT_RADII = 1.03
+"""Beyond this many it surely lies outside."""
+FLAT_RADII = 2.5
+"""Beyond this many contact radii the gel is at rest, as far as colour tells."""
+
+
+@dataclass(frozen=True)
+class InverseFrame:
+    """One press as the inverse fit sees it."""
+
+    name: str
+    image: np.ndarray
+    """RGB levels under the background's light, float, shape [height_px, width_px, 3]."""
+    circle: ContactCircle
+    sha256: str
+    surface: PressSurface | None = None
+    """Gel surface under the press, where one was made."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What all presses of one capture set have in common."""
+
+    background: np.ndarray
+    """RGB levels, shape [height_px, width_px, 3]."""
+    grid: PixelGrid
+    ball_radius_mm: float
+    mask: np.ndarray | None = None
+    """Pixels that may be used, bool, shape [height_px, width_px]."""
+    rest_normals: np.ndarray | None = None
+    """Outward unit normals at rest, shape [height_px, width_px, 3]; flat when None."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Pixels of one or several presses."""
+
+    features: np.ndarray
+    """Raw features, float32, shape [n, feature]."""
+    normals: np.ndarray
+    """True normals relative to the resting ones, float32, shape [n, 3]."""
+
+
+@dataclass(frozen=True)
+class SampleOptions:
+    """How many pixels are drawn of each press."""
+
+    disc_pixels: int = 3000
+    """Within the contact."""
+    skirt_pixels: int = 1500
+    """Between the contact and the resting face, where a surface is given."""
+    flat_pixels: int = 700
+    """Where the gel is at rest."""
+    zooms: int = 3
+    """Zooms at which each press is seen; the first is 1."""
+    max_zoom: float = 2.0
+    """Zooms are drawn between 1 / max_zoom and max_zoom."""
+
+    def __post_init__(self) -> None:
+        for name in ("disc_pixels", "flat_pixels", "zooms"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not 1.0 <= self.max_zoom <= 8.0:
+            raise InputError(f"max_zoom must lie in 1..8, got {self.max_zoom}")
+
+
+def draw_samples(
+    frame: InverseFrame,
+    scene: Scene,
+    config: NormalModelConfig,
+    options: SampleOptions,
+    rng: np.random.Generator,
+) -> Samples:
+    """Pixels of one press at several zooms."""
+    change = color_change(frame.image, scene.background, scene.mask)
+    usable = usable_pixels(scene)
+    distance = frame.circle.distance_px(scene.grid) / frame.circle.radius_px
+    wanted = true_normals(frame, scene)
+    zooms = [1.0]
+    reach = np.log(options.max_zoom)
+    zooms += [float(np.exp(rng.uniform(-reach, reach))) for _ in range(options.zooms - 1)]
+    regions = [
+        (distance <= RIM_RADII, options.disc_pixels),
+        (distance > FLAT_RADII, options.flat_pixels),
+    ]
+    if frame.surface is not None:
+        skirt = (distance > SKIRT_RADII) & (distance <= FLAT_RADII)
+        regions.insert(1, (skirt, options.skirt_pixels))
+    if not (regions[0][0] & usable).any():
+        raise InputError(f"{frame.name}: every pixel of the contact is masked")
+    window = _window(frame.circle, scene.grid, FLAT_RADII if frame.surface is not None else 1.0)
+    features, normals = [], []
+    for zoom in zooms:
+        # Zoomed windows are wide; only the part of the image that is drawn from is filtered. The
+        # far field is seen at its own scale: it is flat at every zoom.
+        part = (slice(None), slice(None)) if zoom == 1.0 else window
+        maps = config.image_features(
+            change, scene.background, mask=scene.mask, zoom=zoom, window=part
+        )
+        for region, count in regions if zoom == 1.0 else regions[:-1]:
+            found = np.flatnonzero((region & usable)[part])
+            picked = rng.permutation(found)[: max(1, count // len(zooms))]
+            features.append(maps.reshape(-1, config.input_count)[picked])
+            normals.append(wanted[part].reshape(-1, 3)[picked])
+    return Samples(np.concatenate(features), np.concatenate(normals).astype(np.float32))
+
+
+def true_normals(frame: InverseFrame, scene: Scene) -> np.ndarray:
+    """Known normals relative to rest: of the ball inside, of the surface (or rest) outside."""
+    inside = frame.circle.distance_px(scene.grid) <= frame.circle.radius_px
+    if frame.surface is not None:
+        outside = rotate_to_z(frame.surface.normals, frame.surface.rest_normals)
+    else:
+        outside = np.array([0.0, 0.0, 1.0])
+    ball = ball_normals(frame.circle, scene.grid, scene.ball_radius_mm, scene.rest_normals)
+    if scene.rest_normals is not None:
+        ball = rotate_to_z(ball, scene.rest_normals)
+    return np.where(inside[..., None], ball, outside)
+
+
+def usable_pixels(scene: Scene) -> np.ndarray:
+    """Pixels that may be used, bool, shape [height_px, width_px]."""
+    if scene.mask is not None:
+        return scene.mask
+    return np.ones((scene.grid.height_px, scene.grid.width_px), dtype=bool)
+
+
+def join(samples: Sequence[Samples]) -> Samples:
+    """All samples in one."""
+    return Samples(
+        np.concatenate([s.features for s in samples]), np.concatenate([s.normals for s in samples])
+    )
+
+
+def _window(circle: ContactCircle, grid: PixelGrid, radii: float) -> tuple[slice, slice]:
+    """Rows and columns within so many radii of the contact and a margin for the filters."""
+    reach_u = (radii + 0.6) * circle.radius_px + 4
+    reach_v = reach_u * grid.mm_per_px_x / grid.mm_per_px_y
+    return (
+        slice(max(0, int(circle.v_px - reach_v)), int(circle.v_px + reach_v) + 2),
+        slice(max(0, int(circle.u_px - reach_u)), int(circle.u_px + reach_u) + 2),
+    )

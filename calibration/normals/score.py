@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How close predicted normals and depths come to those of held-out balls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.normals.ball_normals import ball_normals
+from taccel_lab.calibration.normals.samples import InverseFrame, Scene, usable_pixels
+from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
+from taccel_lab.signals.poisson import height_from_slopes
+
+RIM_BAND = 0.04
+"""Depths are aligned on the circle: over the pixels within this share of the radius of it."""
+WITHIN_68 = 1.5096
+"""Length, in standard deviations of a component, that 68 % of two-component normal vectors stay
+below: sqrt(-2 ln(1 - p))."""
+BIN_COUNT = 8
+
+
+@dataclass(frozen=True)
+class AngleScore:
+    """Errors of the normals inside one circle."""
+
+    mean_deg: float
+    median_deg: float
+    p90_deg: float
+    flat_deg: float
+    """Mean error of guessing the resting surface everywhere."""
+    depth_mae_mm: float
+    """Mean absolute error of the integrated depth against the ball's, aligned on the circle."""
+    depth_mm: float
+    """Mean depth of the ball below the circle."""
+
+
+@dataclass(frozen=True)
+class HeldoutNormals:
+    """A press that the fit never saw."""
+
+    name: str
+    frame: InverseFrame
+    predicted: NormalMap
+    height_m: np.ndarray
+    """Integrated, zero where the gel is at rest, shape [height_px, width_px]."""
+    error_deg: np.ndarray
+    """Angle to the ball's normal in the circle that was trained with, NaN outside, [h, w]."""
+    given: AngleScore
+    """In the circle given with the press, where there is one, else in that used."""
+    used: AngleScore
+    """In the circle that the label puts there as the training presses say (``LabelPlacement``);
+    without a label, in the one found in the image."""
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Expected against observed errors over pixels of held-out presses, in circles as trained."""
+
+    expected_deg: tuple[float, ...]
+    """Mean expected error in bins of equal size, rising."""
+    observed_deg: tuple[float, ...]
+    """Mean observed error there."""
+    within_68: float
+    """Share of pixels within the radius that 68.0 % should lie in."""
+    within_95: float
+    """Share within that of 95.0 %."""
+
+    def ratio(self) -> float:
+        """Observed over expected mean error; 1 is right, above it the model is too sure."""
+        return float(np.mean(self.observed_deg) / np.mean(self.expected_deg))
+
+
+def angle_between_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angle between unit vectors [degrees], shape [...] of [..., 3]; exact for small angles."""
+    half_chord = np.linalg.norm(a - b, axis=-1) / 2
+    return np.degrees(2 * np.arcsin(np.clip(half_chord, 0.0, 1.0)))
+
+
+def rest_slopes(scene: Scene) -> np.ndarray:
+    """dh/dx and dh/dy at rest, shape [height_px, width_px, 2] (or [2] for a flat face)."""
+    if scene.rest_normals is None:
+        return np.zeros(2)
+    return -scene.rest_normals[..., :2] / scene.rest_normals[..., 2:]
+
+
+def score_heldout(
+    model: NormalModel, frame: InverseFrame, given: ContactCircle | None, scene: Scene
+) -> HeldoutNormals:
+    """Predict one press and compare it with its ball."""
+    predicted = model.predict(
+        frame.image, scene.background, mask=scene.mask, rest_normals=scene.rest_normals
+    )
+    # The change of height from rest is integrated: on a curved gel the rest is known already.
+    height = height_from_slopes(predicted.slopes() - rest_slopes(scene), scene.grid)
+    inside = inside_of(frame.circle, scene)
+    truth = ball_normals(frame.circle, scene.grid, scene.ball_radius_mm, scene.rest_normals)
+    error = np.where(inside, angle_between_deg(predicted.normals, truth), np.nan)
+    return HeldoutNormals(
+        name=frame.name,
+        frame=frame,
+        predicted=predicted,
+        height_m=height,
+        error_deg=error,
+        given=score_circle(predicted, height, given or frame.circle, scene),
+        used=score_circle(predicted, height, frame.circle, scene),
+    )
+
+
+def inside_of(circle: ContactCircle, scene: Scene) -> np.ndarray:
+    """Usable pixels inside a contact, bool, shape [height_px, width_px]."""
+    return (circle.distance_px(scene.grid) <= circle.radius_px) & usable_pixels(scene)
+
+
+def score_circle(
+    predicted: NormalMap, height_m: np.ndarray, circle: ContactCircle, scene: Scene
+) -> AngleScore:
+    """Errors inside ``circle``; ``height_m`` is the rise over rest."""
+    inside = inside_of(circle, scene)
+    truth = ball_normals(circle, scene.grid, scene.ball_radius_mm, scene.rest_normals)
+    error = angle_between_deg(predicted.normals, truth)[inside]
+    rest = np.array([0.0, 0.0, 1.0]) if scene.rest_normals is None else scene.rest_normals
+    flat = angle_between_deg(np.broadcast_to(rest, truth.shape), truth)[inside]
+    wanted_mm = ball_depth_mm(circle, scene)
+    found_mm = -height_m * 1e3
+    band = np.abs(circle.distance_px(scene.grid) / circle.radius_px - 1) <= RIM_BAND
+    band &= usable_pixels(scene)
+    if band.any():
+        found_mm = found_mm - found_mm[band].mean() + wanted_mm[band].mean()
+    return AngleScore(
+        mean_deg=float(error.mean()),
+        median_deg=float(np.median(error)),
+        p90_deg=float(np.percentile(error, 90)),
+        flat_deg=float(flat.mean()),
+        depth_mae_mm=float(np.abs(found_mm - wanted_mm)[inside].mean()),
+        depth_mm=float(wanted_mm[inside].mean()),
+    )
+
+
+def ball_depth_mm(circle: ContactCircle, scene: Scene) -> np.ndarray:
+    """Depth of a flat gel in the ball's shape below the circle [mm]; beyond it, shallower, negative
+    at most by what the ball rises up to its equator. Shape [height_px, width_px].
+
+    On a curved gel the depth is that below the plane of the circle.
+    """
+    distance = circle.distance_px(scene.grid) * scene.grid.mm_per_px_x
+    radius = scene.ball_radius_mm
+    rim = min(circle.radius_px * scene.grid.mm_per_px_x, radius)
+    cap = np.sqrt(np.maximum(radius**2 - np.minimum(distance, radius) ** 2, 0.0))
+    return cap - np.sqrt(radius**2 - rim**2)
+
+
+def reliability_of(items: Sequence[HeldoutNormals]) -> Reliability:
+    """Pool the held-out pixels of all presses."""
+    errors, sigmas, radii = [], [], []
+    for item in items:
+        inside = np.isfinite(item.error_deg)
+        errors.append(item.error_deg[inside])
+        sigmas.append(item.predicted.sigma_deg[inside])
+        radii.append(item.predicted.radius95_deg[inside])
+    error, sigma, radius95 = (np.concatenate(x) for x in (errors, sigmas, radii))
+    order = np.argsort(sigma, kind="stable")
+    parts = np.array_split(order, BIN_COUNT)
+    return Reliability(
+        expected_deg=tuple(float(sigma[p].mean() * RAYLEIGH_MEAN) for p in parts if len(p)),
+        observed_deg=tuple(float(error[p].mean()) for p in parts if len(p)),
+        within_68=float((error <= WITHIN_68 * sigma).mean()),
+        within_95=float((error <= radius95).mean()),
+    )
+
+
+def flat_guess(scores: Sequence[AngleScore]) -> AngleScore:
+    """What a press counts as that cannot be read: a flat guess on the worst of the others."""
+    flat = max(score.flat_deg for score in scores)
+    depth = max(score.depth_mm for score in scores)
+    return AngleScore(flat, flat, flat, flat, depth, depth)
+
+
+def mean_of(scores: Sequence[AngleScore]) -> dict[str, float]:
+    """Mean of each figure over presses."""
+    return {
+        key: float(np.mean([getattr(score, key) for score in scores]))
+        for key in AngleScore.__dataclass_fields__
+    }

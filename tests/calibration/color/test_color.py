@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Colour calibration: synthetic round trips, masks, drift, determinism, blocks."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from taccel_lab.calibration.background.average import average_background
+from taccel_lab.calibration.background.drift import Drift, fit_drift
+from taccel_lab.calibration.capture import CaptureSet
+from taccel_lab.calibration.color.fit import ColorPlan, HeldoutSet, calibrate_color
+from taccel_lab.calibration.color.folds import cross_validate
+from taccel_lab.calibration.color.frames import ColorFrame
+from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.errors import InputError
+from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from tests.calibration.synthetic import (
+    GRID,
+    calibrated,
+    flat_background,
+    known_change,
+    synthetic_captures,
+    tiny_profile,
+    true_surfaces,
+)
+
+QUICK = ColorFitOptions(
+    hidden=(32, 32), steps=500, batch_pixels=2048, disc_pixels=1500, ring_pixels=1000,
+    far_pixels=300,
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def frames_of(captures: CaptureSet, surfaces: list[PressSurface]) -> list[ColorFrame]:
+    return [
+        ColorFrame(press.name, press.image(), press.circle, surface, press.sha256)
+        for press, surface in zip(captures.presses, surfaces, strict=True)
+        if press.circle is not None
+    ]
+
+
+def test_round_trip_recovers_the_colour_law() -> None:
+    captures, surfaces = synthetic_captures(16, noise=1.0)
+    result = calibrated(captures, surfaces, options=QUICK)
+    assert result.split == captures.split(4)
+    assert tuple(item.name for item in result.heldout) == captures.split(4).heldout_names
+    assert result.placement == "label" and result.placements == ("label", "tiles", "self")
+    for item in result.heldout:
+        surface = surfaces[int(item.name[1:])]
+        truth = flat_background() + known_change(surface)
+        disc = item.circle.distance_px(GRID) <= item.circle.radius_px
+        for placed in item.placed.values():
+            # The captures' noise has a mean absolute value of 0.8 levels, the law spans +-60.
+            assert np.abs(placed.rendered - truth)[disc].mean() < 1.5
+            assert placed.score.crop_psnr_db > item.background_only.crop_psnr_db + 12
+            assert placed.score.crop_ssim > item.background_only.crop_ssim
+    figures = result.figures()
+    assert figures["heldout"] == figures["heldout_by"]["label"]
+    assert figures["heldout"]["disc_l1"] < 1.6
+    psnr = [row["crop_psnr_db"] for row in figures["presses"]]
+    assert psnr == sorted(psnr)
+
+
+def test_undeformed_gel_renders_as_the_background() -> None:
+    captures, surfaces = synthetic_captures(4)
+    fit = fit_color_model(
+        frames_of(captures, surfaces), captures.background, GRID,
+        dataclasses.replace(QUICK, steps=30),
+    )  # fmt: skip
+    rest = surfaces[0].rest_normals
+    rendered = fit.model.render(rest, np.zeros(rest.shape[:2]), rest, fit.background)
+    assert np.array_equal(rendered, fit.background)
+
+
+def test_fit_is_deterministic_and_seeds_differ() -> None:
+    captures, surfaces = synthetic_captures(4)
+    frames = frames_of(captures, surfaces)
+    options = dataclasses.replace(QUICK, steps=40)
+    first = fit_color_model(frames, captures.background, GRID, options)
+    again = fit_color_model(frames, captures.background, GRID, options)
+    other = fit_color_model(frames, captures.background, GRID, dataclasses.replace(options, seed=1))
+    for name, weight in first.model.weights.items():
+        assert np.array_equal(weight, again.model.weights[name])
+    assert first.loss_curve == again.loss_curve
+    assert not np.array_equal(
+        first.model.weights["layer0.weight"], other.model.weights["layer0.weight"]
+    )
+
+
+def test_poisoned_masked_pixels_have_no_effect() -> None:
+    captures, surfaces = synthetic_captures(4)
+    frames = frames_of(captures, surfaces)
+    mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
+    mask[40:70, 60:90] = False
+    rng = np.random.default_rng(0)
+
+    def poison(frame: ColorFrame) -> ColorFrame:
+        image = frame.image.copy()
+        image[~mask] = rng.integers(0, 256, image[~mask].shape)
+        return dataclasses.replace(frame, image=image)
+
+    options = dataclasses.replace(QUICK, steps=40, remove_drift=True)
+    clean = fit_color_model(frames, captures.background, GRID, options, mask=mask)
+    dirty = fit_color_model(
+        [poison(frame) for frame in frames], captures.background, GRID, options, mask=mask
+    )
+    for name, weight in clean.model.weights.items():
+        assert np.array_equal(weight, dirty.model.weights[name])
+    assert np.array_equal(clean.background, dirty.background)
+    assert clean.disc_l1_train == dirty.disc_l1_train
+    unmasked = fit_color_model(
+        [poison(frame) for frame in frames], captures.background, GRID, options
+    )
+    assert not np.array_equal(
+        unmasked.model.weights["layer0.weight"], clean.model.weights["layer0.weight"]
+    )
+
+
+def test_drift_is_recovered_beside_a_contact() -> None:
+    captures, surfaces = synthetic_captures(1, noise=0.5)
+    press = captures.presses[0]
+    assert press.circle is not None
+    true = Drift(np.array([1.05, 0.97, 1.0]), np.array([2.0, -3.0, 5.0]))
+    # A gradient wide enough to tell gain from offset.
+    background = flat_background() * np.linspace(0.5, 1.5, GRID.width_px)[None, :, None]
+    frame = true.apply(background + known_change(surfaces[0]))
+    found = fit_drift(frame, background, press.circle, GRID)
+    assert found.gain == pytest.approx(true.gain, abs=0.01)
+    assert found.apply(background) == pytest.approx(true.apply(background), abs=0.5)
+    assert true.remove(true.apply(frame)) == pytest.approx(frame)
+
+
+def test_averaged_background_is_quieter_and_free_of_contacts() -> None:
+    captures, surfaces = synthetic_captures(16, noise=2.0)
+    rng = np.random.default_rng(5)
+    truth = flat_background()
+    noisy = truth + rng.normal(0, 2.0, truth.shape)
+    frames = frames_of(captures, surfaces)
+    still = Drift(np.ones(3), np.zeros(3))
+    averaged = average_background(
+        noisy, [f.image for f in frames], [f.circle for f in frames], [still] * len(frames), GRID
+    )
+    assert np.std(averaged - truth) < 0.5 * np.std(noisy - truth)
+
+
+def test_cross_validation_names_every_press() -> None:
+    captures, surfaces = synthetic_captures(6)
+    options = dataclasses.replace(QUICK, steps=300)
+    spread = cross_validate(
+        frames_of(captures, surfaces), captures.background, GRID, options, folds=3
+    )
+    assert list(spread) == [f"p{i}" for i in range(6)]
+    assert all(0.3 < value < 25 for value in spread.values())
+    with pytest.raises(InputError, match=r"folds must lie in 2\.\.6"):
+        cross_validate(frames_of(captures, surfaces), captures.background, GRID, folds=7)
+
+
+def test_bad_fits_are_refused() -> None:
+    captures, surfaces = synthetic_captures(3)
+    with pytest.raises(InputError, match="at least one press"):
+        fit_color_model([], captures.background, GRID)
+    with pytest.raises(InputError, match="steps must be at least 1"):
+        ColorFitOptions(steps=0)
+    with pytest.raises(InputError, match="learning_rate must be positive"):
+        ColorFitOptions(learning_rate=-1.0)
+    with pytest.raises(InputError, match="3 presses need as many circles and surfaces"):
+        calibrate_color(captures, [], surfaces)
+    circles = [press.circle for press in captures.presses if press.circle is not None]
+    held = HeldoutSet(captures.only([1]), true_surfaces, captures.split(2))
+    with pytest.raises(InputError, match="p1: held out and fitted at once"):
+        calibrate_color(captures, circles, surfaces, held)
+    everything = np.zeros((GRID.height_px, GRID.width_px), dtype=bool)
+    with pytest.raises(InputError, match="masked"):
+        fit_color_model(
+            frames_of(captures, surfaces), captures.background, GRID, QUICK, mask=everything
+        )
+
+
+def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
+    captures, surfaces = synthetic_captures(8)
+    result = calibrated(
+        captures, surfaces, options=dataclasses.replace(QUICK, steps=60), plan=ColorPlan(folds=2)
+    )
+    save_profile(result.apply_to(tiny_profile(GRID)), tmp_path / "profile")
+    loaded = load_profile(tmp_path / "profile")
+    assert loaded.color is not None and loaded.color_weights is not None
+    model = ColorModel(ColorModelConfig.from_dict(loaded.color.architecture), loaded.color_weights)
+    item = result.heldout[0]
+    (surface,) = true_surfaces(captures, [item.placed["label"].circle])
+    assert loaded.background_rgb is not None
+    rendered = model.render(
+        surface.normals, surface.displacement_mm(), surface.rest_normals, loaded.background_rgb
+    )
+    assert np.array_equal(rendered, item.placed["label"].rendered)
+    residuals = loaded.color.provenance.residuals
+    assert residuals["heldout_disc_l1"] == pytest.approx(
+        np.mean([held.placed["label"].score.disc_l1 for held in result.heldout])
+    )
+    assert "left_out_disc_l1_levels" in loaded.color.provenance.spread
+    assert result.split is not None
+    fitted = {press.name for press in captures.presses} - set(result.split.heldout_names)
+    assert set(loaded.color.provenance.inputs) == {"background", *fitted}
+    assert result.split.sha256[:16] in loaded.color.provenance.method
+
+
+def test_light_that_changes_within_the_image_asks_for_bands() -> None:
+    """Lamps in stripes of a fifth of the image: the plain network smooths them away."""
+    captures, surfaces = synthetic_captures(20, noise=1.0, seed=3)
+    stripes = 1 + np.sin(2 * np.pi * 5 * np.arange(GRID.width_px) / GRID.width_px)[None, :, None]
+    truth = [flat_background() + known_change(surface) * stripes for surface in surfaces]
+    rng = np.random.default_rng(0)
+    noisy = [np.clip(x + rng.normal(0, 1, x.shape), 0, 255) for x in truth]
+    frames = [
+        dataclasses.replace(frame, image=image)
+        for frame, image in zip(frames_of(captures, surfaces), noisy, strict=True)
+    ]
+    error = {}
+    for bands in (0, 4):
+        fit = fit_color_model(
+            frames[5:], captures.background, GRID,
+            dataclasses.replace(QUICK, position_bands=bands),
+        )  # fmt: skip
+        off = []
+        for frame, wanted in zip(frames[:5], truth[:5], strict=True):
+            surface = frame.surface
+            rendered = fit.model.render(
+                surface.normals, surface.displacement_mm(), surface.rest_normals, fit.background
+            )
+            disc = frame.circle.distance_px(GRID) <= frame.circle.radius_px
+            off.append(np.abs(rendered - wanted)[disc].mean())
+        error[bands] = np.mean(off)
+    assert error[4] < 0.6 * error[0], error

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Colour calibration of captures with faults: what is found, taken off, or said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.capture import CaptureSet
+from taccel_lab.calibration.color import drift_choice
+from taccel_lab.calibration.color.fit import ColorPlan
+from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.color.report import color_page
+from taccel_lab.calibration.color.result import ColorCalibration
+from taccel_lab.calibration.report import write_page
+from taccel_lab.calibration.result import Severity, Verdict, judge
+from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.synthetic import add_noise, blur, drift, quantise, vignette
+from taccel_lab.errors import InputError
+from tests.calibration.synthetic import calibrated, synthetic_captures
+
+QUICK = ColorFitOptions(
+    hidden=(24, 24), steps=300, batch_pixels=1024, disc_pixels=800, ring_pixels=500,
+    far_pixels=150, learning_rate=8e-3,
+)  # fmt: skip
+PLAN = ColorPlan()
+
+
+def with_images(captures: CaptureSet, images: list[np.ndarray], **changes: object) -> CaptureSet:
+    presses = tuple(
+        replace(press, read=partial(np.copy, image))
+        for press, image in zip(captures.presses, images, strict=True)
+    )
+    return replace(captures, presses=presses, **changes)  # type: ignore[arg-type]
+
+
+def calibrate(
+    captures: CaptureSet,
+    surfaces: list[PressSurface],
+    plan: ColorPlan = PLAN,
+    holdout_every: int = 4,
+    **changes: object,
+) -> ColorCalibration:
+    options = replace(QUICK, **changes)  # type: ignore[arg-type]
+    return calibrated(captures, surfaces, holdout_every=holdout_every, options=options, plan=plan)
+
+
+def heldout_l1(result: ColorCalibration) -> float:
+    return result.heldout_means()["disc_l1"]
+
+
+def codes(result: ColorCalibration) -> set[str]:
+    return {remark.code for remark in result.remarks}
+
+
+@pytest.fixture(scope="module")
+def sound() -> tuple[CaptureSet, list[PressSurface]]:
+    return synthetic_captures(12, noise=1.0)
+
+
+@pytest.fixture(autouse=True)
+def quick_choice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drift_choice, "SHORT_FIT", QUICK)
+
+
+def test_more_noise_is_seen_in_the_figures_and_nothing_else(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, surfaces = sound
+    rng = np.random.default_rng(0)
+    noisy = with_images(
+        captures, [quantise(add_noise(p.image(), 6.0, rng)) for p in captures.presses]
+    )
+    quiet_result, noisy_result = calibrate(captures, surfaces), calibrate(noisy, surfaces)
+    quiet, loud = heldout_l1(quiet_result), heldout_l1(noisy_result)
+    # Mean absolute value of the noise: 0.8 of its deviation; the model adds little of its own.
+    assert 0.8 * 6.0 < loud < 0.8 * 6.1 + quiet
+    assert quiet < 2.5
+    assert not codes(quiet_result) and judge(quiet_result.remarks) is Verdict.GOOD
+
+
+def test_blur_and_vignetting_of_camera_and_lamps_are_learned(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, surfaces = sound
+
+    def through_lens(image: np.ndarray) -> np.ndarray:
+        return quantise(vignette(blur(image, 1.0), 0.3))
+
+    seen = with_images(
+        captures,
+        [through_lens(press.image()) for press in captures.presses],
+        background=through_lens(captures.background),
+    )
+    result = calibrate(seen, surfaces)
+    assert heldout_l1(result) < 3.0
+    assert "explains_little" not in codes(result)
+
+
+def test_drift_is_found_and_taken_off(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
+    captures, surfaces = sound
+    rng = np.random.default_rng(1)
+    drifting = with_images(
+        captures,
+        [
+            quantise(drift(p.image(), rng.uniform(0.92, 1.08, 3), rng.uniform(-12, 12, 3)))
+            for p in captures.presses
+        ],
+    )
+    result = calibrate(drifting, surfaces, replace(PLAN, drift="auto"))
+    choice = result.drift_choice
+    assert choice is not None and choice.remove and result.drift_corrected
+    assert choice.disc_l1_on is not None and choice.disc_l1_off is not None
+    assert choice.disc_l1_on < 0.7 * choice.disc_l1_off
+    assert codes(result) == {"light_drifts"}
+    left_in = calibrate(drifting, surfaces, replace(PLAN, drift="off"))
+    assert not left_in.drift_corrected and "light_drifts" in codes(left_in)
+    assert heldout_l1(result) < 0.6 * heldout_l1(left_in)
+    steady = calibrate(captures, surfaces, replace(PLAN, drift="auto"))
+    assert steady.drift_choice is not None and not steady.drift_choice.remove
+
+
+def test_an_outlier_is_named(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
+    captures, surfaces = sound
+    images = [press.image() for press in captures.presses]
+    split = captures.split(4)
+    turned = split.train[3]
+    images[turned] = images[turned][::-1, ::-1].copy()
+    plan = replace(PLAN, folds=3, table=True)
+    result = calibrate(with_images(captures, images), surfaces, plan)
+    (remark,) = [r for r in result.remarks if r.code == "outliers"]
+    name, other = (captures.presses[i].name for i in (turned, split.train[2]))
+    assert f"{name} (" in remark.message and f"{other} (" not in remark.message
+    figures = result.figures()
+    assert set(figures["left_out_disc_l1"]) == {captures.presses[i].name for i in split.train}
+    assert figures["spread"]["fit_count"] == 3 and figures["spread"]["disc_levels"] > 0
+    assert figures["taxim_table"]["disc_l1"] > 0
+    provenance = result._color_provenance()
+    assert provenance.verdict == "usable" and any(name in text for text in provenance.remarks)
+    assert provenance.spread["ensemble_disc_levels"] == figures["spread"]["disc_levels"]
+
+
+def test_a_model_that_explains_little_is_weak(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, surfaces = sound
+    shuffled = [surfaces[(i + 5) % len(surfaces)] for i in range(len(surfaces))]
+    result = calibrate(captures, shuffled)
+    assert "explains_little" in codes(result) and judge(result.remarks) is Verdict.WEAK
+
+
+def test_an_early_stop_takes_the_best_weights(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, surfaces = sound
+    result = calibrate(captures, surfaces, validation_every=3)
+    curve = dict(result.fit.validation_curve)
+    assert set(curve) == {100, 200, 300}
+    assert curve[result.fit.step] == min(curve.values())
+    assert "held-back presses" in result._color_provenance().method
+
+
+@pytest.mark.parametrize("loss", ["l1", "ssim"])
+def test_other_losses_learn_the_law_too(
+    sound: tuple[CaptureSet, list[PressSurface]], loss: str
+) -> None:
+    captures, surfaces = sound
+    result = calibrate(captures, surfaces, loss=loss, steps=150)
+    assert heldout_l1(result) < 4.0
+
+
+def test_bad_options_are_refused() -> None:
+    with pytest.raises(InputError, match="loss 'l2' is not allowed"):
+        replace(QUICK, loss="l2")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="validation_every must be 0 or at least 2"):
+        replace(QUICK, validation_every=1)
+
+
+def test_without_held_out_presses_it_says_so(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, surfaces = sound
+    result = calibrate(captures, surfaces, holdout_every=0, steps=20)
+    (remark,) = result.remarks
+    assert remark.code == "nothing_held_out" and remark.severity is Severity.WARNING
+
+
+def test_a_model_of_three_presses_is_weak(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, surfaces = sound
+    few = replace(captures, presses=captures.presses[:3])
+    result = calibrate(few, surfaces[:3], holdout_every=0, steps=20)
+    assert {r.code: r.severity for r in result.remarks}["few_presses"] is Severity.ERROR
+
+
+def test_the_page_shows_every_press(
+    sound: tuple[CaptureSet, list[PressSurface]], tmp_path: Path
+) -> None:
+    captures, surfaces = sound
+    result = calibrate(captures, surfaces, replace(PLAN, folds=2, table=True), steps=60)
+    page = color_page(result)
+    write_page(page, tmp_path / "report")
+    assert {path.name for path in (tmp_path / "report").glob("*.png")} == {
+        "coverage.png", "heldout.png", "loss.png",
+    }  # fmt: skip
+    html = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert all(f"<td>p{i}</td>" in html for i in range(12))
+    (presses,) = [table for table in page.tables if table.title.startswith("Presses")]
+    values = [row[5] for row in presses.rows]
+    assert values == sorted(values)

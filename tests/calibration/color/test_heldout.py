@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Held-out presses: nothing of them reaches the model, and none is lost from the figures."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press, load_captures
+from taccel_lab.calibration.color import drift_choice as drift_choice_module
+from taccel_lab.calibration.color.fit import ColorPlan, calibrate_color
+from taccel_lab.calibration.color.heldout import HeldoutSet
+from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.color.registration import register_presses
+from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.contacts.tiles import even_tiles, filled_from
+from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.cli.calibrate.color import CalibrateColor
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.profile import load_profile, save_profile
+from tests.calibration.synthetic import (
+    BALL_RADIUS_MM,
+    GRID,
+    calibrated,
+    synthetic_captures,
+    tiny_profile,
+    true_surfaces,
+)
+
+QUICK = ColorFitOptions(
+    hidden=(24, 24), steps=200, batch_pixels=1024, disc_pixels=800, ring_pixels=500,
+    far_pixels=150, learning_rate=8e-3,
+)  # fmt: skip
+
+
+def write_folder(path: Path, captures: CaptureSet, labelled: bool) -> Path:
+    path.mkdir(parents=True)
+    lines = [
+        "schema_version = 2",
+        'sensor = "gelsight"',
+        'background = "background.png"',
+        f"mm_per_px_x = {GRID.mm_per_px_x}",
+        f"mm_per_px_y = {GRID.mm_per_px_y}",
+        "[indenter]",
+        f"radius_mm = {BALL_RADIUS_MM}",
+    ]
+    cv2.imwrite(str(path / "background.png"), captures.background[..., ::-1])
+    for press in captures.presses:
+        cv2.imwrite(str(path / f"{press.name}.png"), press.image()[..., ::-1])
+        lines += ["[[presses]]", f'image = "{press.name}.png"']
+        if labelled and (c := press.circle) is not None:
+            lines.append(
+                f"contact = {{ u_px = {c.u_px}, v_px = {c.v_px}, radius_px = {c.radius_px} }}"
+            )
+    (path / "captures.toml").write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_canary_noise_in_held_out_images_changes_nothing_that_is_fitted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, labelled: bool
+) -> None:
+    """The whole command, twice: weights, background, training circles and split stay to the bit."""
+    short = partial(register_presses, fit=QUICK)
+    monkeypatch.setattr("taccel_lab.calibration.color.fit.register_presses", short)
+    monkeypatch.setattr(drift_choice_module, "SHORT_FIT", QUICK)
+    captures, _ = synthetic_captures(12, noise=1.0)
+    folder = write_folder(tmp_path / "captures", captures, labelled)
+    save_profile(tiny_profile(GRID), tmp_path / "base")
+    names = load_captures(folder).split(4).heldout_names
+    assert len(names) == 3
+
+    def run(name: str) -> tuple[Any, dict[str, Any]]:
+        out = tmp_path / name
+        CalibrateColor(
+            folder,
+            out,
+            base=tmp_path / "base",
+            surface="hertz",
+            steps=40,
+            ensemble=2,
+            cache=False,
+            table=False,
+        ).run()
+        report = json.loads((tmp_path / f"{name}_report" / "report.json").read_text())
+        return load_profile(out), report["color"]
+
+    clean, before = run("clean")
+    rng = np.random.default_rng(9)
+    for name in names:
+        noise = rng.integers(0, 256, (GRID.height_px, GRID.width_px, 3), dtype=np.uint8)
+        cv2.imwrite(str(folder / f"{name}.png"), noise)
+    spoilt, after = run("spoilt")
+    assert clean.color_weights is not None and spoilt.color_weights is not None
+    for key, weight in clean.color_weights.items():
+        assert np.array_equal(weight, spoilt.color_weights[key]), key
+    assert np.array_equal(clean.background_rgb, spoilt.background_rgb)
+    assert set(before["circles"]["presses"]).isdisjoint(names)
+    for key in (
+        "split", "circles", "train_disc_l1", "left_out_disc_l1", "loss_curve", "drift_choice",
+        "spread", "noise_floor_l1",
+    ):  # fmt: skip
+        assert before[key] == after[key], key
+    # The canary sings: the figures are of the images that were spoilt.
+    assert before["heldout_placed_by"] == ("label" if labelled else "tiles")
+    assert before["heldout"]["crop_psnr_db"] > 25
+    if labelled:
+        assert after["heldout"]["crop_psnr_db"] < 15
+    else:
+        assert after["heldout"] is None and set(after["failures"]) == set(names)
+
+
+@pytest.fixture(scope="module")
+def sound() -> tuple[CaptureSet, list[PressSurface]]:
+    return synthetic_captures(12, noise=1.0)
+
+
+def with_image(captures: CaptureSet, name: str, image: np.ndarray) -> CaptureSet:
+    return replace(
+        captures,
+        presses=tuple(
+            replace(p, read=partial(np.copy, image)) if p.name == name else p
+            for p in captures.presses
+        ),
+    )
+
+
+def test_a_contact_too_large_for_its_light_fails_alone(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    """Its drift cannot be told: known before the fit, and no end of the run."""
+    captures, surfaces = sound
+    name = captures.split(4).heldout_names[0]
+    large = ContactCircle(80.0, 59.0, 46.0)
+    captures = replace(
+        captures,
+        ball_radius_mm=5.0,
+        presses=tuple(replace(p, circle=large) if p.name == name else p for p in captures.presses),
+        heldout=captures.split(4).heldout_names,
+    )
+    told: list[str] = []
+    result = calibrated(
+        captures, surfaces, options=QUICK, plan=ColorPlan(drift="on"), stage=told.append
+    )
+    (failure,) = result.failures
+    assert failure.name == name and "usable pixels beyond 3 radii" in failure.reason
+    first = next(i for i, text in enumerate(told) if name in text)
+    assert first < told.index("fitting the colour model")
+    assert len(result.heldout) == 2
+    assert "heldout_failed" in {remark.code for remark in result.remarks}
+    rendered = [item.placed["label"].score.crop_psnr_db for item in result.heldout]
+    assert failure.background_only is not None
+    assert result.heldout_means()["crop_psnr_db"] == pytest.approx(
+        np.mean([*rendered, failure.background_only.crop_psnr_db])
+    )
+    assert result.figures()["failures"] == {name: failure.reason}
+
+
+def test_a_press_without_a_contact_lowers_the_figures(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, surfaces = sound
+    split = captures.split(4)
+    unlabelled = replace(
+        captures,
+        presses=tuple(
+            replace(p, circle=None) if p.name in split.heldout_names else p
+            for p in captures.presses
+        ),
+        heldout=split.heldout_names,
+    )
+    whole = calibrated(unlabelled, surfaces, options=QUICK)
+    assert whole.placement == "tiles" and whole.placements == ("tiles", "self")
+    gone = split.heldout_names[1]
+    result = calibrated(with_image(unlabelled, gone, captures.background), surfaces, options=QUICK)
+    (failure,) = result.failures
+    assert failure.name == gone and "no contact found" in failure.reason
+    worst = min(item.background_only.crop_psnr_db for item in result.heldout)
+    rendered = [item.placed["tiles"].score.crop_psnr_db for item in result.heldout]
+    assert result.heldout_means()["crop_psnr_db"] == pytest.approx(np.mean([*rendered, worst]))
+    assert result.heldout_means()["crop_psnr_db"] < whole.heldout_means()["crop_psnr_db"] - 3
+
+
+def test_a_simulation_that_does_not_converge_spoils_no_other(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, surfaces = sound
+    split = captures.split(4)
+    bad = split.heldout_names[2]
+
+    def stubborn(some: CaptureSet, circles: Any) -> list[PressSurface]:
+        if bad in {press.name for press in some.presses}:
+            raise SimulationError("no step converged")
+        return true_surfaces(some, circles)
+
+    training = captures.only(split.train)
+    result = calibrate_color(
+        training,
+        [press.circle for press in training.presses if press.circle is not None],
+        [surfaces[i] for i in split.train],
+        HeldoutSet(captures.only(split.heldout), stubborn, split),
+        options=QUICK,
+    )
+    assert [failure.name for failure in result.failures] == [bad]
+    assert {item.name for item in result.heldout} == set(split.heldout_names) - {bad}
+
+
+def test_a_press_left_out_by_a_person_counts(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
+    captures, surfaces = sound
+    stated = (*captures.split(4).heldout_names, "p99")
+    result = calibrated(captures, surfaces, heldout_names=stated, options=QUICK)
+    assert [failure.name for failure in result.failures] == ["p99"]
+
+
+def test_labels_that_all_lie_to_one_side_are_shifted_by_what_training_says(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, _ = sound
+    rng = np.random.default_rng(3)
+    off = np.array([2.0, -1.5, 1.0])
+    presses = []
+    for press in captures.presses:
+        assert press.circle is not None
+        noise = rng.normal(0, 0.3, 3)
+        values = np.array([press.circle.u_px, press.circle.v_px, press.circle.radius_px])
+        presses.append(replace(press, circle=ContactCircle(*map(float, values - off + noise))))
+    truth = [press.circle for press in captures.presses if press.circle is not None]
+    shift = LabelPlacement.of(presses, truth)
+    assert shift.mean_px == pytest.approx(off, abs=0.3) and shift.count == 12
+    assert (shift.deviation_px < 0.6).all() and (shift.deviation_px > 0.1).all()
+    label = presses[0].circle
+    assert label is not None
+    placed = shift.applied(label, 20.0)
+    assert placed.u_px == pytest.approx(label.u_px + shift.mean_px[0])
+    assert shift.radius_slope == pytest.approx(1.0, abs=0.15)
+    assert shift.applied(replace(label, radius_px=30.0), 20.0).radius_px == pytest.approx(20.6)
+    nothing = LabelPlacement.of([replace(p, circle=None) for p in presses], truth)
+    assert nothing.count == 0 and nothing.applied(label, 20.0) == label
+
+
+def test_radii_that_labels_scatter_are_drawn_to_their_mean() -> None:
+    """Labels of equal contacts that differ by hand alone say nothing of a radius."""
+    rng = np.random.default_rng(4)
+    truth = [ContactCircle(50.0, 50.0, 20.0 + float(x)) for x in rng.normal(0, 0.2, 30)]
+    labels = [replace(c, radius_px=c.radius_px + float(x)) for c, x in zip(
+        truth, rng.normal(1.0, 2.0, 30), strict=True)]  # fmt: skip
+    presses = [Press(f"p{i}", "", "", c, lambda: np.zeros(0)) for i, c in enumerate(labels)]
+    shift = LabelPlacement.of(presses, truth)
+    assert 0.0 < shift.radius_slope < 0.2
+    placed = shift.applied(ContactCircle(50.0, 50.0, 25.0), 40.0)
+    assert placed.radius_px == pytest.approx(20.0, abs=1.0)
+    assert shift.deviation_px[2] < 0.5
+
+
+def test_half_an_image_is_filled_from_the_other_half(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, _ = sound
+    image, background = captures.presses[0].image(), captures.background
+    even = even_tiles(GRID, 20.0)
+    assert 0.4 < even.mean() < 0.6
+    spoilt = image.copy()
+    spoilt[~even] = np.random.default_rng(0).integers(0, 256, spoilt[~even].shape)
+    half = filled_from(image, background, even)
+    assert np.array_equal(half, filled_from(spoilt, background, even))
+    assert np.array_equal(half[even], image[even].astype(np.float32))
+    off = np.abs(half - image)[~even].mean()
+    assert off < 0.6 * np.abs(background.astype(float) - image)[~even].mean() + 0.8
+
+
+def test_a_press_on_both_sides_is_refused(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
+    captures, surfaces = sound
+    circles = [press.circle for press in captures.presses if press.circle is not None]
+    held = HeldoutSet(captures.only([1]), true_surfaces, captures.split(4))
+    with pytest.raises(InputError, match="p1: held out and fitted at once"):
+        calibrate_color(captures, circles, surfaces, held)

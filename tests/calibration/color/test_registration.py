@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Circles read again with the colours: clicked ones that are off come back to the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.color import registration
+from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame, Samples
+from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.color.registration import (
+    RegistrationOptions,
+    place_press,
+    register_presses,
+)
+from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, synthetic_captures
+
+COUNT = 12
+THREE_SCALES = RegistrationOptions(scales=(0.95, 1.0, 1.05))
+QUICK = ColorFitOptions(
+    hidden=(24, 24), steps=200, batch_pixels=1024, disc_pixels=800, ring_pixels=500,
+    far_pixels=100, learning_rate=1e-2,
+)  # fmt: skip
+
+
+def clicked_frames(
+    captures: CaptureSet, rng: np.random.Generator, off_px: float, scale: float
+) -> list[ColorFrame]:
+    """The presses with circles that are off, and surfaces as if they were right."""
+    frames = []
+    for press in captures.presses:
+        assert press.circle is not None
+        shift = rng.normal(0, off_px, 2)
+        circle = ContactCircle(
+            press.circle.u_px + float(shift[0]),
+            press.circle.v_px + float(shift[1]),
+            press.circle.radius_px * scale,
+        )
+        frames.append(ColorFrame(press.name, press.image(), circle, simulated(circle)))
+    return frames
+
+
+def simulated(circle: ContactCircle) -> PressSurface:
+    return analytic_surface(circle, GRID, BALL_RADIUS_MM, decay_mm=1.0)
+
+
+def errors(captures: CaptureSet, circles: list[ContactCircle]) -> np.ndarray:
+    """Found minus true u, v and radius, shape [press, 3]."""
+    return np.array(
+        [
+            (c.u_px - p.circle.u_px, c.v_px - p.circle.v_px, c.radius_px - p.circle.radius_px)
+            for c, p in zip(circles, captures.presses, strict=True)
+            if p.circle is not None
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def captures() -> CaptureSet:
+    return synthetic_captures(COUNT, noise=1.0)[0]
+
+
+def test_circles_that_are_off_come_back(captures: CaptureSet) -> None:
+    frames = clicked_frames(captures, np.random.default_rng(1), off_px=1.5, scale=1.1)
+    found = register_presses(frames, captures.background, GRID, fit=QUICK)
+    before = errors(captures, [frame.circle for frame in frames])
+    after = errors(captures, found.circles)
+    assert np.hypot(*after[:, :2].T).mean() < 0.65 * np.hypot(*before[:, :2].T).mean()
+    assert 0.85 < found.scale < 0.96
+    assert np.abs(after[:, 2]).mean() < 0.5 * np.abs(before[:, 2]).mean()
+    assert (found.sigma_px > 0).all() and (found.sigma_px < 1).all()
+    losses = dict(found.scale_losses)
+    assert losses[found.scale] == min(losses.values()) < losses[1.0]
+
+
+def test_circles_that_are_right_stay(captures: CaptureSet) -> None:
+    frames = clicked_frames(captures, np.random.default_rng(2), off_px=0.0, scale=1.0)
+    found = register_presses(frames, captures.background, GRID, fit=QUICK)
+    after = errors(captures, found.circles)
+    assert abs(found.scale - 1) < 0.04
+    assert np.hypot(*after[:, :2].T).mean() < 0.3
+    assert np.abs(after[:, 2]).mean() < 0.4
+
+
+def test_a_press_the_model_never_saw_is_placed(captures: CaptureSet) -> None:
+    right = clicked_frames(captures, np.random.default_rng(3), off_px=0.0, scale=1.0)
+    training, held = right[:-2], right[-2:]
+    fit = fit_color_model(training, captures.background, GRID, QUICK)
+    library = RadialSurfaces.of([f.surface for f in training], [f.circle for f in training], GRID)
+    off = []
+    for frame in held:
+        circle = replace(frame.circle, u_px=frame.circle.u_px + 2, v_px=frame.circle.v_px - 1.5)
+        off.append(replace(frame, circle=circle, surface=simulated(circle)))
+    found = [place_press(fit.model, fit.background, f, library, GRID, NO_DRIFT) for f in off]
+    for circle, frame in zip(found, held, strict=True):
+        assert np.hypot(circle.u_px - frame.circle.u_px, circle.v_px - frame.circle.v_px) < 0.5
+
+
+def test_a_press_is_placed_by_the_pixels_that_are_given(captures: CaptureSet) -> None:
+    right = clicked_frames(captures, np.random.default_rng(3), off_px=0.0, scale=1.0)
+    training, held = right[:-1], right[-1]
+    fit = fit_color_model(training, captures.background, GRID, QUICK)
+    library = RadialSurfaces.of([f.surface for f in training], [f.circle for f in training], GRID)
+    rows, columns = np.indices((GRID.height_px, GRID.width_px)) // 8
+    even = (rows + columns) % 2 == 0
+    image = held.image.copy()
+    image[~even] = np.random.default_rng(0).integers(0, 256, image[~even].shape)
+
+    def placed(frame: ColorFrame) -> ContactCircle:
+        return place_press(fit.model, fit.background, frame, library, GRID, NO_DRIFT, mask=even)
+
+    assert placed(held) == placed(replace(held, image=image))
+
+
+def test_masked_pixels_have_no_effect_and_runs_agree(
+    captures: CaptureSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = clicked_frames(captures, np.random.default_rng(4), off_px=1.0, scale=1.0)[:8]
+    mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
+    mask[50:60, 60:100] = False
+    rng = np.random.default_rng(5)
+    poisoned = []
+    for frame in frames:
+        image = frame.image.copy()
+        image[~mask] = rng.integers(0, 256, image[~mask].shape)
+        poisoned.append(replace(frame, image=image))
+    monkeypatch.setattr(registration, "ROUNDS", 1)
+    clean, dirty = (
+        register_presses(
+            given, captures.background, GRID, mask=mask, fit=QUICK, settings=THREE_SCALES
+        )
+        for given in (frames, poisoned)
+    )
+    assert clean.circles == dirty.circles
+
+
+def test_fits_go_on_from_the_first_of_their_fold(
+    captures: CaptureSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Later fits are short, and none has seen the presses that it is asked about."""
+    started: list[tuple[int, bool, int]] = []
+    real = registration.train
+
+    def counted(samples: Samples, grid: PixelGrid, options: ColorFitOptions, **more: Any) -> Any:
+        started.append((options.steps, more.get("start") is None, len(samples.change)))
+        return real(samples, grid, options, **more)
+
+    monkeypatch.setattr(registration, "train", counted)
+    frames = clicked_frames(captures, np.random.default_rng(7), off_px=1.0, scale=1.0)
+    register_presses(frames, captures.background, GRID, fit=QUICK, settings=THREE_SCALES)
+    whole = [steps for steps, fresh, _ in started if fresh]
+    assert whole == [QUICK.steps] * registration.FOLDS
+    again = {steps for steps, fresh, _ in started if not fresh}
+    assert again == {QUICK.steps * registration.AGAIN_STEPS // 100}
+    pixels = sorted({count for _, _, count in started})
+    assert pixels[-1] < 0.6 * COUNT * 1400
+
+
+def test_too_few_presses_are_refused(captures: CaptureSet) -> None:
+    frames = clicked_frames(captures, np.random.default_rng(6), off_px=0.0, scale=1.0)
+    with pytest.raises(InputError, match="7 presses are too few"):
+        register_presses(frames[:7], captures.background, GRID)
+
+
+def test_radii_stay_without_any_scale(captures: CaptureSet) -> None:
+    frames = clicked_frames(captures, np.random.default_rng(8), off_px=1.0, scale=1.0)
+    held = RegistrationOptions(scales=(), center_sigma_px=1e-3, radius_sigma=1e-5)
+    found = register_presses(frames, captures.background, GRID, fit=QUICK, settings=held)
+    assert found.scale == 1.0 and found.scale_losses == []
+    # Priors this narrow leave each circle where it was given.
+    for circle, frame in zip(found.circles, frames, strict=True):
+        assert abs(circle.u_px - frame.circle.u_px) < 0.01
+        assert abs(circle.radius_px - frame.circle.radius_px) < 0.01
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"scales": (0.9, 1.0)}, {"scales": (0.8, 0.9, 1.1)}, {"radius_sigma": 0.0}]
+)
+def test_settings_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        RegistrationOptions(**wrong)

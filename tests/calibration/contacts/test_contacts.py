@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contact circles by the joint fit: exact without faults, within their own sigma with them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.contacts import (
+    compare_with_labels,
+    detect_contact,
+    find_contacts,
+    resolve_contacts,
+)
+from taccel_lab.calibration.contacts.ball_check import check_ball
+from taccel_lab.calibration.contacts.slope_law import SKIRT, hertz_slope, slope_law
+from taccel_lab.calibration.synthetic import (
+    add_dust,
+    add_gradient,
+    add_noise,
+    blur,
+    drift,
+    poison,
+    quantise,
+    vignette,
+)
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from tests.calibration.contacts.presses import BALL_MM, GRID, gel, press_set, pressed, scattered
+
+
+def offsets(captures: CaptureSet) -> np.ndarray:
+    """Found minus true u, v, radius of each press [px]."""
+    rows = []
+    for press, contact in zip(captures.presses, resolve_contacts(captures), strict=True):
+        truth, found = press.circle, contact.circle
+        assert truth is not None
+        rows.append(
+            (found.u_px - truth.u_px, found.v_px - truth.v_px, found.radius_px - truth.radius_px)
+        )
+    return np.array(rows)
+
+
+def test_perfect_presses_to_a_tenth_of_a_pixel() -> None:
+    circles = scattered(12)
+    found = offsets(press_set(circles, [pressed(c) for c in circles]))
+    assert np.abs(found).max() < 0.1
+
+
+def test_pixels_that_are_not_square() -> None:
+    grid = PixelGrid(200, 120, 0.08, 0.1)
+    circles = scattered(6, seed=3, grid=grid)
+    captures = press_set(circles, [pressed(c, grid) for c in circles], grid)
+    assert np.abs(offsets(captures)).max() < 0.25
+
+
+def faulty(circle: ContactCircle, rng: np.random.Generator, skirt: float = SKIRT) -> np.ndarray:
+    """Blurred, unevenly lit, drifted, dusty, noisy, in whole levels."""
+    image = blur(pressed(circle, skirt=skirt), 1.0)
+    image = vignette(image, 0.1)
+    image = drift(image, 1 + rng.normal(0, 0.04, 3), rng.normal(0, 4, 3))
+    image = add_gradient(image, float(rng.normal(0, 2)), float(rng.normal(0, 2)))
+    image = add_dust(image, 10, rng, radius_px=1.5)
+    return quantise(add_noise(image, 2.0, rng))
+
+
+def test_faulty_presses_within_their_own_sigma() -> None:
+    rng = np.random.default_rng(1)
+    circles = scattered(14, seed=5)
+    captures = press_set(circles, [faulty(c, rng) for c in circles])
+    contacts = resolve_contacts(captures)
+    off = offsets(captures)
+    assert np.median(np.hypot(off[:, 0], off[:, 1])) < 0.35 and np.abs(off).max() < 2.0
+    centers = off[:, :2] / np.array([[c.center_sigma_px] for c in contacts])
+    radii = off[:, 2] / np.array([c.radius_sigma_px for c in contacts])
+    # Robust spread of the normalised errors: 1 when the predicted sigma is right.
+    assert 0.4 < 1.4826 * np.median(np.abs(centers)) < 2.0
+    assert 0.3 < 1.4826 * np.median(np.abs(radii)) < 2.5
+
+
+def test_sigma_holds_what_the_law_of_the_gel_may_be_wrong_by() -> None:
+    """Gels that sink over shorter and longer ways than the law says: radii are off together."""
+    centers, radii = [], []
+    for seed, skirt in enumerate((0.9, 1.6, 2.0)):
+        rng = np.random.default_rng(seed)
+        circles = scattered(12, seed=20 + seed)
+        captures = press_set(circles, [faulty(c, rng, skirt) for c in circles])
+        contacts = resolve_contacts(captures)
+        off = offsets(captures)
+        centers.append(off[:, :2] / np.array([[c.center_sigma_px] for c in contacts]))
+        radii.append(off[:, 2] / np.array([c.radius_sigma_px for c in contacts]))
+    for standardised in (np.concatenate(centers), np.concatenate(radii)):
+        assert 0.4 < np.sqrt(np.mean(standardised**2)) < 1.5
+
+
+@settings(max_examples=4, deadline=None)
+@given(u=st.floats(45, 155), v=st.floats(45, 105), radius=st.floats(19, 25), seed=st.integers(0, 9))
+def test_a_single_press(u: float, v: float, radius: float, seed: int) -> None:
+    circle = ContactCircle(u, v, radius)
+    image = faulty(circle, np.random.default_rng(seed))
+    found = detect_contact(image, gel(), GRID, ball_radius_mm=BALL_MM)
+    assert np.hypot(found.circle.u_px - u, found.circle.v_px - v) < 1.5
+    assert abs(found.circle.radius_px - radius) < 2.0
+    assert found.confidence > 0.7
+
+
+def test_grey_dark_and_small() -> None:
+    circle = ContactCircle(80.0, 70.0, 9.0)
+    rng = np.random.default_rng(0)
+    dark = quantise(add_noise(0.25 * pressed(circle, ball_px=12.5), 0.5, rng))
+    found = detect_contact(dark, 0.25 * gel(), GRID, ball_radius_mm=1.0)
+    assert np.hypot(found.circle.u_px - 80, found.circle.v_px - 70) < 1.0
+    # A grey sensor darkens with depth; the slope does not show.
+    circle = ContactCircle(100.0, 75.0, 22.0)
+    law = slope_law(22.0, 30.0, 1.0, 200.0)
+    _, drop = law.at(circle.distance_px(GRID))
+    grey = np.repeat((150.0 + 120 * (drop - drop.min()))[..., None], 3, axis=-1)
+    base = np.full_like(grey, 150.0)
+    dented = quantise(add_noise(2 * base - grey, 1.0, rng))
+    found = detect_contact(dented, base, GRID, ball_radius_mm=2.4)
+    assert np.hypot(found.circle.u_px - 100, found.circle.v_px - 75) < 1.0
+    # How a grey sensor answers to depth is not known, and the rim is where the slope ends.
+    assert abs(found.circle.radius_px - 22) < 2 * found.radius_sigma_px
+    assert found.confidence < 0.5
+
+
+def test_dots_that_move_with_the_gel() -> None:
+    rng = np.random.default_rng(4)
+    circle = ContactCircle(100.0, 75.0, 22.0)
+    at_rest, moved = gel(), pressed(circle)
+    v, u = np.mgrid[:150, :200]
+    for x in range(12, 200, 18):
+        for y in range(12, 150, 18):
+            out = np.array([x, y], float) - [circle.u_px, circle.v_px]
+            push = 3.0 * out / max(np.hypot(*out), 8.0) * np.exp(-np.hypot(*out) / 30)
+            at_rest -= 60 * np.exp(-((u - x) ** 2 + (v - y) ** 2) / 8)[..., None]
+            moved -= 60 * np.exp(-((u - x - push[0]) ** 2 + (v - y - push[1]) ** 2) / 8)[..., None]
+    image = quantise(add_noise(moved, 1.0, rng))
+    found = detect_contact(image, at_rest, GRID, ball_radius_mm=BALL_MM)
+    assert np.hypot(found.circle.u_px - 100, found.circle.v_px - 75) < 2.5
+    assert abs(found.circle.radius_px - 22) < 3.5
+
+
+def test_poisoned_pixels_have_no_effect() -> None:
+    rng = np.random.default_rng(2)
+    circles = scattered(5, seed=8)
+    clean = [faulty(c, rng) for c in circles]
+    mask = np.ones((150, 200), dtype=bool)
+    mask[5:30, 120:190] = False
+    mask[::17, ::13] = False
+    captures = dataclasses.replace(press_set(circles, clean), mask=mask)
+    poisoned = [quantise(poison(image, mask, rng)) for image in clean]
+    spoilt = dataclasses.replace(press_set(circles, poisoned), mask=mask)
+    assert resolve_contacts(spoilt) == resolve_contacts(captures)
+
+
+def test_a_contact_at_the_border_is_refused_with_the_reason() -> None:
+    image = pressed(ContactCircle(188.0, 75.0, 22.0))
+    with pytest.raises(InputError, match=r"edge\.png: .*(out of the image|no round contact)"):
+        detect_contact(image, gel(), GRID, name="edge.png", ball_radius_mm=BALL_MM)
+
+
+def test_refusals_are_listed_and_do_not_spoil_the_others() -> None:
+    circles = scattered(5, seed=8)
+    images = [pressed(c) for c in circles]
+    images[2] = gel()
+    found = find_contacts(press_set(circles, images))
+    assert list(found.refusals) == [2] and "no contact found" in found.refusals[2].message
+    assert found.contacts[2] is None and all(found.contacts[i] for i in (0, 1, 3, 4))
+
+
+def test_a_ball_that_is_too_small_shows() -> None:
+    # Deep presses, up to nine tenths of the ball's radius.
+    circles = [dataclasses.replace(c, radius_px=c.radius_px + 2) for c in scattered(6, seed=2)]
+    captures = press_set(circles, [pressed(c) for c in circles])
+    right = check_ball(captures, find_contacts(captures))
+    assert right is not None and right.consistent, right
+    blank = tuple(dataclasses.replace(press, circle=None) for press in captures.presses)
+    small = dataclasses.replace(captures, ball_radius_mm=0.65 * BALL_MM, presses=blank)
+    wrong = check_ball(small, find_contacts(small))
+    assert wrong is not None and not wrong.consistent
+    assert wrong.remark().code == "wrong_ball_radius" and "mm" in wrong.remark().message
+    assert 0.65 * BALL_MM < wrong.lowest_mm
+
+
+def test_labels_to_one_side_are_told_apart_from_scatter() -> None:
+    circles = scattered(6)
+    captures = press_set(circles, [pressed(c) for c in circles])
+    moved = tuple(
+        dataclasses.replace(p, circle=dataclasses.replace(c, u_px=c.u_px + 3))
+        for p, c in zip(captures.presses, circles, strict=True)
+    )
+    found = compare_with_labels(
+        dataclasses.replace(captures, presses=moved), resolve_contacts(captures)
+    )
+    assert found is not None and found.shift_u_px == pytest.approx(-3, abs=0.1)
+    assert found.center_median_px == pytest.approx(3, abs=0.1)
+    assert found.center_median_shifted_px < 0.1
+
+
+@given(contact=st.floats(5, 28), blur_px=st.floats(0, 3))
+def test_slope_law(contact: float, blur_px: float) -> None:
+    law = slope_law(contact, 30.0, blur_px, 120.0)
+    assert (law.normal >= -1e-12).all() and (law.normal < 1).all()
+    assert (np.diff(law.drop) <= 1e-12).all()
+    middle = law.distance_px < contact - 4 * blur_px - 1
+    assert law.normal[middle] == pytest.approx(law.distance_px[middle] / 30.0, abs=1e-9)
+    assert law.normal[-1] < 0.12
+
+
+def test_hertz_slope_is_johnsons_derivative() -> None:
+    ratio = np.linspace(1.01, 4, 50)
+
+    def sunk(x: np.ndarray) -> np.ndarray:
+        return (2 - x**2) * np.arcsin(1 / x) + np.sqrt(x**2 - 1)
+
+    step = 1e-6
+    slope = -(sunk(ratio + step) - sunk(ratio - step)) / (2 * step)
+    assert hertz_slope(ratio) == pytest.approx(slope / np.pi, rel=1e-6)
+    assert hertz_slope(np.array([1.0])) == pytest.approx(1.0)

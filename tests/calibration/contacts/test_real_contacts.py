@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contacts of real presses against labels that nothing of the detection has seen.
+
+How well a person labels is not known, and label - found is the scatter of both. The rim, where the
+colours change fastest, is a third measurement of each circle: the covariance of found - label with
+found - rim is the detection's own variance, as far as errors of the three go separate ways (F. E.
+Grubbs, J. Am. Stat. Assoc. 43, 1948).
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import os
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.contacts import find_contacts, fuse_circles, resolve_contacts
+from taccel_lab.calibration.contacts.agreement import LabelAgreement, agreement
+from taccel_lab.calibration.contacts.ball import DetectedContact
+from taccel_lab.calibration.contacts.change import color_change
+from taccel_lab.calibration.contacts.rough import fit_drop
+from taccel_lab.calibration.synthetic import add_noise, quantise
+from taccel_lab.geometry import PixelGrid
+from tests.calibration.contacts.presses import press_set, pressed, scattered
+
+DATA = Path(
+    os.environ.get("TACCEL_LAB_DATA", Path(__file__).resolve().parents[4] / "shared" / "data")
+)
+
+
+def labelled(
+    folder: str, labels: str, background: str, mm_per_px: float, ball_mm: float, every: int
+) -> CaptureSet:
+    root = DATA / folder
+    if not (root / labels).is_file():
+        pytest.skip(f"{root / labels} is not there")
+    image = read_image(root / background)
+    with (root / labels).open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))[::every]
+    keys = ("cx_px", "cy_px", "contact_r_px")
+    presses = tuple(
+        Press(
+            row["file"], row["file"], "0" * 64,
+            ContactCircle(*(float(row[key]) for key in keys)),
+            partial(read_image, root / row["file"]),
+        )
+        for row in rows
+    )  # fmt: skip
+    grid = PixelGrid(image.shape[1], image.shape[0], mm_per_px, mm_per_px)
+    usable = np.ones(image.shape[:2], dtype=bool)
+    return CaptureSet(folder, "gelsight", image, "0" * 64, usable, ball_mm, grid, presses, {})
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Standard deviations of centres along an axis, and of radii [px], beside common shifts."""
+
+    found: np.ndarray
+    """Of the detection, shape [2]."""
+    label: np.ndarray
+    stated: np.ndarray
+    """Root mean square that the detection states for itself."""
+
+
+def shapes(circles: list[ContactCircle]) -> np.ndarray:
+    return np.array([(c.u_px, c.v_px, c.radius_px) for c in circles])
+
+
+def scatter_of_three(captures: CaptureSet, found: list[DetectedContact]) -> Scatter:
+    """Presses whose rim or label is off by more than 6 px of the usual are mistakes."""
+    label = shapes([press.circle for press in captures.presses if press.circle is not None])
+    circles, rims = shapes([contact.circle for contact in found]), []
+    for press, (u, v, radius) in zip(captures.presses, circles, strict=True):
+        change = color_change(press.image(), captures.background, captures.grid, captures.mask)
+        rim = fit_drop(change.change, np.array([u, v]), radius)
+        rims.append((*rim.center, rim.radius))
+    by_label, by_rim = circles - label, circles - np.array(rims)
+    by_label, by_rim = (d - np.median(d, axis=0) for d in (by_label, by_rim))
+    usual = (np.abs(by_label) < 6).all(axis=1) & (np.abs(by_rim) < 6).all(axis=1)
+    assert usual.mean() > 0.9
+    a, b = by_label[usual], by_rim[usual]
+    of_found = np.array([np.cov(a[:, k], b[:, k])[0, 1] for k in range(3)])
+    of_label = a.var(axis=0, ddof=1) - of_found
+    stated = np.array([(c.center_sigma_px, c.radius_sigma_px) for c in found])[usual]
+
+    def size(variance: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.maximum([variance[:2].mean(), variance[2]], 0.0))
+
+    return Scatter(size(of_found), size(of_label), np.sqrt((stated**2).mean(axis=0)))
+
+
+def measured(captures: CaptureSet) -> tuple[LabelAgreement, Scatter]:
+    """Agreement with labels, and whose scatter it is. What is stated has to cover other presses:
+    shift and scatter of the labels are taken from one half of them, errors from the other."""
+    contacts = find_contacts(captures)
+    assert not contacts.refusals
+    found = [contact for contact in contacts.contacts if contact is not None]
+    given = [press.circle for press in captures.presses if press.circle is not None]
+    off = shapes([contact.circle for contact in found]) - shapes(given)
+    own = np.array([(c.center_sigma_px, c.center_sigma_px, c.radius_sigma_px) for c in found])
+    covered = []
+    for half in (np.arange(len(off)) % 2 == 0, np.arange(len(off)) % 2 == 1):
+        center, radius = fuse_circles(given, found, half.tolist()).label_sigma_px
+        left = off[~half] - off[half].mean(axis=0)
+        covered.append(np.abs(left) < 1.96 * np.hypot(own[~half], (center, center, radius)))
+    assert np.mean(np.concatenate(covered)) > 0.82
+    result = agreement(list(given), [contact.circle for contact in found])
+    assert result is not None
+    return result, scatter_of_three(captures, found)
+
+
+def test_three_measurements_tell_whose_scatter_it_is() -> None:
+    """Drawn presses, whose truth is known: noise of labels is not blamed on the detection."""
+    rng = np.random.default_rng(6)
+    circles = scattered(24, seed=9)
+    images = [quantise(add_noise(pressed(c), 2.0, rng)) for c in circles]
+    captures = press_set(circles, images)
+    labelled = [
+        ContactCircle(*(float(x) for x in shape + rng.normal(0, 1.5, 3)))
+        for shape in shapes(circles)
+    ]
+    presses = tuple(
+        dataclasses.replace(press, circle=label)
+        for press, label in zip(captures.presses, labelled, strict=True)
+    )
+    found = resolve_contacts(captures)
+    scatter = scatter_of_three(dataclasses.replace(captures, presses=presses), found)
+    true = np.std(shapes([c.circle for c in found]) - shapes(circles), axis=0)
+    assert scatter.label == pytest.approx([1.5, 1.5], rel=0.3)
+    assert true.max() < 0.3 and scatter.found.max() < 0.7
+
+
+def test_gelsight_like_sensor() -> None:
+    result, scatter = measured(
+        labelled(
+            "gelsight_rvsathu_sim2real", "labels/calib_labels.csv", "background_real.png",
+            0.05926, 2.92, 1,
+        )
+    )  # fmt: skip
+    # The labels run outside the steepest drop of colour; their radius is off by a constant.
+    assert result.center_median_px < 1.5 and result.radius_median_px < 3.5
+    assert result.radius_p90_px - result.radius_median_px < 1.5
+    assert scatter.label == pytest.approx([0.75, 0.8], rel=0.35)
+    assert (scatter.found < 1.5 * scatter.stated).all()
+
+
+def test_gelsight_mini_with_white_balance_on() -> None:
+    result, scatter = measured(
+        labelled("fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png", 0.0511, 2.35, 1)
+    )
+    # The labels all lie to one side of where the colours turn.
+    assert result.center_median_shifted_px < 3.0 and result.center_median_px < 4.7
+    assert result.radius_median_px < 2.5
+    assert scatter.label == pytest.approx([1.6, 1.8], rel=0.35)
+    assert (scatter.found < 1.5 * scatter.stated).all()

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The review page and the file with which a person corrects contacts."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, load_captures
+from taccel_lab.calibration.capture.overrides import read_overrides, with_overrides
+from taccel_lab.calibration.contacts import choose_circles, resolve_contacts
+from taccel_lab.calibration.contacts.review import review_contacts, write_review
+from taccel_lab.calibration.synthetic import add_noise, quantise
+from taccel_lab.cli.capture.review import CaptureReview
+from taccel_lab.errors import InputError
+from tests.calibration.contacts.presses import BALL_MM, GRID, gel, press_set, pressed, scattered
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Five presses on disk, one of them empty, one with a label far off."""
+    rng = np.random.default_rng(0)
+    circles = scattered(5, seed=8)
+    path = tmp_path / "captures"
+    path.mkdir()
+    lines = [
+        "schema_version = 2",
+        'sensor = "gelsight"',
+        'background = "background.png"',
+        f"mm_per_px_x = {GRID.mm_per_px_x}",
+        f"mm_per_px_y = {GRID.mm_per_px_y}",
+        "[indenter]",
+        f"radius_mm = {BALL_MM}",
+    ]
+    write(path / "background.png", gel())
+    for i, circle in enumerate(circles):
+        image = gel() if i == 2 else pressed(circle)
+        write(path / f"p{i}.png", add_noise(image, 1.0, rng))
+        u = circle.u_px + (12 if i == 3 else 0)
+        lines += ["[[presses]]", f'image = "p{i}.png"']
+        if i != 2:
+            lines.append(
+                f"contact = {{ u_px = {u}, v_px = {circle.v_px}, radius_px = {circle.radius_px} }}"
+            )
+    (path / "captures.toml").write_text("\n".join(lines))
+    return path
+
+
+def write(path: Path, image: np.ndarray) -> None:
+    assert cv2.imwrite(str(path), np.ascontiguousarray(quantise(image)[..., ::-1]))
+
+
+def test_review_then_correct(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "review"
+    with pytest.raises(SystemExit) as stopped:
+        CaptureReview(folder, out).run()
+    assert stopped.value.code == 1
+    html = (out / "review.html").read_text(encoding="utf-8")
+    figures = json.loads((out / "review.json").read_text())
+    rows = figures["presses"]
+    assert rows[0]["name"] == "p2" and rows[0]["confidence"] == 0
+    assert "no contact found" in html and "lies 12 px from the found one" in html
+    assert figures["refused_count"] == 1
+    # The file as written leaves the empty frame out, and nothing else changes.
+    text = (out / "contacts.toml").read_text()
+    (folder / "contacts.toml").write_text(text)
+    captures = load_captures(folder)
+    assert [press.name for press in captures.presses] == ["p0", "p1", "p3", "p4"]
+    assert "contacts_sha256" in captures.provenance
+    assert not any(press.checked for press in captures.presses)
+    CaptureReview(folder, tmp_path / "again").run()
+    # A corrected circle wins over label and detection.
+    (folder / "contacts.toml").write_text(
+        '[[contact]]\npress = "p2"\nskip = true\n'
+        '[[contact]]\npress = "p3"\nu_px = 70.5\nv_px = 60.25\nradius_px = 15.0\n'
+    )
+    captures = load_captures(folder)
+    found = resolve_contacts(captures)
+    for which in ("fused", "labels", "detected"):
+        assert choose_circles(captures, found, which)[2] == ContactCircle(70.5, 60.25, 15.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[[contact]]\npress = "nobody"\nskip = true', "names nobody, which is no press"),
+        ('[[contact]]\npress = "p0"\nu_px = 3.0', "go together"),
+        ('[[contact]]\npress = "p0"\n[[contact]]\npress = "p0"', "p0 appears twice"),
+        ('[[contact]]\npress = "p0"\nradius = 3.0', "contact.0.radius"),
+        ("[[contact", "not valid TOML"),
+        ('[[contact]]\npress = "p0"\nu_px = nan\nv_px = 1.0\nradius_px = 2.0', "finite"),
+        (
+            "\n".join(f'[[contact]]\npress = "p{i}"\nskip = true' for i in range(3)),
+            "leaves out every press",
+        ),
+    ],
+)
+def test_bad_corrections(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "contacts.toml"
+    path.write_text(text)
+    circles = scattered(3)
+    captures = press_set(circles, [gel()] * 3)
+    with pytest.raises(InputError, match=message):
+        with_overrides(captures, path)
+    with pytest.raises(InputError, match="does not exist"):
+        read_overrides(tmp_path / "missing.toml")
+
+
+def test_names_with_odd_characters_survive(tmp_path: Path) -> None:
+    circles = scattered(2)
+    captures = press_set(circles, [pressed(c) for c in circles])
+    odd = tuple(
+        dataclasses.replace(press, name=name)
+        for press, name in zip(captures.presses, ('a "b" \\ c', "ü#[]"), strict=True)
+    )
+    captures = dataclasses.replace(captures, presses=odd)
+    write_review(review_contacts(captures), tmp_path / "out")
+    text = (tmp_path / "out" / "contacts.toml").read_text(encoding="utf-8")
+    edited = tmp_path / "contacts.toml"
+    # The user takes away the # of every line with a value.
+    body = text.split("\n\n", 1)[1]
+    lines = [line.removeprefix("# ") for line in body.splitlines()]
+    kept = "\n".join(line for line in lines if not line.startswith("confidence"))
+    edited.write_text(kept, encoding="utf-8")
+    back: CaptureSet = with_overrides(captures, edited)
+    assert all(press.checked for press in back.presses)
+    for press, circle in zip(back.presses, circles, strict=True):
+        assert press.circle is not None
+        assert np.hypot(press.circle.u_px - circle.u_px, press.circle.v_px - circle.v_px) < 0.2

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Normals of real ball presses that the fit never saw, in the labels' own circles."""
+
+from __future__ import annotations
+
+import csv
+import os
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from taccel_lab.calibration.normals.skirt import hertz_skirts
+
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.images import file_sha256, read_image
+from taccel_lab.calibration.normals.fit import calibrate_normals
+from taccel_lab.geometry import PixelGrid
+
+DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
+
+
+def labelled(
+    folder: str, labels: str, background: str, images: str, ball_mm: float, mm_per_px: float
+) -> CaptureSet:
+    root = DATA / folder
+    if not (root / labels).is_file():
+        pytest.skip(f"the captures are not at {root}; set TACCEL_LAB_DATA")
+    with (root / labels).open() as stream:
+        rows = sorted(csv.DictReader(stream), key=lambda row: row["file"])
+    presses = []
+    most_px = 0.99 * ball_mm / mm_per_px  # a label of ours reaches a hundredth over the equator
+    for row in rows:
+        path = root / images / row["file"]
+        circle = ContactCircle(
+            float(row["cx_px"]), float(row["cy_px"]), min(float(row["contact_r_px"]), most_px)
+        )
+        presses.append(
+            Press(path.stem, str(path), file_sha256(path), circle, partial(read_image, path))
+        )
+    image = read_image(root / background)
+    height, width = image.shape[:2]
+    return CaptureSet(
+        folder, "gelsight", image, file_sha256(root / background),
+        np.ones((height, width), dtype=bool), ball_mm,
+        PixelGrid(width, height, mm_per_px, mm_per_px), tuple(presses), {},
+    )  # fmt: skip
+
+
+def heldout(captures: CaptureSet) -> tuple[dict[str, float], float]:
+    split = captures.split(4)
+    training = captures.only(split.train)
+    circles = [press.circle for press in training.presses if press.circle is not None]
+    result = calibrate_normals(
+        training, circles, hertz_skirts(training, circles), captures.only(split.heldout),
+        split=split, baseline=False, circle_source="labels",
+    )  # fmt: skip
+    assert result.reliability is not None
+    return result.figures()["heldout"]["in_given_circles"], result.reliability.ratio()
+
+
+@pytest.mark.slow
+def test_rvsathu() -> None:
+    scores, ratio = heldout(
+        labelled(
+            "gelsight_rvsathu_sim2real", "labels/calib_labels.csv", "background_real.png", "",
+            2.92, 0.05926,
+        )
+    )  # fmt: skip
+    assert scores["mean_deg"] < 3.2
+    assert scores["depth_mae_mm"] < 0.045
+    assert 0.7 < ratio < 1.4
+
+
+@pytest.mark.slow
+def test_fots_gelsight_mini_with_its_drifting_light() -> None:
+    scores, ratio = heldout(
+        labelled(
+            "fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png", "", 2.35, 0.0511,
+        )
+    )  # fmt: skip
+    assert scores["mean_deg"] < 6.0
+    assert scores["depth_mae_mm"] < 0.15
+    assert 0.7 < ratio < 1.4
+
+
+@pytest.mark.slow
+def test_taxim_gelsight(taxim_captures: CaptureSet) -> None:
+    scores, ratio = heldout(taxim_captures)
+    assert scores["mean_deg"] < 3.4
+    assert scores["depth_mae_mm"] < 0.11
+    assert 0.7 < ratio < 1.4
