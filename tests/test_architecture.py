@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -64,6 +66,7 @@ def test_imports_are_light(statement: str) -> None:
 
 _BARE = """
 import sys
+import tomllib
 sys.modules.update(dict.fromkeys({absent!r}))  # None makes the import of a module fail.
 import warp as wp
 wp.config.log_level = wp.LOG_ERROR
@@ -93,3 +96,53 @@ def test_public_names_exist() -> None:
         assert getattr(taccel_lab, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = taccel_lab.nonsense
+
+
+PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+
+
+def table_of(heading: str) -> list[list[str]]:
+    """Cells of the rows of the table under a heading of the page."""
+    section = PAGE.split(f"## {heading}\n")[1].split("\n## ")[0]
+    rows = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in row] for row in rows[2:]]
+
+
+def test_the_page_has_every_room_in_the_order_of_the_contract() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    (floors,) = (
+        contract
+        for contract in settings["tool"]["importlinter"]["contracts"]
+        if contract["type"] == "layers"
+    )
+    assert floors["exhaustive"]
+    contract = [room.strip() for floor in floors["layers"] for room in floor.split("|")]
+    named = [row[0].strip("`").strip("/") for row in table_of("Floors, from the roof down")]
+    page = [name.removeprefix("taccel_lab/").removesuffix(".py") for name in named]
+    assert page == contract
+    assert not floors.get("ignore_imports")
+
+
+@pytest.mark.parametrize("path", sorted(set(re.findall(r"`([\w/]+(?:/|\.py))`", PAGE))))
+def test_what_the_page_names_is_there(path: str) -> None:
+    assert (ROOT / path).exists()
+
+
+def test_every_block_of_a_calibration_has_the_same_shape() -> None:
+    from taccel_lab.calibration.blocks import BLOCKS
+
+    for block in BLOCKS:
+        folder = ROOT / "calibration" / block.name
+        assert {"fit.py", "result.py", "report.py"} <= {path.name for path in folder.iterdir()}
+        fit = ast.parse((folder / "fit.py").read_text(encoding="utf-8"))
+        verb = next(
+            node
+            for node in fit.body
+            if isinstance(node, ast.FunctionDef) and node.name == f"calibrate_{block.name}"
+        )
+        assert [argument.arg for argument in verb.args.args] == [
+            "folder",
+            "base",
+            "options",
+            "progress",
+        ]
