@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.benchmarks.optics_captures import data_folder
+from taccel_lab.benchmarks.assets import data_folder
 from taccel_lab.benchmarks.options import Captures
 from taccel_lab.benchmarks.results import ResultFile, note
 from taccel_lab.errors import InputError
