@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes of published examples, read with numpy alone: legacy VTK and binary STL files.
 
-The data folder is ``TACCEL_LAB_DATA``, or ``../shared/data`` beside a checkout; nothing in it is
-needed, since every scene can make meshes of the same dimensions itself.
+They lie in ``taccel_assets`` below the data folder, which is ``TACCEL_LAB_DATA``, or
+``../shared/data`` beside a checkout; nothing in it is needed, since every scene can make meshes of
+the same dimensions itself.
 """
 
 from __future__ import annotations
@@ -26,16 +27,19 @@ _TYPES = {
 
 
 def data_folder() -> Path:
+    """Where published meshes and real captures are looked for."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return Path(os.environ.get("TACCEL_LAB_DATA", beside))
+
+
+def mesh_folder() -> Path:
     """Where the published meshes are looked for."""
-    root = os.environ.get(
-        "TACCEL_LAB_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"
-    )
-    return Path(root) / "taccel_assets"
+    return data_folder() / "taccel_assets"
 
 
 def has_data(*parts: str) -> bool:
-    """Whether these files or folders of the data folder are there."""
-    return all((data_folder() / part).exists() for part in parts)
+    """Whether these files or folders of ``mesh_folder`` are there."""
+    return all((mesh_folder() / part).exists() for part in parts)
 
 
 def choose_source(source: str, *parts: str) -> str:
@@ -46,7 +50,7 @@ def choose_source(source: str, *parts: str) -> str:
     if source == "published" and not there:
         missing = [part for part in parts if not has_data(part)]
         raise InputError(
-            f"the published meshes are not at {data_folder()} ({', '.join(missing)}); set "
+            f"the published meshes are not at {mesh_folder()} ({', '.join(missing)}); set "
             "TACCEL_LAB_DATA, or take source generated"
         )
     return "published" if there and source != "generated" else "generated"

@@ -18,14 +18,12 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from taccel_lab.benchmarks.optics_captures import data_folder
-from taccel_lab.benchmarks.options import Captures
+from taccel_lab.benchmarks.assets import data_folder
 from taccel_lab.benchmarks.results import ResultFile, note
+from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
-
-WHAT = "real captures through the commands of calibration; goals beside the figures"
 
 
 @dataclass(frozen=True)
@@ -119,28 +117,44 @@ CASES = (
 )  # fmt: skip
 
 
-def run_capture_sets(options: Captures) -> None:
-    """Rows of the suite ``captures``; see ``Captures``."""
-    settings = {"only": list(options.only)}
-    with (
-        tempfile.TemporaryDirectory() as scratch,
-        ResultFile("captures", WHAT, options.out, "cpu", settings).finishing() as result,
-    ):
-        imported = ImportedSets(Path(scratch))
-        for case in CASES:
-            if options.only and case.command not in options.only:
-                continue
-            folder = imported.folder(case)
-            if folder is None:
-                note(f"{case.name}: not on this machine")
-                continue
-            for row in _run_case(case, folder, Path(scratch)):
-                result.add(row)
-                goal = "at least" if row["at_least"] else "at most"
-                note(
-                    f"{case.name}, {case.command}: {row['figure']} {row['value']:.4g} "
-                    f"({goal} {row['goal']:g}), {row['seconds']:.0f} s"
-                )
+@dataclass(frozen=True)
+class Captures(Suite):
+    """Accuracy and time of every calibration on published captures of real sensors, CPU."""
+
+    name: ClassVar[str] = "captures"
+    what: ClassVar[str] = (
+        "real captures through the commands of calibration; goals beside the figures"
+    )
+    only: tuple[str, ...] = ()
+    """Commands to run: contacts, color, normals, camera, markers, material; all when left out."""
+
+    def settings(self) -> dict[str, Any]:
+        return {"only": list(self.only)}
+
+    def measure_rows(self, result: ResultFile) -> None:
+        if self.device != "cpu":
+            raise InputError(f"captures are calibrated on the CPU, got --device {self.device}")
+        with tempfile.TemporaryDirectory() as scratch:
+            imported = ImportedSets(Path(scratch))
+            for case in CASES:
+                if self.only and case.command not in self.only:
+                    continue
+                folder = None if result.deadline.passed else imported.folder(case)
+                if folder is None:
+                    spent = "the budget is spent" if result.deadline.passed else "not here"
+                    note(f"{case.name}, {case.command}: {spent}")
+                    continue
+                for row in _run_case(case, folder, Path(scratch)):
+                    result.add(row)
+                    note(_describe(row))
+
+
+def _describe(row: dict[str, Any]) -> str:
+    goal = "at least" if row["at_least"] else "at most"
+    return (
+        f"{row['set']}, {row['command']}: {row['figure']} {row['value']:.4g} "
+        f"({goal} {row['goal']:g}), {row['seconds']:.0f} s"
+    )
 
 
 class ImportedSets:

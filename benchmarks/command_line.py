@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m taccel_lab.benchmarks``: the suites with argparse, for machines without the command
-line's libraries.
+"""``taccel-lab bench`` and ``python -m taccel_lab.benchmarks``: the options of each command, which
+stand in its own file, as arguments.
 
-Lists are written with commas: ``--envs 1,16,64``.
+Written with argparse, which every machine has; a command's module is imported when it is asked for.
 """
 
 from __future__ import annotations
@@ -12,103 +12,125 @@ import ast
 import inspect
 import sys
 from collections.abc import Sequence
-from dataclasses import MISSING, Field, fields
-from functools import partial
+from dataclasses import MISSING, fields
+from importlib import import_module
 from itertools import pairwise
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, Protocol, get_args, get_origin, get_type_hints
 
-from taccel_lab.benchmarks.options import COMMANDS, SUITES
 from taccel_lab.errors import InputError, SimulationError
+
+COMMANDS = {
+    "speed": "speed:Speed",
+    "error": "error:Error",
+    "scaling": "scaling:Scaling",
+    "skips": "skips:Skips",
+    "stress": "stress.suite:Stress",
+    "peers": "peers:Peers",
+    "study": "design_study:Study",
+    "captures": "capture_sets:Captures",
+    "images": "images:Images",
+    "multi_gpu": "multi_gpu:MultiGpu",
+    "quick": "quick:Quick",
+    "compare": "compare:Compare",
+    "report": "report.pages:Report",
+    "scenes": "scenes.listing:Scenes",
+}
+"""Modules below ``taccel_lab.benchmarks`` and their classes of options, suites first."""
+DESCRIPTION = """Measure speed at a stated error, and compare results.
+
+Suites write a JSON file into --out; `report` makes docs/benchmarks.md from benchmarks/results."""
+
+
+class Command(Protocol):
+    """Options of a command, ready to run."""
+
+    def run(self) -> None: ...
+
+
+def options_of(command: str) -> type:
+    """The dataclass of a command's options."""
+    module, name = COMMANDS[command].split(":")
+    return getattr(import_module(f"taccel_lab.benchmarks.{module}"), name)
 
 
 def field_help(options: type) -> dict[str, str]:
-    """Docstrings of a dataclass's fields: the strings below them in its source."""
-    body = ast.parse(inspect.getsource(options).strip()).body[0].body  # type: ignore[attr-defined]
-    return {
-        node.target.id: ast.literal_eval(text.value)
-        for node, text in pairwise(body)
-        if isinstance(node, ast.AnnAssign)
-        and isinstance(node.target, ast.Name)
-        and isinstance(text, ast.Expr)
-        and isinstance(text.value, ast.Constant)
-    }
+    """Docstrings of a dataclass's fields, inherited ones too: the strings below them in source."""
+    found: dict[str, str] = {}
+    for kind in reversed(options.__mro__[:-1]):
+        body = ast.parse(inspect.getsource(kind).strip()).body[0].body  # type: ignore[attr-defined]
+        for node, text in pairwise(body):
+            if (
+                isinstance(node, ast.AnnAssign)
+                and isinstance(node.target, ast.Name)
+                and isinstance(text, ast.Expr)
+                and isinstance(text.value, ast.Constant)
+            ):
+                found[node.target.id] = ast.literal_eval(text.value)
+    return found
 
 
 def add_options(parser: argparse.ArgumentParser, options: type) -> None:
-    """An argument for each field; those without a default are positional."""
+    """An argument for each field; those without a default are positional, tuples are lists."""
     hints, texts = get_type_hints(options), field_help(options)
     for item in fields(options):
-        kind, text = hints[item.name], texts.get(item.name, "")
+        kind, text = hints[item.name], texts.get(item.name, "").replace("%", "%%")
+        flag = f"--{item.name.replace('_', '-')}"
+        inner = [part for part in get_args(kind) if part not in (type(None), ...)]
         if item.default is MISSING:
-            parser.add_argument(item.name, type=_reader(kind), help=text)
+            parser.add_argument(item.name, type=kind, help=text)
         elif kind is bool:
             parser.add_argument(
-                f"--{item.name.replace('_', '-')}",
-                action=argparse.BooleanOptionalAction,
-                default=item.default,
-                help=text,
+                flag, action=argparse.BooleanOptionalAction, default=item.default, help=text
             )
         else:
             parser.add_argument(
-                f"--{item.name.replace('_', '-')}",
-                type=_reader(kind),
+                flag,
+                type=inner[0] if inner else kind,
+                nargs="+" if get_origin(kind) is tuple else None,
                 default=item.default,
-                metavar=_metavar(item, kind),
+                metavar=item.name.upper(),
                 help=f"{text} ({_shown(item.default)})",
             )
 
 
-def _reader(kind: Any) -> Any:
-    """What turns the text of an argument into a field's type."""
-    if get_origin(kind) is tuple:
-        return partial(_read_list, get_args(kind)[0])
-    inner = [part for part in get_args(kind) if part is not type(None)]
-    return inner[0] if inner else kind
-
-
-def _read_list(kind: Any, text: str) -> tuple[Any, ...]:
-    return tuple(kind(part) for part in text.split(",") if part)
-
-
-def _metavar(item: Field, kind: Any) -> str:
-    return f"{item.name.upper()},..." if get_origin(kind) is tuple else item.name.upper()
-
-
 def _shown(value: Any) -> str:
     if isinstance(value, tuple):
-        return ",".join(map(str, value)) or "none"
+        return " ".join(map(str, value)) or "none"
     return "not set" if value is None else str(value)
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """``run SUITE`` and the other commands."""
-    parser = argparse.ArgumentParser(prog="python -m taccel_lab.benchmarks", description=__doc__)
+def parse(
+    arguments: Sequence[str] | None = None, program: str = "python -m taccel_lab.benchmarks"
+) -> Command:
+    """The command that the arguments name, with its options; --help and usage errors leave through
+    SystemExit (0 and 2)."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] not in COMMANDS:
+        _parser_of_all(program).parse_args(words[:1])
+    command, *rest = words
+    options = options_of(command)
+    text = inspect.getdoc(options)
+    parser = argparse.ArgumentParser(prog=f"{program} {command}", description=text)
+    add_options(parser, options)
+    found = vars(parser.parse_args(rest))
+    return options(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
+
+
+def _parser_of_all(program: str) -> argparse.ArgumentParser:
+    """For help and for errors in the command's name."""
+    parser = argparse.ArgumentParser(prog=program, description=DESCRIPTION)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    suites = commands.add_parser("run", help="run a suite").add_subparsers(
-        required=True, metavar="SUITE"
-    )
-    for group, kinds in ((suites, SUITES), (commands, COMMANDS)):
-        for options in kinds:
-            text = inspect.getdoc(options) or ""
-            entry = group.add_parser(options.name, help=text.split("\n")[0], description=text)
-            add_options(entry, options)
-            entry.set_defaults(options=options)
+    for command in COMMANDS:
+        text = inspect.getdoc(options_of(command)) or ""
+        commands.add_parser(command, help=text.split("\n")[0])
     return parser
-
-
-def parse(arguments: Sequence[str] | None = None) -> Any:
-    """The options of the command that the arguments name."""
-    found = vars(make_parser().parse_args(arguments))
-    kind = found.pop("options")
-    return kind(**found)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run; the exit code is 0 done, 1 a difference or failure found, 2 bad input, 3 not solved,
     130 interrupted."""
-    options = parse(arguments)
     try:
-        options.run()
+        parse(arguments).run()
     except InputError as error:
         return _fail(2, f"error: {error}")
     except (PermissionError, NotADirectoryError, IsADirectoryError) as error:

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeGuard
 
-from taccel_lab.benchmarks.options import Compare
 from taccel_lab.benchmarks.results import read_result
 from taccel_lab.errors import InputError
 
@@ -17,8 +17,11 @@ IDENTITY = {
     "scaling": ("series", "size"),
     "skips": ("skip",),
     "peers": ("name", "envs"),
-    "multi_gpu": ("mode", "gpus", "envs"),
+    "multi_gpu": ("mode", "scaling", "gpus", "envs"),
     "stress": ("family",),
+    "study": ("designs",),
+    "captures": ("set", "command", "figure"),
+    "images": ("size", "sensors"),
 }
 """What makes a row of a suite the same row."""
 MACHINE = ("device", "cpu", "cores", "driver", "cuda_driver", "packages", "system")
@@ -76,25 +79,20 @@ def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], l
     ]
     keys = IDENTITY.get(first["suite"], ("name",))
     before, after = (
-        {tuple(row.get(key) for key in keys): row for row in document["rows"]}
+        {tuple(str(row.get(key)) for key in keys): row for row in document["rows"]}
         for document in (first, second)
     )
     for title, one, other in (("only in the first", before, after), ("new", after, before)):
-        missing = [name_of(key) for key in one if key not in other]
+        missing = [", ".join(key) for key in one if key not in other]
         if missing:
             remarks.append(f"rows {title}: {'; '.join(missing)}")
     changes = [
         change
         for key in before
         if key in after
-        for change in _changes(name_of(key), before[key], after[key], "")
+        for change in _changes(", ".join(key), before[key], after[key], "")
     ]
     return remarks, changes
-
-
-def name_of(key: tuple[Any, ...]) -> str:
-    """A row, for people."""
-    return ", ".join(str(part) for part in key)
 
 
 def _changes(row: str, before: Any, after: Any, path: str) -> Iterator[Change]:
@@ -116,11 +114,19 @@ def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def run_compare(options: Compare) -> None:
-    """Print what changed."""
-    remarks, changes = compare(read_result(options.first), read_result(options.second))
-    for remark in remarks:
-        print(f"note: {remark}")
-    for change in changes:
-        print(change.describe())
-    print(f"{len(changes)} figures changed beyond their spread")
+@dataclass(frozen=True)
+class Compare:
+    """Say what changed from one result to another, beyond their spread."""
+
+    first: Path
+    """Result of before (JSON)."""
+    second: Path
+    """Result of after, of the same suite."""
+
+    def run(self) -> None:
+        remarks, changes = compare(read_result(self.first), read_result(self.second))
+        for remark in remarks:
+            print(f"note: {remark}")
+        for change in changes:
+            print(change.describe())
+        print(f"{len(changes)} figures changed beyond their spread")

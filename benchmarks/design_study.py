@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from taccel_lab.benchmarks.options import Study
-from taccel_lab.benchmarks.results import Deadline, ResultFile, note, read_result
+from taccel_lab.benchmarks.results import ResultFile, note, read_result
+from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
@@ -25,30 +27,37 @@ from taccel_lab.studies.evaluate import evaluate_designs
 from taccel_lab.studies.metrics import METRICS, Metric
 from taccel_lab.studies.presses import DEFAULT_PRESSES, standard_presses
 
-WHAT = "designs that share no simulation go through the standard presses; figures of merit included"
 
+@dataclass(frozen=True)
+class Study(Suite):
+    """Designs a minute: every design meshed, pressed in the standard ways and judged."""
 
-def run_study(options: Study) -> None:
-    """Rows of the suite ``study``; see ``Study``."""
-    reference = _forces_of(options.reference) if options.reference else {}
-    settings = {"sensor": options.sensor, "vary": options.vary, "presses": list(DEFAULT_PRESSES)}
-    deadline = Deadline(options.budget_s)
-    with ResultFile("study", WHAT, options.out, options.device, settings).finishing() as result:
+    name: ClassVar[str] = "study"
+    what: ClassVar[str] = (
+        "designs that share no simulation go through the standard presses; figures of merit "
+        "included"
+    )
+    sensor: str = "gelsight_mini"
+    """Sensor of the catalogue."""
+    vary: str = "thickness_mm"
+    """Dimension in which the designs differ, by up to a fifth of its default."""
+    designs: tuple[int, ...] = (8,)
+    """Numbers of designs, a row each."""
+    reference: Path | None = None
+    """Result of another device, whose forces are compared with."""
+
+    def settings(self) -> dict[str, Any]:
+        return {"sensor": self.sensor, "vary": self.vary, "presses": list(DEFAULT_PRESSES)}
+
+    def measure_rows(self, result: ResultFile) -> None:
+        reference = _forces_of(self.reference) if self.reference else {}
         note("a first design compiles the kernels ...")
         started = time.perf_counter()
-        _evaluate(_designs(options, 1), options.device)
+        _evaluate(_designs(self, 1), self.device)
         result.put("first_design_s", time.perf_counter() - started)
-        for count in options.designs:
-            if deadline.passed:
-                break
-            row = _row(_designs(options, count), options.device)
-            if count in reference:
-                row["force_difference"] = _difference(row["force_n"], reference[count])
-            result.add(row)
-            note(
-                f"{count} designs: {row['seconds']:.1f} s, {row['simulations']} simulations, "
-                f"{row['failures']} failed"
-            )
+        for count in self.designs:
+            row = partial(_row, _designs(self, count), self.device, reference.get(count))
+            result.measure(f"{count} designs", row, _describe)
 
 
 def mechanical_metrics() -> list[Metric]:
@@ -94,7 +103,9 @@ def _evaluate(
     return results, dict(seconds)
 
 
-def _row(designs: list[DesignPoint], device: str) -> dict[str, Any]:
+def _row(
+    designs: list[DesignPoint], device: str, reference: dict[str, list[Any]] | None
+) -> dict[str, Any]:
     started = time.perf_counter()
     results, stages = _evaluate(designs, device)
     seconds = time.perf_counter() - started
@@ -105,7 +116,11 @@ def _row(designs: list[DesignPoint], device: str) -> dict[str, Any]:
         float(np.max(record.residual_n / np.maximum(np.linalg.norm(record.force_n, axis=1), 1e-2)))
         for record in whole
     ]
-    return {
+    forces = {
+        name: [made[0].force_n[-1].tolist() if not made[0].cause else None for made in column]
+        for name, column in _by_press(results).items()
+    }
+    row: dict[str, Any] = {
         "designs": len(designs),
         "seconds": seconds,
         "designs_per_minute": 60 * len(designs) / seconds,
@@ -117,11 +132,18 @@ def _row(designs: list[DesignPoint], device: str) -> dict[str, Any]:
         "nodes": max((record.mesh.node_count for record in records), default=0),
         "newton_iterations": int(sum(record.newton_iterations.sum() for record in records)),
         "largest_residual_over_force": max(residuals, default=None),
-        "force_n": {
-            name: [made[0].force_n[-1].tolist() if not made[0].cause else None for made in column]
-            for name, column in _by_press(results).items()
-        },
+        "force_n": forces,
     }
+    if reference is not None:
+        row["force_difference"] = _difference(forces, reference)
+    return row
+
+
+def _describe(row: dict[str, Any]) -> str:
+    return (
+        f"{row['designs']} designs: {row['seconds']:.1f} s, {row['simulations']} simulations, "
+        f"{row['failures']} failed"
+    )
 
 
 def _by_press(results: list[DesignResult]) -> dict[str, list[Any]]:

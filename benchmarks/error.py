@@ -12,16 +12,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
-from typing import Any
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
-import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_name
 from taccel_lab.benchmarks.front import NOISE, is_on_front
-from taccel_lab.benchmarks.options import Error
-from taccel_lab.benchmarks.results import Deadline, ResultFile, note, spread
+from taccel_lab.benchmarks.results import ResultFile, spread
 from taccel_lab.benchmarks.shear_press import FRICTION, Outcome, Press, run
+from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.ipc.linear.system import METHODS
@@ -40,10 +40,41 @@ DEFAULT = Press(
     relative_tolerance=_PHYSICS.relative_tolerance,
 )
 """What presses take, on an even mesh and without the correction for the contact layer: how the
-graded meshes of presses fare is in ``press_accuracy``."""
+graded meshes of presses fare is in docs/verification.md."""
 SWING = replace(DEFAULT, element=Element.LINEAR, relative_tolerance=1e-6)
 """For time steps: a coarse mesh, whose waves they can resolve."""
 _SETTLED = {"dhat_m": 2e-6, "friction_eps_m": 1e-7, "relative_tolerance": 1e-6}
+
+
+@dataclass(frozen=True)
+class Error(Suite):
+    """Run time against error: mesh, element, dt, dhat, tolerance, friction eps, solver choices."""
+
+    name: ClassVar[str] = "error"
+    what: ClassVar[str] = (
+        "Time a step against error, of a press with shear; one setting at a time, then combined."
+    )
+    repeats: int = 3
+    """Runs of each row; the median time counts."""
+    quick: bool = False
+    """Coarse meshes and a few rows, to see that it works."""
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "repeats": self.repeats,
+            "clock": clock_name(self.device),
+            "quick": self.quick,
+            "friction": FRICTION,
+            "default": asdict(DEFAULT),
+            "reference": asdict(QUICK_REFERENCE if self.quick else REFERENCE),
+        }
+
+    def measure_rows(self, result: ResultFile) -> None:
+        """All rows, then which of them lie on the front."""
+        presses = Presses(self.device, self.repeats)
+        for row in all_rows(self.quick):
+            result.measure(f"{row.group}, {row.value}", partial(measure, row, presses), describe)
+        result.put("front", judge(result.rows))
 
 
 @dataclass(frozen=True)
@@ -101,7 +132,7 @@ def all_rows(quick: bool) -> Iterator[Row]:
                     dhat_m=dhat,
                     relative_tolerance=tolerance,
                 )
-                yield Row("front", describe_press(press), press, reference)
+                yield Row("front", describe_settings(asdict(press)), press, reference)
 
 
 def solver_choices() -> Iterator[tuple[str, Any]]:
@@ -113,14 +144,6 @@ def solver_choices() -> Iterator[tuple[str, Any]]:
             yield from ((item.name, choice) for choice in type(default))
         elif item.name == "contact_hessian_mode":
             yield from ((item.name, mode) for mode in (1, 2))
-
-
-def describe_press(press: Press) -> str:
-    """The settings that the front varies."""
-    return (
-        f"{press.element}, {press.layers} layers, dhat {press.dhat_m * 1e6:g} um, "
-        f"tolerance {press.relative_tolerance:g}"
-    )
 
 
 def errors(outcome: Outcome, exact: Outcome) -> dict[str, float]:
@@ -158,43 +181,17 @@ class Presses:
         return self._known[press]
 
 
-def run_error(options: Error) -> None:
-    """Run all rows, then say which lie on the front."""
-    wp.config.log_level = wp.LOG_WARNING
-    deadline = Deadline(options.budget_s)
-    presses = Presses(options.device, options.repeats)
-    what = "Time a step against error, of a press with shear; one setting at a time, then combined."
-    settings = {
-        "repeats": options.repeats,
-        "clock": clock_name(options.device),
-        "quick": options.quick,
-        "friction": FRICTION,
-        "default": asdict(DEFAULT),
-        "reference": asdict(QUICK_REFERENCE if options.quick else REFERENCE),
-    }
-    with ResultFile("error", what, options.out, options.device, settings).finishing() as result:
-        for row in all_rows(options.quick):
-            if deadline.passed:
-                note(f"{row.group}, {row.value}: not started, the budget is spent")
-                continue
-            try:
-                result.add(measure(row, presses))
-            except (InputError, SimulationError) as error:
-                # It does not converge, or the method cannot hold a gel of this size.
-                note(f"{row.group}, {row.value}: {error}")
-                result.add({"group": row.group, "value": row.value, "failed": str(error)})
-                continue
-            note(describe(result.rows[-1]))
-        result.put("front", judge(result.rows))
-
-
 def measure(row: Row, presses: Presses) -> dict[str, Any]:
-    """One row."""
-    exact = presses.get(row.exact, 1)[0]
-    settled = exact
-    if row.group != "dt":
-        settled = presses.get(replace(row.press, **_SETTLED, solver=()), 1)[0]
-    outcome, seconds = presses.get(row.press)
+    """One row; ``failed`` says why where there is none: it does not converge, or the method cannot
+    hold a gel of this size."""
+    try:
+        exact = presses.get(row.exact, 1)[0]
+        settled = exact
+        if row.group != "dt":
+            settled = presses.get(replace(row.press, **_SETTLED, solver=()), 1)[0]
+        outcome, seconds = presses.get(row.press)
+    except (InputError, SimulationError) as error:
+        return {"group": row.group, "value": row.value, "failed": str(error)}
     return {
         "group": row.group,
         "value": row.value,
@@ -212,6 +209,8 @@ def measure(row: Row, presses: Presses) -> dict[str, Any]:
 
 def describe(row: dict[str, Any]) -> str:
     """A line for the person who waits."""
+    if "failed" in row:
+        return f"{row['group']}, {row['value']}: {row['failed']}"
     error, own = row["error"], row["settings_error"]
     return (
         f"{row['group']}, {row['value']}: {row['ms_per_step']['median']:.1f} ms a step, "
@@ -245,7 +244,7 @@ def judge(rows: list[dict[str, Any]]) -> dict[str, Any]:
         return {}
     default = rows[at[0]]
     own = [row for row in rows if _mesh(row) == _mesh(default)]
-    verdict: dict[str, Any] = {"default": describe_settings(default)}
+    verdict: dict[str, Any] = {"default": describe_settings(default["settings"])}
     for name, kind, among in (("all_meshes", "error", rows), ("own_mesh", "settings_error", own)):
         times = np.array([row["ms_per_step"]["median"] for row in among])
         errors_of = np.array([[row[kind][key] for key in CRITERIA] for row in among])
@@ -259,7 +258,7 @@ def judge(rows: list[dict[str, Any]]) -> dict[str, Any]:
             "default_is_on_it": bool(best[mine]),
             "better_than_the_default": _named(among, better),
             "best_nearby": {
-                "settings": describe_settings(nearby),
+                "settings": describe_settings(nearby["settings"]),
                 "times_as_long": nearby["ms_per_step"]["median"] / times[mine],
                 "force_percent": nearby[kind]["force_percent"],
                 "default_force_percent": default[kind]["force_percent"],
@@ -268,9 +267,8 @@ def judge(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return verdict
 
 
-def describe_settings(row: dict[str, Any]) -> str:
-    """Everything that tells a row from others."""
-    given = row["settings"]
+def describe_settings(given: dict[str, Any]) -> str:
+    """Everything that tells a press from others; ``given``: the settings of a row."""
     text = (
         f"{given['element']}, {given['layers']} layers, dhat {given['dhat_m'] * 1e6:g} um, "
         f"tolerance {given['relative_tolerance']:g}"
@@ -287,4 +285,6 @@ def _mesh(row: dict[str, Any]) -> tuple[Any, Any]:
 
 
 def _named(rows: list[dict[str, Any]], chosen: np.ndarray) -> list[str]:
-    return [describe_settings(row) for row, yes in zip(rows, chosen, strict=True) if yes]
+    return [
+        describe_settings(row["settings"]) for row, yes in zip(rows, chosen, strict=True) if yes
+    ]

@@ -1,26 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tactile images and markers a second, and their error against the one-image reference path.
+"""The suite ``images``: images and markers a second, and their error against one-image classes.
 
 A pad of 20 x 15 mm with 1,271 nodes on its contact face, a colour network of the real architecture
 with seeded random weights, and a smooth press with shear that differs in each environment and moves
-every pixel: the most work an image can be. ``python -m taccel_lab.benchmarks.images`` writes
-``benchmarks/results/images.json``. Each update is captured in a CUDA graph and timed by device
-events; on the CPU by the clock.
+every pixel: the most work an image can be. Each update is captured in a CUDA graph and timed by
+device events; on the CPU by ``taccel_lab.benchmarks.clock``.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 
+from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.results import ResultFile
+from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.signals import SignalHeightMap
@@ -28,14 +29,11 @@ from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expecte
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.tactile import SignalTactile
 
-WHAT = "Tactile images and markers a second, and their error in grey levels."
-RESULT = Path(__file__).parent / "results" / "images.json"
 PAD_M = (20e-3, 15e-3, 4e-3)
 WIDTH_MM = 19.36
 WIDE_MM = 23.0
 """Width of an image that shows what lies beside the pad too."""
 SIZES = ((320, 240), (640, 480))
-SENSORS = (1, 64, 1024)
 READS: dict[str, tuple[str, ...]] = {
     "RGB": ("rgb",),
     "markers": ("markers_px",),
@@ -46,6 +44,37 @@ READS: dict[str, tuple[str, ...]] = {
 STILL_LEVELS = 0.1
 """Limit of the rows that leave pixels alone which hardly change."""
 FLOOR_PER_S, AIM_PER_S = 25_000, 100_000
+
+
+@dataclass(frozen=True)
+class Images(Suite):
+    """Tactile images and markers a second, and their error against the one-image classes."""
+
+    name: ClassVar[str] = "images"
+    what: ClassVar[str] = "Tactile images and markers a second, and their error in grey levels."
+    sensors: tuple[int, ...] = (1, 64, 1024)
+    """Numbers of sensors at once, a row each for each size of the image."""
+    repeats: int = 20
+    """Updates of each row; the median counts."""
+
+    def settings(self) -> dict[str, Any]:
+        return {"sensors": self.sensors, "repeats": self.repeats, "sizes": SIZES}
+
+    def measure_rows(self, result: ResultFile) -> None:
+        """All rows, then the speed of the most sensors."""
+        mesh = pad()
+        with wp.ScopedDevice(self.device):
+            for size, count in itertools.product(SIZES, self.sensors):
+                row = partial(measure, mesh, size, count, self.device, self.repeats)
+                result.measure(f"{size[0]}x{size[1]}, {count} sensors", row, describe)
+        rows = [row for row in result.rows if tuple(row["size"]) == SIZES[0]]
+        if rows:
+            most = max(rows, key=lambda row: row["sensors"])
+            speed = most["RGB and markers"]["images_per_s"]
+            result.put(
+                "headline",
+                {"images_per_s": speed, "floor_per_s": FLOOR_PER_S, "aim_per_s": AIM_PER_S},
+            )
 
 
 def pad() -> TetMesh:
@@ -127,11 +156,11 @@ def timed(work: Callable[[], Any], device: wp.Device, repeats: int) -> dict[str,
     """Median, least and greatest time [s] of ``work``, warm; captured once on CUDA."""
     work()
     if not device.is_cuda:
-        seconds = []
+        seconds, clock = [], clock_of(device)
         for _ in range(repeats):
-            start = time.perf_counter()
+            start = clock()
             work()
-            seconds.append(time.perf_counter() - start)
+            seconds.append(clock() - start)
     else:
         with wp.ScopedCapture(device) as capture:
             work()
@@ -295,39 +324,37 @@ def measure(
     return row
 
 
-def show(row: dict[str, Any]) -> None:
-    """Print a row."""
-    print(f"{row['size'][0]}x{row['size'][1]}, {row['sensors']} sensors")
-    lines = {name: row[name] for name in READS}
-    lines |= {
-        f"RGB, still {STILL_LEVELS}, {name}": figures
-        for name, figures in row["still"].items()
-        if isinstance(figures, dict)
-    }
-    lines["RGB, view beyond the pad"] = row["view beyond the pad"]
-    for name, figures in lines.items():
-        print(
-            f"  {name:34s} {figures['images_per_s']:12,.0f} /s {figures['median_s'] * 1e3:9.3f} ms"
-            f" ({figures['least_s'] * 1e3:.3f} to {figures['greatest_s'] * 1e3:.3f})"
-        )
+def describe(row: dict[str, Any]) -> str:
+    """Lines for the person who waits."""
+    figures_of = {name: row[name] for name in READS}
+    still = {name: f for name, f in row["still"].items() if isinstance(f, dict)}
+    figures_of |= {f"RGB, still {STILL_LEVELS}, {name}": f for name, f in still.items()}
+    figures_of["RGB, view beyond the pad"] = row["view beyond the pad"]
+    lines = [f"{row['size'][0]}x{row['size'][1]}, {row['sensors']} sensors"]
+    lines += [
+        f"  {name:34s} {figures['images_per_s']:12,.0f} /s {figures['median_s'] * 1e3:9.3f} ms"
+        f" ({figures['least_s'] * 1e3:.3f} to {figures['greatest_s'] * 1e3:.3f})"
+        for name, figures in figures_of.items()
+    ]
     error = row["errors"]
-    print(
+    lines.append(
         f"  error: {describe_levels(error)}; bytes differing {error['rgb_differing_share']:.4f} "
         f"by at most {error['rgb_max']:.0f}; markers {error['markers_px_max']:.1e} px; height "
         f"{error['height_m_max']:.1e} m; normals {error['normals_max']:.1e}"
     )
-    for name, figures in row["still"].items():
-        if isinstance(figures, dict):
-            print(f"  error, still {STILL_LEVELS}, {name}: {describe_levels(figures['errors'])}")
+    lines += [
+        f"  error, still {STILL_LEVELS}, {name}: {describe_levels(figures['errors'])}"
+        for name, figures in still.items()
+    ]
     if row.get("captured_equals_eager") is not None:
-        print(f"  captured equals eager: {row['captured_equals_eager']}")
+        lines.append(f"  captured equals eager: {row['captured_equals_eager']}")
     parts = {name: value for name, value in row["stages"].items() if isinstance(value, dict)}
-    print(
+    lines.append(
         f"  a chunk of {row['stages']['environments']}: "
         + ", ".join(f"{name} {value['median_s'] * 1e3:.3f} ms" for name, value in parts.items())
-        + f"; built and first read in {row['build_and_first_read_s']:.2f} s",
-        flush=True,
+        + f"; built and first read in {row['build_and_first_read_s']:.2f} s"
     )
+    return "\n".join(lines)
 
 
 def describe_levels(error: dict[str, Any]) -> str:
@@ -337,39 +364,3 @@ def describe_levels(error: dict[str, Any]) -> str:
         f"{error['levels_max']:.4f} max (change {error['change_levels_mean']:.1f} mean, "
         f"{error['change_levels_max']:.0f} max)"
     )
-
-
-def run_images(device: str, sensors: list[int], repeats: int, out: Path) -> None:
-    """Measure, print and write all rows."""
-    settings = {"sensors": sensors, "repeats": repeats, "sizes": SIZES}
-    result = ResultFile("images", WHAT, out, device, settings)
-    mesh = pad()
-    with result.finishing(), wp.ScopedDevice(device):
-        for size in SIZES:
-            for env_count in sensors:
-                row = measure(mesh, size, env_count, device, repeats)
-                result.add(row)
-                show(row)
-        rows = [row for row in result.rows if tuple(row["size"]) == SIZES[0]]
-        speed = max(rows, key=lambda row: row["sensors"])["RGB and markers"]["images_per_s"]
-        result.put(
-            "headline",
-            {"images_per_s": speed, "floor_per_s": FLOOR_PER_S, "aim_per_s": AIM_PER_S},
-        )
-    print(f"RGB and markers, 320x240: {speed:,.0f} images/s (floor {FLOOR_PER_S:,})")
-
-
-def main() -> None:
-    """Read the arguments and run."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--device", default="cuda:0" if wp.is_cuda_available() else "cpu")
-    parser.add_argument("--sensors", type=int, nargs="+", default=list(SENSORS))
-    parser.add_argument("--repeats", type=int, default=20)
-    parser.add_argument("--out", type=Path, default=RESULT)
-    options = parser.parse_args()
-    wp.config.log_level = wp.LOG_WARNING
-    run_images(options.device, options.sensors, options.repeats, options.out)
-
-
-if __name__ == "__main__":
-    main()

@@ -29,9 +29,14 @@ class Allocations:
 
 
 class MemoryMeter:
-    """Use as a context around building and stepping; then read ``allocations(device)``."""
+    """Use as a context around building and stepping; then read ``allocations``, or ``used_bytes``
+    when all is done."""
+
+    def __init__(self, device: str = "cpu") -> None:
+        self._device = wp.get_device(device)
 
     def __enter__(self) -> MemoryMeter:
+        self._pool_before = _pool_bytes(self._device)
         self._text = ""
         self._tracker = wp.ScopedMemoryTracker("benchmark", report_func=self._keep)
         self._tracker.__enter__()
@@ -45,8 +50,13 @@ class MemoryMeter:
     def _keep(self, text: str) -> None:
         self._text = text
 
-    def allocations(self, device: wp.Device) -> Allocations:
-        """What the report says; of the whole context so far."""
+    def used_bytes(self) -> float:
+        """Peak of the record, or what the device's memory pool has grown by, if that is more."""
+        peak = self.allocations().peak_bytes
+        return max(peak, _pool_bytes(self._device) - self._pool_before)
+
+    def allocations(self) -> Allocations:
+        """What the record says of the whole context."""
         sections: dict[str, dict[str, tuple[int, float]]] = {}
         section = ""
         for line in self._text.splitlines():
@@ -59,7 +69,7 @@ class MemoryMeter:
                     int(number or 0),
                     float(size) * _UNITS[unit],
                 )
-        name, none = str(device), (0, 0.0)
+        name, none = str(self._device), (0, 0.0)
         return Allocations(
             sections.get("Total allocations", {}).get(name, none)[0],
             sections.get("Live allocations", {}).get(name, none)[1],
@@ -67,8 +77,8 @@ class MemoryMeter:
         )
 
 
-def pool_bytes(device: wp.Device) -> int | None:
-    """Bytes in use in the device's memory pool, None where there is no pool."""
+def _pool_bytes(device: wp.Device) -> int:
+    """Bytes in use in the device's memory pool, 0 where there is no pool."""
     if device.is_cuda and device.is_mempool_enabled:
         return wp.get_mempool_used_mem_current(device)
-    return None
+    return 0

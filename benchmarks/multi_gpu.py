@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The peg scene on several GPUs: from one process (``ShardedSolver``), and one process a GPU.
+"""The suite ``multi_gpu``: the peg scene from one process (``ShardedSolver``), and one a GPU.
 
-``python -m taccel_lab.benchmarks.multi_gpu`` runs on all GPUs of the machine; Warp, NumPy and SciPy
-are all it needs. Strong scaling keeps the number of environments, weak scaling the number on each
+Strong scaling keeps the number of environments, weak scaling the number on each
 GPU. Timed are whole motions: targets set, stepped, forces of all environments on the host. In the
 table, "ideal" is the speed over that of one GPU times the number of GPUs, and "differ" counts the
 steps of environments whose Newton iterations are not those of the first environment on one GPU: all
@@ -11,28 +10,101 @@ of them do the same, and only the order of sums tells them apart.
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import time
 from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing.connection import Connection
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 
-from taccel_lab.benchmarks.results import FOLDER, Deadline, ResultFile, note, spread
+from taccel_lab.benchmarks.results import Deadline, ResultFile, note, spread
 from taccel_lab.benchmarks.runner import ForceReader, Motion
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
 from taccel_lab.scene.shards import shard_of, shard_slice
 from taccel_lab.solvers import ShardedSolver
 
 WORKER_LIMIT_S = 300.0
 """Longest silence of a worker: one that hangs ends the run with an error."""
+
+
+@dataclass(frozen=True)
+class MultiGpu(Suite):
+    """The peg scene on several GPUs: from one process, and one process a GPU."""
+
+    name: ClassVar[str] = "multi_gpu"
+    what: ClassVar[str] = (
+        "The peg scene over several GPUs: environments x steps / seconds, forces on the host."
+    )
+    devices: tuple[str, ...] = ()
+    """Such as cuda:0 cuda:1; all GPUs of the machine when left out. They take --device's place."""
+    counts: tuple[int, ...] = (1, 2, 4)
+    """GPUs of a row; more than there are are left out."""
+    envs: int = 4096
+    """Environments of one GPU, and of strong scaling."""
+    steps: int = 60
+    """First steps of the motion."""
+    warm_up: int = 10
+    """Steps before the first repeat."""
+    repeats: int = 3
+    """Runs of each row; the median counts. A budget that is spent ends them, too."""
+    modes: tuple[str, ...] = ("threads", "processes")
+    """One process for all GPUs (threads), one each (processes), or both."""
+    source: str = "auto"
+    """Meshes: published, generated, or auto for the published ones where they are."""
+
+    def measure(self) -> ResultFile:
+        devices = self.devices or tuple(device.alias for device in wp.get_cuda_devices())
+        if not devices:
+            raise InputError("there is no GPU here; --devices cpu cpu runs the CPU in its place")
+        known = [device.alias for device in wp.get_devices()]
+        for name in devices:
+            if name not in known:
+                raise InputError(f"device {name!r} is not here; devices are {', '.join(known)}")
+        for mode in self.modes:
+            if mode not in ("threads", "processes"):
+                raise InputError(f"--modes must be of threads, processes, got {mode!r}")
+        if min(self.steps, self.repeats, self.envs, *self.counts) < 1:
+            raise InputError("--steps, --repeats, --envs and --counts must be at least 1")
+        return Suite.measure(replace(self, device=devices[0], devices=devices))
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "steps": self.steps,
+            "repeats": self.repeats,
+            "warm_up_steps": self.warm_up,
+            "budget_s": self.budget_s,
+            "devices": self.devices,
+        }
+
+    def measure_rows(self, result: ResultFile) -> None:
+        """What matters most first."""
+        settings = Settings(self.source, self.steps, self.warm_up)
+        counts = [count for count in self.counts if count <= min(len(self.devices), self.envs)]
+        base: dict[str, Any] | None = None
+
+        def row(mode: str, scaling: str, count: int, envs: int) -> dict[str, Any]:
+            nonlocal base
+            alike = None if base is None else base["newton_by_step"]
+            found = measure(crew(mode), count, envs, settings, self.repeats, result.deadline, alike)
+            base = base or found
+            # FPS counts all environments, so that ideal is the same for both kinds of scaling.
+            efficiency = found["fps"]["median"] / (count * base["fps"]["median"])
+            return found | {"mode": mode, "scaling": scaling, "efficiency": efficiency}
+
+        result.put("device_names", [wp.get_device(name).name for name in self.devices])
+        note(HEAD)
+        with crews(self.devices, self.modes) as crew:
+            for planned in plan_rows(counts, self.envs, self.modes):
+                mode, _, count, envs = planned
+                label = f"{mode}, {count} GPUs, {envs:,} environments"
+                result.measure(label, partial(row, *planned), describe)
 
 
 @dataclass(frozen=True)
@@ -282,68 +354,3 @@ def crews(devices: Sequence[str], modes: Sequence[str]) -> Any:
     finally:
         for one in made.values():
             one.stop()
-
-
-def run_all(options: argparse.Namespace) -> None:
-    """Measure all rows that fit into the budget."""
-    wp.config.log_level = wp.LOG_WARNING
-    devices = options.devices or [device.alias for device in wp.get_cuda_devices()]
-    if not devices:
-        raise InputError("there is no GPU here; --devices cpu cpu runs the CPU in its place")
-    known = [device.alias for device in wp.get_devices()]
-    for name in devices:
-        if name not in known:
-            raise InputError(f"device {name!r} is not here; devices are {', '.join(known)}")
-    if min(options.steps, options.repeats, options.envs, *options.counts) < 1:
-        raise InputError("--steps, --repeats, --envs and --counts must be at least 1")
-    counts = [count for count in options.counts if count <= min(len(devices), options.envs)]
-    settings = Settings(options.source, options.steps, options.warm_up)
-    what = "The peg scene over several GPUs: environments x steps / seconds, forces on the host."
-    facts = {
-        "steps": options.steps,
-        "repeats": options.repeats,
-        "warm_up_steps": options.warm_up,
-        "budget_s": options.budget_s,
-        "devices": devices,
-    }
-    end = Deadline(options.budget_s)
-    base: dict[str, Any] | None = None
-    with ResultFile("multi_gpu", what, options.out, devices[0], facts).finishing() as result:
-        result.put("device_names", [wp.get_device(name).name for name in devices])
-        print(HEAD)
-        with crews(devices, options.modes) as crew:
-            for mode, scaling, count, envs in plan_rows(counts, options.envs, options.modes):
-                if end.passed:
-                    note(f"{mode}, {count} GPUs, {envs:,} environments: the budget is spent")
-                    continue
-                alike = None if base is None else base["newton_by_step"]
-                repeats = options.repeats
-                row = measure(crew(mode), count, envs, settings, repeats, end, alike)
-                base = base or row
-                # FPS counts all environments, so that ideal is the same for both kinds of scaling.
-                row |= {"mode": mode, "scaling": scaling}
-                row["efficiency"] = row["fps"]["median"] / (count * base["fps"]["median"])
-                result.add(row)
-                print(describe(row), flush=True)
-
-
-def main() -> None:
-    """Speed of the peg scene on 1, 2, 4, ... GPUs of this machine."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--devices", nargs="+", help="such as cuda:0 cuda:1; all GPUs by default")
-    parser.add_argument("--counts", nargs="+", type=int, default=[1, 2, 4], help="GPUs of a row")
-    parser.add_argument("--envs", type=int, default=4096, help="of one GPU, and of strong scaling")
-    parser.add_argument("--steps", type=int, default=60)
-    parser.add_argument("--warm-up", type=int, default=10, help="steps before the first repeat")
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument(
-        "--modes", nargs="+", choices=["threads", "processes"], default=["threads", "processes"]
-    )
-    parser.add_argument("--source", default="auto", help="meshes: auto, published or generated")
-    parser.add_argument("--budget-s", type=float, default=170.0, help="start no row after this")
-    parser.add_argument("--out", type=Path, default=FOLDER)
-    run_all(parser.parse_args())
-
-
-if __name__ == "__main__":
-    main()

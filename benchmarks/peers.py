@@ -14,11 +14,12 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from taccel_lab.benchmarks.options import Peers
-from taccel_lab.benchmarks.results import ResultFile, note
+from taccel_lab.benchmarks.results import ResultFile
+from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError, SimulationError
 
 FIELD = Path(__file__).parent / "peers.json"
@@ -47,14 +48,27 @@ def parse_results(lines: Iterator[str] | list[str]) -> Iterator[dict[str, Any]]:
         }
 
 
-def run_peers(options: Peers) -> None:
-    """Run the driver and write its rows as they come."""
-    if not options.driver.is_file():
-        raise InputError(f"--driver {options.driver} is no file")
-    command = [sys.executable, str(options.driver), *shlex.split(options.arguments)]
-    what = "Frames a second of another simulator on the peg scene, run beside ours."
-    settings = {"driver": options.driver.name, "arguments": options.arguments, "stop": options.stop}
-    with ResultFile("peers", what, options.out, options.device, settings).finishing() as result:
+@dataclass(frozen=True)
+class Peers(Suite):
+    """Run another simulator's driver of the peg scene, and keep the figures it prints."""
+
+    name: ClassVar[str] = "peers"
+    what: ClassVar[str] = "Frames a second of another simulator on the peg scene, run beside ours."
+    driver: Path
+    """Script that prints a line RESULT NAME ... N=16 ... FPS=123.4 for each row."""
+    arguments: str = ""
+    """Its arguments in quotes, as in --arguments="--N 1,16"."""
+    stop: str = "not stated"
+    """When its steps end, for the table."""
+
+    def settings(self) -> dict[str, Any]:
+        return {"driver": self.driver.name, "arguments": self.arguments, "stop": self.stop}
+
+    def measure_rows(self, result: ResultFile) -> None:
+        """Rows of the driver as they come; a budget that is spent ends it."""
+        if not self.driver.is_file():
+            raise InputError(f"--driver {self.driver} is no file")
+        command = [sys.executable, str(self.driver), *shlex.split(self.arguments)]
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
@@ -63,11 +77,18 @@ def run_peers(options: Peers) -> None:
             for line in process.stdout or ():
                 tail = [*tail[-20:], line]
                 for row in parse_results([line]):
-                    result.add(row)
-                    note(f"{row['name']}, {row['envs']} environments: {row['fps']:,.1f} FPS")
+                    result.measure(row["name"], lambda row=row: row, describe)
+                if result.deadline.passed:
+                    process.kill()
+                    return
             code = process.wait()
         except BaseException:
             process.kill()
             raise
         if code != 0:
-            raise SimulationError(f"{options.driver} ended with {code}:\n{''.join(tail)}")
+            raise SimulationError(f"{self.driver} ended with {code}:\n{''.join(tail)}")
+
+
+def describe(row: dict[str, Any]) -> str:
+    """A line for the person who waits."""
+    return f"{row['name']}, {row['envs']} environments: {row['fps']:,.1f} FPS"

@@ -18,8 +18,8 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.benchmarks.launches import LaunchCounter
+from taccel_lab.benchmarks.machine import describe_run
 from taccel_lab.benchmarks.memory import MemoryMeter
-from taccel_lab.benchmarks.options import Quick
 from taccel_lab.benchmarks.results import note
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
@@ -74,7 +74,7 @@ def measure(scene: str) -> dict[str, Any]:
         runner.reset()
         with LaunchCounter() as launches:
             motion = runner.run(count, keep_forces=True)
-    allocations = meter.allocations(wp.get_device("cpu"))
+    allocations = meter.allocations()
     with LaunchCounter() as eager:
         Runner(replace(bench, config=replace(bench.config, capture=False))).run(EAGER_STEPS)
     return {
@@ -134,19 +134,25 @@ def read_baseline() -> dict[str, dict[str, Any]]:
     return json.loads(BASELINE.read_text(encoding="utf-8"))["scenes"]
 
 
-def run_quick(options: Quick) -> bool:
-    """Measure and compare; whether everything is within bounds."""
-    found = measure_all()
-    if options.update:
-        from taccel_lab.benchmarks.machine import describe_run
+@dataclass(frozen=True)
+class Quick:
+    """Figures that noise cannot move (iterations, launches, forces) against the baseline, CPU."""
 
-        what = "Figures of taccel_lab.benchmarks.quick that noise cannot move; written by --update."
-        write_json(BASELINE, {"what": what, "run": describe_run(), "scenes": found})
-        note(f"wrote {BASELINE}")
-        return True
-    findings = list(judge(read_baseline(), found))
-    for finding in findings:
-        note(finding.describe())
-    failures = sum(finding.is_failure for finding in findings)
-    note(f"{len(found)} scenes, {failures} figures out of bounds")
-    return failures == 0
+    update: bool = False
+    """Write the baseline anew instead of comparing with it."""
+
+    def run(self) -> None:
+        """Exit code 1 when a figure is out of bounds."""
+        found = measure_all()
+        if self.update:
+            what = "Figures of taccel_lab.benchmarks.quick that noise cannot move, by --update."
+            write_json(BASELINE, {"what": what, "run": describe_run(), "scenes": found})
+            note(f"wrote {BASELINE}")
+            return
+        findings = list(judge(read_baseline(), found))
+        for finding in findings:
+            note(finding.describe())
+        failures = sum(finding.is_failure for finding in findings)
+        note(f"{len(found)} scenes, {failures} figures out of bounds")
+        if failures:
+            raise SystemExit(1)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,9 +26,17 @@ class ResultFile:
     """Rows of one suite; every ``add`` writes the file anew, atomically."""
 
     def __init__(
-        self, suite: str, what: str, out: Path, device: str, settings: dict[str, Any]
+        self,
+        suite: str,
+        what: str,
+        out: Path,
+        device: str,
+        settings: dict[str, Any],
+        budget_s: float | None = None,
     ) -> None:
+        """``out``: a folder, or a JSON file; ``budget_s``: see ``measure``."""
         self.path = result_path(suite, out)
+        self.deadline = Deadline(budget_s)
         self._started = time.perf_counter()
         self._document: dict[str, Any] = {
             "schema": SCHEMA,
@@ -51,9 +59,29 @@ class ResultFile:
         self.rows.append(row)
         self.write()
 
+    def measure(
+        self,
+        label: str,
+        measure: Callable[[], dict[str, Any]],
+        describe: Callable[[dict[str, Any]], str],
+    ) -> dict[str, Any] | None:
+        """Measure a row, add it and say what it holds; None once the budget is spent."""
+        if self.deadline.passed:
+            note(f"{label}: not started, the budget is spent")
+            return None
+        row = measure()
+        self.add(row)
+        note(describe(row))
+        return row
+
     def put(self, name: str, value: Any) -> None:
         """A figure beside the rows."""
         self._document[name] = value
+        self.write()
+
+    def replace(self, rows: list[dict[str, Any]], **figures: Any) -> None:
+        """Other rows in place of those so far, and figures beside them."""
+        self._document |= {"rows": rows, **figures}
         self.write()
 
     def get(self, name: str, default: Any = None) -> Any:

@@ -6,20 +6,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
-import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_name
 from taccel_lab.benchmarks.front import power_law
-from taccel_lab.benchmarks.memory import MemoryMeter, pool_bytes
-from taccel_lab.benchmarks.options import Scaling
-from taccel_lab.benchmarks.results import Deadline, ResultFile, note, spread
+from taccel_lab.benchmarks.memory import MemoryMeter
+from taccel_lab.benchmarks.results import ResultFile, spread
 from taccel_lab.benchmarks.runner import Motion, Runner
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.base import BenchScene, make_config, straight
 from taccel_lab.benchmarks.scenes.peg import GEL
+from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import Ball, Element, KinematicBody, Scene, SoftBody, box_mesh
 
@@ -27,6 +27,43 @@ SPACING_M = 40e-3
 """Between the sensors of a row."""
 FRICTION = 0.5
 DHAT_M = 2e-5
+
+
+@dataclass(frozen=True)
+class Scaling(Suite):
+    """Time and memory by environments, nodes, contacts and sensors, with fitted exponents."""
+
+    name: ClassVar[str] = "scaling"
+    what: ClassVar[str] = "Time and memory by environments, nodes, contacts and sensors."
+    envs: tuple[int, ...] = (1, 2, 4, 8, 16)
+    """Environments of the peg scene."""
+    cells: tuple[int, ...] = (3, 4, 6, 8, 10, 12)
+    """Layers of a block under a ball; nodes go with the third power."""
+    punch_mm: tuple[float, ...] = (2, 4, 8, 12, 16, 20)
+    """Sides of a flat punch; contacts go with its area."""
+    sensors: tuple[int, ...] = (1, 2, 4, 8, 16)
+    """Gels in an environment."""
+    steps: int | None = 30
+    """First steps of the peg scene's motion."""
+    repeats: int = 3
+    """Runs of each row; the median counts."""
+    source: str = "auto"
+    """Meshes: published, generated, or auto for the published ones where they are."""
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "clock": clock_name(self.device),
+            "repeats": self.repeats,
+            "steps": self.steps,
+            "source": self.source,
+        }
+
+    def measure_rows(self, result: ResultFile) -> None:
+        """All points, then the fits."""
+        for point in all_points(self):
+            row = partial(measure, point, self.device, self.repeats)
+            result.measure(f"{point.series}, {point.size}", row, describe)
+        result.put("fits", fit(result.rows))
 
 
 @dataclass(frozen=True)
@@ -107,36 +144,9 @@ def _nodes(bench: BenchScene) -> int:
     return sum(body.mesh.node_count for body in bench.scene.soft_bodies)
 
 
-def run_scaling(options: Scaling) -> None:
-    """Measure all points, then fit."""
-    wp.config.log_level = wp.LOG_WARNING
-    deadline = Deadline(options.budget_s)
-    what = "Time and memory by environments, nodes, contacts and sensors."
-    settings = {
-        "clock": clock_name(options.device),
-        "repeats": options.repeats,
-        "steps": options.steps,
-        "source": options.source,
-    }
-    with ResultFile("scaling", what, options.out, options.device, settings).finishing() as result:
-        for point in all_points(options):
-            if deadline.passed:
-                note(f"{point.series}, {point.size}: not started, the budget is spent")
-                continue
-            result.add(measure(point, options.device, options.repeats))
-            row = result.rows[-1]
-            note(
-                f"{row['series']} {row['size']:,}: {row['ms_per_step']['median']:.2f} ms a step, "
-                f"{row['memory_mib']:.2f} MiB, Newton {row['newton_mean']:.1f}, "
-                f"{row['contacts']:.0f} contacts"
-            )
-        result.put("fits", fit(result.rows))
-
-
 def measure(point: Point, device: str, repeats: int) -> dict[str, Any]:
     """One row."""
-    pool = pool_bytes(wp.get_device(device))
-    with MemoryMeter() as meter:
+    with MemoryMeter(device) as meter:
         runner = Runner(point.bench, device)
         runner.run(point.steps)
     runs: list[Motion] = []
@@ -148,10 +158,6 @@ def measure(point: Point, device: str, repeats: int) -> dict[str, Any]:
     for repeat in range(repeats):
         runner.reset()
         runs.append(runner.run(point.steps, after_step=count if repeat == 0 else None))
-    after = pool_bytes(wp.get_device(device))
-    used = meter.allocations(wp.get_device(device)).peak_bytes
-    if pool is not None and after is not None:
-        used = max(used, float(after - pool))
     median = sorted(runs, key=lambda run: run.fps)[len(runs) // 2]
     seconds = [float(np.mean(run.solver_seconds)) for run in runs]
     newton = float(np.sum(median.newton_max))
@@ -165,10 +171,19 @@ def measure(point: Point, device: str, repeats: int) -> dict[str, Any]:
         "steps": len(median.seconds),
         "ms_per_step": spread([1e3 * s for s in seconds]),
         "ms_per_newton": 1e3 * sum(median.solver_seconds) / max(newton, 1.0),
-        "memory_mib": used / 2**20,
+        "memory_mib": meter.used_bytes() / 2**20,
         "residual": median.residual(),
         **median.work(),
     }
+
+
+def describe(row: dict[str, Any]) -> str:
+    """A line for the person who waits."""
+    return (
+        f"{row['series']} {row['size']:,}: {row['ms_per_step']['median']:.2f} ms a step, "
+        f"{row['memory_mib']:.2f} MiB, Newton {row['newton_mean']:.1f}, "
+        f"{row['contacts']:.0f} contacts"
+    )
 
 
 def fit(rows: list[dict[str, Any]]) -> dict[str, dict[str, float]]:

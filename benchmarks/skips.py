@@ -10,23 +10,48 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
-import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_name
-from taccel_lab.benchmarks.options import Skips
-from taccel_lab.benchmarks.results import Deadline, ResultFile, note, spread
+from taccel_lab.benchmarks.results import ResultFile, spread
 from taccel_lab.benchmarks.runner import Motion, Runner
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.base import BenchScene
 from taccel_lab.benchmarks.scenes.peg import generated_parts, peg_scene
+from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.scene import AffineBody, KinematicBody, Scene, Surface, TimeStepping, box_mesh
 
 AfterStep = Callable[[Runner], Callable[[], None]]
 """Of a runner: what is done after each of its steps."""
+
+
+@dataclass(frozen=True)
+class Skips(Suite):
+    """What each part of the plan that a scene does not need would cost, on and off in one run."""
+
+    name: ClassVar[str] = "skips"
+    what: ClassVar[str] = (
+        "What each part that a scene does not need would cost: the same scene with and without."
+    )
+    repeats: int = 5
+    """Runs of each side, in turns; the median counts."""
+    source: str = "auto"
+    """Meshes: published, generated, or auto for the published ones where they are."""
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "clock": clock_name(self.device),
+            "repeats": self.repeats,
+            "source": self.source,
+        }
+
+    def measure_rows(self, result: ResultFile) -> None:
+        for skip in all_skips(self.source):
+            result.measure(skip.name, partial(measure, skip, self.device, self.repeats), describe)
 
 
 @dataclass(frozen=True)
@@ -165,30 +190,6 @@ def _read_height_map(runner: Runner) -> Callable[[], None]:
     return read
 
 
-def run_skips(options: Skips) -> None:
-    """Measure all rows."""
-    wp.config.log_level = wp.LOG_WARNING
-    deadline = Deadline(options.budget_s)
-    what = "What each part that a scene does not need would cost: the same scene with and without."
-    settings = {
-        "clock": clock_name(options.device),
-        "repeats": options.repeats,
-        "source": options.source,
-    }
-    with ResultFile("skips", what, options.out, options.device, settings).finishing() as result:
-        for skip in all_skips(options.source):
-            if deadline.passed:
-                note(f"{skip.name}: not started, the budget is spent")
-                continue
-            result.add(measure(skip, options.device, options.repeats))
-            row = result.rows[-1]
-            note(
-                f"{row['skip']}: {row['on']['ms_per_step']['median']:.2f} ms a step with, "
-                f"{row['off']['ms_per_step']['median']:.2f} without: saves "
-                f"{row['saved_percent']:.0f} %"
-            )
-
-
 def measure(skip: Skip, device: str, repeats: int) -> dict[str, Any]:
     """One row."""
     sides = {"on": skip.on, "off": skip.off}
@@ -218,6 +219,14 @@ def measure(skip: Skip, device: str, repeats: int) -> dict[str, Any]:
     on, off = (row[name]["ms_per_step"]["median"] for name in ("on", "off"))
     row["saved_percent"] = 100 * (1 - off / on)
     return row
+
+
+def describe(row: dict[str, Any]) -> str:
+    """A line for the person who waits."""
+    return (
+        f"{row['skip']}: {row['on']['ms_per_step']['median']:.2f} ms a step with, "
+        f"{row['off']['ms_per_step']['median']:.2f} without: saves {row['saved_percent']:.0f} %"
+    )
 
 
 def _timed(

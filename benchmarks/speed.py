@@ -4,57 +4,80 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_name
 from taccel_lab.benchmarks.launches import LaunchCounter
-from taccel_lab.benchmarks.memory import MemoryMeter, pool_bytes
-from taccel_lab.benchmarks.options import Speed
-from taccel_lab.benchmarks.results import Deadline, ResultFile, Ticker, note, spread
+from taccel_lab.benchmarks.memory import MemoryMeter
+from taccel_lab.benchmarks.results import Deadline, ResultFile, Ticker, spread
 from taccel_lab.benchmarks.runner import Motion, Runner
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.startup import measure_startup
+from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
 
 WARM_UP_STEPS = 3
 """Untimed, before the first repeat: kernels are loaded, buffers grow, graphs are captured."""
 
 
-def run_speed(options: Speed) -> None:
-    """Run all rows, best known first: scenes in order, few environments before many."""
-    wp.config.log_level = wp.LOG_WARNING
-    scenes = list(SCENES) if options.scene == ("all",) else list(options.scene)
-    if options.repeats < 1 or not options.envs or min(options.envs) < 1:
-        raise InputError("--repeats and --envs must be at least 1")
-    unknown = [name for name in scenes if name not in SCENES]
-    if unknown:
-        raise InputError(f"scene must be of {', '.join(SCENES)}, or all; got {unknown[0]!r}")
-    config = parse_settings(options.set)
-    deadline = Deadline(options.budget_s)
-    what = "Environments x steps / seconds, end to end: targets set, stepped, forces read."
-    settings = {
-        "steps": options.steps,
-        "repeats": options.repeats,
-        "budget_s": options.budget_s,
-        "solver": config,
-        "clock": clock_name(options.device),
-        "warm_up_steps": WARM_UP_STEPS,
-    }
-    with ResultFile("speed", what, options.out, options.device, settings).finishing() as result:
+@dataclass(frozen=True)
+class Speed(Suite):
+    """FPS = environments x steps / seconds, end to end, at a stated force residual."""
+
+    name: ClassVar[str] = "speed"
+    what: ClassVar[str] = (
+        "Environments x steps / seconds, end to end: targets set, stepped, forces read."
+    )
+    scene: tuple[str, ...] = ("peg",)
+    """Scenes: peg, press_239, press_2005, press_5215, bolt, hand, squeeze, or all."""
+    envs: tuple[int, ...] = (1,)
+    """Numbers of environments, a row each."""
+    steps: int | None = None
+    """First steps of the motion; all of it by default."""
+    repeats: int = 5
+    """Runs of each row; the median counts. A budget that is spent ends them, too."""
+    source: str = "auto"
+    """Meshes: published, generated, or auto for the published ones where they are."""
+    set: tuple[str, ...] = ()
+    """Solver settings other than the scene's, e.g. relative_tolerance=1e-5."""
+    lag: int = 0
+    """Environment e is e modulo (LAG + 1) steps behind, so that they differ; 0: all do the same."""
+    startup: bool = True
+    """Time import to first step, with a warm and a cold kernel cache, in processes of their own."""
+    check: bool = False
+    """Look for intersections after the last step (slow: the referee is numpy)."""
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "steps": self.steps,
+            "repeats": self.repeats,
+            "budget_s": self.budget_s,
+            "solver": parse_settings(self.set),
+            "clock": clock_name(self.device),
+            "warm_up_steps": WARM_UP_STEPS,
+        }
+
+    def measure_rows(self, result: ResultFile) -> None:
+        """Best known first: scenes in order, few environments before many."""
+        scenes = list(SCENES) if self.scene == ("all",) else list(self.scene)
+        if self.repeats < 1 or not self.envs or min(self.envs) < 1:
+            raise InputError("--repeats and --envs must be at least 1")
+        unknown = [name for name in scenes if name not in SCENES]
+        if unknown:
+            raise InputError(f"scene must be of {', '.join(SCENES)}, or all; got {unknown[0]!r}")
+        config = parse_settings(self.set)
         for scene in scenes:
-            for count in options.envs:
-                if deadline.passed:
-                    note(f"{scene}, {count}: not started, the budget is spent")
-                    continue
-                chosen = SceneOptions(count, options.source, config, options.lag)
-                row = measure(scene, chosen, options, deadline)
-                result.add(row)
-                note(describe(row))
-            if options.startup and not deadline.passed:
-                found = measure_startup(scene, options.source, options.device)
+            for count in self.envs:
+                chosen = SceneOptions(count, self.source, config, self.lag)
+                row = partial(measure, scene, chosen, self, result.deadline)
+                result.measure(f"{scene}, {count}", row, describe)
+            if self.startup and not result.deadline.passed:
+                found = measure_startup(scene, self.source, self.device)
                 result.put("startup", {**result.get("startup", {}), scene: found})
 
 
@@ -62,8 +85,7 @@ def measure(scene: str, chosen: SceneOptions, options: Speed, deadline: Deadline
     """One row: a scene with a number of environments."""
     started = time.perf_counter()
     device = wp.get_device(options.device)
-    pool = pool_bytes(device)
-    with MemoryMeter() as meter:
+    with MemoryMeter(options.device) as meter:
         bench = build_scene(scene, chosen)
         runner = Runner(bench, options.device)
         built = time.perf_counter()
@@ -81,13 +103,9 @@ def measure(scene: str, chosen: SceneOptions, options: Speed, deadline: Deadline
         runner.reset()
         ticker = Ticker(f"{label}, run {len(runs) + 1}/{options.repeats}")
         runs.append(runner.run(options.steps, keep_forces=len(runs) == 0, progress=ticker))
-    after = pool_bytes(device)
     by_speed = sorted(runs, key=lambda run: run.fps)
     median = by_speed[len(runs) // 2]
-    allocations = meter.allocations(device)
-    bytes_used = allocations.peak_bytes
-    if pool is not None and after is not None:
-        bytes_used = max(bytes_used, float(after - pool))
+    bytes_used = meter.used_bytes()
     row: dict[str, Any] = {
         "scene": scene,
         "what": bench.what,
@@ -107,7 +125,7 @@ def measure(scene: str, chosen: SceneOptions, options: Speed, deadline: Deadline
         **median.work(),
         "memory_mib": bytes_used / 2**20,
         "memory_mib_per_env": bytes_used / 2**20 / chosen.env_count,
-        "allocations": allocations.count,
+        "allocations": meter.allocations().count,
         "launches_per_step": launches.count / len(again.seconds),
         "setup_s": setup_s,
         "build_s": built - started,

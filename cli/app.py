@@ -31,11 +31,15 @@ class Command(Protocol):
 
 def parse(arguments: Sequence[str] | None = None) -> Command:
     """Parse command-line arguments; usage errors and --help leave through SystemExit (2 and 0)."""
+    from taccel_lab.cli.bench import Bench, parse_bench
+
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] == ["bench"]:
+        return parse_bench(words[1:])
+
     import tyro
     from tyro.extras import SubcommandApp
 
-    from taccel_lab.cli.bench import HELP as BENCH_HELP
-    from taccel_lab.cli.bench import bench_commands
     from taccel_lab.cli.calibrate import HELP as CALIBRATE_HELP
     from taccel_lab.cli.calibrate import calibrate_commands
     from taccel_lab.cli.capture import HELP as CAPTURE_HELP
@@ -74,12 +78,12 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(name="export")(Export)
     app.command(sensors, name="sensors", help="List the sensors of the catalogue.")
     app.command(name="study")(Study)
-    app.command(bench_commands(), name="bench", help=BENCH_HELP)
+    app.command(name="bench")(Bench)
     app.command(name="doctor")(Doctor)
     return app.cli(
         prog="taccel-lab",
         description=DESCRIPTION,
-        args=arguments,
+        args=words,
         config=(tyro.conf.PositionalMetavarFromFieldName, tyro.conf.FlagCreatePairsOff),
     )
 

@@ -1,29 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab bench``: the benchmark suites, with the options that
-``taccel_lab.benchmarks.options`` has.
-
-The only module that imports ``benchmarks``, when the command line is built and no sooner.
-"""
+"""``taccel-lab bench``: the commands of ``taccel_lab.benchmarks``, which reads their options."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tyro.extras import SubcommandApp
-
-HELP = """Measure speed at a stated error, and compare results.
-
-Suites write JSON to benchmarks/results; `report` makes docs/benchmarks.md from it."""
+    from taccel_lab.benchmarks.command_line import Command
 
 
-def bench_commands() -> SubcommandApp:
-    """A sub-command for each suite and for what is done with results."""
-    from tyro.extras import SubcommandApp
+@dataclass(frozen=True)
+class Bench:
+    """Measure speed at a stated error, and compare results."""
 
-    from taccel_lab.benchmarks.options import COMMANDS, SUITES
+    def run(self) -> None:
+        """Say which commands there are."""
+        parse_bench([]).run()
 
-    app = SubcommandApp()
-    for options in (*SUITES, *COMMANDS):
-        app.command(name=options.name)(options)
-    return app
+
+def parse_bench(arguments: Sequence[str]) -> Command:
+    """The command that the words after ``bench`` name."""
+    from taccel_lab.benchmarks.command_line import parse
+
+    return parse(arguments, "taccel-lab bench")

@@ -278,7 +278,7 @@ def ratios(measured: list[dict[str, Any]], field: list[dict[str, Any]]) -> str:
 
 def stress(results: Results) -> str:
     """Random scenes: outcomes by family."""
-    from taccel_lab.benchmarks.stress import table as stress_table
+    from taccel_lab.benchmarks.stress.summary import table as stress_table
 
     parts = []
     for document in results.get("stress", []):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.assets import choose_source, data_folder, read_stl
+from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_stl
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side, turn_about_z
 from taccel_lab.benchmarks.scenes.peg import (
@@ -49,7 +49,7 @@ def parts_of(source: str) -> tuple[TetMesh, TriangleMesh, TriangleMesh, float]:
     """Gel, bolt, nut, and the height at which the nut begins [m]."""
     if source == "generated":
         return generated_parts().gel, threaded_rod(), hexagon_nut(), 4 * PITCH_M
-    folder = data_folder()
+    folder = mesh_folder()
     bolt, nut = (read_stl(folder / "bolt_and_nut" / f"m20_{n}_wt.stl") for n in ("bolt", "nut"))
     return published_parts(folder).gel, bolt, nut, 0.0
 

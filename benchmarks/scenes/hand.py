@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.benchmarks.assets import choose_source, data_folder, read_vtk
+from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_vtk
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side
 from taccel_lab.benchmarks.scenes.pads import label
@@ -89,7 +89,7 @@ def gel_of(link: str, source: str) -> TetMesh:
     """A gel, z out of its contact face, x along its long side."""
     if source == "generated":
         return block_mesh(*_BLOCKS[link], jitter=0.1, seed=3)
-    path = data_folder() / "pads" / f"f_tac_hand_description__{link}_maxv_1e-08.vtk"
+    path = mesh_folder() / "pads" / f"f_tac_hand_description__{link}_maxv_1e-08.vtk"
     nodes, tets = read_vtk(path)
     masks = np.load(path.with_suffix(".npz"))
     mesh = label(nodes, tets, masks["stick_mask"], masks["coat_mask"])

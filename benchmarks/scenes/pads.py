@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.assets import choose_source, data_folder, read_vtk
+from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_vtk
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
@@ -24,7 +24,7 @@ def pad(nodes: int, source: str) -> tuple[TetMesh, str]:
     source = choose_source(source, f"pads/{name}.vtk", f"pads/{name}.npz")
     if source == "generated":
         return held_below(block_mesh(_CELLS[nodes], SIZE_M, jitter=0.15, seed=7), HELD_M), source
-    folder = data_folder() / "pads"
+    folder = mesh_folder() / "pads"
     points, tets = read_vtk(folder / f"{name}.vtk")
     masks = np.load(folder / f"{name}.npz")
     # The file's contact face looks to -z: half a turn about x.

@@ -6,7 +6,7 @@ over the rim of the hole, and push it down; clearance 2 mm. Settings are the pub
 gels move 3.7 mm further than the hole lets the peg go, so they must slip and shear.
 
 ``published_parts`` reads the meshes of the example from a data folder, ``generated_parts`` makes
-others of the same dimensions. ``python -m taccel_lab.benchmarks.peg_scene`` prints every step.
+others of the same dimensions.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.benchmarks.assets import choose_source, data_folder, read_stl, read_vtk
+from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_stl, read_vtk
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
@@ -215,7 +215,7 @@ def targets(scene: Scene, step: int, path: PegPath = PUBLISHED) -> np.ndarray:
 def build(options: SceneOptions) -> BenchScene:
     """The published insertion, of the published meshes where they are."""
     source = choose_source(options.source, "peg/peg.stl", "peg/hole.stl", "pads/sensor.vtk")
-    parts = published_parts(data_folder()) if source == "published" else generated_parts()
+    parts = published_parts(mesh_folder()) if source == "published" else generated_parts()
     scene = peg_scene(parts, env_count=options.env_count)
     # The first step stays at the start: the gels move from the second one on.
     one = peg_scene(parts)

@@ -59,7 +59,7 @@ def build(options: SceneOptions, name: str) -> BenchScene:
 
 
 def domed_pad(motion: PressMotion) -> TetMesh:
-    """The catalogue's GelSight, 2,005 nodes, as ``taccel_lab.benchmarks.press_speed`` has it."""
+    """The catalogue's GelSight, 2,005 nodes."""
     from taccel_lab.envs import PressMeshOptions
     from taccel_lab.sensors.press_mesh import press_mesh
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a case of the stress is, and the list of families that make them."""
+"""What a case of the stress is."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.model import Model
 from taccel_lab.scene import Scene
 from taccel_lab.solvers import SolverConfig, SolverIPC
@@ -34,23 +33,3 @@ class Case:
     """Whether every step has an answer; where not, a step that fails with a cause is right."""
     closed: bool = False
     """Nothing does work on the bodies: their energy must not rise (implicit Euler)."""
-
-
-Make = Callable[[Draw], Case]
-
-FAMILIES: dict[str, Make] = {}
-"""Families by name; ``taccel_lab.benchmarks.stress.families`` fills it."""
-
-
-def family(make: Make) -> Make:
-    """Add a function to the families under its own name."""
-    FAMILIES[make.__name__] = make
-    return make
-
-
-def make_case(name: str, seed: int) -> tuple[Case, dict]:
-    """The case of a family and seed, and the parameters that were drawn; KeyError names all."""
-    if name not in FAMILIES:
-        raise KeyError(f"no family {name!r}; there are {', '.join(FAMILIES)}")
-    draw = Draw(name, seed)
-    return FAMILIES[name](draw), draw.values

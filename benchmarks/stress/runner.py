@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case, make_case
+from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.families import make_case
 from taccel_lab.benchmarks.stress.referees import Finding, Referees, Taken, take
 from taccel_lab.outputs import Outputs
 from taccel_lab.solvers import SolverIPC

@@ -47,7 +47,7 @@ FORCE_ERROR_SHARE = {Ball: 1.0, TriangleMesh: 1.2}
 """What the estimated error of the energy makes of the force's. Where a tool has edges, gel nodes
 sample the border of its contact, which comes on top."""
 HEIGHT_ERROR_SHARE = 0.5
-"""The same for the heights, over the depth (both: ``taccel_lab.benchmarks.press_accuracy``)."""
+"""The same for the heights, over the depth (both: docs/verification.md, Presses by default)."""
 SETBACK_TOLERANCE = 2e-3
 """How far the mean gap may be from what the indenter was held back by, as a part of the depth: a
 ball's force is off by 1.5 times as much."""

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from taccel_lab.benchmarks import error, scaling, skips
-from taccel_lab.benchmarks.options import Scaling
 from taccel_lab.benchmarks.report import sections
 from taccel_lab.benchmarks.report.plots import draw_error, draw_scaling
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
@@ -113,7 +112,9 @@ def test_rows_cover_what_is_varied() -> None:
 
 def test_a_scaling_row_and_its_fit() -> None:
     points = list(
-        scaling.all_points(Scaling(envs=(1,), cells=(3,), punch_mm=(4,), sensors=(2,), steps=2))
+        scaling.all_points(
+            scaling.Scaling(envs=(1,), cells=(3,), punch_mm=(4,), sensors=(2,), steps=2)
+        )
     )
     assert [p.series for p in points] == ["environments", "nodes", "contacts", "sensors"]
     row = scaling.measure(points[2], "cpu", 1)

@@ -4,19 +4,14 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
-from taccel_lab.benchmarks.multi_gpu import main, plan_rows
+from taccel_lab.benchmarks.command_line import main, parse
+from taccel_lab.benchmarks.multi_gpu import plan_rows
 from taccel_lab.benchmarks.results import read_result
 from taccel_lab.errors import InputError
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
-    monkeypatch.setattr(sys, "argv", ["multi_gpu", *words])
-    main()
 
 
 def test_rows_come_in_order_of_what_matters() -> None:
@@ -34,11 +29,12 @@ def test_rows_come_in_order_of_what_matters() -> None:
 
 
 def test_threads_and_processes_do_the_same_steps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "found.json"
     words = "--devices cpu cpu --counts 1 2 3 --envs 3 --steps 3 --warm-up 1 --repeats 1"
-    run(monkeypatch, *words.split(), "--source", "generated", "--out", str(out))
+    command = ["multi_gpu", *words.split(), "--source", "generated", "--out", str(out)]
+    assert main(command) == 0
     document = read_result(out)
     rows = document["rows"]
     assert [(r["mode"], r["scaling"], r["gpus"], r["envs"]) for r in rows] == [
@@ -57,13 +53,13 @@ def test_threads_and_processes_do_the_same_steps(
         assert 0 < row["worst_over_allowed"] <= 1
     assert sum(rows[0]["newton_by_step"]) > 3 and rows[0]["force_n"] > 0
     assert document["complete"] and json.dumps(document["run"])
-    assert len(capsys.readouterr().out.splitlines()) == 1 + len(rows)
+    assert len(capsys.readouterr().err.splitlines()) == 2 + len(rows)
 
 
-def test_wrong_options_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_options_are_refused(tmp_path: Path) -> None:
     out = ("--out", str(tmp_path / "found.json"))
     with pytest.raises(InputError, match="device 'cuda:77' is not here; devices are cpu"):
-        run(monkeypatch, "--devices", "cuda:77", *out)
+        parse(["multi_gpu", "--devices", "cuda:77", *out]).run()
     with pytest.raises(InputError, match="must be at least 1"):
-        run(monkeypatch, "--devices", "cpu", "--envs", "0", *out)
+        parse(["multi_gpu", "--devices", "cpu", "--envs", "0", *out]).run()
     assert not list(tmp_path.iterdir())

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.assets import choose_source, data_folder, has_data, read_stl, read_vtk
+from taccel_lab.benchmarks.assets import choose_source, has_data, mesh_folder, read_stl, read_vtk
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.hand import overlapping_gels
@@ -50,7 +50,7 @@ def test_whole_motions(name: str, source: str) -> None:
     if name == "press_2005" and source == "published":
         pytest.skip("its mesh is always ours")
     if source == "published" and not has_data("pads"):
-        pytest.skip(f"the published meshes are not at {data_folder()}")
+        pytest.skip(f"the published meshes are not at {mesh_folder()}")
     converges(name, source, None)
 
 

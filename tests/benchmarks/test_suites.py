@@ -14,17 +14,16 @@ import pytest
 import warp as wp
 
 from taccel_lab.benchmarks import quick
-from taccel_lab.benchmarks.command_line import main, parse
+from taccel_lab.benchmarks.command_line import COMMANDS, field_help, main, options_of, parse
 from taccel_lab.benchmarks.compare import compare
 from taccel_lab.benchmarks.front import is_on_front, power_law
 from taccel_lab.benchmarks.launches import LaunchCounter
 from taccel_lab.benchmarks.memory import MemoryMeter
-from taccel_lab.benchmarks.options import COMMANDS, SUITES, Speed
 from taccel_lab.benchmarks.peers import parse_results, read_field
-from taccel_lab.benchmarks.report import PAGES, read_results, render
+from taccel_lab.benchmarks.report.pages import PAGES, read_results, render
 from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, ratios
 from taccel_lab.benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
-from taccel_lab.benchmarks.speed import parse_settings
+from taccel_lab.benchmarks.speed import Speed, parse_settings
 from taccel_lab.errors import InputError, SimulationError
 
 
@@ -32,7 +31,7 @@ from taccel_lab.errors import InputError, SimulationError
 def speed_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short run of the suite, through its command line."""
     out = tmp_path_factory.mktemp("speed") / "speed.json"
-    arguments = "run speed --scene press_239 --envs 1,2 --steps 3 --repeats 2 --no-startup --check"
+    arguments = "speed --scene press_239 --envs 1 2 --steps 3 --repeats 2 --no-startup --check"
     assert main([*arguments.split(), "--source", "generated", "--out", str(out)]) == 0
     return out
 
@@ -59,7 +58,7 @@ def test_speed_rows(speed_result: Path) -> None:
 
 
 def test_a_budget_that_is_spent_starts_nothing(tmp_path: Path) -> None:
-    arguments = ["run", "speed", "--envs", "1", "--budget-s", "0", "--out", str(tmp_path)]
+    arguments = ["speed", "--envs", "1", "--budget-s", "0", "--out", str(tmp_path)]
     assert main(arguments) == 0
     assert read_result(tmp_path / "speed.json")["rows"] == []
     assert not Deadline(None).passed
@@ -78,17 +77,17 @@ def test_finished_rows_survive_an_interruption(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["run", "speed", "--scene", "nonsense"], "scene must be of peg"),
-        (["run", "speed", "--envs", "0"], "at least 1"),
-        (["run", "speed", "--set", "dhat_m"], "NAME=VALUE"),
-        (["run", "peers", "no_such_driver.py"], "is no file"),
+        (["speed", "--scene", "nonsense"], "scene must be of peg"),
+        (["speed", "--envs", "0"], "at least 1"),
+        (["speed", "--set", "dhat_m"], "NAME=VALUE"),
+        (["peers", "no_such_driver.py"], "is no file"),
         (["compare", "no_such.json", "no_such.json"], "does not exist"),
     ],
 )
 def test_unusable_input_ends_with_code_two(
     arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if arguments[0] == "run":
+    if arguments[0] != "compare":
         arguments = [*arguments, "--out", str(tmp_path)]
     assert main(arguments) == 2
     assert says in capsys.readouterr().err
@@ -103,28 +102,40 @@ def test_settings_are_read() -> None:
     }
 
 
-def test_both_command_lines_have_the_same_options() -> None:
-    from taccel_lab.cli.app import parse as parse_with_tyro
+def test_both_command_lines_are_one() -> None:
+    from taccel_lab.cli.app import parse as parse_all
 
-    ours = parse(["run", "speed", "--envs", "1,16", "--device", "cuda:0", "--no-startup"])
-    theirs = parse_with_tyro(
-        ["bench", "speed", "--envs", "1", "16", "--device", "cuda:0", "--no-startup"]
-    )
-    assert ours == theirs
-    assert isinstance(ours, Speed)
-    assert len({options.name for options in (*SUITES, *COMMANDS)}) == len(SUITES) + len(COMMANDS)
+    words = ["speed", "--envs", "1", "16", "--device", "cuda:0", "--no-startup"]
+    ours = parse(words)
+    assert ours == parse_all(["bench", *words])
+    assert ours == Speed(envs=(1, 16), device="cuda:0", startup=False)
 
 
-@pytest.mark.parametrize("options", [*SUITES, *COMMANDS], ids=lambda options: options.name)
-def test_every_option_has_help(options: type, capsys: pytest.CaptureFixture[str]) -> None:
-    from taccel_lab.benchmarks.command_line import field_help
+def test_results_of_the_repository_are_written_on_request_only() -> None:
+    for command in COMMANDS:
+        for item in dataclasses.fields(options_of(command)):
+            assert item.name != "out" or item.default == Path("out/benchmarks"), command
 
-    assert {item.name for item in dataclasses.fields(options)} == set(field_help(options))
-    command = ["run", options.name] if options in SUITES else [options.name]
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_option_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    options = options_of(command)
+    assert {item.name for item in dataclasses.fields(options)} <= set(field_help(options))
     with pytest.raises(SystemExit) as done:
-        main([*command, "--help"])
+        main([command, "--help"])
     assert done.value.code == 0
     assert (options.__doc__ or "?").split("\n")[0][:40] in capsys.readouterr().out
+
+
+def test_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as done:
+        main(["--help"])
+    assert done.value.code == 0
+    text = capsys.readouterr().out
+    assert all(f"    {command}" in text for command in COMMANDS)
+    with pytest.raises(SystemExit) as done:
+        main(["nonsense"])
+    assert done.value.code == 2
 
 
 # Quick figures --------------------------------------------------------------------------------
@@ -170,7 +181,7 @@ def test_launches_and_memory_are_counted() -> None:
     assert len(launches.kernels) == 1
     wp.launch(_double_kernel, dim=10, inputs=[values])
     assert launches.count == 4
-    found = meter.allocations(wp.get_device("cpu"))
+    found = meter.allocations()
     assert found.count == 1
     assert found.peak_bytes == pytest.approx(2**20, rel=0.01)
 
@@ -251,7 +262,7 @@ def test_a_driver_is_run(tmp_path: Path) -> None:
     driver = tmp_path / "driver.py"
     driver.write_text("import sys; print('RESULT peer N=4 FPS=12.5', sys.argv[1])")
     out = tmp_path / "peers.json"
-    command: list[Any] = ["run", "peers", str(driver), "--arguments=--x=1", "--out", str(out)]
+    command: list[Any] = ["peers", str(driver), "--arguments=--x=1", "--out", str(out)]
     assert main(command) == 0
     assert json.loads(out.read_text())["rows"][0]["fps"] == 12.5
     driver.write_text("raise SystemExit(7)")
@@ -280,7 +291,7 @@ def test_study_rows_hold_stages_and_forces(tmp_path: Path, monkeypatch: pytest.M
     ball = dataclasses.replace(STANDARD_PRESSES["sphere"], depth_fraction=0.1, steps=3)
     monkeypatch.setattr(design_study, "standard_presses", lambda: [ball])
     out = tmp_path / "study.json"
-    arguments = ["run", "study", "--sensor", "gelsight", "--designs", "2", "--out", str(out)]
+    arguments = ["study", "--sensor", "gelsight", "--designs", "2", "--out", str(out)]
     assert main(arguments) == 0
     (row,) = read_result(out)["rows"]
     assert row["designs"] == row["simulations"] == 2 and row["failures"] == 0
@@ -298,5 +309,5 @@ def test_study_rows_hold_stages_and_forces(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_study_names_the_parameters_of_a_sensor(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "study", "--sensor", "gelsight", "--vary", "colour"]) == 2
+    assert main(["study", "--sensor", "gelsight", "--vary", "colour"]) == 2
     assert "no parameter 'colour'" in capsys.readouterr().err

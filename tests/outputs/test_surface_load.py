@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.benchmarks.hertz_convergence import half_space_mesh
 from taccel_lab.envs import PressEnv, parse_indenter
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.block import block_mesh
@@ -17,6 +16,7 @@ from taccel_lab.scene import Ball, Element, Material, Scene, SoftBody
 from taccel_lab.sensors.press_mesh import PressMeshOptions, press_mesh
 from taccel_lab.solvers import SolverConfig
 from tests.verification.half_space import HalfSpace
+from tests.verification.half_space_mesh import half_space_mesh
 
 
 def whole(load: SurfaceLoad) -> np.ndarray:

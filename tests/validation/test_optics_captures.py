@@ -14,9 +14,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks import optics_captures, optics_comparison
-from taccel_lab.benchmarks.optics_captures import RealSensor
 from taccel_lab.optics.compare import compare_press
+from tests.validation import optics_captures, optics_comparison
+from tests.validation.optics_captures import RealSensor
 
 
 @cache

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.assets import data_folder, read_stl
+from taccel_lab.benchmarks.assets import mesh_folder, read_stl
 from taccel_lab.scene import (
     AffineBody,
     KinematicBody,
@@ -51,7 +51,7 @@ def thread(source: str) -> Thread:
         lowered = TriangleMesh(screw.vertices_m - [0, 0, 2e-3], screw.faces)
         nut = nut_mesh(4.3e-3, 5.3e-3, 2e-3, 2.0, 8e-3)
         return Thread(lowered, nut, 2e-3, 0.3e-3, 22.5, 0.1e-3)
-    folder = data_folder() / "bolt_and_nut"
+    folder = mesh_folder() / "bolt_and_nut"
     if not folder.is_dir():
         pytest.skip(f"the bolt and the nut are not at {folder}")
     screw, nut = (read_stl(folder / f"m20_{name}_wt.stl") for name in ("bolt", "nut"))

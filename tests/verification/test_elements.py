@@ -1,24 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Linear and quadratic tets: patch test, bending, convergence, locking. The whole studies are
-``benchmarks/element_convergence.py`` and ``benchmarks/element_choice.py``."""
+"""Linear and quadratic tets: patch test, bending, convergence, locking."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.element_choice import press
-from taccel_lab.benchmarks.element_convergence import (
+from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
+from tests.verification.blocks import block_mesh
+from tests.verification.element_problems import (
     COOK_ENERGY,
     cook_error,
     rate,
     referee,
     swirl_error,
 )
-from taccel_lab.benchmarks.nodal_loads import surface_load, whole_faces
-from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
-from tests.verification.blocks import block_mesh
 from tests.verification.elements import ElementForces
+from tests.verification.layer_press import press
+from tests.verification.nodal_loads import surface_load, whole_faces
 
 KINDS = list(Element)
 YOUNG = 1e5

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A frictionless ball on a half-space against Hertz; the whole study is
-``benchmarks/hertz_convergence.py``."""
+"""A frictionless ball on a half-space against Hertz."""
 
 from __future__ import annotations
 
@@ -9,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.hertz_convergence import HertzCase, HertzResult, press
 from taccel_lab.scene import Element
+from tests.verification.hertz_press import HertzCase, HertzResult, press
 
 RADIUS = HertzCase().contact_radius_m
 

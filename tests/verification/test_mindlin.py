@@ -30,10 +30,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.half_space_mesh import half_space_mesh
 from taccel_lab.scene import Ball
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from tests.verification.half_space import DOMAIN_OVER_RADIUS, GROWTH, HalfSpace
+from tests.verification.half_space_mesh import half_space_mesh
 
 BALL, DEPTH, YOUNG, POISSON = 1e-2, 2.5e-5, 1e5, 0.49
 DHAT, EPS = 0.01 * DEPTH, 2e-8

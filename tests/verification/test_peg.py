@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.assets import data_folder
+from taccel_lab.benchmarks.assets import mesh_folder
 from taccel_lab.benchmarks.scenes.peg import (
     CENTRED,
     DT_S,
@@ -32,9 +32,9 @@ RIM_M = 0.02
 def parts_of(source: str) -> PegParts:
     if source == "generated":
         return generated_parts()
-    if not (data_folder() / "peg").is_dir():
-        pytest.skip(f"the published meshes are not at {data_folder()}")
-    return published_parts(data_folder())
+    if not (mesh_folder() / "peg").is_dir():
+        pytest.skip(f"the published meshes are not at {mesh_folder()}")
+    return published_parts(mesh_folder())
 
 
 class Insertion:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.case import Case
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -22,7 +22,6 @@ from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, S
 SMALLEST_GAP = 1e-9
 
 
-@family
 def thin_gap(draw: Draw) -> Case:
     """A body starts a nanometre and more over a gel, a plate or the floor, face to face."""
     config, stepping = settings(draw), in_time(draw)
@@ -79,7 +78,6 @@ def thin_gap(draw: Draw) -> Case:
     return Case(scene, config, 4, start, closed=stepping.scheme is TimeScheme.EULER)
 
 
-@family
 def parallel_edges(draw: Draw) -> Case:
     """A ridge falls on a ridge, down to a nanoradian from parallel, exactly above it or beside."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-4, 1e-2))
@@ -109,7 +107,6 @@ def parallel_edges(draw: Draw) -> Case:
     return Case(scene, config, 6, start, closed=closed)
 
 
-@family
 def soft_edges(draw: Draw) -> Case:
     """A soft roof falls on another one, their ridges nearly parallel."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-4, 2e-2))

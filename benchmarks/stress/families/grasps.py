@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.case import Case
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -60,7 +60,6 @@ def _half_width(shape_nodes: np.ndarray, turn: np.ndarray) -> float:
     return float(np.abs(turned(turn, shape_nodes)[:, 0]).max())
 
 
-@family
 def throw_and_catch(draw: Draw) -> Case:
     """A stiff body is thrown between two gels, which close on it, lift and shake it, and let go."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 5e-2))
@@ -98,7 +97,6 @@ def throw_and_catch(draw: Draw) -> Case:
     return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
 
 
-@family
 def ratios(draw: Draw) -> Case:
     """A heavy body rests on foam, or a flake on steel: density and stiffness far apart."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 5e-2))
@@ -126,7 +124,6 @@ def ratios(draw: Draw) -> Case:
     return Case(scene, config, 8, closed=stepping.scheme is TimeScheme.EULER)
 
 
-@family
 def pile(draw: Draw) -> Case:
     """Several stiff bodies fall on one another, on the floor, and maybe with a soft floor."""
     config, stepping = settings(draw, (2e-5, 2e-4)), in_time(draw, dt_s=(1e-3, 3e-2))

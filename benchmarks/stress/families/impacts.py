@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.case import Case
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -64,7 +64,6 @@ def _steps(draw: Draw, gap: float, speed: float, dt: float) -> int:
     return min(int(np.ceil(gap / (speed * dt))) + 5, 12)
 
 
-@family
 def soft_impact(draw: Draw) -> Case:
     """A soft body is thrown at the floor, at a ridge or at a point, with up to 10 m/s."""
     config = settings(draw)
@@ -116,7 +115,6 @@ def _placed(body: AffineBody, gap: float, turn: np.ndarray) -> AffineBody:
     return replace(body, initial_pose=pose((0, 0, gap - low), turn))
 
 
-@family
 def stiff_on_plane(draw: Draw) -> Case:
     """A stiff body of any shape is thrown at the floor and spins."""
     config, stepping = settings(draw), in_time(draw)
@@ -127,7 +125,6 @@ def stiff_on_plane(draw: Draw) -> Case:
     return Case(scene, config, steps, closed=stepping.scheme is TimeScheme.EULER)
 
 
-@family
 def stiff_on_gel(draw: Draw) -> Case:
     """A stiff body is thrown into a gel: tips and edges first, up to 10 m/s and ten times heavier
     or a hundred times lighter than what it meets."""
@@ -145,7 +142,6 @@ def stiff_on_gel(draw: Draw) -> Case:
     return Case(scene, config, steps, closed=stepping.scheme is TimeScheme.EULER)
 
 
-@family
 def soft_on_soft(draw: Draw) -> Case:
     """Two free bodies collide in the air, a million times unlike in stiffness and a hundred times
     in density."""
@@ -174,7 +170,6 @@ def soft_on_soft(draw: Draw) -> Case:
     return Case(scene, config, steps, closed=stepping.scheme is TimeScheme.EULER)
 
 
-@family
 def bullet_at_sheet(draw: Draw) -> Case:
     """A small body flies many times its own size a step at a sheet without volume, or at a thin
     gel: it must not be beyond."""

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.case import Case
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -71,7 +71,6 @@ def _drive(draw: Draw, name: str, turning: bool) -> PositionDrive | VelocityDriv
     return PositionDrive(stiffness, 1e-3 * stiffness, target, effort)
 
 
-@family
 def mechanism(draw: Draw) -> Case:
     """A chain of links on hinges, sliders and welds; drives push it into limits and the floor."""
     config, stepping = settings(draw, (2e-5, 2e-4)), in_time(draw, dt_s=(1e-4, 5e-2))
@@ -158,7 +157,6 @@ def _open_anchor(model: Model, state: State, joints: list[Joint], names: list[st
     return None
 
 
-@family
 def jump(draw: Draw) -> Case:
     """A gel on a mount that jumps and turns at random, by up to its own size, onto what rests."""
     config, stepping = settings(draw), maybe_in_time(draw)
@@ -194,7 +192,6 @@ def jump(draw: Draw) -> Case:
     return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
 
 
-@family
 def no_way(draw: Draw) -> Case:
     """Targets beyond a gel's glued back, or a body between a pusher and the floor: no answer."""
     config = settings(draw)
@@ -218,7 +215,6 @@ def no_way(draw: Draw) -> Case:
     return Case(scene, config, 1, path[0], lambda step: path[step + 1], possible=False)
 
 
-@family
 def batch(draw: Draw) -> Case:
     """Four environments with one scene: one is pressed, one hardly, one is asked for what cannot
     be, one rests; a stiff body is present in half of them."""
@@ -251,7 +247,6 @@ def batch(draw: Draw) -> Case:
     return Case(scene, config, 4, poses(-1), poses, possible=False)
 
 
-@family
 def resting(draw: Draw) -> Case:
     """A gel as soft as pudding, with slivers, sags under its own weight for some large steps."""
     config = settings(draw)

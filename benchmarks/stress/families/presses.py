@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.case import Case
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -46,7 +46,6 @@ def _path(places: np.ndarray, turns: list[np.ndarray]) -> list[np.ndarray]:
     return [pose(place, turn)[None, None] for place, turn in zip(places, turns, strict=True)]
 
 
-@family
 def press(draw: Draw) -> Case:
     """A stiff shape of any kind goes into a gel, deep and in few steps."""
     name = draw.choose("shape", ("ball", *STIFF_SHAPES))
@@ -88,7 +87,6 @@ def _sharp(draw: Draw) -> TriangleMesh:
     return wedge(half * height, height, draw.between("length", 1e-3, 9e-3))
 
 
-@family
 def stab(draw: Draw) -> Case:
     """A tip or a blade is pressed into a gel, dragged and turned in it, and drawn out."""
     shape, config, mu = _sharp(draw), settings(draw), friction(draw)
@@ -112,7 +110,6 @@ def stab(draw: Draw) -> Case:
     return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
 
 
-@family
 def gel_on_gel(draw: Draw) -> Case:
     """A gel on a mount is pressed on another one that is up to a million times stiffer, dragged
     and turned; meshes and elements do not match."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case, family
+from taccel_lab.benchmarks.stress.case import Case
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -25,7 +25,6 @@ from taccel_lab.state import State
 TWIST_DEG = 720.0
 
 
-@family
 def twist(draw: Draw) -> Case:
     """A strip held at one end, gripped between two jaws at the other, is twisted by 720 degrees."""
     config = settings(draw, (1e-5, 4e-5))
@@ -56,7 +55,6 @@ def twist(draw: Draw) -> Case:
     return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
 
 
-@family
 def swing(draw: Draw) -> Case:
     """A bar on a mount that turns by 720 degrees in a few steps, so that its free end whips, while
     the mount also jumps."""
@@ -84,7 +82,6 @@ def swing(draw: Draw) -> Case:
     return Case(scene, config, steps, path[0], lambda step: path[step + 1])
 
 
-@family
 def squeeze(draw: Draw) -> Case:
     """A free block with self-contact is flattened between a plate and the floor, and let go."""
     config = settings(draw, (1e-5, 5e-5))
@@ -110,7 +107,6 @@ def squeeze(draw: Draw) -> Case:
     return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
 
 
-@family
 def fold(draw: Draw) -> Case:
     """A thin strip, glued by half, is folded over itself by a bar that sweeps its other end."""
     config = settings(draw, (1e-5, 5e-5))
@@ -140,7 +136,6 @@ def fold(draw: Draw) -> Case:
     return Case(scene, config, steps, path[0], lambda step: path[step + 1])
 
 
-@family
 def pull(draw: Draw) -> Case:
     """Forces of up to many times what a bar bears pull, shear and crush its free end."""
     config = settings(draw)
@@ -163,7 +158,6 @@ def pull(draw: Draw) -> Case:
     return Case(scene, config, 5, prepare=prepare)
 
 
-@family
 def roll_over(draw: Draw) -> Case:
     """A soft block is rubbed and rolled between two plates that slide against each other."""
     config = settings(draw, (1e-5, 1e-4))

@@ -106,7 +106,7 @@ def _method(
         if pattern.free_count <= MAX_ARROW_ROWS:
             # What a level of the factor waits for is ten times closer in shared memory; a
             # multiprocessor has room for one such block at a time, which should still be quicker
-            # for thousands of environments (taccel_lab.benchmarks.linear_solvers decides).
+            # for thousands of environments (docs/solver.md has the times of each).
             return "arrow-shared" if fits_shared(pattern, clusters, device) else "arrow"
         # Several thread blocks an environment where one would have more than it can do at a time.
         blocks = team(device, env_count, TASKS_PER_ROW * pattern.free_count).blocks

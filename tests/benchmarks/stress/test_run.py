@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import taccel_lab.benchmarks.stress as stress
-from taccel_lab.benchmarks.stress import FAMILIES, case_ids, load, run, summarize, table
-from taccel_lab.benchmarks.stress.case import make_case
+from taccel_lab.benchmarks.results import read_result
+from taccel_lab.benchmarks.stress import suite
+from taccel_lab.benchmarks.stress.families import FAMILIES, make_case
 from taccel_lab.benchmarks.stress.pool import run_all
 from taccel_lab.benchmarks.stress.runner import BudgetOverrun, run_case, time_limit
-from taccel_lab.benchmarks.stress.summary import WRONG
+from taccel_lab.benchmarks.stress.suite import Stress, case_ids
+from taccel_lab.benchmarks.stress.summary import WRONG, summarize, table
+from taccel_lab.errors import InputError
 from tests.benchmarks.stress.rigged import rigged_case
 
 BUDGET_S = 0.4
@@ -77,15 +79,23 @@ def test_what_is_finished_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
             yield run_case("thin_gap", seed, device, seconds)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(stress, "run_all", interrupted)
+    monkeypatch.setattr(suite, "run_all", interrupted)
     out = tmp_path / "stress.json"
-    record = run(9, 0, out, names=["thin_gap"])
-    assert not record["complete"]
-    kept = load(out)
+    with pytest.raises(KeyboardInterrupt):
+        Stress(count=9, families=("thin_gap",), out=out).run()
+    kept = read_result(out)
     assert [case["seed"] for case in kept["cases"]] == [0, 1]
     assert not kept["complete"]
     assert out.with_suffix(".png").stat().st_size > 1000
     assert out.with_suffix(".md").read_text().startswith("| family |")
+
+
+def test_a_case_is_run_again_step_by_step(capsys: pytest.CaptureFixture[str]) -> None:
+    Stress(replay="press:1").run()
+    said = capsys.readouterr().out
+    assert '"dhat"' in said and "step 0: " in said and "converged in" in said
+    with pytest.raises(InputError, match=r"FAMILY:SEED.*'nonsense:1'"):
+        Stress(replay="nonsense:1").run()
 
 
 def test_cases_go_round_the_families() -> None:

@@ -7,13 +7,19 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.benchmarks.linear_solvers import Variant, build, direct, scale_factors
-from taccel_lab.benchmarks.linear_systems import System, peg, with_contact_in_pattern
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.linear.arrow_shared import ArrowShared, fits_shared
 from taccel_lab.ipc.linear.elimination import eliminate
 from taccel_lab.ipc.linear.shared_lists import shared_program
 from taccel_lab.ipc.linear.system import LinearSystem
+from tests.ipc.linear.peg_system import (
+    System,
+    build,
+    direct,
+    peg,
+    scale_factors,
+    with_contact_in_pattern,
+)
 from tests.ipc.linear.systems import contact_system, delaunay_pattern, random_spd, touch_elsewhere
 
 CPU = wp.get_device("cpu")
@@ -41,7 +47,7 @@ def test_two_gels_and_a_body_are_solved_exactly(many_lanes: None, make: object, 
     """With contact in the list, and in the pattern."""
     case: System = make()  # type: ignore[operator]
     reference = direct(case)
-    linear = build(case, 2, CPU, Variant("cg"))
+    linear = build(case, 2, CPU)
     _solve(linear, [1, 1], lanes)
     report = linear.report()
     assert report.iterations.tolist() == [1, 1]

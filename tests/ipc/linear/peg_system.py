@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Newton-like systems for timing linear solvers: elastic slabs in contact, and the peg's two gels.
+"""A Newton-like system of two gels and a body between them, and its direct solution.
 
-Linear elasticity and inertia on boxes of tets whose bottom is bonded, stiff contact springs at part
-of the top; for the peg, two such gels that touch one body of four control nodes, whose couplings
-come as a list with repeated places, as assembly writes them.
+Linear elasticity and inertia on boxes of tets whose bottom is bonded; both touch one body of four
+control nodes, whose couplings come as a list with repeated places, as assembly writes them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.ipc.linear.pattern import BlockPattern, block_pattern
+from taccel_lab.ipc.linear.system import LinearSystem
 
 YOUNG_PA = 1.5e5
 POISSON = 0.46
@@ -26,7 +26,6 @@ DT_S = 0.02
 class System:
     """One environment's H p = rhs."""
 
-    name: str
     pattern: BlockPattern
     values: np.ndarray
     """[block_count, 3, 3]."""
@@ -104,29 +103,6 @@ def _assemble(
     return values
 
 
-def slab(shape: tuple[int, int, int], seed: int = 0, name: str | None = None) -> System:
-    """A slab of ``shape`` nodes pressed by a ball: contact springs in a disc of its top."""
-    rng = np.random.default_rng(seed)
-    size = (20e-3, 25e-3, 4e-3)
-    nodes, tets = box_tets(shape, size)
-    bonded = shape[0] * shape[1]
-    free = np.arange(len(nodes)) - bonded
-    free = np.maximum(free, -1)
-    pattern, _ = block_pattern([tets], free)
-    values = _assemble(pattern, tets, free, elastic_blocks(nodes, tets))
-    centre = np.array([0.5 * size[0], 0.5 * size[1], size[2]])
-    touched = np.flatnonzero(np.linalg.norm(nodes - centre, axis=1) < 3e-3)
-    rhs = 1e-6 * rng.normal(size=(pattern.free_count, 3))
-    for node in touched[free[touched] >= 0]:
-        normal = nodes[node] - centre + [0, 0, 6e-3]
-        normal /= np.linalg.norm(normal)
-        stiffness = 10.0 ** rng.uniform(2, 5)
-        row = free[node]
-        values[pattern.diagonal[row]] += stiffness * np.outer(normal, normal)
-        rhs[row] -= 1e-3 * stiffness * 1e-4 * normal
-    return System(name or f"slab of {len(nodes):,} nodes", pattern, values, rhs)
-
-
 def peg(seed: int = 0, contacts: int = 160) -> System:
     """Two gels of 160 nodes, half of them free, with a body of four control nodes between them."""
     rng = np.random.default_rng(seed)
@@ -179,7 +155,6 @@ def peg(seed: int = 0, contacts: int = 160) -> System:
                     values[pattern.diagonal[i]] += abs(s * t) * block
                     values[pattern.diagonal[j]] += abs(s * t) * block
     return System(
-        "peg between two gels",
         pattern,
         values,
         1e-4 * rng.normal(size=(pattern.free_count, 3)),
@@ -187,24 +162,6 @@ def peg(seed: int = 0, contacts: int = 160) -> System:
         np.array(blocks),
         [(160, 164)],
     )
-
-
-def dumped(path: Path, index: int) -> System:
-    """A Newton system that was written down: arrays ``{index}_values`` and so on of an .npz
-    file."""
-    data = np.load(path)
-
-    def take(key: str) -> np.ndarray:
-        return data[f"{index}_{key}"]
-
-    starts = take("row_starts")
-    diagonal = (starts[1:] - 1).astype(np.int32)
-    pattern = BlockPattern(starts, take("columns"), diagonal)
-    n = pattern.free_count
-    places = take("places")
-    clusters = [(n - 4, n)] if len(places) else []
-    values = (take("values"), take("rhs"), places, take("blocks"))
-    return System(f"{path.stem} {index}", pattern, *values, clusters)
 
 
 def with_contact_in_pattern(system: System) -> System:
@@ -228,4 +185,43 @@ def with_contact_in_pattern(system: System) -> System:
     values[np.searchsorted(keys, p.rows.astype(np.int64) * n + p.columns)] = system.values
     own = system.places[:, 0].astype(np.int64) * n + system.places[:, 1]
     np.add.at(values, np.searchsorted(keys, own), system.blocks)
-    return System(f"{system.name} in place", pattern, values, system.rhs, clusters=system.clusters)
+    return System(pattern, values, system.rhs, clusters=system.clusters)
+
+
+def build(system: System, env_count: int, device: wp.Device) -> LinearSystem:
+    """The system in ``env_count`` environments: s H p = s^2 rhs with its factor s, so that a
+    mix-up of environments shows."""
+    linear = LinearSystem(
+        system.pattern,
+        env_count,
+        device,
+        clusters=system.clusters,
+        method="cg",
+        extra_capacity=max(len(system.places), 1),
+    )
+    count = len(system.places)
+    scales = scale_factors(env_count)
+    linear.values.assign(scales[:, None, None, None] * system.values)
+    linear.rhs.assign(scales[:, None, None] ** 2 * system.rhs)
+    if count:
+        linear.extra.places.assign(np.repeat(system.places[None], env_count, axis=0))
+        linear.extra.values.assign(scales[:, None, None, None] * system.blocks)
+        linear.extra.counts.assign(np.full(env_count, count, dtype=np.int32))
+    return linear
+
+
+def scale_factors(env_count: int) -> np.ndarray:
+    """Factor s of each environment; its solution is s times that of the system."""
+    return np.linspace(1.0, 2.0, env_count)
+
+
+def direct(system: System) -> np.ndarray:
+    """Reference solution [free_count, 3] of scipy's sparse LU, refined once."""
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
+    matrix, b = system.matrix(), system.rhs.ravel()
+    factor = splu(csc_array(matrix))
+    x = factor.solve(b)
+    x += factor.solve(b - matrix @ x)
+    return x.reshape(-1, 3)

@@ -10,37 +10,31 @@ with the order of the element. Error: L2 norm over that of the displacement.
 *Cook's membrane* [Cook, Malkus and Plesha 1989] in plane strain, a sheet of one tet between two
 frictionless walls, even cells. Referee: scikit-fem 12, plane strain, triangles of order four on
 meshes of 2^r x 2^r cells graded towards the clamped corners, extrapolated over r
-(``python -m taccel_lab.benchmarks.element_convergence --referee`` does it again). Error: energy of
+(``python -m tests.verification.element_problems --referee`` does it again). Error: energy of
 the load, which the corner where the clamped edge meets the free one keeps from converging with the
 order of any element: near it stress goes to infinity.
 
-    python -m taccel_lab.benchmarks.element_convergence --out benchmarks/results
+    python -m tests.verification.element_problems --out benchmarks/results
 """
 
 from __future__ import annotations
 
-import argparse
 from itertools import permutations
-from pathlib import Path
 
 import numpy as np
-import warp as wp
 
-from taccel_lab.benchmarks.machine import describe_run
-from taccel_lab.benchmarks.nodal_loads import (
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.scene import Element, Material, Scene, SoftBody
+from tests.verification.elements import ElementForces
+from tests.verification.nodal_loads import (
     body_load,
     shape_functions,
     surface_load,
     tet_rule,
     whole_faces,
 )
-from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.geometry.tet_mesh import boundary_faces
-from taccel_lab.output import write_json
-from taccel_lab.scene import Element, Material, Scene, SoftBody
-from tests.verification.elements import ElementForces
 
-POISSON_RATIOS = (0.3, 0.49, 0.499)
 YOUNG_PA = 1e5
 CUBE_M = 1e-2
 COOK_ENERGY = {0.3: 22.0122, 0.49: 18.7928, 0.499: 18.5881}
@@ -170,54 +164,3 @@ def referee(poisson: float, levels: tuple[int, ...] = (3, 4, 5, 6)) -> float:
         energies.append(load @ skfem.solve(*skfem.condense(matrix, load, D=held)))
     last, before, first = energies[-1], energies[-2], energies[-3]
     return float(last + (last - before) / ((before - first) / (last - before) - 1))
-
-
-def study(levels: dict[str, dict[Element, list[int]]]) -> list[dict]:
-    """Rows of all problems, elements and Poisson's ratios; ``levels``: cells of each."""
-    rows = []
-    for name, problem in (("swirl", swirl_error), ("cook", cook_error)):
-        for ratio in POISSON_RATIOS:
-            for element, cells in levels[name].items():
-                results = [problem(element, n, ratio) for n in cells]
-                errors = [error for _, error in results]
-                rows.append(
-                    {
-                        "problem": name,
-                        "element": element.value,
-                        "poisson_ratio": ratio,
-                        "cells": cells,
-                        "nodes": [count for count, _ in results],
-                        "errors": [float(f"{error:.5g}") for error in errors],
-                        "rate": round(rate(cells, errors), 2),
-                    }
-                )
-                text = "  ".join(f"{n}: {100 * e:+.3f} %" for n, e in results)
-                print(f"{name} nu {ratio} {element}: {text}  rate {rows[-1]['rate']}", flush=True)
-    return rows
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
-    parser.add_argument("--referee", action="store_true", help="compute Cook's energies again")
-    options = parser.parse_args()
-    wp.config.log_level = wp.LOG_WARNING
-    if options.referee:
-        for ratio in POISSON_RATIOS:
-            print(f"nu {ratio}: {referee(ratio):.4f}")
-        return
-    linear, quadratic = [4, 8, 16], [2, 4, 8]
-    rows = study(
-        {
-            "swirl": {Element.LINEAR: linear, Element.QUADRATIC: quadratic},
-            "cook": {Element.LINEAR: [*linear, 32], Element.QUADRATIC: [*quadratic, 16]},
-        }
-    )
-    write_json(
-        options.out / "element_convergence.json",
-        {"what": (__doc__ or "").split("\n")[0], "run": describe_run(), "rows": rows},
-    )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real backgrounds and ball presses of catalogue sensors, for comparison with the optical model.
 
-Files lie in the data folder (``TACCEL_LAB_DATA``, or ``../shared/data`` beside a checkout); those
-of the classic GelSight in the PyPI wheel ``taxim``. What is not there is left out.
+Files lie in the data folder (``taccel_lab.benchmarks.assets``); those of the classic GelSight in
+the PyPI wheel ``taxim``. What is not there raises ``FileNotFoundError``.
 """
 
 from __future__ import annotations
 
-import csv
-import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from taccel_lab.benchmarks.assets import data_folder
 from taccel_lab.calibration.capture import find_taxim_pack, load_captures
 from taccel_lab.errors import InputError
 
@@ -37,33 +35,14 @@ class RealSensor:
     """Captures of one sensor of the catalogue, RGB."""
 
     family: str
-    title: str
-    licence: str
     background: np.ndarray
     presses: tuple[RealPress, ...] = ()
     press_mm_per_px: float | None = None
     """Scale of the presses where they are framed unlike the background."""
-    may_show: bool = True
-    """Whether the licence lets pictures be shown."""
-
-
-def data_folder() -> Path:
-    """Where the captures are looked for."""
-    return Path(
-        os.environ.get("TACCEL_LAB_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
-    )
-
-
-def real_sensors() -> Iterator[RealSensor]:
-    """All sets whose files are there."""
-    for read in (classic_gelsight, gelsight_mini, digit, digit_presses, gelsight_r15, ninedtact):
-        try:
-            yield read()
-        except FileNotFoundError:
-            continue
 
 
 def classic_gelsight() -> RealSensor:
+    """Taxim's calibration presses (MIT)."""
     try:
         captures = load_captures(find_taxim_pack())
     except InputError as error:
@@ -82,12 +61,11 @@ def classic_gelsight() -> RealSensor:
                 captures.ball_radius_mm,
             )
         )
-    return RealSensor(
-        "gelsight", "Classic GelSight (Taxim, MIT)", "MIT", captures.background, tuple(presses)
-    )
+    return RealSensor("gelsight", captures.background, tuple(presses))
 
 
 def gelsight_mini() -> RealSensor:
+    """The Mini of R. Gao (NormalFlow, MIT)."""
     folder = data_folder() / "gsmini_ruihangao_calib" / "calib_ball"
     files = sorted(folder.glob("frame_*.jpg"))
     if not files:
@@ -104,52 +82,20 @@ def gelsight_mini() -> RealSensor:
     background = _read(data_folder() / "gsmini_normalflow/examples/data/background.png")
     return RealSensor(
         "gelsight_mini",
-        "Mini (NormalFlow, R. Gao; MIT)",
-        "MIT",
         background,
         tuple(inside[::6][:4]),
         press_mm_per_px=0.0815,  # The picture shows the 25.25 mm of the gel over 310 px.
     )
 
 
-def digit() -> RealSensor:
-    path = data_folder() / "digit_tacto_bg/examples/conf/bg_digit_240_320.jpg"
-    return RealSensor("digit", "DIGIT (TACTO, MIT)", "MIT", _read(path))
-
-
-def digit_presses() -> RealSensor:
-    folder = data_folder() / "fots_calib"
-    background = _read(folder / "mlp_calib/digit/0000.png")
-    with open(folder / "labels_digit_by_eye.csv", newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    presses = tuple(
-        RealPress(
-            background,
-            _read(folder / row["file"]),
-            (float(row["cx_px"]), float(row["cy_px"])),
-            float(row["contact_r_px"]),
-            2.35,
-        )
-        for row in rows[:6]
-    )
-    return RealSensor(
-        "digit", "DIGIT (FOTS)", "README says MIT, no licence file", background, presses,
-        may_show=False,
-    )  # fmt: skip
-
-
-def gelsight_r15() -> RealSensor:
-    path = data_folder() / "backgrounds_misc/tacsl_gelsight_r15_data_bg.jpg"
-    return RealSensor("gelsight_r15", "GelSight R1.5 (TacSL, BSD-3)", "BSD-3", _read(path))
-
-
 def ninedtact() -> RealSensor:
+    """The official calibration press of 9DTact (MIT)."""
     folder = data_folder() / "9dtact_official/shape_reconstruction/calibration/sensor_1"
     rest = _read(folder / "depth_calibration/rectify_crop_ref.png")
     image = _read(folder / "depth_calibration/rectify_crop_sample.png")
     u, v, radius = _find_dent(rest, image, 0.15)
     press = RealPress(rest, image, (u, v), radius, 4.0, thin_gel=True)
-    return RealSensor("9dtact", "9DTact (official, MIT)", "MIT", rest, (press,))
+    return RealSensor("9dtact", rest, (press,))
 
 
 def _read(path: Path) -> np.ndarray:

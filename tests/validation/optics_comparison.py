@@ -3,22 +3,16 @@
 
 No light of these sensors is published; the catalogue's lights were placed by the presses, so that
 the figures say how far such a model reaches, not how it predicts an unknown sensor. A press is the
-ball itself inside its contact circle and an elastic half-space around it. Run from the repository
-root:
-
-    python -m taccel_lab.benchmarks.optics_comparison --out benchmarks/results
+ball itself inside its contact circle and an elastic half-space around it.
 """
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taccel_lab.benchmarks.optics_captures import RealPress, RealSensor, real_sensors
 from taccel_lab.optics.compare import (
     BackgroundMatch,
     PressMatch,
@@ -28,8 +22,8 @@ from taccel_lab.optics.compare import (
 )
 from taccel_lab.optics.description import OpticalDesign
 from taccel_lab.optics.render import OpticalModel, PreviewImage
-from taccel_lab.output import atomic_file, write_json
 from taccel_lab.sensors.registry import sensor_family
+from tests.validation.optics_captures import RealPress, RealSensor
 
 LONG_SIDE_PX = 240
 BLUR = 0.02
@@ -39,7 +33,7 @@ STEP_MM = 0.08
 
 @dataclass(frozen=True)
 class Comparison:
-    """One sensor's scores and the pictures behind them."""
+    """One sensor's scores and the pictures of its background and first press."""
 
     sensor: RealSensor
     background: BackgroundMatch
@@ -48,15 +42,6 @@ class Comparison:
     model_background: np.ndarray
     real_press: np.ndarray | None
     model_press: np.ndarray | None
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "family": self.sensor.family,
-            "title": self.sensor.title,
-            "licence": self.sensor.licence,
-            "background": self.background.to_json(),
-            "presses": [press.to_json() for press in self.presses],
-        }
 
 
 @dataclass(frozen=True)
@@ -160,73 +145,3 @@ def _resized(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     import cv2
 
     return cv2.resize(image, size_px, interpolation=cv2.INTER_AREA)
-
-
-Picture = tuple[str, np.ndarray]
-
-
-def _rows(comparisons: list[Comparison]) -> list[list[Picture]]:
-    """Four titled pictures a row: background and press of a sensor, or two backgrounds."""
-    rows: list[list[Picture]] = []
-    alone: list[Picture] = []
-    for item in comparisons:
-        c = item.background.correlation
-        pair = [
-            (item.sensor.title, item.real_background),
-            (f"model: r = {c[0]:.2f}, {c[1]:.2f}, {c[2]:.2f}", item.model_background),
-        ]
-        if item.real_press is None or item.model_press is None:
-            alone += pair
-            continue
-        cosine = np.mean([press.mean_cosine for press in item.presses])
-        contrast = np.mean([press.contrast for press in item.presses])
-        title = f"model: cosine {cosine:.2f}, contrast {contrast:.2f}"
-        rows.append([*pair, ("real press", item.real_press), (title, item.model_press)])
-    return rows + [alone[i : i + 4] for i in range(0, len(alone), 4)]
-
-
-def plot(comparisons: list[Comparison], path: Path) -> None:
-    """Real and model side by side, one sensor a row; only what its licence lets be shown."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    rows = _rows([c for c in comparisons if c.sensor.may_show])
-    figure, axes = plt.subplots(
-        len(rows), 4, figsize=(10.0, 2.05 * len(rows)), squeeze=False, layout="constrained"
-    )
-    for axis in axes.ravel():
-        axis.set_axis_off()
-    for row, pictures in zip(axes, rows, strict=True):
-        for axis, (title, picture) in zip(row, pictures, strict=False):
-            axis.imshow(picture)
-            axis.set_title(title, fontsize=9)
-    with atomic_file(path) as temporary:
-        figure.savefig(temporary, dpi=85, format="png")
-    plt.close(figure)
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="folder for JSON and picture")
-    options = parser.parse_args(arguments)
-    comparisons = [compare(sensor) for sensor in real_sensors()]
-    for item in comparisons:
-        b, presses = item.background, item.presses
-        line = f"{item.sensor.title}: background r {np.round(b.correlation, 2).tolist()}, PSNR "
-        line += f"{b.psnr_db:.1f} dB (one colour {b.flat_psnr_db:.1f})"
-        if presses:
-            cosine = np.mean([press.mean_cosine for press in presses])
-            correlation = np.mean([press.correlation for press in presses], axis=0)
-            line += f"; {len(presses)} presses: colour cosine {cosine:.2f}, "
-            contrast = np.mean([press.contrast for press in presses])
-            line += f"r {np.round(correlation, 2).tolist()}, contrast {contrast:.2f}"
-        print(line)
-    write_json(options.out / "optics_comparison.json", [item.to_json() for item in comparisons])
-    plot(comparisons, options.out / "optics_comparison.png")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page ``docs/benchmarks.md``, its pictures and the README's speeds, made from result files.
+
+Each page has text of its own; what stands between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``
+is replaced. Only files that follow the schema of ``taccel_lab.benchmarks.results`` are read.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, Section
+from taccel_lab.benchmarks.results import FOLDER, SCHEMA
+from taccel_lab.errors import InputError
+from taccel_lab.output import atomic_file
+
+_ROOT = Path(__file__).resolve().parents[2]
+PAGE, README = _ROOT / "docs" / "benchmarks.md", _ROOT / "README.md"
+PAGES: dict[Path, dict[str, Section]] = {PAGE: SECTIONS, README: HEADLINE}
+"""Generated parts of each page."""
+IMAGES = PAGE.parent / "images" / "benchmarks"
+Results = dict[str, list[dict[str, Any]]]
+
+
+def read_results(folder: Path = FOLDER) -> Results:
+    """Result documents by suite; each knows its file's name as ``file``."""
+    found: Results = {}
+    for path in sorted(folder.glob("*.json")):
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(document, dict) and document.get("schema") == SCHEMA:
+            found.setdefault(document["suite"], []).append(document | {"file": path.name})
+    return found
+
+
+def render(text: str, sections: dict[str, Section], results: Results) -> str:
+    """A page with its generated parts made anew."""
+    for name, section in sections.items():
+        begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
+        if text.count(begin) != 1 or text.count(end) != 1:
+            raise InputError(f"the page must have one {begin} and one {end}")
+        body = section(results)
+        pattern = re.escape(begin) + ".*?" + re.escape(end)
+        text = re.sub(pattern, lambda _, b=begin, e=end, t=body: f"{b}\n{t}\n{e}", text, flags=re.S)
+    return text
+
+
+@dataclass(frozen=True)
+class Report:
+    """Make docs/benchmarks.md and its pictures from the results."""
+
+    results: Path = FOLDER
+    """Folder of the results."""
+    pictures: bool = True
+    """Draw the pictures, too."""
+    scenes: bool = False
+    """Run the scenes and draw them, too (a minute)."""
+
+    def run(self) -> None:
+        results = read_results(self.results)
+        written = []
+        for page, sections in PAGES.items():
+            text = render(page.read_text(encoding="utf-8"), sections, results)
+            with atomic_file(page) as target:
+                target.write_text(text, encoding="utf-8")
+            written.append(page)
+        if self.pictures:
+            from taccel_lab.benchmarks.report.plots import draw_all
+
+            written += draw_all(results, IMAGES)
+        if self.scenes:
+            from taccel_lab.benchmarks.report.scene_picture import draw_scenes
+
+            written.append(draw_scenes(IMAGES / "scenes.png"))
+        for path in written:
+            print(path)
