@@ -14,7 +14,7 @@ import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView, unmirrored, upright
 from taccel_lab.calibration.camera.lattice import Lattice, index_lattice
-from taccel_lab.calibration.markers.scale_space import find_blobs, response
+from taccel_lab.calibration.dots.blobs import find_blobs, response
 from taccel_lab.errors import InputError
 
 MIN_SHARE = 0.4

@@ -2,7 +2,7 @@
 """Which point of a board is which, among points of which many may be none of it.
 
 The numbering is grown from seeds as for markers
-(``taccel_lab.calibration.markers.lattice_growth``). What a board adds is its known number of
+(``taccel_lab.calibration.dots.lattice_growth``). What a board adds is its known number of
 columns and rows: the largest lattice of that size is looked for among strangers that may outnumber
 it. A smooth polynomial through what was found then predicts the rest of it and rejects strangers.
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.markers.lattice_growth import grow, shortest_basis
+from taccel_lab.calibration.dots.lattice_growth import grow, shortest_basis
 
 _NEAR = 0.3
 """A point is taken for a lattice site within this share of the local pitch."""

@@ -10,12 +10,12 @@ import numpy as np
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.folder import Frame, Video
 from taccel_lab.calibration.capture.video import cut_short
+from taccel_lab.calibration.dots.dots import Dots
+from taccel_lab.calibration.dots.lattice import renumbered
+from taccel_lab.calibration.dots.layout import LayoutFit, fit_layout
+from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.calibration.markers.choose_view import choose_view
-from taccel_lab.calibration.markers.dots import Dots
-from taccel_lab.calibration.markers.finding import MarkerPicture, find_markers
 from taccel_lab.calibration.markers.gel_view import GelView, pixel_jacobian
-from taccel_lab.calibration.markers.lattice import renumbered
-from taccel_lab.calibration.markers.layout import LayoutFit, fit_layout
 from taccel_lab.calibration.markers.remarks import layout_remarks, track_remarks
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.markers.track_figures import track_figures

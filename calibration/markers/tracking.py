@@ -15,13 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.markers import dot_model as model
+from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.calibration.dots.detection import detect_dots, dots_from_fit
+from taccel_lab.calibration.dots.dot_fit import fit_dots
+from taccel_lab.calibration.dots.dots import DotFlag, Dots
+from taccel_lab.calibration.dots.grey_picture import grey_levels
+from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.association import associate, by_lattice, disagreement
-from taccel_lab.calibration.markers.brightness import grey_levels
-from taccel_lab.calibration.markers.detection import detect_dots, dots_from_fit
-from taccel_lab.calibration.markers.dot_fit import fit_dots
-from taccel_lab.calibration.markers.dots import DotFlag, Dots
-from taccel_lab.calibration.markers.finding import MarkerPicture
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
 from taccel_lab.errors import InputError

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from taccel_lab.calibration.capture.folder import MarkerCaptures
-from taccel_lab.calibration.markers.pitch import marker_pitch_px
+from taccel_lab.calibration.dots.marker_picture import marker_pitch_px
 from taccel_lab.calibration.result import Estimate, Remark, Severity
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError

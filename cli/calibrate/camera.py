@@ -12,7 +12,7 @@ from tyro.conf import Positional
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.camera import CameraCalibration
+    from taccel_lab.calibration.camera.fit import CameraCalibration
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,8 @@ class CalibrateCamera:
     def run(self) -> None:
         from rich.console import Console
 
-        from taccel_lab.calibration.camera import calibrate_camera, camera_page
+        from taccel_lab.calibration.camera.fit import calibrate_camera
+        from taccel_lab.calibration.camera.report import camera_page
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import stage_progress

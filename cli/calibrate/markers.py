@@ -43,7 +43,7 @@ class CalibrateMarkers:
     def run(self) -> None:
         from rich.console import Console
 
-        from taccel_lab.calibration.markers import calibrate_markers
+        from taccel_lab.calibration.markers.fit import calibrate_markers
         from taccel_lab.calibration.markers.report import marker_page
         from taccel_lab.calibration.markers.track_files import require_track_file, write_tracks
         from taccel_lab.cli.calibrate.base import open_job

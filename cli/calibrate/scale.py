@@ -12,7 +12,7 @@ from tyro.conf import Positional
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.scale import ScaleCalibration
+    from taccel_lab.calibration.scale.fit import ScaleCalibration
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class CalibrateScale:
     def run(self) -> None:
         from rich.console import Console
 
-        from taccel_lab.calibration.scale import calibrate_scale, scale_page
+        from taccel_lab.calibration.scale.fit import calibrate_scale
+        from taccel_lab.calibration.scale.report import scale_page
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import stage_progress

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.camera import calibrate_intrinsics
 from taccel_lab.calibration.camera.bundle import fit_bundle, initial_pose
 from taccel_lab.calibration.camera.chessboard import detect_chessboard
+from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.calibration.result import Severity, judge

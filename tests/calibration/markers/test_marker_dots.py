@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.markers import DotFlag, find_markers, marker_pitch_px
-from taccel_lab.calibration.markers import dot_model as model
+from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.calibration.dots.dots import DotFlag
+from taccel_lab.calibration.dots.marker_picture import find_markers, marker_pitch_px
 from taccel_lab.calibration.synthetic import (
     add_dust,
     add_gradient,

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from taccel_lab.calibration.capture.captures import ContactCircle, Press
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.result import Estimate, judge
-from taccel_lab.calibration.scale import calibrate_scale, combine_axis
+from taccel_lab.calibration.scale.combine import combine_axis
+from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.calibration.scale.landmarks import fit_map, scale_of_map
 from taccel_lab.calibration.scale.spheres import BETA, BallContact, scale_from_spheres
 from taccel_lab.calibration.synthetic import add_noise, quantise

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.markers import dot_model as model
-from taccel_lab.calibration.markers.dot_problem import DotProblem
+from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.calibration.dots.dot_problem import DotProblem
 
 _SMOOTH_PX = 0.6
 """Blur before the fit: a step between pixels is no soft edge and would pull centres by 0.01 px."""

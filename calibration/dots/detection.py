@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.markers import dot_model as model
-from taccel_lab.calibration.markers.brightness import bright_level, grey_levels, reduced
-from taccel_lab.calibration.markers.dot_fit import DotFit, fit_dots
-from taccel_lab.calibration.markers.dots import DotFlag, Dots
-from taccel_lab.calibration.markers.merged import split_merged
-from taccel_lab.calibration.markers.scale_space import (
+from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.calibration.dots.blobs import (
     MIN_CONTRAST,
     DotScale,
     find_blobs,
     response,
 )
+from taccel_lab.calibration.dots.dot_fit import DotFit, fit_dots
+from taccel_lab.calibration.dots.dots import DotFlag, Dots
+from taccel_lab.calibration.dots.grey_picture import bright_level, grey_levels, reduced
+from taccel_lab.calibration.dots.touching import split_merged
 
 _LARGE_PX = 10.0
 """Dots of twice this radius or more are found in a reduced picture: their rim is long enough."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.markers import dot_model as model
-from taccel_lab.calibration.markers.dot_fit import DotFit, fit_dots
-from taccel_lab.calibration.markers.scale_space import DotScale
+from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.calibration.dots.blobs import DotScale
+from taccel_lab.calibration.dots.dot_fit import DotFit, fit_dots
 
 _AREA = 1.45
 """A blob of at least this many usual areas can be two dots."""

@@ -12,18 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.calibration.markers.brightness import grey_levels
-from taccel_lab.calibration.markers.detection import (
+from taccel_lab.calibration.dots.blobs import DotScale, scale_candidates
+from taccel_lab.calibration.dots.detection import (
     detect_dots,
     dots_from_fit,
     start_parameters,
     strong_blobs,
 )
-from taccel_lab.calibration.markers.dot_fit import fit_dots
-from taccel_lab.calibration.markers.dots import DotFlag, Dots
-from taccel_lab.calibration.markers.lattice import Lattice, lattice_index, renumbered
-from taccel_lab.calibration.markers.layout import LayoutFit, fit_layout
-from taccel_lab.calibration.markers.scale_space import DotScale, scale_candidates
+from taccel_lab.calibration.dots.dot_fit import fit_dots
+from taccel_lab.calibration.dots.dots import DotFlag, Dots
+from taccel_lab.calibration.dots.grey_picture import grey_levels
+from taccel_lab.calibration.dots.lattice import Lattice, lattice_index, renumbered
+from taccel_lab.calibration.dots.layout import PITCH_X, PITCH_Y, LayoutFit, fit_layout
 from taccel_lab.errors import InputError
 
 MIN_DOTS = 9
@@ -71,6 +71,25 @@ def find_markers(image: np.ndarray) -> MarkerPicture:
         if scale.count > best_count:
             best_count, best = scale.count, dots
     raise InputError("no dots found: " + _why_not(best))
+
+
+def marker_pitch_px(image: np.ndarray) -> tuple[float, float, float]:
+    """Mean distance of neighbouring dots along the rows and across them, and its uncertainty.
+
+    Args:
+        image: RGB or grey levels at rest, shape [height_px, width_px] or [.., 3].
+
+    Returns:
+        Pitch along the row direction nearest to +u and across it [px], and the larger of their
+        standard deviations [px]. In a hexagonal lattice the second is the distance of the rows.
+
+    Raises:
+        InputError: No dots, or dots that form no lattice.
+    """
+    layout = find_markers(image).layout_px
+    if layout is None:
+        raise InputError("the dots in the picture form no lattice, so that they have no pitch")
+    return *layout.pitch, max(layout.sigma(PITCH_X), layout.sigma(PITCH_Y))
 
 
 def _regular(image: np.ndarray, scale: DotScale) -> bool:

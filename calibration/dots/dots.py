@@ -8,7 +8,7 @@ from enum import IntFlag
 
 import numpy as np
 
-from taccel_lab.calibration.markers.scale_space import DotScale
+from taccel_lab.calibration.dots.blobs import DotScale
 
 
 class DotFlag(IntFlag):

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.markers.lattice_growth import (
+from taccel_lab.calibration.dots.lattice_growth import (
     Growth,
     grow,
     leave_one_out,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.markers import dot_model as model
+from taccel_lab.calibration.dots import soft_ellipse as model
 
 _HUBER = 2.0
 _OFF = 0.04
