@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taccel_lab.calibration.camera.detect import detect_views
+from taccel_lab.calibration.camera.find_boards import detect_views
 from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,

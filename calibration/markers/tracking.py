@@ -10,7 +10,7 @@ the pitch, as long as neighbours move alike from frame to frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -41,19 +41,13 @@ _AGAIN = 0.3
 """A dot that is looked for again lies within so many pitches of its expected place."""
 
 
-def track_markers(
-    frames: Iterable[np.ndarray],
-    rest: MarkerPicture,
-    *,
-    progress: Callable[[int], None] | None = None,
-) -> MarkerTracks:
+def track_markers(frames: Iterable[np.ndarray], rest: MarkerPicture) -> MarkerTracks:
     """Follow the dots of ``rest`` through ``frames``.
 
     Args:
         frames: RGB or grey images in order, of the size of the picture at rest; the first has to
             be near rest (within half a pitch, or moved as a whole smoothly).
         rest: Dots at rest.
-        progress: Called with the number of frames done.
 
     Raises:
         InputError: Fewer than 4 dots at rest, no frame, or frames of another size.
@@ -77,8 +71,6 @@ def track_markers(
         places.append(tracker.uv.copy())
         sigmas.append(tracker.sigma.copy())
         statuses.append(tracker.status.copy())
-        if progress is not None:
-            progress(number + 1)
     if not places:
         raise InputError("the video holds no frame")
     return MarkerTracks(

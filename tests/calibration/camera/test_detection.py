@@ -11,11 +11,10 @@ import pytest
 
 from taccel_lab.calibration.camera.charuco import charuco_board, detect_charuco
 from taccel_lab.calibration.camera.chessboard import detect_chessboard
-from taccel_lab.calibration.camera.detect import detect_views
-from taccel_lab.calibration.camera.dots import detect_dots
+from taccel_lab.calibration.camera.dot_board import detect_dots, detect_pins
+from taccel_lab.calibration.camera.find_boards import detect_views
 from taccel_lab.calibration.camera.fit import calibrate_camera
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.camera.pins import detect_pins
 from taccel_lab.calibration.capture.folder import BoardCaptures, CaptureFolder, Frame
 from taccel_lab.calibration.capture.schema import BoardEntry
 from taccel_lab.calibration.synthetic import add_gradient, add_noise, blur, quantise, vignette

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.camera.dots import MIN_SHARE
+from taccel_lab.calibration.camera.dot_board import MIN_SHARE
 from taccel_lab.calibration.camera.lattice import index_lattice
 from taccel_lab.calibration.synthetic.boards import lattice_points
 

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.dots import detect_dots
+from taccel_lab.calibration.camera.board_on_gel import fit_on_gel
+from taccel_lab.calibration.camera.dot_board import detect_dots
 from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.camera.on_gel import fit_on_gel
 from taccel_lab.calibration.camera.plane_models import CameraPose
 from taccel_lab.calibration.camera.rectification import gel_maps
 from taccel_lab.calibration.capture.images import read_image

@@ -20,6 +20,8 @@ from taccel_lab.errors import InputError
 MIN_SHARE = 0.4
 """Least share of the dots that must be found."""
 MIN_POINTS = 9
+MIN_CHANGE_LEVELS = 1.0
+"""Least 99th percentile of the change that counts as a press [levels of 255]."""
 _GREY = 128.0
 _SMALLEST_PX = 1.5
 """Width of the narrowest filter."""
@@ -103,6 +105,36 @@ def detect_dots(
         if len(lattice.points) == expected and not lattice.strangers:
             break
     return _checked(best, columns, rows, expected, (width, height), name)
+
+
+def detect_pins(
+    image: np.ndarray,
+    columns: int,
+    rows: int,
+    *,
+    reference: np.ndarray | None,
+    name: str = "image",
+) -> BoardView:
+    """Find a pressed board of ``columns`` x ``rows`` pins or holes; as ``detect_dots``.
+
+    Raises:
+        InputError: No ``reference`` of the untouched gel, no press, or too few dents on a lattice.
+    """
+    if reference is None:
+        raise InputError(
+            f"{name}: a pressed board shows only against an image of the untouched gel; give "
+            'reference = "..." for this board, or background = "..." for the folder'
+        )
+    if reference.shape == image.shape:
+        change = np.abs(np.asarray(image, dtype=np.float32) - reference)
+        change = np.abs(change - np.median(change, axis=(0, 1))).max(axis=2)
+        strongest = float(np.percentile(change, 99))
+        if strongest < MIN_CHANGE_LEVELS:
+            raise InputError(
+                f"{name}: nothing is pressed into the gel; the strongest change against the "
+                f"reference is {strongest:.2f} levels of 255, at least {MIN_CHANGE_LEVELS:g}"
+            )
+    return detect_dots(image, columns, rows, reference=reference, name=name)
 
 
 def _checked(
