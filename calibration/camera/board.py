@@ -43,31 +43,3 @@ class BoardView:
         from dataclasses import replace
 
         return replace(self, index=self.index[chosen], uv_px=self.uv_px[chosen])
-
-
-def unmirrored(index: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
-    """Lattice indices [n, 2] with columns flipped where needed, so that x to y turns as in the
-    image: what looks at the front of a board sees it so. Also says 0 for the least index."""
-    index = np.array(index, dtype=np.int64)
-    design = np.column_stack([index, np.ones(len(index))])
-    slopes, *_ = np.linalg.lstsq(design, uv_px, rcond=None)
-    if np.linalg.det(slopes[:2]) < 0:
-        index[:, 0] = -index[:, 0]
-    return index - index.min(axis=0)
-
-
-def upright(index: np.ndarray, uv_px: np.ndarray, square: bool) -> np.ndarray:
-    """Turn lattice indices so that columns run to the right of the image as far as they can.
-
-    By half turns, or by quarter turns for a ``square`` board; ``unmirrored`` indices stay so.
-    """
-    design = np.column_stack([index, np.ones(len(index))])
-    slopes, *_ = np.linalg.lstsq(design, uv_px, rcond=None)
-    along = slopes[0]
-    turns = round(float(np.degrees(np.arctan2(along[1], along[0]))) / 90.0) % 4
-    if not square and turns % 2:
-        turns = 0 if along[0] >= 0 else 2
-    for _ in range(turns):
-        # A column axis that points down in the image becomes the row axis.
-        index = np.column_stack([-index[:, 1], index[:, 0]])
-    return index - index.min(axis=0)

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.camera.board import BoardView, unmirrored, upright
-from taccel_lab.calibration.camera.lattice import Lattice, index_lattice
+from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.dots.blobs import find_blobs, response
+from taccel_lab.calibration.dots.board_lattice import board_lattice
+from taccel_lab.calibration.dots.lattice import Lattice
 from taccel_lab.errors import InputError
 
 MIN_SHARE = 0.4
@@ -54,7 +55,7 @@ class _Found:
 
     @property
     def score(self) -> float:
-        return len(self.lattice.points) - self.lattice.strangers - 10 * self.lattice.rms_share
+        return self.lattice.count - self.lattice.strangers - 10 * self.lattice.irregularity
 
 
 def detect_dots(
@@ -95,14 +96,14 @@ def detect_dots(
             item.sign != leader.sign or item.strength < _RIVAL * leader.strength
         ):
             continue
-        lattice = index_lattice(item.uv_px, columns, rows)
-        if lattice is None or lattice.rms_share > _IRREGULAR:
+        lattice = board_lattice(item.uv_px, columns, rows)
+        if lattice is None or lattice.irregularity > _IRREGULAR:
             continue
         found = _Found(lattice, item.uv_px)
         best = found if best is None or found.score > best.score else best
-        if leader is None and len(lattice.points) >= least:
+        if leader is None and lattice.count >= least:
             leader = item
-        if len(lattice.points) == expected and not lattice.strangers:
+        if lattice.count == expected and not lattice.strangers:
             break
     return _checked(best, columns, rows, expected, (width, height), name)
 
@@ -145,7 +146,7 @@ def _checked(
     size_px: tuple[int, int],
     name: str,
 ) -> BoardView:
-    count = 0 if best is None else len(best.lattice.points)
+    count = 0 if best is None else best.lattice.count
     if best is None or count < max(MIN_POINTS, MIN_SHARE * expected):
         raise InputError(
             f"{name}: found {count} of {expected} dots of the {columns} x {rows} board on a "
@@ -158,7 +159,7 @@ def _checked(
             f"lie on one lattice, {expected} are allowed; check columns and rows"
         )
     uv = best.uv_px[best.lattice.points]
-    index = upright(unmirrored(best.lattice.index, uv), uv, columns == rows)
+    index = best.lattice.index
     span = np.ptp(index, axis=0) + 1
     if min(span) < 3:
         raise InputError(
