@@ -17,8 +17,9 @@ from taccel_lab.calibration.camera.fit import calibrate_camera
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.capture.folder import BoardCaptures, CaptureFolder, Frame
 from taccel_lab.calibration.capture.schema import BoardEntry
-from taccel_lab.calibration.synthetic import add_gradient, add_noise, blur, quantise, vignette
-from taccel_lab.calibration.synthetic.boards import (
+from taccel_lab.errors import InputError
+from taccel_lab.sensors.profile import catalogue_profile
+from tests.calibration.drawn.boards import (
     chess_pattern,
     dot_pattern,
     image_pattern,
@@ -26,8 +27,7 @@ from taccel_lab.calibration.synthetic.boards import (
     pose_over,
     render_board,
 )
-from taccel_lab.errors import InputError
-from taccel_lab.sensors.profile import catalogue_profile
+from tests.calibration.drawn.faults import add_gradient, add_noise, blur, quantise, vignette
 
 SIZE = (320, 240)
 LENS = LENSES["k1"]

@@ -15,9 +15,9 @@ from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.robust import rms
 from taccel_lab.calibration.capture.folder import BoardCaptures, Frame
 from taccel_lab.calibration.capture.schema import BoardEntry
-from taccel_lab.calibration.synthetic import add_noise, quantise
-from taccel_lab.calibration.synthetic.boards import chess_pattern, pose_over, render_board
 from tests.calibration.camera.views import TRUTHS, views_of
+from tests.calibration.drawn.boards import chess_pattern, pose_over, render_board
+from tests.calibration.drawn.faults import add_noise, quantise
 
 FOLDS = 3
 

@@ -31,7 +31,7 @@ from taccel_lab.optics.media import media_between
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.profile import Provenance
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.calibration.markers.drawn import grid_points
+from tests.calibration.drawn.dot_grids import grid_points
 
 GRID_VIEW = GridView(PixelGrid(320, 240, 0.06, 0.05), "a test")
 

@@ -16,7 +16,7 @@ from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
 from taccel_lab.calibration.result import Severity
 from taccel_lab.errors import InputError
-from tests.calibration.markers.drawn import HEIGHT, WIDTH, grid_points, picture
+from tests.calibration.drawn.dot_grids import HEIGHT, WIDTH, grid_points, picture
 
 PITCH = 30.0
 REST = grid_points(9, 13, (PITCH, PITCH), centre=(160.0, 119.0))

@@ -19,8 +19,8 @@ from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.calibration.scale.landmarks import fit_map, scale_of_map
 from taccel_lab.calibration.scale.result import ScaleCalibration
 from taccel_lab.calibration.scale.spheres import BETA, BallContact, scale_from_spheres
-from taccel_lab.calibration.synthetic import add_noise, quantise
 from taccel_lab.errors import InputError
+from tests.calibration.drawn.faults import add_noise, quantise
 from tests.calibration.scale.test_edges import BACKGROUND, edges_at
 from tests.calibration.synthetic import GRID, tiny_profile
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.calibration.camera.dot_board import MIN_SHARE
 from taccel_lab.calibration.dots.board_lattice import board_lattice
-from taccel_lab.calibration.synthetic.boards import lattice_points
+from tests.calibration.drawn.boards import lattice_points
 
 COLUMNS, ROWS = 9, 7
 

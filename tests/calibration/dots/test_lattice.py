@@ -14,7 +14,7 @@ from taccel_lab.calibration.dots.lattice_growth import Growth, places_within
 from taccel_lab.calibration.dots.layout import fit_layout
 from taccel_lab.errors import InputError
 from taccel_lab.optics import MarkerGrid
-from tests.calibration.markers.drawn import grid_points
+from tests.calibration.drawn.dot_grids import grid_points
 
 
 def bent(points: np.ndarray, barrel: float, tilt: float, skew: float, turn: float) -> np.ndarray:
