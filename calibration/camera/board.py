@@ -3,7 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -40,6 +44,27 @@ class BoardView:
 
     def take(self, chosen: np.ndarray) -> BoardView:
         """The view with some of its points: a mask or indices."""
-        from dataclasses import replace
-
         return replace(self, index=self.index[chosen], uv_px=self.uv_px[chosen])
+
+
+class _Hashed(Protocol):
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def source(self) -> str: ...
+
+    @property
+    def sha256(self) -> str: ...
+
+
+def hashes_by_name(images: Sequence[_Hashed]) -> dict[str, str]:
+    """SHA-256 of each image by its name, with its folder where two are named alike."""
+    names = Counter(image.name for image in images)
+    return {
+        image.name
+        if names[image.name] == 1
+        else "/".join(Path(image.source).parts[-2:]): image.sha256
+        for image in images
+        if image.sha256
+    }

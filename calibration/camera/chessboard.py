@@ -74,7 +74,12 @@ def _whole_board(grey: np.ndarray, columns: int, rows: int) -> np.ndarray | None
 def _part_of_board(
     grey: np.ndarray, columns: int, rows: int, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Indices [n, 2] and corners [n, 2] of the part of the board that can be seen."""
+    """Indices [n, 2] and corners [n, 2] of the part of the board that can be seen.
+
+    OpenCV's own search for parts (``CALIB_CB_LARGER`` from 3 x 3 on) gives the largest full
+    rectangle alone: 9 corners where a hand covers one corner of a board, and 19.7 against 24.4 on
+    average over real boards of 36 with covers over one side or corner.
+    """
     expected = columns * rows
     least = max(MIN_POINTS, int(np.ceil(MIN_SHARE * expected)))
     best, strangers = None, 0

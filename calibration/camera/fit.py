@@ -3,13 +3,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
-from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.board import hashes_by_name
 from taccel_lab.calibration.camera.board_on_gel import OnGel, fit_on_gel
 from taccel_lab.calibration.camera.bundle_search import MIN_VIEWS
 from taccel_lab.calibration.camera.find_boards import Detections, detect_views
@@ -104,7 +101,7 @@ def calibrate_camera(
         intrinsics,
         on_gel,
         detections,
-        _hashes(detections.views),
+        hashes_by_name(detections.views),
         folder.provenance,
         tuple(_remarks(detections, intrinsics, on_gel, folder)),
     )
@@ -119,16 +116,6 @@ def _require_views(shown: Detections) -> None:
         f"{len(shown.views)} views of the board are left, at least {MIN_VIEWS} are needed, better "
         f"20, from different sides and tilted by 20 to 45 degrees; not used:\n{reasons}"
     )
-
-
-def _hashes(views: Sequence[BoardView]) -> dict[str, str]:
-    """SHA-256 of each image by its name, with its folder where two are named alike."""
-    names = Counter(view.name for view in views)
-    return {
-        view.name if names[view.name] == 1 else "/".join(Path(view.source).parts[-2:]): view.sha256
-        for view in views
-        if view.sha256
-    }
 
 
 def media_before_gel(profile: SensorProfile) -> FlatMedia:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.stats import median_abs_deviation
 
 from taccel_lab.calibration.dots import soft_ellipse as model
 from taccel_lab.calibration.dots.blobs import (
@@ -181,7 +182,7 @@ def _refit_partial(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
         near = whole[np.argsort(gap)[:_NEIGHBOURS]]
         start[n, model.SHAPE] = np.median(p[near, model.SHAPE], axis=0)
         start[n, model.LOG_BLUR] = np.median(p[near, model.LOG_BLUR])
-        off = np.median(np.abs(radii[near] - np.median(radii[near]))) / 0.6745
+        off = median_abs_deviation(radii[near], scale="normal")
         spread[n] = max(off, _SAME_SIZE * np.median(radii[near]))
     again = fit_dots(grey, start, free_shape=False, others=p[~cut, :2])
     unknown = spread * np.minimum(1.0, 2.0 * (1.0 - again.seen))

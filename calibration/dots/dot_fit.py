@@ -3,6 +3,9 @@
 
 All dots of a picture are fitted at once (Levenberg and Marquardt). Pixels far off the model, such
 as glints and scratches, lose weight (Huber's); pixels that are nearer to another dot have none.
+``scipy.optimize.least_squares`` with the same loss finds the same centres (79 dots of a GelSight
+Mini: 3e-5 px apart at the median) dot by dot in five times the time, 0.40 s against 0.074 s, and a
+video asks for them frame by frame.
 """
 
 from __future__ import annotations

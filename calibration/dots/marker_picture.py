@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from taccel_lab.calibration.dots.blobs import DotScale, scale_candidates
 from taccel_lab.calibration.dots.detection import (
@@ -121,8 +122,7 @@ def _accept(dots: Dots, scale: DotScale) -> MarkerPicture | None:
 
 def _alike(dots: Dots) -> bool:
     """Whether dots have one size: the middle two thirds within 20 % of the median; dirt has not."""
-    size = np.log(dots.radius_px)
-    return bool(np.median(np.abs(size - np.median(size))) / 0.6745 < _ONE_SIZE)
+    return bool(median_abs_deviation(np.log(dots.radius_px), scale="normal") < _ONE_SIZE)
 
 
 def _numbered(dots: Dots, lattice: Lattice) -> MarkerPicture:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.folder import Frame, Video
@@ -116,7 +117,7 @@ def _radius_mm(dots: Dots, view: GelView) -> tuple[float, float]:
     radius = radius[np.isfinite(radius)]
     if len(radius) == 0:
         raise InputError("no whole dot lies where the camera sees the gel")
-    spread = float(np.median(np.abs(radius - np.median(radius)))) / 0.6745
+    spread = float(median_abs_deviation(radius, scale="normal"))
     return float(np.median(radius)), 1.2533 * spread / np.sqrt(len(radius))
 
 
