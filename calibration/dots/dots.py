@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from enum import IntFlag
+from typing import Self
 
 import numpy as np
 
+from taccel_lab.calibration.dots import soft_ellipse as model
 from taccel_lab.calibration.dots.blobs import DotScale
 
 
@@ -23,30 +25,26 @@ class DotFlag(IntFlag):
 
 
 @dataclass(frozen=True)
-class Dots:
-    """Centres of dots with their uncertainty."""
+class DotFit:
+    """Fitted dots."""
 
-    uv_px: np.ndarray
-    """Centres (u, v) [px], float64, shape [dot, 2]."""
-    covariance_px2: np.ndarray
-    """Of the centres, shape [dot, 2, 2]."""
-    axes_px: np.ndarray
-    """Longer and shorter semi-axis, shape [dot, 2]."""
-    contrast: np.ndarray
-    """Share of the light that the paint adds, negative for dark dots, shape [dot]."""
-    seen: np.ndarray
-    """Share of each dot that is in the image, shape [dot]."""
-    flags: np.ndarray
-    """``DotFlag``s, uint8, shape [dot]."""
     parameters: np.ndarray
-    """Parameters of ``dot_model``, shape [dot, 10]."""
-    scale: DotScale
-    size_px: tuple[int, int]
-    """Width and height of the image."""
+    """``soft_ellipse``'s, centres in the image, shape [dot, 10]."""
+    covariance_px2: np.ndarray
+    """Of the centres, shape [dot, 2, 2]; infinite where the fit has no hold."""
+    seen: np.ndarray
+    """Share of each ellipse that lies in the image and is nearest to this dot, shape [dot]."""
+    converged: np.ndarray
+    """Bool, shape [dot]."""
 
     @property
     def count(self) -> int:
-        return len(self.uv_px)
+        return len(self.parameters)
+
+    @property
+    def uv_px(self) -> np.ndarray:
+        """Centres (u, v) [px], shape [dot, 2]."""
+        return self.parameters[:, :2]
 
     @property
     def sigma_px(self) -> np.ndarray:
@@ -54,9 +52,49 @@ class Dots:
         return np.sqrt(np.einsum("nii->ni", self.covariance_px2))
 
     @property
+    def placed(self) -> np.ndarray:
+        """Dots whose centre the fit found, bool, shape [dot]."""
+        return self.converged & np.isfinite(self.covariance_px2).all(axis=(1, 2))
+
+    @property
+    def axes_px(self) -> np.ndarray:
+        """Longer and shorter semi-axis, shape [dot, 2]."""
+        return model.semi_axes(self.parameters)
+
+    @property
     def radius_px(self) -> np.ndarray:
         """Mean radii, shape [dot]."""
-        return np.sqrt(self.axes_px.prod(axis=1))
+        return model.mean_radius(self.parameters)
+
+    @property
+    def contrast(self) -> np.ndarray:
+        """Share of the light that the paint adds, negative for dark dots, shape [dot]."""
+        return self.parameters[:, model.CONTRAST]
+
+    def select(self, which: np.ndarray) -> Self:
+        """Some of the dots, in the order of ``which``."""
+        return replace(self, **{name: values[which] for name, values in self._arrays().items()})
+
+    def joined(self, others: Self) -> Self:
+        """These dots, then others of the same picture."""
+        more = others._arrays()
+        both = {name: np.concatenate([own, more[name]]) for name, own in self._arrays().items()}
+        return replace(self, **both)
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+
+
+@dataclass(frozen=True)
+class Dots(DotFit):
+    """The dots of a picture."""
+
+    flags: np.ndarray
+    """``DotFlag``s, uint8, shape [dot]."""
+    scale: DotScale
+    size_px: tuple[int, int]
+    """Width and height of the image."""
 
     @property
     def whole(self) -> np.ndarray:
@@ -66,17 +104,3 @@ class Dots:
     def flagged(self, flag: DotFlag) -> np.ndarray:
         """Dots that carry a flag, bool, shape [dot]."""
         return (self.flags & flag) != 0
-
-    def select(self, which: np.ndarray) -> Dots:
-        """Some of the dots, in the order of ``which``."""
-        return Dots(
-            self.uv_px[which],
-            self.covariance_px2[which],
-            self.axes_px[which],
-            self.contrast[which],
-            self.seen[which],
-            self.flags[which],
-            self.parameters[which],
-            self.scale,
-            self.size_px,
-        )

@@ -16,7 +16,7 @@ from scipy.stats import median_abs_deviation
 from taccel_lab.calibration.dots.blobs import DotScale, scale_candidates
 from taccel_lab.calibration.dots.detection import (
     detect_dots,
-    dots_from_fit,
+    dots_of,
     start_parameters,
     strong_blobs,
 )
@@ -160,21 +160,20 @@ def _completed(image: np.ndarray, picture: MarkerPicture) -> MarkerPicture:
     places = _local_places(dots, lattice, np.array(picture.layout_px.missing))
     start = start_parameters(places, float(np.median(dots.radius_px)))
     fit = fit_dots(grey_levels(image), start, others=dots.uv_px)
-    found = dots_from_fit(fit, dots.scale, dots.size_px)
+    odd = np.full(fit.count, np.uint8(DotFlag.ODD))
+    found = dots_of(fit, odd, dots.scale, dots.size_px)
     usual = float(np.median(np.abs(dots.contrast)))
     radius = float(np.median(dots.radius_px))
     off = np.hypot(*(found.uv_px - places).T)
     gap = np.hypot(*(found.uv_px[:, None] - dots.uv_px[None]).T).min(axis=0)
-    good = fit.converged & (np.sign(found.contrast) == dots.scale.sign)
+    good = found.placed & (np.sign(found.contrast) == dots.scale.sign)
     good &= np.abs(found.contrast) > max(_FAINT * usual, _MIN_CONTRAST)
     good &= (off < 0.25 * min(picture.layout_px.pitch)) & (gap > radius)
     good &= np.abs(np.log(found.radius_px / radius)) < np.log(1.6)
-    good &= (fit.seen > 0.5) & np.isfinite(found.covariance_px2).all(axis=(1, 2))
+    good &= found.seen > 0.5
     if not good.any():
         return picture
-    new = found.select(np.flatnonzero(good))
-    new = replace(new, flags=np.full(new.count, np.uint8(DotFlag.ODD)))
-    joined = _join(dots, new)
+    joined = dots.joined(found.select(np.flatnonzero(good)))
     numbers = np.array(picture.layout_px.missing)[good]
     lattice = replace(
         lattice,
@@ -182,14 +181,6 @@ def _completed(image: np.ndarray, picture: MarkerPicture) -> MarkerPicture:
         column=np.concatenate([lattice.column, numbers[:, 1]]),
     )
     return _numbered(joined, lattice)
-
-
-def _join(first: Dots, second: Dots) -> Dots:
-    names = ("uv_px", "covariance_px2", "axes_px", "contrast", "seen", "flags", "parameters")
-    return replace(
-        first,
-        **{name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names},
-    )
 
 
 def _in_view(dots: Dots, lattice: Lattice) -> np.ndarray:

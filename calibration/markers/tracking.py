@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from taccel_lab.calibration.dots import soft_ellipse as model
-from taccel_lab.calibration.dots.detection import detect_dots, dots_from_fit
+from taccel_lab.calibration.dots.detection import detect_dots
 from taccel_lab.calibration.dots.dot_fit import fit_dots
 from taccel_lab.calibration.dots.dots import DotFlag, Dots
 from taccel_lab.calibration.dots.grey_picture import grey_levels
@@ -173,10 +173,10 @@ class _Tracker:
         start[:, :2] = place[markers]
         others = place[seen[~strange]]
         fit = fit_dots(grey_levels(frame), start, free_shape=False, others=others)
-        good = fit.converged & np.isfinite(fit.covariance).all(axis=(1, 2))
+        good = fit.placed
         moved = np.abs(fit.uv_px - place[markers])
         place[markers[good]] = fit.uv_px[good]
-        spread = np.sqrt(np.einsum("nii->ni", fit.covariance[good]))
+        spread = fit.sigma_px[good]
         # What the two fits differ by is what the cover may have done to either.
         sigma[markers[good]] = np.hypot(spread, moved[good])
 
@@ -209,10 +209,9 @@ class _Tracker:
             return
         start = self.shape[wanted].copy()
         start[:, :2] = guess[wanted]
-        fit = fit_dots(grey_levels(frame), start, others=place[seen])
-        again = dots_from_fit(fit, self.scale, self.dots.size_px)
+        again = fit_dots(grey_levels(frame), start, others=place[seen])
         usual = self.dots.contrast[wanted]
-        good = fit.converged & (fit.seen > 0.4) & np.isfinite(fit.covariance).all(axis=(1, 2))
+        good = again.placed & (again.seen > 0.4)
         good &= again.contrast / usual > 0.35
         way = np.hypot(*(again.uv_px - guess[wanted]).T)
         good &= way < _AGAIN * self.around.pitch_px
