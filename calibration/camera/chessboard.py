@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.camera.board import BoardView, unmirrored, upright
-from taccel_lab.calibration.camera.lattice import index_lattice
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.dots.board_lattice import board_lattice, oriented
 from taccel_lab.errors import InputError
 
 MIN_SHARE = 0.5
@@ -50,7 +50,7 @@ def detect_chessboard(
     index = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
     if uv is None:
         index, uv = _part_of_board(grey, columns, rows, name)
-    index = upright(unmirrored(index, uv), uv, columns == rows)
+    index = oriented(index, uv, columns == rows)
     size = (image.shape[1], image.shape[0])
     view = BoardView(name, name, size, index, uv, columns * rows)
     return replace(view, first_square_dark=_first_square_dark(grey, view, columns, rows))
@@ -74,14 +74,19 @@ def _whole_board(grey: np.ndarray, columns: int, rows: int) -> np.ndarray | None
 def _part_of_board(
     grey: np.ndarray, columns: int, rows: int, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Indices [n, 2] and corners [n, 2] of the part of the board that can be seen."""
+    """Indices [n, 2] and corners [n, 2] of the part of the board that can be seen.
+
+    OpenCV's own search for parts (``CALIB_CB_LARGER`` from 3 x 3 on) gives the largest full
+    rectangle alone: 9 corners where a hand covers one corner of a board, and 19.7 against 24.4 on
+    average over real boards of 36 with covers over one side or corner.
+    """
     expected = columns * rows
     least = max(MIN_POINTS, int(np.ceil(MIN_SHARE * expected)))
     best, strangers = None, 0
     for sigma in (1.0, 1.5, 2.5, 4.0):
         uv = saddle_points(grey, sigma, 3 * expected)
-        lattice = index_lattice(uv, columns, rows)
-        if lattice is not None and (best is None or len(lattice.points) > len(best[0])):
+        lattice = board_lattice(uv, columns, rows)
+        if lattice is not None and (best is None or lattice.count > len(best[0])):
             best, strangers = (lattice.index, uv[lattice.points]), lattice.strangers
     count = 0 if best is None else len(best[0])
     if best is not None and strangers > 2:

@@ -3,107 +3,64 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import numpy as np
-
-from taccel_lab.calibration.camera.blocks import (
-    camera_block,
-    optics_block,
-    tactile_size,
-    with_camera_block,
-)
-from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.board import hashes_by_name
+from taccel_lab.calibration.camera.board_on_gel import OnGel, fit_on_gel
 from taccel_lab.calibration.camera.bundle_search import MIN_VIEWS
-from taccel_lab.calibration.camera.detect import Detections, detect_views
+from taccel_lab.calibration.camera.find_boards import Detections, detect_views
 from taccel_lab.calibration.camera.intrinsics import (
     Intrinsics,
     calibrate_intrinsics,
     require_choices,
 )
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.camera.media import profile_media
-from taccel_lab.calibration.camera.on_gel import OnGel, fit_on_gel
-from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps, lens_maps
-from taccel_lab.calibration.camera.stated_scale import stated_scale_remarks
+from taccel_lab.calibration.camera.pixel_grid import (
+    origin_px,
+    stated_scale_remarks,
+    tactile_size,
+)
+from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
+from taccel_lab.optics.media import OUTSIDE_INDEX
+from taccel_lab.optics.refraction import FlatMedia
 from taccel_lab.profile import SensorProfile
-
-Progress = Callable[[str, int, int], None]
-"""Told what is going on, how many steps are done, and of how many."""
-Refraction = Literal["auto", "media", "none"]
+from taccel_lab.progress import Progress, silent
 
 
 @dataclass(frozen=True)
-class CameraCalibration:
-    """Lens, pose and scale, as far as the boards give them."""
+class CameraOptions:
+    """What a calibration of the camera tries."""
 
-    source: str
-    intrinsics: Intrinsics | None
-    on_gel: OnGel | None
-    detections: Detections
-    inputs: dict[str, str]
-    provenance: dict[str, str]
-    remarks: tuple[Remark, ...]
-
-    def figures(self) -> dict[str, Any]:
-        """Everything measured, ready for JSON."""
-        found: dict[str, Any] = {
-            "views_found": len(self.detections.views),
-            "views_refused": list(self.detections.refused),
-        }
-        if self.intrinsics is not None:
-            found["intrinsics"] = _intrinsics_figures(self.intrinsics)
-        if self.on_gel is not None:
-            found["on_gel"] = _on_gel_figures(self.on_gel)
-        return found
-
-    def maps(self) -> RectificationMaps:
-        """Maps to the gel's pixel grid, or, without a board on the gel, of the lens alone."""
-        if self.on_gel is not None:
-            return gel_maps(self.on_gel)
-        assert self.intrinsics is not None
-        return lens_maps(self.intrinsics)
-
-    def apply_to(self, profile: SensorProfile) -> SensorProfile:
-        """``profile`` with the camera block (boards on the gel) and the optics block (views)."""
-        if self.on_gel is not None:
-            profile = with_camera_block(profile, camera_block(self))
-        if self.intrinsics is not None:
-            profile = profile.with_block(optics_block(self, profile))
-        return profile
+    models: tuple[str, ...] = tuple(LENSES)
+    """Lenses to choose from."""
+    folds: int = 5
+    """Parts of the cross-validation over views."""
+    refraction: Literal["auto", "media", "none"] = "auto"
+    """``media`` fits the pose through the profile's window and gel, ``none`` in air; ``auto``
+    through them where the profile describes flat ones and the board does not clearly speak against
+    it."""
 
 
 def calibrate_camera(
     folder: CaptureFolder,
-    profile: SensorProfile,
-    *,
-    models: Sequence[str] = tuple(LENSES),
-    folds: int = 5,
-    refraction: Refraction = "auto",
-    progress: Progress | None = None,
+    base: SensorProfile,
+    options: CameraOptions = CameraOptions(),
+    progress: Progress = silent,
 ) -> CameraCalibration:
     """Fit everything that the boards of a capture folder give.
 
     Args:
         folder: Its ``boards``: those with ``on_gel`` give scale and pose, the others the lens.
-        profile: Of the designed sensor: its pixel grid's middle, and what lies before the gel.
-        models: Lenses to choose from.
-        folds: Of the cross-validation over views.
-        refraction: ``media`` fits the pose through the profile's window and gel, ``none`` in air;
-            ``auto`` through them where the profile describes them and the board does not clearly
-            speak against it.
+        base: The designed sensor: its pixel grid's middle, and what lies before the gel.
 
     Raises:
         InputError: No boards, none found, or too few views; says what to add.
     """
-    require_choices(models, folds)
+    require_choices(options.models, options.folds)
     air = [board for board in folder.boards if not board.entry.on_gel]
     gel = [board for board in folder.boards if board.entry.on_gel]
     if not folder.boards:
@@ -111,32 +68,30 @@ def calibrate_camera(
             f"{folder.source} names no boards; give [[boards]] with kind, columns, rows and "
             "images (docs/calibration_camera.md)"
         )
-
-    def stage(name: str) -> Callable[[int, int], None]:
-        return lambda done, total: progress(name, done, total) if progress is not None else None
-
-    shown = detect_views(air, progress=stage("finding boards")) if air else Detections(())
-    laid = detect_views(gel, progress=stage("finding boards on the gel")) if gel else Detections(())
+    shown = laid = Detections(())
+    if air:
+        shown = detect_views(air, "finding boards", progress)
+    if gel:
+        laid = detect_views(gel, "finding boards on the gel", progress)
     intrinsics = None
     if air:
         _require_views(shown)
         intrinsics = calibrate_intrinsics(
-            shown.views, models=models, folds=folds, progress=stage("fitting the lens")
+            shown.views, models=options.models, folds=options.folds, progress=progress
         )
     on_gel = None
     if gel:
-        media = None
-        if intrinsics is not None and (
-            refraction == "media" or (refraction == "auto" and _has_flat_media(profile))
-        ):
-            media = profile_media(profile)
+        size = laid.views[0].size_px
+        through = options.refraction == "media" or (
+            options.refraction == "auto" and _has_flat_media(base)
+        )
         on_gel = fit_on_gel(
             laid.views,
-            center_px=_middle(profile, laid.views[0]),
-            tactile_px=tactile_size(profile, laid.views[0].size_px),
+            center_px=origin_px(base, size),
+            tactile_px=tactile_size(base, size),
             intrinsics=intrinsics,
-            media=media,
-            media_if_better=refraction == "auto",
+            media=media_before_gel(base) if through and intrinsics is not None else None,
+            media_if_better=options.refraction == "auto",
         )
     detections = Detections(
         shown.views + laid.views, shown.refused + laid.refused, shown.warnings + laid.warnings
@@ -146,7 +101,7 @@ def calibrate_camera(
         intrinsics,
         on_gel,
         detections,
-        _hashes(detections.views),
+        hashes_by_name(detections.views),
         folder.provenance,
         tuple(_remarks(detections, intrinsics, on_gel, folder)),
     )
@@ -163,27 +118,33 @@ def _require_views(shown: Detections) -> None:
     )
 
 
-def _hashes(views: Sequence[BoardView]) -> dict[str, str]:
-    """SHA-256 of each image by its name, with its folder where two are named alike."""
-    names = Counter(view.name for view in views)
-    return {
-        view.name if names[view.name] == 1 else "/".join(Path(view.source).parts[-2:]): view.sha256
-        for view in views
-        if view.sha256
-    }
+def media_before_gel(profile: SensorProfile) -> FlatMedia:
+    """Window and gel before the contact face z = 0, seen from the air.
+
+    Raises:
+        InputError: The profile has no optics, or a domed window.
+    """
+    if profile.optics is None:
+        raise InputError(
+            "the profile has no optics block, so that what the camera looks through is unknown; "
+            "give --refraction none"
+        )
+    back = -profile.gel.thickness_mm
+    planes, indices = [back], [OUTSIDE_INDEX, profile.optics.gel_refractive_index]
+    window = profile.window
+    if window is not None:
+        if window.shape != "plate":
+            raise InputError(
+                "refraction at a domed window is not modelled for boards; give --refraction none"
+            )
+        planes.insert(0, back - window.thickness_mm)
+        indices.insert(1, window.refractive_index)
+    return FlatMedia(tuple(planes), tuple(indices))
 
 
 def _has_flat_media(profile: SensorProfile) -> bool:
     window = profile.window
     return profile.optics is not None and (window is None or window.shape == "plate")
-
-
-def _middle(profile: SensorProfile, view: BoardView) -> tuple[float, float] | None:
-    """Where the profile has its gel frame's origin, if its image has the size of this one."""
-    camera = profile.camera
-    if (camera.width_px, camera.height_px) != view.size_px:
-        return None
-    return camera.center_u_px, camera.center_v_px
 
 
 def _remarks(
@@ -261,79 +222,3 @@ def _size_remarks(on_gel: OnGel, folder: CaptureFolder) -> list[Remark]:
             f"{width}x{height} px: the scale holds for images of the board's size only",
         )
     ]
-
-
-def _intrinsics_figures(found: Intrinsics) -> dict[str, Any]:
-    fit, lens = found.chosen.fit, found.lens
-    return {
-        "model": lens.name,
-        "image_px": list(found.size_px),
-        "parameters": {
-            name: {"value": float(value), "sigma": float(sigma)}
-            for name, value, sigma in zip(
-                lens.parameter_names, fit.parameters, fit.sigma, strict=True
-            )
-        },
-        "fit_rms_px": fit.rms_px,
-        "heldout_rms_px": found.chosen.heldout_all_px,
-        "heldout_robust_rms_px": found.chosen.heldout_robust_px,
-        "heldout_half_board_rms_px": found.chosen.heldout_half_px,
-        "folds": found.folds,
-        "views": len(found.views),
-        "views_held_out": len(found.views) + len(found.outliers),
-        "outlier_views": list(found.outliers),
-        "coverage": found.coverage,
-        "tilt_deg": list(found.tilt_deg),
-        "models": {
-            score.lens.name: {
-                "fit_rms_px": score.fit.rms_px,
-                "heldout_rms_px": score.heldout_all_px,
-                "heldout_robust_rms_px": score.heldout_robust_px,
-                "heldout_half_board_rms_px": score.heldout_half_px,
-                "excess_mse_px2": score.excess,
-                "excess_standard_error_px2": score.excess_error,
-            }
-            for score in found.scores
-        },
-    }
-
-
-def _on_gel_figures(found: OnGel) -> dict[str, Any]:
-    frame = found.frame
-    figures: dict[str, Any] = {
-        "model": found.fit.model.name,
-        "image_px": list(found.views[0].size_px),
-        "mm_per_px_x": {"value": frame.mm_per_px_x.value, "sigma": frame.mm_per_px_x.sigma},
-        "mm_per_px_y": {"value": frame.mm_per_px_y.value, "sigma": frame.mm_per_px_y.sigma},
-        "correlation": frame.correlation,
-        "shear_deg": float(np.degrees(frame.shear)),
-        "board_angle_deg": float(-np.degrees(frame.angle_rad)),
-        "points": [len(view.index) for view in found.views],
-        "points_on_board": [view.expected for view in found.views],
-        "fit_rms_px": found.fit.rms_px,
-        "heldout_rms_px": found.fit.heldout_px,
-        "spline": None if found.fit.correction is None else found.fit.correction.smoothing,
-        "scale_range": list(found.scale_range),
-        "models": {
-            fit.model.name: {"fit_rms_px": fit.rms_px, "heldout_rms_px": fit.heldout_px}
-            for fit in found.fits
-        },
-    }
-    for name, pose in (
-        ("pose", found.pose),
-        ("pose_in_air", found.pose_in_air),
-        ("pose_refracted", found.pose_refracted),
-    ):
-        if pose is not None:
-            figures[name] = {
-                "position_mm": list(pose.position_mm),
-                "position_sigma_mm": list(pose.position_sigma_mm),
-                "rotation_xyzw": list(pose.rotation),
-                "tilt_deg": pose.tilt_deg,
-                "refracted": pose.refracted,
-                "heldout_rms_px": pose.fit.heldout_px,
-            }
-    if found.pose_refracted is not None and found.pose_in_air is not None:
-        moved = np.subtract(found.pose_refracted.position_mm, found.pose_in_air.position_mm)
-        figures["refraction_moves_camera_mm"] = [float(v) for v in moved]
-    return figures

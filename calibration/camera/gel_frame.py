@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.gel_plane import CROSS, PlaneFit, plane_rotation
+from taccel_lab.calibration.camera.plane_fit import CROSS, PlaneFit, plane_rotation
 from taccel_lab.calibration.result import Estimate
 
 _STEP = 1e-6

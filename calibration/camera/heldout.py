@@ -12,22 +12,18 @@ and the other way round, which no pose can flatter.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.bundle import (
-    BundleFit,
-    fit_pose,
-    initial_pose,
-    rms,
-    robust_scale,
-)
+from taccel_lab.calibration.camera.bundle import BundleFit, fit_pose, initial_pose
 from taccel_lab.calibration.camera.bundle_search import LensFits, fit_lenses
 from taccel_lab.calibration.camera.lens import Lens
+from taccel_lab.calibration.camera.robust import rms, robust_scale
 from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
 
 _ALIKE = 0.02
 """Share of the best mean square error by which a simpler lens may be worse: 1 % of the error."""
@@ -83,7 +79,7 @@ def score_lenses(
     views: Sequence[BoardView],
     fitted: LensFits,
     folds: int,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> list[LensScore]:
     """Cross-validate lenses.
 
@@ -100,8 +96,7 @@ def score_lenses(
     halves = [[np.zeros((0, 2))] * len(views) for _ in lenses]
     parameters: list[list[np.ndarray]] = [[] for _ in lenses]
     for done, name in enumerate(names):
-        if progress is not None:
-            progress(done + 1, len(names) + 1)
+        progress("fitting the lens", done + 1, len(names) + 1)
         train = fit_lenses(
             [v for v, part in zip(views, parts, strict=True) if part != name], lenses
         )
@@ -109,8 +104,7 @@ def score_lenses(
             parameters[k].append(fit.parameters)
             for i in np.flatnonzero(parts == name).tolist():
                 everything[k][i], halves[k][i] = _heldout(views[i], fit.lens, fit.parameters)
-    if progress is not None:
-        progress(len(names) + 1, len(names) + 1)
+    progress("fitting the lens", len(names) + 1, len(names) + 1)
     used = {id(view) for view in fitted.views}
     return [
         LensScore(

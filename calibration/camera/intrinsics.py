@@ -8,7 +8,7 @@ one's, over the views that are no outliers, is chosen.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ from taccel_lab.calibration.camera.heldout import LensScore, compare_lenses, sco
 from taccel_lab.calibration.camera.lens import LENSES, Lens, chosen_lenses
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
 
 MIN_COVERAGE = 0.35
 MIN_TILT_DEG = 10.0
@@ -79,7 +80,7 @@ def calibrate_intrinsics(
     *,
     models: Sequence[str] = tuple(LENSES),
     folds: int = 5,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> Intrinsics:
     """Fit and choose a lens.
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.camera.bundle import rms
+from taccel_lab.calibration.camera.board_on_gel import OnGel
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
-from taccel_lab.calibration.camera.on_gel import OnGel
 from taccel_lab.calibration.camera.rectification import RectificationMaps
+from taccel_lab.calibration.camera.robust import rms
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from scipy.spatial import Delaunay
 
+from taccel_lab.calibration.camera.board_on_gel import OnGel
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
-from taccel_lab.calibration.camera.on_gel import OnGel
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.output import atomic_file

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.camera.fit import CameraCalibration
 from taccel_lab.calibration.camera.pictures import (
     draw_distortion,
     draw_on_gel,
@@ -17,6 +16,7 @@ from taccel_lab.calibration.camera.pictures import (
     draw_residuals,
     draw_views,
 )
+from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.calibration.report import Page, Picture, Table

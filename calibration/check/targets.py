@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taccel_lab.calibration.camera.detect import detect_views
+from taccel_lab.calibration.camera.find_boards import detect_views
 from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,
@@ -21,7 +21,7 @@ from taccel_lab.calibration.capture.record_checks import LIKELY_MPA, apparent_mo
 from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.calibration.check.findings import Finding, error, info, name_some, warning
 from taccel_lab.calibration.check.framing import thumb
-from taccel_lab.calibration.markers import find_markers
+from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
 
 GOOD_VIEWS, FEW_VIEWS = 15, 6

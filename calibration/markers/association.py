@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.markers.lattice import lattice_index
+from taccel_lab.calibration.dots.lattice import lattice_index
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 
 _WIDE, _NARROW = 0.55, 0.35

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureFolder
+from taccel_lab.calibration.dots.layout import PITCH_X, PITCH_Y, LayoutFit
 from taccel_lab.calibration.markers.gel_view import (
     GelView,
     GridView,
@@ -15,7 +16,6 @@ from taccel_lab.calibration.markers.gel_view import (
     grid_view,
     pixel_jacobian,
 )
-from taccel_lab.calibration.markers.layout import PITCH_X, PITCH_Y, LayoutFit
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

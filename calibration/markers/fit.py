@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.folder import Frame, Video
 from taccel_lab.calibration.capture.video import cut_short
+from taccel_lab.calibration.dots.dots import Dots
+from taccel_lab.calibration.dots.lattice import renumbered
+from taccel_lab.calibration.dots.layout import LayoutFit, fit_layout
+from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.calibration.markers.choose_view import choose_view
-from taccel_lab.calibration.markers.dots import Dots
-from taccel_lab.calibration.markers.finding import MarkerPicture, find_markers
 from taccel_lab.calibration.markers.gel_view import GelView, pixel_jacobian
-from taccel_lab.calibration.markers.lattice import renumbered
-from taccel_lab.calibration.markers.layout import LayoutFit, fit_layout
 from taccel_lab.calibration.markers.remarks import layout_remarks, track_remarks
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.markers.track_figures import track_figures
@@ -23,38 +24,37 @@ from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
 
 
 def calibrate_markers(
-    folder: CaptureFolder,
-    profile: SensorProfile,
-    *,
-    progress: Callable[[str, int, int], None] | None = None,
+    folder: CaptureFolder, base: SensorProfile, progress: Progress = silent
 ) -> MarkerCalibration:
     """Find the dots at rest, fit their layout on the gel, and follow them through the videos.
 
     Args:
         folder: Captures; the picture at rest is the markers' own, or else the background.
-        profile: Profile of the sensor, for what pixels look at.
-        progress: Called with a video's name, frames done and frames in all.
+        base: Profile of the sensor, for what pixels look at.
 
     Raises:
         InputError: No picture, no dots, dots in no lattice, or frames of another size.
     """
     markers = folder.markers
     rest = markers.rest if markers is not None else folder.require_background()
+    progress("finding the dots", 0, 1)
     image = rest.image()
     try:
         picture = find_markers(image)
     except InputError as error:
         raise InputError(f"{rest.source}: {error}") from None
+    progress("finding the dots", 1, 1)
     if picture.layout_px is None:
         raise InputError(
             f"{rest.source}: the {picture.dots.count} dots form no lattice; a markers block "
             "describes square, rectangular or hexagonal grids"
         )
     height, width = image.shape[:2]
-    chosen = choose_view(folder, profile, picture.layout_px, (width, height))
+    chosen = choose_view(folder, base, picture.layout_px, (width, height))
     layout_mm = layout_on_gel(picture, chosen.view)
     radius_mm, radius_sigma = _radius_mm(picture.dots, chosen.view)
     videos = tuple(
@@ -117,24 +117,26 @@ def _radius_mm(dots: Dots, view: GelView) -> tuple[float, float]:
     radius = radius[np.isfinite(radius)]
     if len(radius) == 0:
         raise InputError("no whole dot lies where the camera sees the gel")
-    spread = float(np.median(np.abs(radius - np.median(radius)))) / 0.6745
+    spread = float(median_abs_deviation(radius, scale="normal"))
     return float(np.median(radius)), 1.2533 * spread / np.sqrt(len(radius))
 
 
-def _follow(
-    video: Video, picture: MarkerPicture, progress: Callable[[str, int, int], None] | None
-) -> TrackedVideo:
+def _follow(video: Video, picture: MarkerPicture, progress: Progress) -> TrackedVideo:
     name = video_name(video)
-
-    def step(done: int) -> None:
-        if progress is not None:
-            progress(name, done, video.frame_count)
-
     try:
-        tracks = track_markers(video.frames(), picture, progress=step)
+        tracks = track_markers(_told(video, name, progress), picture)
     except InputError as error:
         raise InputError(f"{video.source}: {error}") from None
     return TrackedVideo(name, video, tracks, track_figures(name, tracks))
+
+
+def _told(video: Video, name: str, progress: Progress) -> Iterator[np.ndarray]:
+    """The frames of a video; tells how many are done when the next is asked for."""
+    done = 0
+    for done, frame in enumerate(video.frames()):
+        progress(name, done, video.frame_count)
+        yield frame
+    progress(name, done + 1, video.frame_count)
 
 
 def video_name(video: Video) -> str:

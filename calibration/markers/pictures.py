@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.markers import dot_model as model
-from taccel_lab.calibration.markers.dots import DotFlag
+from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.calibration.dots.dots import DotFlag
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.markers.track_figures import marker_jitter_px
 from taccel_lab.report.style import (

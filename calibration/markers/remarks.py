@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.markers.dots import DotFlag
-from taccel_lab.calibration.markers.finding import MarkerPicture
-from taccel_lab.calibration.markers.layout import LayoutFit
+from taccel_lab.calibration.dots.dots import DotFlag
+from taccel_lab.calibration.dots.layout import LayoutFit
+from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.track_figures import TrackFigures
 from taccel_lab.calibration.result import Remark, Severity
 

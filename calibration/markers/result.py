@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import Video
-from taccel_lab.calibration.markers.dots import DotFlag
-from taccel_lab.calibration.markers.finding import MarkerPicture
-from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
-from taccel_lab.calibration.markers.gel_view import GelView
-from taccel_lab.calibration.markers.layout import (
+from taccel_lab.calibration.dots.dots import DotFlag
+from taccel_lab.calibration.dots.layout import (
     CENTRE_X,
     CENTRE_Y,
     PITCH_X,
@@ -21,6 +18,9 @@ from taccel_lab.calibration.markers.layout import (
     ROTATION,
     LayoutFit,
 )
+from taccel_lab.calibration.dots.marker_picture import MarkerPicture
+from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
+from taccel_lab.calibration.markers.gel_view import GelView
 from taccel_lab.calibration.markers.track_figures import TrackFigures
 from taccel_lab.calibration.markers.tracks import MarkerTracks
 from taccel_lab.calibration.result import Estimate, Remark, judge

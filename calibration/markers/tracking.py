@@ -10,18 +10,18 @@ the pitch, as long as neighbours move alike from frame to frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.markers import dot_model as model
+from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.calibration.dots.detection import detect_dots
+from taccel_lab.calibration.dots.dot_fit import fit_dots
+from taccel_lab.calibration.dots.dots import DotFlag, Dots
+from taccel_lab.calibration.dots.grey_picture import grey_levels
+from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.association import associate, by_lattice, disagreement
-from taccel_lab.calibration.markers.brightness import grey_levels
-from taccel_lab.calibration.markers.detection import detect_dots, dots_from_fit
-from taccel_lab.calibration.markers.dot_fit import fit_dots
-from taccel_lab.calibration.markers.dots import DotFlag, Dots
-from taccel_lab.calibration.markers.finding import MarkerPicture
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
 from taccel_lab.errors import InputError
@@ -41,19 +41,13 @@ _AGAIN = 0.3
 """A dot that is looked for again lies within so many pitches of its expected place."""
 
 
-def track_markers(
-    frames: Iterable[np.ndarray],
-    rest: MarkerPicture,
-    *,
-    progress: Callable[[int], None] | None = None,
-) -> MarkerTracks:
+def track_markers(frames: Iterable[np.ndarray], rest: MarkerPicture) -> MarkerTracks:
     """Follow the dots of ``rest`` through ``frames``.
 
     Args:
         frames: RGB or grey images in order, of the size of the picture at rest; the first has to
             be near rest (within half a pitch, or moved as a whole smoothly).
         rest: Dots at rest.
-        progress: Called with the number of frames done.
 
     Raises:
         InputError: Fewer than 4 dots at rest, no frame, or frames of another size.
@@ -77,8 +71,6 @@ def track_markers(
         places.append(tracker.uv.copy())
         sigmas.append(tracker.sigma.copy())
         statuses.append(tracker.status.copy())
-        if progress is not None:
-            progress(number + 1)
     if not places:
         raise InputError("the video holds no frame")
     return MarkerTracks(
@@ -181,10 +173,10 @@ class _Tracker:
         start[:, :2] = place[markers]
         others = place[seen[~strange]]
         fit = fit_dots(grey_levels(frame), start, free_shape=False, others=others)
-        good = fit.converged & np.isfinite(fit.covariance).all(axis=(1, 2))
+        good = fit.placed
         moved = np.abs(fit.uv_px - place[markers])
         place[markers[good]] = fit.uv_px[good]
-        spread = np.sqrt(np.einsum("nii->ni", fit.covariance[good]))
+        spread = fit.sigma_px[good]
         # What the two fits differ by is what the cover may have done to either.
         sigma[markers[good]] = np.hypot(spread, moved[good])
 
@@ -217,10 +209,9 @@ class _Tracker:
             return
         start = self.shape[wanted].copy()
         start[:, :2] = guess[wanted]
-        fit = fit_dots(grey_levels(frame), start, others=place[seen])
-        again = dots_from_fit(fit, self.scale, self.dots.size_px)
+        again = fit_dots(grey_levels(frame), start, others=place[seen])
         usual = self.dots.contrast[wanted]
-        good = fit.converged & (fit.seen > 0.4) & np.isfinite(fit.covariance).all(axis=(1, 2))
+        good = again.placed & (again.seen > 0.4)
         good &= again.contrast / usual > 0.35
         way = np.hypot(*(again.uv_px - guess[wanted]).T)
         good &= way < _AGAIN * self.around.pitch_px

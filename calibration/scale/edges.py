@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
+from taccel_lab.calibration.camera.board import hashes_by_name
 from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.schema import LineEntry
 from taccel_lab.calibration.result import Estimate, Remark, Severity
@@ -105,7 +105,7 @@ def scale_from_edges(
         "edge",
         Estimate(float(scale[0]), float(sigma[0]), "mm/px"),
         Estimate(float(scale[1]), float(sigma[1]), "mm/px"),
-        inputs=_hashes(chosen),
+        inputs=hashes_by_name([edge.frame for edge in chosen]),
         evidence={
             "correlation": float(covariance[0, 1] / (sigma[0] * sigma[1])),
             "edges": [
@@ -126,17 +126,6 @@ def scale_from_edges(
         remarks=tuple(remarks),
         refused=tuple(refused),
     )
-
-
-def _hashes(edges: Sequence[MeasuredEdge]) -> dict[str, str]:
-    """SHA-256 by file name, with its folder where files in several are named alike."""
-    names = Counter(edge.frame.name for edge in edges)
-    return {
-        edge.frame.name
-        if names[edge.frame.name] == 1
-        else "/".join(Path(edge.frame.source).parts[-2:]): edge.frame.sha256
-        for edge in edges
-    }
 
 
 def _lengths_mm(measured: Sequence[MeasuredEdge], scale: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taccel_lab.calibration.scale.edges import MeasuredEdge
-from taccel_lab.calibration.scale.fit import ScaleCalibration
+from taccel_lab.calibration.scale.result import ScaleCalibration
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import Any
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.calibration.scale.edges import measure_edges
-from taccel_lab.calibration.scale.fit import ScaleCalibration
 from taccel_lab.calibration.scale.pictures import draw_edge_lengths, draw_edges, draw_estimates
+from taccel_lab.calibration.scale.result import ScaleCalibration
 
 
 def scale_page(result: ScaleCalibration, folder: CaptureFolder) -> Page:

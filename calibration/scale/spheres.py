@@ -19,6 +19,7 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
@@ -141,23 +142,23 @@ def _with_depths(
     sigma = np.array([contact.sigma_px for contact in contacts])
     # a^2 s^2 = beta d (2 R - d): with q = s^2 / beta, a = sqrt(d (2R - d) / q).
     shape = np.sqrt(np.maximum(depth * (2 * ball - depth), 0.0))
-    root = np.array(1.0)
-    weights = 1 / sigma**2
-    for _ in range(5):
-        slope = float(np.sum(weights * radius * shape) / np.sum(weights * shape**2))
-        left = radius - slope * shape
-        spread = max(1.4826 * float(np.median(np.abs(left))), MIN_SIGMA_PX / 2)
-        weights = 1 / sigma**2 / (1 + (left / (3 * spread)) ** 2)
-        root = np.array(1.0 / slope)
+    start = float(np.median(radius / np.maximum(shape, 1e-9)))
+    spread = max(1.4826 * float(np.median(np.abs(radius - start * shape) / sigma)), 0.5)
+    slope = float(
+        least_squares(
+            lambda x: (radius - x[0] * shape) / sigma, [start], loss="cauchy", f_scale=3 * spread
+        ).x[0]
+    )
+    left = radius - slope * shape
     noise = max(1.0, float(np.sqrt(np.mean((left / sigma) ** 2))))
     slope_sigma = noise / np.sqrt(float(np.sum(shape**2 / sigma**2)))
     middle = np.sqrt(0.5 * (BETA[0] + BETA[1]))
-    value = float(root * middle)
+    value = float(middle / slope)
     own = value * slope_sigma / slope
     # Every beta in the range is possible: a uniform law for sqrt(beta).
-    by_beta = float(root) * (np.sqrt(BETA[1]) - np.sqrt(BETA[0])) / np.sqrt(12)
-    low = float(root) * np.sqrt(BETA[0]) - NORMAL_95 * own
-    high = float(root) * np.sqrt(BETA[1]) + NORMAL_95 * own
+    by_beta = (np.sqrt(BETA[1]) - np.sqrt(BETA[0])) / np.sqrt(12) / slope
+    low = np.sqrt(BETA[0]) / slope - NORMAL_95 * own
+    high = np.sqrt(BETA[1]) / slope + NORMAL_95 * own
     if estimate.upper_x is not None:
         high = max(min(high, estimate.upper_x), value)
     total = float(np.hypot(own, by_beta))

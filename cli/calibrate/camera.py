@@ -12,7 +12,7 @@ from tyro.conf import Positional
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.camera import CameraCalibration
+    from taccel_lab.calibration.camera.result import CameraCalibration
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,8 @@ class CalibrateCamera:
     def run(self) -> None:
         from rich.console import Console
 
-        from taccel_lab.calibration.camera import calibrate_camera, camera_page
+        from taccel_lab.calibration.camera.fit import CameraOptions, calibrate_camera
+        from taccel_lab.calibration.camera.report import camera_page
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import stage_progress
@@ -65,14 +66,8 @@ class CalibrateCamera:
         job = open_job(self.captures, self.out, self.base, self.report)
         folder = job.folder
         with stage_progress(job.console) as progress:
-            result = calibrate_camera(
-                folder,
-                job.base,
-                models=self.models,
-                folds=self.folds,
-                refraction=self.refraction,
-                progress=progress,
-            )
+            options = CameraOptions(self.models, self.folds, self.refraction)
+            result = calibrate_camera(folder, job.base, options, progress)
         job.write(result, camera_page(result, folder))
         if self.maps is not None:
             result.maps().save(self.maps)

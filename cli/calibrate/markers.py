@@ -43,25 +43,18 @@ class CalibrateMarkers:
     def run(self) -> None:
         from rich.console import Console
 
-        from taccel_lab.calibration.markers import calibrate_markers
+        from taccel_lab.calibration.markers.fit import calibrate_markers
         from taccel_lab.calibration.markers.report import marker_page
         from taccel_lab.calibration.markers.track_files import require_track_file, write_tracks
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import count_progress
+        from taccel_lab.cli.progress import stage_progress
 
         if self.tracks is not None:
             require_track_file(self.tracks)
         job = open_job(self.captures, self.out, self.base, self.report)
-        folder = job.folder
-        if folder.markers is None or not folder.markers.videos:
-            with job.console.status("finding the dots"):
-                result = calibrate_markers(folder, job.base)
-        else:
-            with count_progress(job.console, "following the dots") as bar:
-                result = calibrate_markers(
-                    folder, job.base, progress=lambda name, done, total: bar(done, total)
-                )
+        with stage_progress(job.console) as progress:
+            result = calibrate_markers(job.folder, job.base, progress)
         if self.tracks is not None:
             write_tracks(self.tracks, {v.name: v.tracks for v in result.videos}, result.flows())
         if self.json:

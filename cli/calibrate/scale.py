@@ -12,7 +12,7 @@ from tyro.conf import Positional
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.scale import ScaleCalibration
+    from taccel_lab.calibration.scale.result import ScaleCalibration
 
 
 @dataclass(frozen=True)
@@ -38,18 +38,16 @@ class CalibrateScale:
     def run(self) -> None:
         from rich.console import Console
 
-        from taccel_lab.calibration.scale import calibrate_scale, scale_page
+        from taccel_lab.calibration.scale.fit import calibrate_scale
+        from taccel_lab.calibration.scale.report import scale_page
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import stage_progress
 
         job = open_job(self.captures, self.out, self.base, self.report)
-        folder = job.folder
         with stage_progress(job.console) as progress:
-            # Held-out presses say nothing before the colours are scored, the scale included.
-            result = calibrate_scale(folder.fitted(), job.base, progress=progress)
-        _ = result.scale  # Refuses captures that only limit the scale before anything is written.
-        job.write(result, scale_page(result, folder))
+            result = calibrate_scale(job.folder, job.base, progress)
+        job.write(result, scale_page(result, job.folder))
         if self.json:
             print_json({"profile": str(self.out), "scale": result.figures()})
         else:

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.synthetic import add_noise, quantise
-from taccel_lab.calibration.synthetic.boards import (
+from taccel_lab.cli.app import main
+from taccel_lab.profile import load_profile
+from tests.calibration.drawn.boards import (
     chess_pattern,
     dot_pattern,
     pose_over,
     render_board,
 )
-from taccel_lab.cli.app import main
-from taccel_lab.profile import load_profile
+from tests.calibration.drawn.faults import add_noise, quantise
 from tests.calibration.scale.test_agreement import write_folder
 from tests.cli.small_captures import write_profile
 

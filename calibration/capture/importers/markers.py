@@ -13,6 +13,7 @@ from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import images_in
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.video import read_video
+from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv")
@@ -65,9 +66,6 @@ def _distance(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _shows_dots(path: Path) -> bool:
-    # Loaded here: the detector's package reads capture folders itself.
-    from taccel_lab.calibration.markers.finding import find_markers
-
     try:
         find_markers(read_image(path))
     except InputError:

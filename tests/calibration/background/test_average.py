@@ -8,8 +8,8 @@ import pytest
 
 from taccel_lab.calibration.background import Drift, average_background
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.synthetic import add_noise, quantise
 from tests.calibration.contacts.presses import GRID, gel, pressed
+from tests.calibration.drawn.faults import add_noise, quantise
 
 STILL = Drift(np.ones(3), np.zeros(3))
 CONTACT = ContactCircle(45.0, 75.0, 18.0)

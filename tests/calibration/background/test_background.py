@@ -20,7 +20,9 @@ from taccel_lab.calibration.background.dust import dust_mask, speck_count
 from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.capture import ContactCircle, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
-from taccel_lab.calibration.synthetic import (
+from taccel_lab.errors import InputError
+from tests.calibration.contacts.presses import BALL_MM, GRID, gel, pressed, scattered
+from tests.calibration.drawn.faults import (
     add_dust,
     add_gradient,
     add_noise,
@@ -28,8 +30,6 @@ from taccel_lab.calibration.synthetic import (
     poison,
     quantise,
 )
-from taccel_lab.errors import InputError
-from tests.calibration.contacts.presses import BALL_MM, GRID, gel, pressed, scattered
 from tests.calibration.synthetic import tiny_profile
 
 

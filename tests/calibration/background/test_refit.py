@@ -13,10 +13,10 @@ from taccel_lab.calibration.background.refit import Refit, refit_profile
 from taccel_lab.calibration.background.refit_report import refit_page
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.surfaces import analytic_surface
-from taccel_lab.calibration.synthetic import add_gradient, add_noise, drift, poison, quantise
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+from tests.calibration.drawn.faults import add_gradient, add_noise, drift, poison, quantise
 from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, flat_background, tiny_profile
 
 GAIN = np.array([0.7, 0.9, 1.0])

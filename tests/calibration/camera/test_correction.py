@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.gel_plane import correct_plane, fit_planes
+from taccel_lab.calibration.camera.plane_fit import correct_plane, fit_planes
 from taccel_lab.calibration.camera.plane_models import BentHomography
 
 SIZE, SHAPE, NOISE_PX = (300, 300), (9, 7), 0.3

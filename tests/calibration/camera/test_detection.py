@@ -9,17 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.camera import calibrate_camera
 from taccel_lab.calibration.camera.charuco import charuco_board, detect_charuco
 from taccel_lab.calibration.camera.chessboard import detect_chessboard
-from taccel_lab.calibration.camera.detect import detect_views
-from taccel_lab.calibration.camera.dots import detect_dots
+from taccel_lab.calibration.camera.dot_board import detect_dots, detect_pins
+from taccel_lab.calibration.camera.find_boards import detect_views
+from taccel_lab.calibration.camera.fit import calibrate_camera
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.camera.pins import detect_pins
 from taccel_lab.calibration.capture.folder import BoardCaptures, CaptureFolder, Frame
 from taccel_lab.calibration.capture.schema import BoardEntry
-from taccel_lab.calibration.synthetic import add_gradient, add_noise, blur, quantise, vignette
-from taccel_lab.calibration.synthetic.boards import (
+from taccel_lab.errors import InputError
+from taccel_lab.sensors.profile import catalogue_profile
+from tests.calibration.drawn.boards import (
     chess_pattern,
     dot_pattern,
     image_pattern,
@@ -27,8 +27,7 @@ from taccel_lab.calibration.synthetic.boards import (
     pose_over,
     render_board,
 )
-from taccel_lab.errors import InputError
-from taccel_lab.sensors.profile import catalogue_profile
+from tests.calibration.drawn.faults import add_gradient, add_noise, blur, quantise, vignette
 
 SIZE = (320, 240)
 LENS = LENSES["k1"]

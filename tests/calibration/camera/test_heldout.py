@@ -8,15 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.camera import calibrate_intrinsics, detect_views
-from taccel_lab.calibration.camera.bundle import rms
+from taccel_lab.calibration.camera.find_boards import detect_views
 from taccel_lab.calibration.camera.heldout import fold_of_views
+from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
+from taccel_lab.calibration.camera.robust import rms
 from taccel_lab.calibration.capture.folder import BoardCaptures, Frame
 from taccel_lab.calibration.capture.schema import BoardEntry
-from taccel_lab.calibration.synthetic import add_noise, quantise
-from taccel_lab.calibration.synthetic.boards import chess_pattern, pose_over, render_board
 from tests.calibration.camera.views import TRUTHS, views_of
+from tests.calibration.drawn.boards import chess_pattern, pose_over, render_board
+from tests.calibration.drawn.faults import add_noise, quantise
 
 FOLDS = 3
 

@@ -13,16 +13,16 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.camera import calibrate_intrinsics
 from taccel_lab.calibration.camera.bundle import fit_bundle, initial_pose
 from taccel_lab.calibration.camera.chessboard import detect_chessboard
+from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.calibration.result import Severity, judge
-from taccel_lab.calibration.synthetic.boards import exact_view, pose_over
 from taccel_lab.errors import InputError
 from taccel_lab.optics.camera_model import CameraModel
 from tests.calibration.camera.views import COLUMNS, PITCH, ROWS, SIZE, TRUTHS, views_of
+from tests.calibration.drawn.boards import exact_view, pose_over
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
 OSAKA = DATA / "gelsight_osaka_photon26" / "fisheye" / "cam2"

@@ -14,16 +14,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from taccel_lab.calibration.camera import calibrate_intrinsics, fit_on_gel, gel_maps
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.dots import detect_dots
+from taccel_lab.calibration.camera.board_on_gel import fit_on_gel
+from taccel_lab.calibration.camera.dot_board import detect_dots
+from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.plane_models import CameraPose
+from taccel_lab.calibration.camera.rectification import gel_maps
 from taccel_lab.calibration.capture.images import read_image
-from taccel_lab.calibration.synthetic.boards import exact_view, lattice_points, pose_over
 from taccel_lab.errors import InputError
 from taccel_lab.optics.refraction import FlatMedia
 from tests.calibration.camera.views import SIZE, TRUTHS, views_of
+from tests.calibration.drawn.boards import exact_view, lattice_points, pose_over
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
 NINE = DATA / "9dtact_official" / "shape_reconstruction" / "calibration"

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.bundle import HUBER, huber_weights
-from taccel_lab.calibration.camera.gel_plane import fit_planes
+from taccel_lab.calibration.camera.plane_fit import fit_planes
 from taccel_lab.calibration.camera.plane_models import BentHomography
+from taccel_lab.calibration.camera.robust import HUBER, huber_weights
 
 
 def test_weights_fall_from_the_stated_length_on() -> None:

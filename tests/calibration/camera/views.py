@@ -7,7 +7,7 @@ import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.synthetic.boards import exact_view, pose_over
+from tests.calibration.drawn.boards import exact_view, pose_over
 
 SIZE = (640, 480)
 TRUTHS = {

@@ -14,7 +14,6 @@ from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.check import CaptureCheck, check_captures, check_page
 from taccel_lab.calibration.check.findings import Finding
 from taccel_lab.calibration.result import Severity
-from taccel_lab.calibration.synthetic import blur, drift
 from tests.calibration.capture.capture_sets import (
     HEIGHT,
     WIDTH,
@@ -23,6 +22,7 @@ from tests.calibration.capture.capture_sets import (
     press,
     spread_circles,
 )
+from tests.calibration.drawn.faults import blur, drift
 
 
 def check(maker: CaptureMaker, folder: Path) -> CaptureCheck:

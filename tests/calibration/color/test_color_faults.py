@@ -19,8 +19,8 @@ from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.result import Severity, Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface
-from taccel_lab.calibration.synthetic import add_noise, blur, drift, quantise, vignette
 from taccel_lab.errors import InputError
+from tests.calibration.drawn.faults import add_noise, blur, drift, quantise, vignette
 from tests.calibration.synthetic import calibrated, synthetic_captures
 
 QUICK = ColorFitOptions(

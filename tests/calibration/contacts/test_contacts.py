@@ -19,7 +19,10 @@ from taccel_lab.calibration.contacts import (
 )
 from taccel_lab.calibration.contacts.ball_check import check_ball
 from taccel_lab.calibration.contacts.slope_law import SKIRT, hertz_slope, slope_law
-from taccel_lab.calibration.synthetic import (
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from tests.calibration.contacts.presses import BALL_MM, GRID, gel, press_set, pressed, scattered
+from tests.calibration.drawn.faults import (
     add_dust,
     add_gradient,
     add_noise,
@@ -29,9 +32,6 @@ from taccel_lab.calibration.synthetic import (
     quantise,
     vignette,
 )
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid
-from tests.calibration.contacts.presses import BALL_MM, GRID, gel, press_set, pressed, scattered
 
 
 def offsets(captures: CaptureSet) -> np.ndarray:

@@ -26,9 +26,9 @@ from taccel_lab.calibration.contacts.agreement import LabelAgreement, agreement
 from taccel_lab.calibration.contacts.ball import DetectedContact
 from taccel_lab.calibration.contacts.change import color_change
 from taccel_lab.calibration.contacts.rough import fit_drop
-from taccel_lab.calibration.synthetic import add_noise, quantise
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.contacts.presses import press_set, pressed, scattered
+from tests.calibration.drawn.faults import add_noise, quantise
 
 DATA = Path(
     os.environ.get("TACCEL_LAB_DATA", Path(__file__).resolve().parents[4] / "shared" / "data")

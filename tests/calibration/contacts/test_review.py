@@ -15,10 +15,10 @@ from taccel_lab.calibration.capture import CaptureSet, ContactCircle, load_captu
 from taccel_lab.calibration.capture.overrides import read_overrides, with_overrides
 from taccel_lab.calibration.contacts import choose_circles, resolve_contacts
 from taccel_lab.calibration.contacts.review import review_contacts, write_review
-from taccel_lab.calibration.synthetic import add_noise, quantise
 from taccel_lab.cli.capture.review import CaptureReview
 from taccel_lab.errors import InputError
 from tests.calibration.contacts.presses import BALL_MM, GRID, gel, press_set, pressed, scattered
+from tests.calibration.drawn.faults import add_noise, quantise
 
 
 @pytest.fixture

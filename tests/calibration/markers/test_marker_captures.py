@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture.images import read_image
-from taccel_lab.calibration.markers import find_markers, track_figures, track_markers
+from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.markers.track_figures import track_figures
+from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.errors import InputError
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))

@@ -9,20 +9,19 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureFolder
-from taccel_lab.calibration.markers import (
+from taccel_lab.calibration.dots.lattice import lattice_index
+from taccel_lab.calibration.dots.layout import fit_layout
+from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.markers.choose_view import choose_view
+from taccel_lab.calibration.markers.fit import layout_on_gel
+from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
+from taccel_lab.calibration.markers.gel_view import (
     CameraView,
     GridView,
-    MarkerTracks,
     camera_view,
-    choose_view,
-    find_markers,
-    fit_layout,
-    lattice_index,
-    marker_flow_mm,
+    pixel_jacobian,
 )
-from taccel_lab.calibration.markers.fit import layout_on_gel
-from taccel_lab.calibration.markers.flow import MarkerFlow
-from taccel_lab.calibration.markers.gel_view import pixel_jacobian
+from taccel_lab.calibration.markers.tracks import MarkerTracks
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
@@ -32,7 +31,7 @@ from taccel_lab.optics.media import media_between
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.profile import Provenance
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.calibration.markers.drawn import grid_points
+from tests.calibration.drawn.dot_grids import grid_points
 
 GRID_VIEW = GridView(PixelGrid(320, 240, 0.06, 0.05), "a test")
 

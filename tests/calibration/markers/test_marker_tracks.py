@@ -8,18 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.markers import (
-    MarkerTracks,
-    Status,
-    find_markers,
-    track_figures,
-    track_markers,
-)
+from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 from taccel_lab.calibration.markers.remarks import track_remarks
+from taccel_lab.calibration.markers.track_figures import track_figures
+from taccel_lab.calibration.markers.tracking import track_markers
+from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
 from taccel_lab.calibration.result import Severity
 from taccel_lab.errors import InputError
-from tests.calibration.markers.drawn import HEIGHT, WIDTH, grid_points, picture
+from tests.calibration.drawn.dot_grids import HEIGHT, WIDTH, grid_points, picture
 
 PITCH = 30.0
 REST = grid_points(9, 13, (PITCH, PITCH), centre=(160.0, 119.0))

@@ -22,11 +22,11 @@ from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_m
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.result import Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
-from taccel_lab.calibration.synthetic import drift as light_drift
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.normal_model import rotate_from_z
+from tests.calibration.drawn.faults import drift as light_drift
 from tests.calibration.synthetic import (
     BALL_RADIUS_MM,
     GRID,

@@ -14,12 +14,15 @@ from hypothesis import strategies as st
 from taccel_lab.calibration.capture.captures import ContactCircle, Press
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.result import Estimate, judge
-from taccel_lab.calibration.scale import calibrate_scale, combine_axis
+from taccel_lab.calibration.scale.combine import combine_axis
+from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.calibration.scale.landmarks import fit_map, scale_of_map
+from taccel_lab.calibration.scale.result import ScaleCalibration
 from taccel_lab.calibration.scale.spheres import BETA, BallContact, scale_from_spheres
-from taccel_lab.calibration.synthetic import add_noise, quantise
 from taccel_lab.errors import InputError
+from tests.calibration.drawn.faults import add_noise, quantise
 from tests.calibration.scale.test_edges import BACKGROUND, edges_at
+from tests.calibration.synthetic import GRID, tiny_profile
 
 
 @settings(max_examples=30, deadline=None)
@@ -144,9 +147,13 @@ def write_folder(
     return folder
 
 
+def calibrated(folder: Path) -> ScaleCalibration:
+    return calibrate_scale(load_capture_folder(folder), tiny_profile(GRID))
+
+
 def test_three_kinds_of_captures_agree(tmp_path: Path) -> None:
     truth = (0.085, 0.082)
-    result = calibrate_scale(load_capture_folder(write_folder(tmp_path / "ok", truth, ball_mm=8.0)))
+    result = calibrated(write_folder(tmp_path / "ok", truth, ball_mm=8.0))
     assert {e.method for e in result.estimates} == {"edge", "markers", "landmarks", "spheres"}
     for axis, wanted in zip("xy", truth, strict=True):
         found = result.axes[axis]
@@ -159,7 +166,7 @@ def test_three_kinds_of_captures_agree(tmp_path: Path) -> None:
 def test_a_wrong_pitch_and_a_wrong_ball_are_said_to_be_so(tmp_path: Path) -> None:
     """Markers stated 12 % too far apart; a ball whose contacts are larger than itself."""
     folder = write_folder(tmp_path / "bad", (0.085, 0.082), marker_error=1.12, ball_mm=2.0)
-    result = calibrate_scale(load_capture_folder(folder))
+    result = calibrated(folder)
     codes = [remark.code for remark in result.remarks]
     assert codes.count("scale_disagrees") == 2 and "ball_too_small" in codes
     worst = max(result.axes["x"].pairs.items(), key=lambda item: abs(item[1]))
@@ -172,13 +179,13 @@ def test_folders_without_known_lengths_are_refused(tmp_path: Path) -> None:
     manifest = tmp_path / "captures.toml"
     manifest.write_text('schema_version = 2\nsensor = "gelsight"\nbackground = "b.png"\n')
     with pytest.raises(InputError, match="nothing of known length"):
-        calibrate_scale(load_capture_folder(tmp_path))
+        calibrated(tmp_path)
     manifest.write_text(
         'schema_version = 2\nsensor = "gelsight"\nbackground = "b.png"\n'
         '[indenter]\nradius_mm = 4.0\n[[presses]]\nimage = "b.png"\n'
         "contact = {u_px = 100.0, v_px = 100.0, radius_px = 40.0}\n"
     )
-    result = calibrate_scale(load_capture_folder(tmp_path))
+    result = calibrated(tmp_path)
     with pytest.raises(InputError, match=r"only limit it to 0\.10"):
         _ = result.scale
 
@@ -192,7 +199,7 @@ def test_a_stated_scale_is_taken_with_a_warning_and_checked_by_the_ball(tmp_path
             f'[indenter]\nradius_mm = {ball_mm}\n[[presses]]\nimage = "b.png"\n'
             "contact = {u_px = 100.0, v_px = 100.0, radius_px = 40.0}\n"
         )
-        result = calibrate_scale(load_capture_folder(tmp_path))
+        result = calibrated(tmp_path)
         assert result.scale == (0.05, 0.051)
         codes = [remark.code for remark in result.remarks]
         assert "scale_stated" in codes and ("ball_too_small" in codes) is contradicts

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.calibration.capture.schema import EdgeEntry, LineEntry
-from taccel_lab.calibration.scale import find_edge
+from taccel_lab.calibration.scale.edge_line import find_edge
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
-from taccel_lab.calibration.synthetic import add_dust, add_noise, blur, poison, quantise
 from taccel_lab.errors import InputError
+from tests.calibration.drawn.faults import add_dust, add_noise, blur, poison, quantise
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
 CUBE = DATA / "gsmini_cube_edges"

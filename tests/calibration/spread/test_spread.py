@@ -8,7 +8,6 @@ import pytest
 
 from taccel_lab.calibration.background.drift import fit_robust_drift
 from taccel_lab.calibration.spread import calibrate_spread, spread_of_units
-from taccel_lab.calibration.synthetic import add_noise, quantise
 from taccel_lab.errors import InputError
 from taccel_lab.profile import (
     BackgroundBlock,
@@ -17,6 +16,7 @@ from taccel_lab.profile import (
     SensorProfile,
 )
 from taccel_lab.signals.perturbation import draw_perturbation
+from tests.calibration.drawn.faults import add_noise, quantise
 from tests.calibration.synthetic import GRID, flat_background, tiny_profile
 
 ASSUMED = Provenance(kind="assumed", method="made up for a test", source="none")

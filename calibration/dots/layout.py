@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from taccel_lab.calibration.markers.lattice import Lattice
+from taccel_lab.calibration.dots.lattice import Lattice
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import lattice_middle, lattice_steps
 

@@ -7,9 +7,9 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.camera.dots import MIN_SHARE
-from taccel_lab.calibration.camera.lattice import index_lattice
-from taccel_lab.calibration.synthetic.boards import lattice_points
+from taccel_lab.calibration.camera.dot_board import MIN_SHARE
+from taccel_lab.calibration.dots.board_lattice import board_lattice
+from tests.calibration.drawn.boards import lattice_points
 
 COLUMNS, ROWS = 9, 7
 
@@ -36,7 +36,7 @@ def test_every_point_gets_its_neighbours_index(angle: float, bend: float, seed: 
     kept = rng.permutation(len(sites))[: 2 * len(sites) // 3]
     uv = bent(sites[kept], angle, bend) + rng.normal(0, 0.3, (len(kept), 2))
     dirt = rng.uniform(60, 580, (6, 2))
-    found = index_lattice(np.vstack([uv, dirt]), COLUMNS, ROWS)
+    found = board_lattice(np.vstack([uv, dirt]), COLUMNS, ROWS)
     assert found is not None
     real = found.points < len(kept)
     assert real.sum() >= 0.85 * len(kept)
@@ -50,10 +50,10 @@ def test_every_point_gets_its_neighbours_index(angle: float, bend: float, seed: 
 
 def test_a_line_beyond_the_board_is_told_from_dirt() -> None:
     sites = lattice_points(COLUMNS + 1, ROWS)
-    found = index_lattice(bent(sites, 0.1, 0.0), COLUMNS, ROWS)
+    found = board_lattice(bent(sites, 0.1, 0.0), COLUMNS, ROWS)
     assert found is not None and found.strangers == ROWS
     dirt = np.vstack([bent(lattice_points(COLUMNS, ROWS), 0.1, 0.0), [[322.0, 445.0]]])
-    found = index_lattice(dirt, COLUMNS, ROWS)
+    found = board_lattice(dirt, COLUMNS, ROWS)
     assert found is not None and found.strangers == 0 and len(found.points) >= COLUMNS * ROWS
 
 
@@ -61,6 +61,6 @@ def test_no_lattice_among_random_points() -> None:
     """What random points hold is too few of a board, or too crooked, for any detector."""
     for seed in range(20):
         points = np.random.default_rng(seed).uniform(0, 600, (40, 2))
-        found = index_lattice(points, COLUMNS, ROWS)
+        found = board_lattice(points, COLUMNS, ROWS)
         assert found is None or len(found.points) < MIN_SHARE * COLUMNS * ROWS
-    assert index_lattice(np.zeros((3, 2)), 3, 3) is None
+    assert board_lattice(np.zeros((3, 2)), 3, 3) is None

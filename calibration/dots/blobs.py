@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.markers.brightness import (
+from taccel_lab.calibration.dots.grey_picture import (
     bright_level,
     grey_levels,
     local_contrast,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,11 +12,11 @@ import numpy as np
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.charuco import detect_charuco
 from taccel_lab.calibration.camera.chessboard import detect_chessboard
-from taccel_lab.calibration.camera.dots import detect_dots
-from taccel_lab.calibration.camera.pins import detect_pins
+from taccel_lab.calibration.camera.dot_board import detect_dots, detect_pins
 from taccel_lab.calibration.capture.folder import BoardCaptures
 from taccel_lab.calibration.capture.schema import BoardEntry
 from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,7 @@ def detect_board(
 
 
 def detect_views(
-    boards: Sequence[BoardCaptures],
-    *,
-    progress: Callable[[int, int], None] | None = None,
+    boards: Sequence[BoardCaptures], task: str = "finding boards", progress: Progress = silent
 ) -> Detections:
     """Detect every view of some boards.
 
@@ -95,8 +93,7 @@ def detect_views(
                 )
             except InputError as error:
                 refused.append(str(error))
-            if progress is not None:
-                progress(len(views) + len(refused), total)
+            progress(task, len(views) + len(refused), total)
     views, mirrored, warnings = _without_mirrored(views)
     refused += mirrored
     if total and not views:

@@ -15,22 +15,19 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.markers.lattice_growth import (
+from taccel_lab.calibration.dots.lattice_growth import (
     Growth,
     grow,
     leave_one_out,
     places_within,
     shortest_basis,
+    symmetric_seeds,
 )
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import lattice_steps
 
 Kind = Literal["rectangular", "hexagonal", "none"]
 
-_SEEDS = 10
-_SYMMETRIC = 0.25
-"""Opposite neighbours are opposite within this share of their distance."""
-_MIN_SINE = 0.45
 _ENOUGH = 0.9
 """Share of the points that a numbering explains for the search to end."""
 _FULL = 0.75
@@ -57,7 +54,10 @@ class Lattice:
     stagger: float
     """Shift of odd rows in pitches along the row: 0, or +-0.5 in a hexagonal lattice."""
     irregularity: float
-    """Median error, in pitches, of predicting a point from the points around it."""
+    """Median error, in pitches, of predicting a point from the points around it; of a board, root
+    mean square error of a smooth map."""
+    strangers: int = 0
+    """Of a board: points in whole rows and columns beyond its size."""
 
     @property
     def rows(self) -> int:
@@ -71,6 +71,21 @@ class Lattice:
     def numbered(self) -> np.ndarray:
         """Points that belong to the lattice, bool, shape [point]."""
         return self.row >= 0
+
+    @property
+    def count(self) -> int:
+        """How many points are numbered."""
+        return int(self.numbered.sum())
+
+    @property
+    def points(self) -> np.ndarray:
+        """Which points are numbered, int, shape [n]."""
+        return np.flatnonzero(self.numbered)
+
+    @property
+    def index(self) -> np.ndarray:
+        """Column and row of the numbered points, int, shape [n, 2]."""
+        return np.column_stack([self.column, self.row])[self.numbered]
 
     def steps(self) -> np.ndarray:
         """Columns and rows as numbers, with the shift of odd rows, float, shape [point, 2]."""
@@ -122,7 +137,7 @@ def lattice_index(points: np.ndarray) -> Lattice:
     score = 0.0
     if len(points) >= _LEAST:
         tree = KDTree(points)
-        for seed, a, b in _seeds(points, tree):
+        for seed, a, b in symmetric_seeds(points, tree):
             found = grow(points, tree, seed, a, b)
             # A stray point amid four others seeds a lattice twice as fine, on which those four
             # and the stray lie: more points are explained, but half of the places are empty.
@@ -146,49 +161,6 @@ def lattice_index(points: np.ndarray) -> Lattice:
 def _nothing(count: int) -> Lattice:
     none = np.full(count, -1)
     return Lattice(none, none.copy(), "none", np.full((2, 2), np.nan), 0.0, np.inf)
-
-
-def _seeds(points: np.ndarray, tree: KDTree) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """Points with two pairs of opposite neighbours, the most symmetric first, and their basis."""
-    found = []
-    near = np.asarray(tree.query(points, k=min(13, len(points)))[1])
-    for n in range(len(points)):
-        vectors = points[near[n, 1:]] - points[n]
-        basis = _basis(vectors)
-        if basis is not None:
-            a, b, miss = basis
-            found.append((miss, n, a, b))
-    found.sort(key=lambda item: item[0])
-    # Spread over the ranks: the most symmetric few may all sit in one odd corner.
-    chosen = (
-        [found[k] for k in np.unique(np.linspace(0, len(found) - 1, _SEEDS).astype(int))]
-        if (found)
-        else []
-    )
-    return [(n, a, b) for _, n, a, b in chosen]
-
-
-def _basis(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """The two shortest independent steps that exist in both directions, and their asymmetry."""
-    length = np.hypot(vectors[:, 0], vectors[:, 1])
-    order = np.argsort(length)
-    pairs: list[tuple[np.ndarray, float]] = []
-    for k in order:
-        if length[k] <= 0:
-            return None
-        miss = np.hypot(*(vectors + vectors[k]).T)
-        other = int(np.argmin(miss))
-        if miss[other] > _SYMMETRIC * length[k]:
-            continue
-        step = 0.5 * (vectors[k] - vectors[other])
-        if not pairs:
-            pairs.append((step, miss[other] / length[k]))
-            continue
-        a = pairs[0][0]
-        sine = abs(a[0] * step[1] - a[1] * step[0]) / (np.hypot(*a) * np.hypot(*step))
-        if sine > _MIN_SINE:
-            return a, step, max(pairs[0][1], miss[other] / length[k])
-    return None
 
 
 def _canonical(points: np.ndarray, growth: Growth, irregularity: float) -> Lattice:

@@ -11,19 +11,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
-from taccel_lab.calibration.markers.brightness import grey_levels
-from taccel_lab.calibration.markers.detection import (
+from taccel_lab.calibration.dots.blobs import DotScale, scale_candidates
+from taccel_lab.calibration.dots.detection import (
     detect_dots,
-    dots_from_fit,
+    dots_of,
     start_parameters,
     strong_blobs,
 )
-from taccel_lab.calibration.markers.dot_fit import fit_dots
-from taccel_lab.calibration.markers.dots import DotFlag, Dots
-from taccel_lab.calibration.markers.lattice import Lattice, lattice_index, renumbered
-from taccel_lab.calibration.markers.layout import LayoutFit, fit_layout
-from taccel_lab.calibration.markers.scale_space import DotScale, scale_candidates
+from taccel_lab.calibration.dots.dot_fit import fit_dots
+from taccel_lab.calibration.dots.dots import DotFlag, Dots
+from taccel_lab.calibration.dots.grey_picture import grey_levels
+from taccel_lab.calibration.dots.lattice import Lattice, lattice_index, renumbered
+from taccel_lab.calibration.dots.layout import PITCH_X, PITCH_Y, LayoutFit, fit_layout
 from taccel_lab.errors import InputError
 
 MIN_DOTS = 9
@@ -73,6 +74,25 @@ def find_markers(image: np.ndarray) -> MarkerPicture:
     raise InputError("no dots found: " + _why_not(best))
 
 
+def marker_pitch_px(image: np.ndarray) -> tuple[float, float, float]:
+    """Mean distance of neighbouring dots along the rows and across them, and its uncertainty.
+
+    Args:
+        image: RGB or grey levels at rest, shape [height_px, width_px] or [.., 3].
+
+    Returns:
+        Pitch along the row direction nearest to +u and across it [px], and the larger of their
+        standard deviations [px]. In a hexagonal lattice the second is the distance of the rows.
+
+    Raises:
+        InputError: No dots, or dots that form no lattice.
+    """
+    layout = find_markers(image).layout_px
+    if layout is None:
+        raise InputError("the dots in the picture form no lattice, so that they have no pitch")
+    return *layout.pitch, max(layout.sigma(PITCH_X), layout.sigma(PITCH_Y))
+
+
 def _regular(image: np.ndarray, scale: DotScale) -> bool:
     """Whether very many blobs look like dots before any is fitted: part of them forms a lattice,
     or they stand far above the rest. Noise makes thousands of blobs of any small size."""
@@ -102,8 +122,7 @@ def _accept(dots: Dots, scale: DotScale) -> MarkerPicture | None:
 
 def _alike(dots: Dots) -> bool:
     """Whether dots have one size: the middle two thirds within 20 % of the median; dirt has not."""
-    size = np.log(dots.radius_px)
-    return bool(np.median(np.abs(size - np.median(size))) / 0.6745 < _ONE_SIZE)
+    return bool(median_abs_deviation(np.log(dots.radius_px), scale="normal") < _ONE_SIZE)
 
 
 def _numbered(dots: Dots, lattice: Lattice) -> MarkerPicture:
@@ -141,21 +160,20 @@ def _completed(image: np.ndarray, picture: MarkerPicture) -> MarkerPicture:
     places = _local_places(dots, lattice, np.array(picture.layout_px.missing))
     start = start_parameters(places, float(np.median(dots.radius_px)))
     fit = fit_dots(grey_levels(image), start, others=dots.uv_px)
-    found = dots_from_fit(fit, dots.scale, dots.size_px)
+    odd = np.full(fit.count, np.uint8(DotFlag.ODD))
+    found = dots_of(fit, odd, dots.scale, dots.size_px)
     usual = float(np.median(np.abs(dots.contrast)))
     radius = float(np.median(dots.radius_px))
     off = np.hypot(*(found.uv_px - places).T)
     gap = np.hypot(*(found.uv_px[:, None] - dots.uv_px[None]).T).min(axis=0)
-    good = fit.converged & (np.sign(found.contrast) == dots.scale.sign)
+    good = found.placed & (np.sign(found.contrast) == dots.scale.sign)
     good &= np.abs(found.contrast) > max(_FAINT * usual, _MIN_CONTRAST)
     good &= (off < 0.25 * min(picture.layout_px.pitch)) & (gap > radius)
     good &= np.abs(np.log(found.radius_px / radius)) < np.log(1.6)
-    good &= (fit.seen > 0.5) & np.isfinite(found.covariance_px2).all(axis=(1, 2))
+    good &= found.seen > 0.5
     if not good.any():
         return picture
-    new = found.select(np.flatnonzero(good))
-    new = replace(new, flags=np.full(new.count, np.uint8(DotFlag.ODD)))
-    joined = _join(dots, new)
+    joined = dots.joined(found.select(np.flatnonzero(good)))
     numbers = np.array(picture.layout_px.missing)[good]
     lattice = replace(
         lattice,
@@ -163,14 +181,6 @@ def _completed(image: np.ndarray, picture: MarkerPicture) -> MarkerPicture:
         column=np.concatenate([lattice.column, numbers[:, 1]]),
     )
     return _numbered(joined, lattice)
-
-
-def _join(first: Dots, second: Dots) -> Dots:
-    names = ("uv_px", "covariance_px2", "axes_px", "contrast", "seen", "flags", "parameters")
-    return replace(
-        first,
-        **{name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in names},
-    )
 
 
 def _in_view(dots: Dots, lattice: Lattice) -> np.ndarray:

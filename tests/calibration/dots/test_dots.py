@@ -6,17 +6,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.markers import DotFlag, find_markers, marker_pitch_px
-from taccel_lab.calibration.markers import dot_model as model
-from taccel_lab.calibration.synthetic import (
-    add_dust,
-    add_gradient,
-    disc_coverage,
-    draw_dots,
-    vignette,
-)
+from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.calibration.dots.dots import DotFlag
+from taccel_lab.calibration.dots.marker_picture import find_markers, marker_pitch_px
 from taccel_lab.errors import InputError
-from tests.calibration.markers.drawn import HEIGHT, WIDTH, grid_points, nearest, picture
+from tests.calibration.drawn.discs import disc_coverage, draw_dots
+from tests.calibration.drawn.dot_grids import HEIGHT, WIDTH, grid_points, nearest, picture
+from tests.calibration.drawn.faults import add_dust, add_gradient, vignette
 
 
 def jittered(seed: int = 1, **grid: object) -> np.ndarray:

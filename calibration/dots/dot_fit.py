@@ -3,6 +3,9 @@
 
 All dots of a picture are fitted at once (Levenberg and Marquardt). Pixels far off the model, such
 as glints and scratches, lose weight (Huber's); pixels that are nearer to another dot have none.
+``scipy.optimize.least_squares`` with the same loss finds the same centres (79 dots of a GelSight
+Mini: 3e-5 px apart at the median) dot by dot in five times the time, 0.40 s against 0.074 s, and a
+video asks for them frame by frame.
 """
 
 from __future__ import annotations
@@ -12,8 +15,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.markers import dot_model as model
-from taccel_lab.calibration.markers.dot_problem import DotProblem
+from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.calibration.dots.dots import DotFit
 
 _SMOOTH_PX = 0.6
 """Blur before the fit: a step between pixels is no soft edge and would pull centres by 0.01 px."""
@@ -24,37 +27,17 @@ _MOVED_PX = 5e-4
 """A centre that moves by less has settled."""
 _SETTLED_PX = 0.02
 """A centre that still moves by more in the last step is not found."""
-
-
-@dataclass(frozen=True)
-class DotFit:
-    """Fitted dots."""
-
-    parameters: np.ndarray
-    """``dot_model``'s, centres in the image, shape [dot, 10]."""
-    covariance: np.ndarray
-    """Of the centres [px^2], shape [dot, 2, 2]; infinite where the fit has no hold."""
-    residual: np.ndarray
-    """Weighted standard deviation of the pixels about the model [levels], shape [dot]."""
-    seen: np.ndarray
-    """Share of the ellipse's area that lies in the image and is nearest to this dot, [dot]."""
-    converged: np.ndarray
-    """Bool, shape [dot]."""
-
-    @property
-    def uv_px(self) -> np.ndarray:
-        """Centres (u, v) [px], shape [dot, 2]."""
-        return self.parameters[:, :2]
-
-    def select(self, which: np.ndarray) -> DotFit:
-        """Some of the dots."""
-        return DotFit(
-            self.parameters[which],
-            self.covariance[which],
-            self.residual[which],
-            self.seen[which],
-            self.converged[which],
-        )
+_HUBER = 2.0
+_OFF = 0.04
+"""Share of a dot's step in level by which pixels may always be off: the model is no better."""
+_LEVEL_SIGMA = 0.6
+"""And standard deviation in levels that is always granted: rounding, and a little noise."""
+_PRIOR_BLUR = 1.0
+"""Standard deviation of the logarithm of the blur about its guess."""
+_PRIOR_ROUND = 0.5
+"""Standard deviation of the relative shape about its guess."""
+_MIN_BLUR_PX, _MAX_BLUR = 0.25, 1.5
+"""Blur's least value [px], and its largest as a share of the radius."""
 
 
 def fit_dots(
@@ -92,7 +75,6 @@ def fit_dots(
             np.empty((0, model.PARAMETERS)),
             np.empty((0, 2, 2)),
             np.empty(0),
-            np.empty(0),
             np.empty(0, dtype=bool),
         )
     back = np.empty(count, dtype=int)
@@ -122,18 +104,155 @@ def _fit_chunk(
     levels, inside = _pixels_of(grey, origin, span)
     own = inside & _nearest_to_own(uv, p, origin, which, centres)
     _read_levels(p, uv, levels, own)
-    problem = DotProblem.of(uv, levels, own, p, free_shape)
+    problem = _Problem.of(uv, levels, own, p, free_shape)
     p, settled = _minimise(problem, p)
-    covariance, residual = problem.uncertainty(p, len(span))
+    covariance = problem.covariance_px2(p, len(span))
     area = np.pi * model.mean_radius(p) ** 2
     ellipse = _inside_ellipse(p, uv)
     seen = np.minimum((ellipse & own).sum(axis=1) / np.maximum(area, 1.0), 1.0)
     p[:, :2] += origin
     way = np.linalg.norm(p[:, :2] - start[which, :2], axis=1)
-    return p, covariance, residual, seen, settled & (way <= model.mean_radius(start[which]))
+    return p, covariance, seen, settled & (way <= model.mean_radius(start[which]))
 
 
-def _minimise(problem: DotProblem, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class _Problem:
+    """Pixels of dots and what is believed of them before the fit."""
+
+    uv: np.ndarray
+    """Pixels of every window, shape [pixel, 2]."""
+    levels: np.ndarray
+    """Shape [dot, pixel]."""
+    own: np.ndarray
+    """Pixels that count, bool, shape [dot, pixel]."""
+    guess: np.ndarray
+    """Parameters before the fit, shape [dot, 10]."""
+    scale: np.ndarray
+    """Level by which a pixel may be off, shape [dot]."""
+    free: np.ndarray
+    """Parameters that are fitted, bool, shape [10]."""
+
+    @classmethod
+    def of(
+        cls,
+        uv: np.ndarray,
+        levels: np.ndarray,
+        own: np.ndarray,
+        guess: np.ndarray,
+        free_shape: bool,
+    ) -> _Problem:
+        """The problem about a guess; without ``free_shape`` ellipse and blur stay."""
+        free = np.ones(model.PARAMETERS, dtype=bool)
+        free[[model.S11, model.S12, model.S22, model.LOG_BLUR]] = free_shape
+        step = np.abs(guess[:, model.CONTRAST] * guess[:, model.LEVEL])
+        return cls(uv, levels, own, guess.copy(), np.maximum(_LEVEL_SIGMA, _OFF * step), free)
+
+    def select(self, which: np.ndarray) -> _Problem:
+        """The problem of some of the dots."""
+        return _Problem(
+            self.uv,
+            self.levels[which],
+            self.own[which],
+            self.guess[which],
+            self.scale[which],
+            self.free,
+        )
+
+    def bounded(self, p: np.ndarray) -> np.ndarray:
+        """Parameters kept where an ellipse and a blur mean something."""
+        radius = model.mean_radius(self.guess)
+        p = p.copy()
+        p[:, model.LOG_BLUR] = np.clip(
+            p[:, model.LOG_BLUR], np.log(_MIN_BLUR_PX), np.log(np.maximum(_MAX_BLUR * radius, 0.5))
+        )
+        low, high = 1.0 / (3.0 * radius), 1.0 / np.maximum(0.3 * radius, 0.5)
+        for k in (model.S11, model.S22):
+            p[:, k] = np.clip(p[:, k], low, high)
+        most = 0.9 * np.sqrt(p[:, model.S11] * p[:, model.S22])
+        p[:, model.S12] = np.clip(p[:, model.S12], -most, most)
+        return p
+
+    def weights(self, value: np.ndarray) -> np.ndarray:
+        """Huber's weights about a robust scale that is never below ``scale``; 0 outside."""
+        miss = np.abs(self.levels - value)
+        ordered = np.sort(np.where(self.own, miss, np.inf), axis=1)
+        middle = self.own.sum(axis=1) // 2
+        spread = ordered[np.arange(len(ordered)), middle] / 0.6745
+        spread = np.where(np.isfinite(spread), spread, 0.0)
+        bound = _HUBER * np.maximum(spread, self.scale)[:, None]
+        return np.where(self.own, np.minimum(1.0, bound / np.maximum(miss, 1e-12)), 0.0)
+
+    def cost(self, value: np.ndarray, weight: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Weighted squares plus what the beliefs cost, shape [dot]."""
+        belief = self._beliefs() * (self.guess - p) ** 2
+        squares = (weight * (self.levels - value) ** 2).sum(axis=1)
+        return squares + belief[:, self.free].sum(axis=1)
+
+    def normal_equations(
+        self, value: np.ndarray, weight: np.ndarray, jacobian: np.ndarray, p: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and right side of the step, shapes [dot, 10, 10] and [dot, 10]."""
+        weighted = (jacobian * weight[..., None]).transpose(0, 2, 1)
+        normal = np.matmul(weighted, jacobian)
+        gradient = np.matmul(weighted, (self.levels - value)[..., None])[..., 0]
+        belief = self._beliefs()
+        np.einsum("nii->ni", normal)[:] += belief
+        gradient = gradient + belief * (self.guess - p)
+        fixed = np.flatnonzero(~self.free)
+        normal[:, fixed, :] = 0.0
+        normal[:, :, fixed] = 0.0
+        normal[:, fixed, fixed] = 1.0
+        gradient[:, fixed] = 0.0
+        return normal, gradient
+
+    def covariance_px2(self, p: np.ndarray, side: int) -> np.ndarray:
+        """Of the fitted centres by the scatter that the fit left, shape [dot, 2, 2]; infinite where
+        too few pixels count. ``side``: pixels along one side of the window.
+        """
+        value, jacobian = model.evaluate(p, self.uv)
+        weight = self.weights(value)
+        normal, _ = self.normal_equations(value, weight, jacobian, p)
+        total, fitted = weight.sum(axis=1), int(self.free.sum())
+        miss = self.levels - value
+        variance = (weight * miss**2).sum(axis=1) / np.maximum(total - fitted, 1.0)
+        variance = variance * _neighbours_alike(miss, weight, side)
+        good = (total > 1.5 * fitted) & np.isfinite(normal).all(axis=(1, 2))
+        safe = np.where(good[:, None, None], normal, np.eye(model.PARAMETERS))
+        known = np.linalg.pinv(safe)[:, :2, :2] * variance[:, None, None]
+        good &= np.einsum("nii->ni", known).min(axis=1) > 0
+        return np.where(good[:, None, None], known, np.diag([np.inf, np.inf]))
+
+    def _beliefs(self) -> np.ndarray:
+        """Weights of the weak beliefs about blur and shape, shape [dot, 10]."""
+        weight = np.zeros_like(self.guess)
+        weight[:, model.LOG_BLUR] = (self.scale / _PRIOR_BLUR) ** 2
+        shape = (self.scale * model.mean_radius(self.guess) / _PRIOR_ROUND) ** 2
+        weight[:, model.SHAPE] = shape[:, None]
+        return weight
+
+
+def _neighbours_alike(residual: np.ndarray, weight: np.ndarray, side: int) -> np.ndarray:
+    """Factor on the variance for residuals that neighbours share (blur, compression), >= 1.
+
+    White noise that went through a Gaussian of width s has the correlation exp(-d^2 / 4 s^2) at
+    distance d, whose sum is sqrt(4 pi) s along each direction: sqrt(pi / -ln rho) from neighbours'
+    correlation rho.
+    """
+    grid = np.where(weight > 0, residual, 0.0).reshape(len(residual), side, side)
+    seen = (weight > 0).reshape(grid.shape)
+    power = (grid**2).sum(axis=(1, 2)) / np.maximum(seen.sum(axis=(1, 2)), 1)
+    factor = np.ones(len(residual))
+    for a, b, m, n in (
+        (grid[:, 1:], grid[:, :-1], seen[:, 1:], seen[:, :-1]),
+        (grid[:, :, 1:], grid[:, :, :-1], seen[:, :, 1:], seen[:, :, :-1]),
+    ):
+        both = (a * b).sum(axis=(1, 2)) / np.maximum((m & n).sum(axis=(1, 2)), 1)
+        rho = np.clip(both / np.maximum(power, 1e-12), 1e-3, 0.9)
+        factor *= np.maximum(np.sqrt(np.pi / -np.log(rho)), 1.0)
+    return factor
+
+
+def _minimise(problem: _Problem, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Levenberg and Marquardt's steps on every dot until its centre rests.
 
     Returns:

@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.stats import median_abs_deviation
 
-from taccel_lab.calibration.markers import dot_model as model
-from taccel_lab.calibration.markers.brightness import bright_level, grey_levels, reduced
-from taccel_lab.calibration.markers.dot_fit import DotFit, fit_dots
-from taccel_lab.calibration.markers.dots import DotFlag, Dots
-from taccel_lab.calibration.markers.merged import split_merged
-from taccel_lab.calibration.markers.scale_space import (
+from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.calibration.dots.blobs import (
     MIN_CONTRAST,
     DotScale,
     find_blobs,
     response,
 )
+from taccel_lab.calibration.dots.dot_fit import fit_dots
+from taccel_lab.calibration.dots.dots import DotFit, DotFlag, Dots
+from taccel_lab.calibration.dots.grey_picture import bright_level, grey_levels, reduced
 
 _LARGE_PX = 10.0
 """Dots of twice this radius or more are found in a reduced picture: their rim is long enough."""
@@ -36,6 +36,10 @@ _ODD_ROUND = 2.2
 _ODD_CONTRAST = 0.35
 _SAME_PLACE = 0.75
 """Fits nearer than this share of a radius found the same dot."""
+_AREA = 1.45
+"""A blob of at least this many usual areas can be two dots."""
+_STRETCH = 1.4
+"""And of at least this ratio of its axes, above the usual ratio."""
 
 
 def detect_dots(image: np.ndarray, scale: DotScale) -> Dots:
@@ -56,17 +60,14 @@ def detect_dots(image: np.ndarray, scale: DotScale) -> Dots:
 def _enlarged(dots: Dots, factor: int, scale: DotScale, size_px: tuple[int, int]) -> Dots:
     """Dots of a reduced picture in the pixels of the whole one."""
     parameters = dots.parameters.copy()
-    uv = (parameters[:, :2] + 0.5) * factor - 0.5
-    parameters[:, :2] = uv
+    parameters[:, :2] = (parameters[:, :2] + 0.5) * factor - 0.5
     parameters[:, model.SHAPE] /= factor
     parameters[:, model.LOG_BLUR] += np.log(factor)
     parameters[:, [model.SLOPE_U, model.SLOPE_V]] /= factor
     return replace(
         dots,
-        uv_px=uv,
-        covariance_px2=dots.covariance_px2 * factor**2,
-        axes_px=dots.axes_px * factor,
         parameters=parameters,
+        covariance_px2=dots.covariance_px2 * factor**2,
         scale=scale,
         size_px=size_px,
     )
@@ -75,7 +76,7 @@ def _enlarged(dots: Dots, factor: int, scale: DotScale, size_px: tuple[int, int]
 def _detect(grey: np.ndarray, scale: DotScale) -> Dots:
     start = _start(grey, scale)
     fit = fit_dots(grey, start)
-    fit, merged = split_merged(grey, fit, scale)
+    fit, merged = _split_touching(grey, fit, scale)
     fit, keep = _without_twins(fit)
     merged = merged[keep]
     height, width = grey.shape
@@ -85,29 +86,17 @@ def _detect(grey: np.ndarray, scale: DotScale) -> Dots:
     partial = cut | merged
     if partial.any() and (~partial).sum() >= 3:
         fit = _refit_partial(grey, fit, partial)
-    dots = dots_from_fit(fit, scale, (width, height))
-    flags = np.zeros(dots.count, dtype=np.uint8)
+    flags = np.zeros(fit.count, dtype=np.uint8)
     flags[cut] |= np.uint8(DotFlag.CUT)
     flags[merged] |= np.uint8(DotFlag.MERGED)
-    flags[_odd(dots, cut, fit.converged)] |= np.uint8(DotFlag.ODD)
-    dots = replace(dots, flags=flags)
+    flags[_odd(fit, cut, scale.sign)] |= np.uint8(DotFlag.ODD)
+    dots = dots_of(fit, flags, scale, (width, height))
     return dots.select(_in_picture(dots))
 
 
-def dots_from_fit(fit: DotFit, scale: DotScale, size_px: tuple[int, int]) -> Dots:
-    """Fitted dots, without flags."""
-    parameters = fit.parameters
-    return Dots(
-        uv_px=parameters[:, :2].copy(),
-        covariance_px2=fit.covariance,
-        axes_px=model.semi_axes(parameters),
-        contrast=parameters[:, model.CONTRAST].copy(),
-        seen=fit.seen,
-        flags=np.zeros(len(parameters), dtype=np.uint8),
-        parameters=parameters,
-        scale=scale,
-        size_px=size_px,
-    )
+def dots_of(fit: DotFit, flags: np.ndarray, scale: DotScale, size_px: tuple[int, int]) -> Dots:
+    """Fitted dots with what is special about them."""
+    return Dots(fit.parameters, fit.covariance_px2, fit.seen, fit.converged, flags, scale, size_px)
 
 
 def start_parameters(uv_px: np.ndarray, radius_px: float | np.ndarray) -> np.ndarray:
@@ -131,6 +120,51 @@ def _start(grey: np.ndarray, scale: DotScale) -> np.ndarray:
     usual = float(np.median(blobs.contrast[strong])) if strong.any() else scale.threshold
     kept = blobs.contrast > min(scale.threshold, max(_WEAK * usual, 3.0 * MIN_CONTRAST))
     return start_parameters(blobs.uv_px[kept], scale.radius_px)
+
+
+def _split_touching(grey: np.ndarray, fit: DotFit, scale: DotScale) -> tuple[DotFit, np.ndarray]:
+    """Fits with long double dots replaced by two dots each.
+
+    Two dots of the usual size replace a long one only if both fits converge, are about as strong
+    and lie about a diameter or less apart.
+
+    Returns:
+        All fits, and which of them come from a split, bool, shape [dot].
+    """
+    p = fit.parameters
+    none = np.zeros(len(p), dtype=bool)
+    if len(p) < 4:
+        return fit, none
+    axes = model.semi_axes(p)
+    radius = model.mean_radius(p)
+    usual = float(np.median(radius))
+    stretch = axes[:, 0] / axes[:, 1]
+    long = (radius**2 > _AREA * usual**2) & (stretch > _STRETCH * np.median(stretch))
+    long &= radius < 2.2 * usual
+    long &= np.sign(p[:, model.CONTRAST]) == scale.sign
+    if not long.any():
+        return fit, none
+    shape = np.median(p[~long], axis=0)
+    half = (axes[long, 0] - usual)[:, None] * model.major_direction(p[long])
+    start = np.repeat(p[long], 2, axis=0)
+    start[0::2, :2] += half
+    start[1::2, :2] -= half
+    start[:, model.SHAPE] = shape[model.SHAPE]
+    start[:, model.LOG_BLUR] = shape[model.LOG_BLUR]
+    pair = fit_dots(grey, start, free_shape=False, others=p[~long, :2])
+    good = np.ones(int(long.sum()), dtype=bool)
+    contrast = pair.parameters[:, model.CONTRAST].reshape(-1, 2)
+    gap = np.hypot(*(pair.uv_px[0::2] - pair.uv_px[1::2]).T)
+    good &= pair.converged.reshape(-1, 2).all(axis=1)
+    good &= np.abs(contrast).min(axis=1) > 0.5 * np.abs(contrast).max(axis=1)
+    good &= np.sign(contrast).min(axis=1) == np.sign(contrast).max(axis=1)
+    good &= (gap > 0.6 * usual) & (gap < 3.0 * usual)
+    replaced = np.flatnonzero(long)[good]
+    stay = np.setdiff1d(np.arange(len(p)), replaced)
+    new = pair.select(np.flatnonzero(np.repeat(good, 2)))
+    kept = fit.select(stay)
+    flag = np.concatenate([np.zeros(kept.count, dtype=bool), np.ones(new.count, dtype=bool)])
+    return kept.joined(new), flag
 
 
 def _without_twins(fit: DotFit) -> tuple[DotFit, np.ndarray]:
@@ -181,20 +215,19 @@ def _refit_partial(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
         near = whole[np.argsort(gap)[:_NEIGHBOURS]]
         start[n, model.SHAPE] = np.median(p[near, model.SHAPE], axis=0)
         start[n, model.LOG_BLUR] = np.median(p[near, model.LOG_BLUR])
-        off = np.median(np.abs(radii[near] - np.median(radii[near]))) / 0.6745
+        off = median_abs_deviation(radii[near], scale="normal")
         spread[n] = max(off, _SAME_SIZE * np.median(radii[near]))
     again = fit_dots(grey, start, free_shape=False, others=p[~cut, :2])
     unknown = spread * np.minimum(1.0, 2.0 * (1.0 - again.seen))
-    again.covariance[:, [0, 1], [0, 1]] += unknown[:, None] ** 2
-    parts = {name: getattr(fit, name).copy() for name in DotFit.__dataclass_fields__}
-    for name, values in parts.items():
-        values[cut] = getattr(again, name)
-    return DotFit(**parts)
+    again.covariance_px2[:, [0, 1], [0, 1]] += unknown[:, None] ** 2
+    partial = np.flatnonzero(cut)
+    order = np.argsort(np.concatenate([whole, partial]))
+    return fit.select(whole).joined(again).select(order)
 
 
-def _odd(dots: Dots, cut: np.ndarray, converged: np.ndarray) -> np.ndarray:
+def _odd(dots: DotFit, cut: np.ndarray, sign: int) -> np.ndarray:
     """Dots unlike the nearest others in size, roundness or contrast."""
-    odd = ~converged | (np.sign(dots.contrast) != dots.scale.sign)
+    odd = ~dots.converged | (np.sign(dots.contrast) != sign)
     if dots.count < 4:
         return odd
     radius, contrast = np.log(dots.radius_px), np.abs(dots.contrast)

@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.gel_frame import GelFrame, gel_frame, scale_range
-from taccel_lab.calibration.camera.gel_plane import (
+from taccel_lab.calibration.camera.intrinsics import Intrinsics
+from taccel_lab.calibration.camera.plane_fit import (
     PlaneFit,
     choose_plane,
     correct_plane,
     fit_planes,
     plane_rotation,
 )
-from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError

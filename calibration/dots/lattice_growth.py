@@ -14,7 +14,50 @@ _REACH = 2
 """Lattice steps around a place whose points predict it."""
 _MAX_GAP = 3
 """Empty places that the growth can cross."""
+_SEEDS = 10
+_SYMMETRIC = 0.25
+"""Opposite neighbours are opposite within this share of their distance."""
+_MIN_SINE = 0.45
 _NONE = np.iinfo(np.int64).min
+
+
+def symmetric_seeds(points: np.ndarray, tree: KDTree) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Points with two pairs of opposite neighbours, the most symmetric first, and their basis."""
+    found = []
+    near = np.asarray(tree.query(points, k=min(13, len(points)))[1])
+    for n in range(len(points)):
+        vectors = points[near[n, 1:]] - points[n]
+        basis = _basis(vectors)
+        if basis is not None:
+            a, b, miss = basis
+            found.append((miss, n, a, b))
+    found.sort(key=lambda item: item[0])
+    # Spread over the ranks: the most symmetric few may all sit in one odd corner.
+    ranks = np.unique(np.linspace(0, len(found) - 1, _SEEDS).astype(int)) if found else ()
+    return [found[rank][1:] for rank in ranks]
+
+
+def _basis(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """The two shortest independent steps that exist in both directions, and their asymmetry."""
+    length = np.hypot(vectors[:, 0], vectors[:, 1])
+    order = np.argsort(length)
+    pairs: list[tuple[np.ndarray, float]] = []
+    for k in order:
+        if length[k] <= 0:
+            return None
+        miss = np.hypot(*(vectors + vectors[k]).T)
+        other = int(np.argmin(miss))
+        if miss[other] > _SYMMETRIC * length[k]:
+            continue
+        step = 0.5 * (vectors[k] - vectors[other])
+        if not pairs:
+            pairs.append((step, miss[other] / length[k]))
+            continue
+        a = pairs[0][0]
+        sine = abs(a[0] * step[1] - a[1] * step[0]) / (np.hypot(*a) * np.hypot(*step))
+        if sine > _MIN_SINE:
+            return a, step, max(pairs[0][1], miss[other] / length[k])
+    return None
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.markers import fit_layout, lattice_index
-from taccel_lab.calibration.markers.lattice import renumbered
-from taccel_lab.calibration.markers.lattice_growth import Growth, places_within
+from taccel_lab.calibration.dots.lattice import lattice_index, renumbered
+from taccel_lab.calibration.dots.lattice_growth import Growth, places_within
+from taccel_lab.calibration.dots.layout import fit_layout
 from taccel_lab.errors import InputError
 from taccel_lab.optics import MarkerGrid
-from tests.calibration.markers.drawn import grid_points
+from tests.calibration.drawn.dot_grids import grid_points
 
 
 def bent(points: np.ndarray, barrel: float, tilt: float, skew: float, turn: float) -> np.ndarray:

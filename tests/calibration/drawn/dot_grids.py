@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.synthetic import add_noise, blur, draw_dots, quantise
+from tests.calibration.drawn.discs import draw_dots
+from tests.calibration.drawn.faults import add_noise, blur, quantise
 
 WIDTH, HEIGHT = 320, 240
 MARGIN = 40

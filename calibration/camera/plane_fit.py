@@ -11,20 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.bundle import huber_weights, rms, robust_scale
-from taccel_lab.calibration.camera.correction import Correction, fit_correction
 from taccel_lab.calibration.camera.plane_models import PlaneModel
+from taccel_lab.calibration.camera.robust import fit_robustly, rms
+from taccel_lab.calibration.camera.spline_correction import Correction, fit_correction
 from taccel_lab.errors import InputError
 
 FOLDS = 5
 _EXACT_PX = 1e-7
 _TOLERANCE = 1e-14
 _HELDOUT_TOLERANCE = 1e-8
-_ROUNDS, _STEADY = 20, 1e-3
-"""Rounds of reweighting at most, and the change of the weights below which there is no other."""
 CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Steps to the right, left, down and up."""
 
@@ -173,53 +170,33 @@ def _fit(
     ``whole``: a fit to all points, to start from when some are left out.
     """
     boards = [view.board_mm()[:, :2] for view in views]
-    tolerance = _TOLERANCE if whole is None else _HELDOUT_TOLERANCE
     if whole is None:
         theta = model.start(boards[0][used[0]], views[0].uv_px[used[0]])
         start = np.concatenate([theta, _first_motions(views, boards)[1:].ravel()])
     else:
         start = np.concatenate([whole.theta, whole.motions[1:].ravel()])
+    count = model.count
 
     def residuals(x: np.ndarray) -> list[np.ndarray]:
-        motions = np.vstack([np.zeros(3), x[model.count :].reshape(-1, 3)])
+        motions = np.vstack([np.zeros(3), x[count:].reshape(-1, 3)])
         return [
-            view.uv_px - model.project(x[: model.count], moved(board, motion))
+            view.uv_px - model.project(x[:count], moved(board, motion))
             for view, board, motion in zip(views, boards, motions, strict=True)
         ]
 
-    def kept(x: np.ndarray) -> np.ndarray:
-        seen = [r[mask] for r, mask in zip(residuals(x), used, strict=True)]
-        return np.nan_to_num(np.concatenate(seen), nan=1e6, posinf=1e6, neginf=-1e6)
-
-    def flat(x: np.ndarray, root: np.ndarray, scale: float) -> np.ndarray:
-        # The prior counts in standard deviations, points in pixels of standard deviation `scale`.
-        points = (root[:, None] * kept(x)).ravel()
-        return np.concatenate([points, scale * model.prior(x[: model.count])])
-
-    x, scale, weights = start, 1.0, np.ones(sum(int(mask.sum()) for mask in used))
-    for _ in range(_ROUNDS):
-        fitted = least_squares(
-            flat,
-            x,
-            args=(np.sqrt(weights), scale),
-            x_scale="jac",
-            xtol=tolerance,
-            ftol=tolerance,
-            gtol=tolerance,
-            max_nfev=200,
-        )
-        x, left = fitted.x, kept(fitted.x)
-        before, scale = weights, max(robust_scale(left), _EXACT_PX)
-        weights = huber_weights(left, scale)
-        if np.abs(weights - before).max() < _STEADY:
-            break
+    fitted = fit_robustly(
+        lambda x: np.concatenate([r[m] for r, m in zip(residuals(x), used, strict=True)]),
+        start,
+        prior=lambda x: model.prior(x[:count]),
+        tolerance=_TOLERANCE if whole is None else _HELDOUT_TOLERANCE,
+    )
+    x, left = fitted.x, fitted.residuals
     freedom = max(left.size - len(x), 1)
-    variance = float(np.sum(weights * np.sum(left**2, axis=1))) / freedom
-    columns = np.linalg.norm(fitted.jac, axis=0)
+    variance = float(np.sum(fitted.weights * np.sum(left**2, axis=1))) / freedom
+    columns = np.linalg.norm(fitted.jacobian, axis=0)
     columns = np.where(columns > 0, columns, 1.0)
-    scaled = fitted.jac / columns
+    scaled = fitted.jacobian / columns
     covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14) / np.outer(columns, columns)
-    count = model.count
     return PlaneFit(
         model,
         x[:count],

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Boards of dots: printed ones that the camera sees, or pressed ones that show as a difference.
+
+Dots are found as markers on the gel are, whatever their size and sign; what a board adds is its
+known number of columns and rows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.dots.board_lattice import board_lattice
+from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.errors import InputError
+
+MIN_SHARE = 0.4
+"""Least share of the dots that must be found."""
+MIN_POINTS = 9
+MIN_CHANGE_LEVELS = 1.0
+"""Least 99th percentile of the change that counts as a press [levels of 255]."""
+_GREY = 128.0
+_IRREGULAR = 0.09
+"""Largest error of a lattice's points in pitches; among random ones it is 0.12 and more."""
+
+
+def detect_dots(
+    image: np.ndarray,
+    columns: int,
+    rows: int,
+    *,
+    reference: np.ndarray | None = None,
+    name: str = "image",
+) -> BoardView:
+    """Find a board of ``columns`` x ``rows`` dots; some may be missing.
+
+    Args:
+        image: RGB levels, shape [height_px, width_px, 3].
+        reference: The same view without the board, of the same size: what changed is looked at.
+
+    Raises:
+        InputError: Too few dots on a lattice, or more than the board has; with the numbers.
+    """
+    expected = columns * rows
+    least = max(MIN_POINTS, int(np.ceil(MIN_SHARE * expected)))
+    index, uv, strangers = np.zeros((0, 2), dtype=int), np.zeros((0, 2)), 0
+    for picture in _pictures(image, reference, name):
+        try:
+            found = find_markers(picture).dots.uv_px
+        except InputError:
+            continue
+        lattice = board_lattice(found, columns, rows)
+        if lattice is None or lattice.irregularity > _IRREGULAR:
+            continue
+        if lattice.count - lattice.strangers > len(index) - strangers:
+            index, uv, strangers = lattice.index, found[lattice.points], lattice.strangers
+        if len(index) == expected and not strangers:
+            break
+    count = len(index)
+    if count < least:
+        raise InputError(
+            f"{name}: found {count} of {expected} dots of the {columns} x {rows} board on a "
+            f"lattice, at least {least} are needed; check columns and rows, focus and light, or "
+            "give a reference image without the board"
+        )
+    if strangers > max(2, 0.1 * count):
+        raise InputError(
+            f"{name}: the dots go on beyond {columns} x {rows}: {count + strangers} lie on one "
+            f"lattice, {expected} are allowed; check columns and rows"
+        )
+    span = np.ptp(index, axis=0) + 1
+    if min(span) < 3:
+        raise InputError(
+            f"{name}: the {count} dots found span {span[0]} x {span[1]} sites; at least 3 x 3"
+        )
+    return BoardView(name, name, (image.shape[1], image.shape[0]), index, uv, expected)
+
+
+def detect_pins(
+    image: np.ndarray,
+    columns: int,
+    rows: int,
+    *,
+    reference: np.ndarray | None,
+    name: str = "image",
+) -> BoardView:
+    """Find a pressed board of ``columns`` x ``rows`` pins or holes; as ``detect_dots``.
+
+    Raises:
+        InputError: No ``reference`` of the untouched gel, no press, or too few dents on a lattice.
+    """
+    if reference is None:
+        raise InputError(
+            f"{name}: a pressed board shows only against an image of the untouched gel; give "
+            'reference = "..." for this board, or background = "..." for the folder'
+        )
+    if reference.shape == image.shape:
+        change = np.abs(np.asarray(image, dtype=np.float32) - reference)
+        change = np.abs(change - np.median(change, axis=(0, 1))).max(axis=2)
+        strongest = float(np.percentile(change, 99))
+        if strongest < MIN_CHANGE_LEVELS:
+            raise InputError(
+                f"{name}: nothing is pressed into the gel; the strongest change against the "
+                f"reference is {strongest:.2f} levels of 255, at least {MIN_CHANGE_LEVELS:g}"
+            )
+    return detect_dots(image, columns, rows, reference=reference, name=name)
+
+
+def _pictures(image: np.ndarray, reference: np.ndarray | None, name: str) -> list[np.ndarray]:
+    """Grey pictures in which dots may stand out, float32, shape [height_px, width_px]."""
+    levels = np.asarray(image, dtype=np.float32)
+    if reference is None:
+        return [levels.mean(axis=2)]
+    if reference.shape != image.shape:
+        raise InputError(
+            f"{name} is {image.shape[1]}x{image.shape[0]} px but its reference is "
+            f"{reference.shape[1]}x{reference.shape[0]} px; both have to be of one size"
+        )
+    change = levels - np.asarray(reference, dtype=np.float32)
+    change -= np.median(change, axis=(0, 1))
+    # A dent darkens a depth sensor and colours a photometric one, each side differently.
+    return [_GREY + change.mean(axis=2), _GREY + np.linalg.norm(change, axis=2)]
