@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift, fit_drift
 from taccel_lab.calibration.capture import CaptureSet, load_captures
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.drift_choice import choose_drift
@@ -28,6 +27,8 @@ from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_tax
 from taccel_lab.calibration.color.training import train
 from taccel_lab.calibration.contacts import choose_circles, usable_presses
 from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.light.fit import fit_light_beside
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces.design import fitted_design
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
@@ -86,7 +87,7 @@ class Target:
     image: np.ndarray
     label: ContactCircle
     surface: PressSurface
-    drift: Drift
+    drift: Light
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ class Placed:
     """Presses to fit in their circles, and those to render."""
 
     frames: list[ColorFrame]
-    drifts: dict[str, Drift]
+    drifts: dict[str, Light]
     background: np.ndarray
     targets: list[Target]
 
@@ -174,7 +175,7 @@ class Scene:
         ):
             image, drift = press.image(), NO_DRIFT
             if self.drift.remove:
-                drift = fit_drift(image, background, label, grid, captures.mask)
+                drift = fit_light_beside(image, background, label, grid, captures.mask)
             found.append(Target(image, label, surface, drift))
         return found
 

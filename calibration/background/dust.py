@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.background.drift import smoothed
+from taccel_lab.calibration.light.smoothing import smoothed
 
 SPECK_SHARE = 1 / 60
 """Size below which something is a speck rather than a shade, as a part of the shorter side."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.calibration.background.dust import speck_count
-from taccel_lab.calibration.background.fit import BackgroundCalibration
+from taccel_lab.calibration.background.result import BackgroundCalibration
 from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREEN, ORANGE, in_report_style, new_figure
 

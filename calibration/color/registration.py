@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.frames import (
     ColorFrame,
@@ -28,6 +27,7 @@ from taccel_lab.calibration.color.frames import (
 from taccel_lab.calibration.color.network_fit import rest_background
 from taccel_lab.calibration.color.options import SHORT_FIT, ColorFitOptions
 from taccel_lab.calibration.color.training import train
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.calibration.surfaces.variation import MovedPress
 from taccel_lab.errors import InputError
@@ -148,7 +148,7 @@ def place_press(
     frame: ColorFrame,
     library: RadialSurfaces,
     grid: PixelGrid,
-    drift: Drift,
+    drift: Light,
     *,
     mask: np.ndarray | None = None,
 ) -> ContactCircle:
@@ -280,7 +280,7 @@ def _place(
     rest_image: np.ndarray,
     frame: ColorFrame,
     moved: MovedPress,
-    drift: Drift,
+    drift: Light,
     grid: PixelGrid,
     mask: np.ndarray | None,
     start: ContactCircle,

@@ -19,7 +19,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.change import ColorChange, color_change
 from taccel_lab.calibration.contacts.doubt import circle_covariances
@@ -37,6 +36,7 @@ from taccel_lab.calibration.contacts.rough import (
     rough_circle,
     turning_radius,
 )
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -119,7 +119,7 @@ class FoundContacts:
     """What was fitted, one entry for each press that was."""
     ball_px: list[float] = field(default_factory=list)
     """Radius of the ball of each of these presses [px]."""
-    drifts: dict[int, Drift] = field(default_factory=dict)
+    drifts: dict[int, Light] = field(default_factory=dict)
     """Drift of each frame's light, by the index of the press."""
     noise_levels: dict[int, float] = field(default_factory=dict)
     """Noise of the smoothed colour change, by the index of the press [levels]."""

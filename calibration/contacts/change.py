@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift, fit_robust_drift, remove_drift, smoothed
+from taccel_lab.calibration.light.fit import fit_light, without_light
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.geometry import PixelGrid
 
 SMOOTHING_SHARE = 1 / 240
@@ -27,7 +29,7 @@ class ColorChange:
     ratio: float
     """mm_per_px_y / mm_per_px_x."""
     smoothing_px: float
-    drift: Drift
+    drift: Light
     noise_levels: float
     """Robust standard deviation of the size of the change in the untouched gel [levels]."""
 
@@ -48,8 +50,8 @@ def color_change(
     if mask is not None and mask.all():
         mask = None
     sigma = float(np.clip(min(image.shape[:2]) * SMOOTHING_SHARE, 0.7, 4.0))
-    drift = fit_robust_drift(image, background, mask)
-    change = smoothed(remove_drift(image, background, drift), mask, sigma)
+    drift = fit_light(image, background, mask)
+    change = smoothed(without_light(image, background, drift), mask, sigma)
     near = None
     if mask is not None:
         # A sample next to masked pixels rests on fewer; one among them on none.

@@ -16,8 +16,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import taccel_lab.calibration.background.drift
 import taccel_lab.calibration.contacts
+import taccel_lab.calibration.light
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.ball import (
     DetectedContact,
@@ -81,8 +81,9 @@ def contacts_path(captures: CaptureSet) -> Path:
 @cache
 def _code_sha256() -> str:
     """Of the modules that search, so that contacts of another version are never taken."""
-    folder = Path(taccel_lab.calibration.contacts.__file__).parent
-    files = [*sorted(folder.glob("*.py")), Path(taccel_lab.calibration.background.drift.__file__)]
+    rooms = (taccel_lab.calibration.contacts, taccel_lab.calibration.light)
+    folders = [Path(str(room.__file__)).parent for room in rooms]
+    files = [path for folder in folders for path in sorted(folder.glob("*.py"))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 

@@ -259,6 +259,6 @@ def _remarks(
 def _drift_remarks(drifts: Sequence[Any], background: np.ndarray) -> list[Remark]:
     if len(drifts) < 2:
         return []
-    from taccel_lab.calibration.background.drift_report import drift_remark
+    from taccel_lab.calibration.light.drift import drift_remark
 
     return [drift_remark(drifts, background)]

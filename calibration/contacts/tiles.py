@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import smoothed
+from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.geometry import PixelGrid
 
 TILE_BALLS = 1 / 3

@@ -13,11 +13,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.background import fit_robust_drift
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.contacts import detect_contact
 from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.normals.network_fit import (
     InverseFit,
     InverseFitOptions,
@@ -282,7 +282,7 @@ def _frames(
 
 def _without_drift(image: np.ndarray, scene: Scene) -> np.ndarray:
     """The frame in the light of the background, as the model will see new ones."""
-    found = fit_robust_drift(image, scene.background, scene.mask, gradient=False)
+    found = fit_light(image, scene.background, scene.mask, gradient=False)
     return found.remove(image).astype(np.float32)
 
 

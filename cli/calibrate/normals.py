@@ -64,11 +64,11 @@ class CalibrateNormals:
 
         import warp as wp
         from rich.console import Console
-        from taccel_lab.calibration.normals.samples import Scene
 
         from taccel_lab.calibration.normals.fit import calibrate_normals
         from taccel_lab.calibration.normals.network_fit import InverseFitOptions
         from taccel_lab.calibration.normals.report import normals_page
+        from taccel_lab.calibration.normals.samples import Scene
         from taccel_lab.cli.calibrate.base import open_job, presses_on_camera
         from taccel_lab.cli.calibrate.contacts import contact_circles
         from taccel_lab.cli.calibrate.findings import (

@@ -13,13 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from taccel_lab.calibration.background import Drift, fit_robust_drift
-from taccel_lab.calibration.background.drift import PRIOR_SIGMA, normal_equations
-from taccel_lab.calibration.background.drift_report import drift_remark, drift_spread
 from taccel_lab.calibration.background.dust import dust_mask, speck_count
 from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.capture import ContactCircle, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
+from taccel_lab.calibration.light.drift import drift_remark, drift_spread
+from taccel_lab.calibration.light.fit import PRIOR_SIGMA, fit_light, normal_equations
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.synthetic import (
     add_dust,
     add_gradient,
@@ -78,7 +78,7 @@ def test_drift_is_found_although_a_ball_presses(
     rough = textured(rng)
     image = rough + pressed(scattered(1, seed)[0]) - gel()
     image = add_gradient(drift(image, np.array(gain), np.array(offset)), *tilt)
-    found = fit_robust_drift(add_noise(image, 0.5, rng), rough)
+    found = fit_light(add_noise(image, 0.5, rng), rough)
     assert found.gain == pytest.approx(gain, abs=0.04)
     shown = found.apply(rough)
     wanted = add_gradient(drift(rough, np.array(gain), np.array(offset)), *tilt)
@@ -89,7 +89,7 @@ def test_drift_is_found_although_a_ball_presses(
 
 def test_perfect_drift_is_exact() -> None:
     rough = textured(np.random.default_rng(0))
-    found = fit_robust_drift(drift(rough, np.array([0.7, 1.1, 1.0]), 5.0), rough)
+    found = fit_light(drift(rough, np.array([0.7, 1.1, 1.0]), 5.0), rough)
     assert found.gain == pytest.approx([0.7, 1.1, 1.0], abs=5e-3)
     assert found.noise_levels < 0.4
 
@@ -100,15 +100,13 @@ def test_a_wider_prior_makes_no_gain_of_noise(
     sigma: float, shade: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A background without shades of its own tells no gain, however little is known before."""
-    monkeypatch.setattr(
-        "taccel_lab.calibration.background.drift.PRIOR_SIGMA", PRIOR_SIGMA * sigma / 0.07
-    )
+    monkeypatch.setattr("taccel_lab.calibration.light.fit.PRIOR_SIGMA", PRIOR_SIGMA * sigma / 0.07)
     rng = np.random.default_rng(2)
     # The slope over the image is what a gradient explains as well.
     flat = add_gradient(np.full((150, 200, 3), 120.0), shade, 0.0)
     noise = gaussian_filter(rng.normal(0, 1, (2, *flat.shape)), (0, 2, 2, 0))
     noise *= 2.0 / noise.std()
-    found = fit_robust_drift(flat + noise[0] + 6.0, flat + noise[1])
+    found = fit_light(flat + noise[0] + 6.0, flat + noise[1])
     assert found.gain == pytest.approx([1.0] * 3, abs=0.1)
     assert np.abs(found.apply(flat) - flat - 6.0).mean() < 0.5
 
@@ -134,7 +132,7 @@ def test_the_equations_of_the_drift_have_one_solution(
 
 
 def test_a_gradient_needs_a_whole_image() -> None:
-    tilted = Drift(np.ones(3), np.zeros(3), np.ones((3, 2)))
+    tilted = Light(np.ones(3), np.zeros(3), np.ones((3, 2)))
     with pytest.raises(InputError, match="whole image"):
         tilted.remove(np.zeros((10, 3)))
 
@@ -225,9 +223,9 @@ def test_dust_that_stays() -> None:
 def test_auto_white_balance_is_told_from_lamps_that_warm_up() -> None:
     rng = np.random.default_rng(8)
     zero = np.zeros(3)
-    balance = [Drift(1 + rng.normal(0, 0.05, 3), zero) for _ in range(20)]
-    warming = [Drift(np.full(3, 1 + 0.1 * k / 20), zero) for k in range(20)]
-    steady = [Drift(1 + rng.normal(0, 0.002, 3), zero) for _ in range(20)]
+    balance = [Light(1 + rng.normal(0, 0.05, 3), zero) for _ in range(20)]
+    warming = [Light(np.full(3, 1 + 0.1 * k / 20), zero) for k in range(20)]
+    steady = [Light(1 + rng.normal(0, 0.002, 3), zero) for _ in range(20)]
     assert drift_spread(balance, gel()).auto_white_balance
     assert not drift_spread(warming, gel()).auto_white_balance
     codes = [drift_remark(d, gel()).code for d in (balance, warming, steady)]

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift, fit_robust_drift, smoothed
-from taccel_lab.calibration.background.robust_mean import median_where_seen
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.robust_mean import median_where_seen
+from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.errors import InputError
 
 TOUCHED_SIGMAS = 4.0
@@ -34,7 +36,7 @@ ReadImage = Callable[[], np.ndarray]
 
 
 def untouched_pixels(
-    frame: np.ndarray, background: np.ndarray, drift: Drift, mask: np.ndarray | None = None
+    frame: np.ndarray, background: np.ndarray, drift: Light, mask: np.ndarray | None = None
 ) -> np.ndarray:
     """Where ``frame`` shows the background in its own light, bool, shape [height_px, width_px].
 
@@ -54,7 +56,7 @@ def untouched_pixels(
 
 
 def steady_pixels(
-    frame: np.ndarray, background: np.ndarray, drift: Drift, mask: np.ndarray | None = None
+    frame: np.ndarray, background: np.ndarray, drift: Light, mask: np.ndarray | None = None
 ) -> np.ndarray:
     """Where a frame may be averaged into ``background``: where no shade of a touch is left.
 
@@ -71,7 +73,7 @@ def steady_pixels(
 def _strength(
     frame: np.ndarray,
     background: np.ndarray,
-    drift: Drift,
+    drift: Light,
     mask: np.ndarray | None,
     sigma_px: float,
 ) -> tuple[np.ndarray, float]:
@@ -98,7 +100,7 @@ def background_from_presses(
         )
     images = [read() for read in frames]
     start = _median(images, [None] * len(images), [None] * len(images))[0]
-    drifts = [fit_robust_drift(image, start, mask) for image in images]
+    drifts = [fit_light(image, start, mask) for image in images]
     # The common light is that of the frames' mean, so that the drifts cancel out.
     level = start
     for _ in range(2):
@@ -107,7 +109,7 @@ def background_from_presses(
             for image, drift in zip(images, drifts, strict=True)
         ]
         level, count = _median(images, drifts, seen)
-        drifts = [fit_robust_drift(image, level, mask) for image in images]
+        drifts = [fit_light(image, level, mask) for image in images]
     rarely = np.asarray(count < MIN_SEEN)
     if mask is not None:
         rarely &= mask
@@ -122,7 +124,7 @@ def background_from_presses(
 
 def _median(
     images: Sequence[np.ndarray],
-    drifts: Sequence[Drift | None],
+    drifts: Sequence[Light | None],
     seen: Sequence[np.ndarray | None],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Median of the drift-free images over the frames that see a pixel, and how many do."""

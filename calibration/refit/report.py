@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.background.refit import CHANNELS, FrameError, Refit
+from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
 from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import BLUE, GREY, in_report_style, new_figure
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def refit_page(result: Refit, old: SensorProfile) -> Page:
+def refit_page(result: RefitCalibration, old: SensorProfile) -> Page:
     """The page of ``taccel-lab calibrate refit``."""
     change, sigma = result.fit.change, result.fit.sigma
     light = [
@@ -25,11 +25,11 @@ def refit_page(result: Refit, old: SensorProfile) -> Page:
             name,
             float(change.response[c]),
             float(sigma.response[c]),
-            float(change.gain[c]),
-            float(sigma.gain[c]),
-            float(change.offset[c]),
-            float(change.gradient[c, 0]),
-            float(change.gradient[c, 1]),
+            float(change.light.gain[c]),
+            float(sigma.light.gain[c]),
+            float(change.light.offset[c]),
+            float(change.light.gradient[c, 0]),
+            float(change.light.gradient[c, 1]),
         )
         for c, name in enumerate(CHANNELS)
     ]
@@ -97,7 +97,7 @@ def _rows(errors: Sequence[FrameError]) -> list[tuple[str | float, ...]]:
 
 
 @in_report_style
-def _draw_errors(result: Refit) -> Figure:
+def _draw_errors(result: RefitCalibration) -> Figure:
     figure, axis = new_figure(9, 3.4)
     place = np.arange(len(result.errors))
     axis.bar(place - 0.2, [e.before for e in result.errors], 0.4, color=GREY, label="before")
@@ -109,7 +109,7 @@ def _draw_errors(result: Refit) -> Figure:
 
 
 @in_report_style
-def _draw_backgrounds(result: Refit, old: SensorProfile) -> Figure:
+def _draw_backgrounds(result: RefitCalibration, old: SensorProfile) -> Figure:
     before = np.asarray(old.background_rgb, dtype=np.float64)
     height, width = before.shape[:2]
     figure, axes = new_figure(11, 0.8 + 3.4 * height / width, 1, 3)

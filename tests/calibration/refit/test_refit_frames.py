@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.background.refit_frames import NewFrames, refit_frames
 from taccel_lab.calibration.capture import CaptureSet, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.refit.frames import NewFrames, refit_frames
 from taccel_lab.profile import SensorProfile
-from tests.calibration.background.test_refit import old_profile
+from tests.calibration.refit.test_refit import old_profile
 from tests.calibration.synthetic import BALL_RADIUS_MM, synthetic_captures
 
 COUNT = 9

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift
-from taccel_lab.calibration.background.robust_mean import robust_mean
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.robust_mean import robust_mean
 from taccel_lab.geometry import PixelGrid
 
 UNTOUCHED_RADII = 2.5
@@ -25,7 +25,7 @@ def average_background(
     background: np.ndarray,
     frames: Sequence[np.ndarray],
     circles: Sequence[ContactCircle],
-    drifts: Sequence[Drift],
+    drifts: Sequence[Light],
     grid: PixelGrid,
     mask: np.ndarray | None = None,
 ) -> np.ndarray:

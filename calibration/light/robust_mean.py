@@ -15,7 +15,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import BIWEIGHT, MIN_SCALE_LEVELS, smoothed
+from taccel_lab.calibration.light.fit import BIWEIGHT, MIN_SCALE_LEVELS
+from taccel_lab.calibration.light.smoothing import smoothed
 
 SMOOTHING_PX = 2.0
 MIN_WEIGHT = 0.1

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.result import Remark, Severity
 
 NOTABLE_LEVELS = 2.0
@@ -43,7 +43,7 @@ class DriftSpread:
         return self.balance_levels > BALANCE_LEVELS and self.balance_levels > BALANCE_SHARE * whole
 
 
-def drift_spread(drifts: Sequence[Drift], background: np.ndarray) -> DriftSpread:
+def drift_spread(drifts: Sequence[Light], background: np.ndarray) -> DriftSpread:
     """Spread of ``drifts`` of frames against ``background``, RGB levels [height, width, 3]."""
     level = background.reshape(-1, 3).astype(np.float64).mean(axis=0)
     shift = np.array([(drift.gain - 1) * level + drift.offset for drift in drifts])
@@ -62,7 +62,7 @@ def drift_spread(drifts: Sequence[Drift], background: np.ndarray) -> DriftSpread
     )
 
 
-def drift_remark(drifts: Sequence[Drift], background: np.ndarray) -> Remark:
+def drift_remark(drifts: Sequence[Light], background: np.ndarray) -> Remark:
     """One remark on the drift over the frames, with figures and what to do."""
     found = drift_spread(drifts, background)
     values = ", ".join(

@@ -11,22 +11,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import fit_robust_drift
-from taccel_lab.calibration.background.light_change import (
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.untouched import RunningMean, steady_pixels, untouched_pixels
+from taccel_lab.calibration.refit.frames import Surfaces, refit_frames
+from taccel_lab.calibration.refit.light_change import (
     LightChange,
     LightChangeFit,
     RefitFrame,
     fit_light_change,
 )
-from taccel_lab.calibration.background.untouched import RunningMean, steady_pixels, untouched_pixels
-from taccel_lab.calibration.result import Remark, Severity, judge
+from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
+from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.simulate import simulate_presses
+from taccel_lab.calibration.surfaces.types import PressSurface
 from taccel_lab.errors import InputError
-from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
-from taccel_lab.signals.color_model import ColorModelConfig
+from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
 
 MIN_FRAMES = 3
 MAX_RESPONSE_SIGMA = 0.25
@@ -35,126 +41,62 @@ ROUGH_RESPONSE_SIGMA = 0.1
 """The same above which it is worth a warning."""
 FRAME_DRIFT_LEVELS = 3.0
 MIN_GAIN_LEVELS = 0.1
-CHANNELS = ("red", "green", "blue")
 
 
 @dataclass(frozen=True)
-class FrameError:
-    """Mean absolute error of a new frame that was left out of the fit [levels]."""
+class RefitOptions:
+    """Settings of a refit."""
 
-    name: str
-    pressed: bool
-    before: float
-    """The old profile, in the contact disc of a press or over an untouched frame."""
-    after: float
-    whole_before: float
-    """Over the whole frame."""
-    whole_after: float
+    surface: Literal["simulated", "hertz"] = "simulated"
+    """Gel surface under a press: the simulation, or a closed form, which is quick."""
 
 
-@dataclass(frozen=True)
-class Refit:
-    """The correction with what it gains."""
+def calibrate_refit(
+    folder: CaptureFolder,
+    base: SensorProfile,
+    options: RefitOptions = RefitOptions(),
+    progress: Progress = silent,
+) -> RefitCalibration:
+    """Correct ``base`` for the light of today, which ``folder`` shows.
 
-    fit: LightChangeFit
-    background: np.ndarray
-    """New background, RGB levels, float32, shape [height_px, width_px, 3]."""
-    errors: tuple[FrameError, ...]
-    """Of the fitted frames, each by a fit without it."""
-    heldout: tuple[FrameError, ...]
-    """Of presses that had no part in anything."""
-    remarks: tuple[Remark, ...]
-    inputs: dict[str, str]
-    source: str
-    surface_provider: str
-
-    def mean(self, name: str) -> float:
-        """Mean of a figure of ``errors`` over the frames [levels]."""
-        return float(np.mean([getattr(error, name) for error in self.errors]))
-
-    def figures(self) -> dict[str, Any]:
-        """Everything measured, ready for JSON."""
-        change, sigma = self.fit.change, self.fit.sigma
-        return {
-            "verdict": judge(self.remarks),
-            "before_l1": self.mean("before"),
-            "after_l1": self.mean("after"),
-            "whole_before_l1": self.mean("whole_before"),
-            "whole_after_l1": self.mean("whole_after"),
-            "response_rgb": change.response.tolist(),
-            "response_sigma": sigma.response.tolist(),
-            "gain_rgb": change.gain.tolist(),
-            "gain_sigma": sigma.gain.tolist(),
-            "offset_rgb": change.offset.tolist(),
-            "gradient_rgb": change.gradient.tolist(),
-            "frames": [vars(error) for error in self.errors],
-            "heldout": [vars(error) for error in self.heldout],
-        }
-
-    def apply_to(self, profile: SensorProfile) -> SensorProfile:
-        """``profile`` in the new light: background and, where it has one, colour model."""
-        profile = profile.with_block(
-            BackgroundBlock(
-                provenance=self._provenance(
-                    profile.background,
-                    "refitted: the old background in the new light, averaged with the untouched "
-                    f"parts of {len(self.errors)} new frames",
-                )
-            ),
-            self.background,
+    Raises:
+        InputError: Captures of another sensor or image size, a profile without a background, and
+            whatever ``refit_profile`` refuses.
+    """
+    if folder.sensor != base.sensor.family:
+        raise InputError(
+            f"the captures are of a {folder.sensor}, the profile is of a {base.sensor.family}"
         )
-        if profile.color is None or profile.color_weights is None:
-            return profile
-        config = ColorModelConfig.from_dict(profile.color.architecture)
-        response = self.fit.change.response
-        factors = ", ".join(f"{name} {x:.3f}" for name, x in zip(CHANNELS, response, strict=True))
-        method = f"refitted: last layer scaled by {factors}; before that: "
-        return profile.with_block(
-            profile.color.replace(
-                provenance=self._provenance(profile.color, method + profile.color.provenance.method)
-            ),
-            scale_channels(config, profile.color_weights, response),
+    _require_background(base)
+    surfaces = _simulated(base, progress) if options.surface == "simulated" else "hertz"
+    new = refit_frames(base, folder, surfaces)
+    return refit_profile(
+        base,
+        new.fitted,
+        source=folder.provenance.get("source", folder.source),
+        surface_provider=new.surface_provider,
+        mask=folder.mask,
+        heldout=new.heldout,
+    )
+
+
+def _simulated(profile: SensorProfile, progress: Progress) -> Surfaces:
+    def tell(done: int, total: int) -> None:
+        progress("simulating the presses", done, total)
+
+    def make(captures: CaptureSet, circles: list[ContactCircle]) -> list[PressSurface]:
+        return simulate_presses(captures, circles, profile, progress=tell)
+
+    return make
+
+
+def _require_background(profile: SensorProfile) -> np.ndarray:
+    if profile.background_rgb is None:
+        raise InputError(
+            "the profile has no background, so that there is nothing to refit; run taccel-lab "
+            "calibrate color first"
         )
-
-    def _provenance(self, block: Block | None, method: str) -> Provenance:
-        old = {} if block is None else dict(block.provenance.inputs)
-        region = {} if block is None else dict(block.provenance.valid_region)
-        sigma = self.fit.sigma
-        spread = {f"response_{n}": float(x) for n, x in zip(CHANNELS, sigma.response, strict=True)}
-        spread |= {f"gain_{n}": float(x) for n, x in zip(CHANNELS, sigma.gain, strict=True)}
-        return Provenance(
-            kind="calibrated",
-            method=method,
-            source=self.source,
-            inputs={**old, **{f"refit_{name}": sha for name, sha in self.inputs.items()}},
-            residuals={
-                "heldout_l1_levels": self.mean("after"),
-                "heldout_before_refit_l1_levels": self.mean("before"),
-                "heldout_whole_l1_levels": self.mean("whole_after"),
-            },
-            spread=spread,
-            valid_region=region or {"level": (0.0, 255.0)},
-            verdict=judge(self.remarks).value,
-            remarks=tuple(remark.message for remark in self.remarks),
-        )
-
-
-def scale_channels(
-    config: ColorModelConfig, weights: Any, factors: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Weights of a colour model whose change is ``factors`` [3] times as large a channel."""
-    last = len(config.layer_sizes()) - 1
-    scaled = {name: np.array(value) for name, value in weights.items()}
-    # Also the bias, which cancels, so that the layer stays the old one but for its scale.
-    for name in (f"layer{last}.weight", f"layer{last}.bias"):
-        if name not in scaled or scaled[name].shape[0] != 3:
-            raise InputError(
-                f"the profile's colour model has no last layer {name} of three channels; it "
-                "cannot be refitted"
-            )
-        shape = (3,) + (1,) * (scaled[name].ndim - 1)
-        scaled[name] = (scaled[name] * factors.reshape(shape)).astype(scaled[name].dtype)
-    return scaled
+    return profile.background_rgb
 
 
 def refit_profile(
@@ -165,7 +107,7 @@ def refit_profile(
     surface_provider: str,
     mask: np.ndarray | None = None,
     heldout: Sequence[RefitFrame] = (),
-) -> Refit:
+) -> RefitCalibration:
     """Fit today's light to new ``frames`` of the sensor of ``profile``.
 
     Presses of ``heldout`` have no part in it; the finished correction is scored on them.
@@ -174,12 +116,7 @@ def refit_profile(
     correction: too few, no contact although the profile has a colour model, a response that the
     frames disagree on, or no gain on frames that were left out.
     """
-    old = profile.background_rgb
-    if old is None:
-        raise InputError(
-            "the profile has no background, so that there is nothing to refit; calibrate the "
-            "background and the colour first"
-        )
+    old = _require_background(profile)
     if len(frames) < MIN_FRAMES:
         raise InputError(
             f"{len(frames)} new frames cannot tell a correction from chance; at least "
@@ -198,7 +135,7 @@ def refit_profile(
         for k, (frame, change) in enumerate(zip(frames, fit.left_out, strict=True))
     )
     background = _new_background(frames, fit.change, old, mask, None)
-    refit = Refit(
+    refit = RefitCalibration(
         fit=fit,
         background=background,
         errors=errors,
@@ -224,7 +161,7 @@ def _sure_gain(errors: Sequence[FrameError], before: str, after: str) -> float:
     return float(gain.mean() - max(MIN_GAIN_LEVELS, 2 * gain.std(ddof=1) / np.sqrt(len(gain))))
 
 
-def _refuse_chance(refit: Refit, has_color: bool) -> None:
+def _refuse_chance(refit: RefitCalibration, has_color: bool) -> None:
     sigma = refit.fit.sigma.response / np.maximum(refit.fit.change.response, 1e-3)
     worst = int(np.argmax(sigma))
     if has_color and sigma[worst] > MAX_RESPONSE_SIGMA:
@@ -252,13 +189,13 @@ def _new_background(
     leave_out: int | None,
 ) -> np.ndarray:
     """The old background in the new light, averaged with what the frames show of the gel."""
-    base = change.background(old)
+    base = change.light.apply(old)
     mean = RunningMean.empty(old.shape)
     mean.add(base, np.ones(old.shape[:2], bool))
     for k, frame in enumerate(frames):
         if k == leave_out:
             continue
-        drift = fit_robust_drift(frame.image, base, mask)
+        drift = fit_light(frame.image, base, mask)
         pick = untouched_pixels if frame.change is None else steady_pixels
         seen = pick(frame.image, base, drift, mask)
         mean.add(drift.remove(frame.image.astype(np.float64)), seen)
@@ -365,10 +302,10 @@ def _between(
     frames: Sequence[RefitFrame], change: LightChange, old: np.ndarray, mask: np.ndarray | None
 ) -> float:
     """Root mean square over the frames and channels of the light's change left in each [levels]."""
-    base = change.background(old)
+    base = change.light.apply(old)
     level = base.reshape(-1, 3).mean(axis=0)
     shifts = []
     for frame in frames:
-        drift = fit_robust_drift(frame.image, base, mask)
+        drift = fit_light(frame.image, base, mask)
         shifts.append((drift.gain - 1) * level + drift.offset)
     return float(np.sqrt(np.mean(np.square(shifts))))

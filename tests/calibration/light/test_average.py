@@ -6,12 +6,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.background import Drift, average_background
 from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.light.average import average_background
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.synthetic import add_noise, quantise
 from tests.calibration.contacts.presses import GRID, gel, pressed
 
-STILL = Drift(np.ones(3), np.zeros(3))
+STILL = Light(np.ones(3), np.zeros(3))
 CONTACT = ContactCircle(45.0, 75.0, 18.0)
 OBJECT = ContactCircle(150.0, 60.0, 20.0)
 

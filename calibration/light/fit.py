@@ -1,23 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drift of one frame's light against the background: gain, offset and a linear gradient.
+"""Fit of one frame's light against the background.
 
-Ageing lamps, a warm camera and above all automatic white balance change every frame a little. In a
-frame without contact each channel follows ``frame = gain * background + offset + gradient``, the
-gradient being linear over the image. Contacts and shadows are outliers of that: the fit is an
-iteratively reweighted least squares with Tukey's biweight (J. W. Tukey and A. E. Beaton,
-Technometrics 16, 1974) on the distance over all channels, so that nobody has to say where the
-contact is. What a flat background cannot tell is held by a weak prior at "no change".
+Contacts and shadows are outliers of the light's law: the fit is an iteratively reweighted least
+squares with Tukey's biweight (J. W. Tukey and A. E. Beaton, Technometrics 16, 1974) on the distance
+over all channels, so that nobody has to say where the contact is. What a flat background cannot
+tell is held by a weak prior at "no change".
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
-import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.color.evaluate import FAR_RADII
+from taccel_lab.calibration.light.light import Light, unit_position
+from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -36,57 +32,24 @@ SMOOTHING_SHARE = 1 / 160
 gain to 0 wherever the gradient can explain the background as well."""
 ITERATIONS = 12
 
-OUTLIER_LEVELS = 20.0
+FAR_RADII = 3.0
+"""Beyond this many contact radii an image is taken as untouched."""
 MIN_FAR_PIXELS = 500
 
 
-@dataclass(frozen=True)
-class Drift:
-    """Change of the light in one frame: ``frame = gain * background + offset + gradient``."""
-
-    gain: np.ndarray
-    """Gain of each channel, shape [3]."""
-    offset: np.ndarray
-    """Offset of each channel [levels], shape [3]."""
-    gradient: np.ndarray = field(default_factory=lambda: np.zeros((3, 2)))
-    """Change from the middle to the right and to the lower border [levels], shape [3, 2]."""
-    noise_levels: float = 0.0
-    """Robust standard deviation of what is left of the smoothed frame, a channel [levels]; 0 when
-    not estimated."""
-
-    def apply(self, image: np.ndarray) -> np.ndarray:
-        """The background (or a render on it) as the frame's light would show it.
-
-        A gradient needs a whole image, shape [height_px, width_px, 3].
-        """
-        return image * self.gain + self.offset + self._plane(image)
-
-    def remove(self, image: np.ndarray) -> np.ndarray:
-        """The frame as the background's light would show it."""
-        return (image - self.offset - self._plane(image)) / self.gain
-
-    def _plane(self, image: np.ndarray) -> np.ndarray | float:
-        if not self.gradient.any():
-            return 0.0
-        if image.ndim != 3:
-            raise InputError(f"a drift with a gradient needs a whole image, got {image.shape}")
-        u, v = unit_position(image.shape[0], image.shape[1])
-        return u[..., None] * self.gradient[:, 0] + v[..., None] * self.gradient[:, 1]
+def biweight(distance: np.ndarray, reach: float) -> np.ndarray:
+    """Tukey's weight of residuals: 1 at zero, 0 from ``reach`` on; of their shape."""
+    return np.clip(1 - (distance / reach) ** 2, 0.0, 1.0) ** 2
 
 
-def unit_position(height_px: int, width_px: int) -> tuple[np.ndarray, np.ndarray]:
-    """-1..1 over the columns [1, width_px] and over the rows [height_px, 1]."""
-    return np.linspace(-1, 1, width_px)[None, :], np.linspace(-1, 1, height_px)[:, None]
-
-
-def fit_robust_drift(
+def fit_light(
     frame: np.ndarray,
     background: np.ndarray,
     mask: np.ndarray | None = None,
     *,
     gradient: bool = True,
-) -> Drift:
-    """Drift of ``frame`` against ``background`` wherever the two go together.
+) -> Light:
+    """Light of ``frame`` against ``background`` wherever the two go together.
 
     Images are RGB levels, shape [height_px, width_px, 3]; pixels where ``mask`` is false are left
     out. The untouched part has to be the larger one. ``gradient=False`` fits gain and offset only.
@@ -120,11 +83,11 @@ def fit_robust_drift(
         # The median of the norm of three normal variables is 1.538 standard deviations.
         scale = max(float(np.median(inside)) / 1.538, MIN_SCALE_LEVELS / 3)
         reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
-        weight = np.clip(1 - (distance / reach) ** 2, 0.0, 1.0) ** 2
+        weight = biweight(distance, reach)
         for c, design in enumerate(designs):
             fitted[c] = _with_prior(design, after[:, c], weight, none, scale)
             left[:, c] = after[:, c] - design @ fitted[c]
-    return Drift(
+    return Light(
         gain=fitted[:, 0].copy(),
         offset=fitted[:, 1].copy(),
         gradient=fitted[:, 2:].copy() if gradient else np.zeros((3, 2)),
@@ -188,22 +151,22 @@ def normal_equations(
     return weighed.T @ expected + prior, weighed.T @ change
 
 
-def remove_drift(image: np.ndarray, background: np.ndarray, drift: Drift) -> np.ndarray:
+def without_light(image: np.ndarray, background: np.ndarray, light: Light) -> np.ndarray:
     """Frame minus the background in the frame's light [levels], float32."""
-    return (image - drift.apply(background.astype(np.float32))).astype(np.float32)
+    return (image - light.apply(background.astype(np.float32))).astype(np.float32)
 
 
-def fit_drift(
+def fit_light_beside(
     frame: np.ndarray,
     background: np.ndarray,
     circle: ContactCircle,
     grid: PixelGrid,
     mask: np.ndarray | None = None,
-) -> Drift:
-    """Gain and offset of ``frame`` against ``background`` beyond 3 contact radii, per channel.
+) -> Light:
+    """Gain and offset of ``frame`` against ``background`` beyond 3 radii of its contact.
 
-    Images are RGB levels, shape [height_px, width_px, 3]; masked pixels are left out. Least
-    squares, repeated once without pixels that are off by more than 20 levels.
+    Images are RGB levels, shape [height_px, width_px, 3]; masked pixels are left out. Raises
+    InputError when the contact leaves fewer than 500 pixels.
     """
     far = circle.distance_px(grid) > FAR_RADII * circle.radius_px
     if mask is not None:
@@ -213,33 +176,4 @@ def fit_drift(
             f"only {int(far.sum())} usable pixels lie beyond {FAR_RADII:g} contact radii; at least "
             f"{MIN_FAR_PIXELS} are needed to fit the background's drift"
         )
-    gain, offset = np.ones(3), np.zeros(3)
-    for c in range(3):
-        x = background[far][:, c].astype(np.float64)
-        y = frame[far][:, c].astype(np.float64)
-        keep = np.ones(len(x), dtype=bool)
-        for _ in range(2):
-            spread = x[keep].std()
-            if spread > 1.0:
-                gain[c], offset[c] = np.polyfit(x[keep], y[keep], 1)
-            else:  # A flat background cannot tell gain from offset.
-                gain[c], offset[c] = 1.0, float((y - x)[keep].mean())
-            close = np.abs(y - gain[c] * x - offset[c]) < OUTLIER_LEVELS
-            if close.sum() < MIN_FAR_PIXELS // 2:
-                break
-            keep = close
-    return Drift(gain, offset)
-
-
-def smoothed(image: np.ndarray, mask: np.ndarray | None, sigma_px: float) -> np.ndarray:
-    """Gaussian mean [sigma_px] over the usable pixels only, float32, same shape as ``image``.
-
-    Where no usable pixel is near, the value is 0.
-    """
-    if mask is None or mask.all():
-        return cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), sigma_px)
-    weight = mask.astype(np.float32)
-    filled = np.where(mask[..., None], image, 0.0).astype(np.float32)
-    total = cv2.GaussianBlur(weight, (0, 0), sigma_px)[..., None]
-    spread = cv2.GaussianBlur(filled, (0, 0), sigma_px)
-    return np.where(total > 1e-3, spread / np.maximum(total, 1e-3), 0.0).astype(np.float32)
+    return fit_light(frame, background, far, gradient=False)

@@ -20,7 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import unit_position
+from taccel_lab.calibration.light.fit import biweight
+from taccel_lab.calibration.light.light import Light, unit_position
 from taccel_lab.errors import InputError
 
 FRAME_PIXELS = 12_000
@@ -54,27 +55,10 @@ class RefitFrame:
 class LightChange:
     """Change of every channel since the profile was made."""
 
-    gain: np.ndarray
-    """Of the background, shape [3]."""
+    light: Light
+    """Of the background."""
     response: np.ndarray
-    """Of the colour change, shape [3]."""
-    offset: np.ndarray
-    """[levels], shape [3]."""
-    gradient: np.ndarray
-    """From the middle to the right and to the lower border [levels], shape [3, 2]."""
-
-    def background(self, old: np.ndarray) -> np.ndarray:
-        """The old background in the new light, levels, shape [height_px, width_px, 3]."""
-        u, v = unit_position(old.shape[0], old.shape[1])
-        plane = u[..., None] * self.gradient[:, 0] + v[..., None] * self.gradient[:, 1]
-        return old * self.gain + self.offset + plane
-
-    def render(self, old: np.ndarray, change: np.ndarray | None) -> np.ndarray:
-        """What the refitted profile shows, levels in 0..255."""
-        image = self.background(old)
-        if change is not None:
-            image = image + self.response * change
-        return np.clip(image, 0.0, 255.0)
+    """Factor of the colour change, shape [3]."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +172,7 @@ def _biweight_fit(
     for _ in range(ITERATIONS):
         left = np.abs(change - design @ step)
         scale = max(1.4826 * float(np.median(left)), 0.05)
-        weight = inside * np.clip(1 - (left / (BIWEIGHT * scale)) ** 2, 0, 1) ** 2
+        weight = inside * biweight(left, BIWEIGHT * scale)
         weighed = design * weight[:, None]
         prior = np.diag((scale / prior_sigma) ** 2)
         step = np.linalg.solve(weighed.T @ design + prior, weighed.T @ change)
@@ -197,7 +181,7 @@ def _biweight_fit(
 
 def _light(channels: Sequence[np.ndarray]) -> LightChange:
     rows = np.array(channels)
-    return LightChange(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3:])
+    return LightChange(Light(rows[:, 0], rows[:, 2], rows[:, 3:]), rows[:, 1])
 
 
 def _jackknife(left_out: Sequence[LightChange]) -> LightChange:
@@ -206,9 +190,9 @@ def _jackknife(left_out: Sequence[LightChange]) -> LightChange:
         count = len(stack)
         return np.sqrt((count - 1) / count * ((stack - stack.mean(axis=0)) ** 2).sum(axis=0))
 
-    return LightChange(
-        sigma([x.gain for x in left_out]),
-        sigma([x.response for x in left_out]),
-        sigma([x.offset for x in left_out]),
-        sigma([x.gradient for x in left_out]),
+    light = Light(
+        sigma([x.light.gain for x in left_out]),
+        sigma([x.light.offset for x in left_out]),
+        sigma([x.light.gradient for x in left_out]),
     )
+    return LightChange(light, sigma([x.response for x in left_out]))
