@@ -25,15 +25,16 @@ from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.color.registration import RegistrationOptions, register_presses
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.calibration.color.training import train
-from taccel_lab.calibration.contacts import choose_circles, usable_presses
-from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.labels import LabelPlacement
+from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.calibration.light.fit import fit_light_beside
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces.design import fitted_design
+from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
-from taccel_lab.calibration.surfaces.types import PressSurface
-from taccel_lab.calibration.surfaces.variation import moved_surfaces
 from taccel_lab.profile import CameraBlock, Provenance
 from taccel_lab.signals.color_model import ColorModel
 

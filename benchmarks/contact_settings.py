@@ -22,7 +22,7 @@ from taccel_lab.benchmarks.capture_sets import CASES, ImportedSets
 from taccel_lab.benchmarks.left_out import beats_default, choose_left_out
 from taccel_lab.benchmarks.results import FOLDER, ResultFile, note
 from taccel_lab.calibration.capture import load_captures
-from taccel_lab.calibration.contacts import find_contacts
+from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.photometric import fit_contacts
 from taccel_lab.calibration.contacts.slope_law import SKIRT
 

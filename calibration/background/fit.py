@@ -12,11 +12,11 @@ from taccel_lab.calibration.background.dust import dust_mask, speck_count
 from taccel_lab.calibration.background.result import BackgroundCalibration, FrameLight
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check.background import check_background
+from taccel_lab.calibration.light.average import RunningMean
 from taccel_lab.calibration.light.drift import drift_remark, drift_spread
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.light.untouched import (
-    RunningMean,
     background_from_presses,
     steady_pixels,
     untouched_pixels,

@@ -31,12 +31,12 @@ from taccel_lab.calibration.color.options import ColorFitOptions, Progress
 from taccel_lab.calibration.color.registration import MIN_PRESSES, Registration, register_presses
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore, Spread
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
-from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.fit import fit_light_beside
 from taccel_lab.calibration.result import Remark
+from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
-from taccel_lab.calibration.surfaces.types import PressSurface
-from taccel_lab.calibration.surfaces.variation import moved_surfaces
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
 

@@ -12,7 +12,7 @@ from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.light.fit import fit_light_beside
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModelConfig, pixel_uv

@@ -29,14 +29,14 @@ from taccel_lab.calibration.color.evaluate import ImageScore, mean_score, score_
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.registration import place_press
-from taccel_lab.calibration.contacts import detect_contact
-from taccel_lab.calibration.contacts.label_placement import LabelPlacement
-from taccel_lab.calibration.contacts.tiles import even_tiles, filled_from
+from taccel_lab.calibration.color.tiles import even_tiles, filled_from
+from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.fit import FAR_RADII, MIN_FAR_PIXELS, fit_light_beside
 from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
-from taccel_lab.calibration.surfaces.types import PressSurface
-from taccel_lab.calibration.surfaces.variation import moved_surfaces
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
 

@@ -46,7 +46,7 @@ class DriftSpread:
 def drift_spread(drifts: Sequence[Light], background: np.ndarray) -> DriftSpread:
     """Spread of ``drifts`` of frames against ``background``, RGB levels [height, width, 3]."""
     level = background.reshape(-1, 3).astype(np.float64).mean(axis=0)
-    shift = np.array([(drift.gain - 1) * level + drift.offset for drift in drifts])
+    shift = np.array([drift.shift(level) for drift in drifts])
     gradient = np.array([drift.gradient for drift in drifts])
     common = shift.mean(axis=1, keepdims=True)
     apart = shift - common

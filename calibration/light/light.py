@@ -40,6 +40,10 @@ class Light:
         """The frame as the background's light would show it."""
         return (image - self.offset - self._plane(image)) / self.gain
 
+    def shift(self, level: np.ndarray) -> np.ndarray:
+        """Change of a channel of this ``level`` in the middle of the image [levels], shape [3]."""
+        return (self.gain - 1) * level + self.offset
+
     def _plane(self, image: np.ndarray) -> np.ndarray | float:
         if not self.gradient.any():
             return 0.0

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.light.average import median_where_seen
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.light.robust_mean import median_where_seen
 from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.errors import InputError
 
@@ -143,38 +142,3 @@ def _median(
             count[..., None] > 0, result, median_where_seen(steady, [always] * len(steady))
         )
     return result, count
-
-
-@dataclass
-class RunningMean:
-    """Mean and spread of drift-free images over the frames that see each pixel."""
-
-    total: np.ndarray
-    squares: np.ndarray
-    count: np.ndarray
-
-    @classmethod
-    def empty(cls, shape: tuple[int, ...]) -> RunningMean:
-        """Of no image yet; ``shape`` is [height_px, width_px, 3]."""
-        return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape[:2]))
-
-    def add(self, image: np.ndarray, seen: np.ndarray, sign: int = 1) -> None:
-        """Take an image in, or with ``sign`` -1 out again."""
-        values = np.where(seen[..., None], image, 0.0).astype(np.float64)
-        self.total += sign * values
-        self.squares += sign * values**2
-        self.count += sign * seen
-
-    def mean(self, otherwise: np.ndarray) -> np.ndarray:
-        """Mean [levels]; ``otherwise`` where no image saw the pixel."""
-        count = np.maximum(self.count, 1)[..., None]
-        return np.where(self.count[..., None] > 0, self.total / count, otherwise)
-
-    def noise(self) -> np.ndarray:
-        """Standard deviation between images, the channels' root mean square, shape [height, width];
-        NaN where fewer than 3 images saw the pixel."""
-        count = self.count[..., None]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            variance = (self.squares - self.total**2 / count) / (count - 1)
-        found = np.sqrt(np.maximum(variance, 0).mean(axis=-1))
-        return np.where(self.count >= 3, found, np.nan)

@@ -17,8 +17,9 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.light.average import RunningMean
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.untouched import RunningMean, steady_pixels, untouched_pixels
+from taccel_lab.calibration.light.untouched import steady_pixels, untouched_pixels
 from taccel_lab.calibration.refit.frames import Surfaces, refit_frames
 from taccel_lab.calibration.refit.light_change import (
     LightChange,
@@ -29,7 +30,7 @@ from taccel_lab.calibration.refit.light_change import (
 from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.calibration.simulate import simulate_presses
-from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -304,8 +305,5 @@ def _between(
     """Root mean square over the frames and channels of the light's change left in each [levels]."""
     base = change.light.apply(old)
     level = base.reshape(-1, 3).mean(axis=0)
-    shifts = []
-    for frame in frames:
-        drift = fit_light(frame.image, base, mask)
-        shifts.append((drift.gain - 1) * level + drift.offset)
+    shifts = [fit_light(frame.image, base, mask).shift(level) for frame in frames]
     return float(np.sqrt(np.mean(np.square(shifts))))

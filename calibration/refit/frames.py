@@ -13,8 +13,9 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
-from taccel_lab.calibration.contacts import choose_circles, detect_contact, resolve_contacts
-from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.contacts.fit import detect_contact, resolve_contacts
+from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.refit.light_change import RefitFrame
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.errors import InputError

@@ -19,18 +19,14 @@ from typing import Any
 import taccel_lab.calibration.contacts
 import taccel_lab.calibration.light
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts.ball import (
-    DetectedContact,
-    FoundContacts,
-    Progress,
-    Refusal,
-    find_contacts,
-)
+from taccel_lab.calibration.contacts.fit import find_contacts
+from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts, Refusal
 from taccel_lab.errors import InputError
 from taccel_lab.output import CACHE_VARIABLE, cache_folder, content_key, write_json
+from taccel_lab.progress import Progress, silent
 
 
-def kept_contacts(captures: CaptureSet, progress: Progress | None = None) -> FoundContacts:
+def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundContacts:
     """Contacts of ``captures`` as ``find_contacts`` gives them, from the cache where they are.
 
     What is read from the cache holds contacts and refusals only, not the fit that they came from.

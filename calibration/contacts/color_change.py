@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from taccel_lab.calibration.light.fit import fit_light, without_light
 from taccel_lab.calibration.light.light import Light
@@ -64,5 +65,5 @@ def color_change(
             near = cv2.resize(near.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     strength = np.linalg.norm(change, axis=-1)
     untouched = strength if near is None else strength[near]
-    spread = float(np.median(np.abs(untouched - np.median(untouched))))
-    return ColorChange(change, near, ratio, sigma, drift, 1.4826 * spread + 1e-6)
+    noise = float(median_abs_deviation(untouched, axis=None, scale="normal"))
+    return ColorChange(change, near, ratio, sigma, drift, noise + 1e-6)

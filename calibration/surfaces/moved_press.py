@@ -15,8 +15,8 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces, slope_of
-from taccel_lab.calibration.surfaces.types import PressSurface
 
 MOVED_RADII = 2.7
 """Beyond this many contact radii a surface stays where it was: it is nearly at rest there."""

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a contact is, roughly, and whether it is round: the start of every finer search."""
+"""Where a contact is, roughly, without any guess: the start of every finer search."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.contacts.circle_fit import CircleFit, fit_circle_ransac
+from taccel_lab.calibration.contacts.rim import RAY_COUNT, sample_rays
 
-RAY_COUNT = 180
 MIN_RADIUS_PX = 4.0
 SPECK_SHARES = (1 / 75, 1 / 45)
 """Half width of specks, dust and edges of dots, as a part of the image's shorter side."""
@@ -18,7 +17,7 @@ SHADOW_LEVEL = 0.45
 """Colour change, as a part of the strongest, that shadows beside a contact stay below."""
 
 
-def rough_circle(change: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, float]:
+def first_circle(change: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, float]:
     """Where a press is, roughly: centre (u, v) and radius [px].
 
     ``change`` is the colour change, shape [height, width, 3], pixels square; ``strength`` its size.
@@ -101,49 +100,3 @@ def turning_radius(change: np.ndarray, center: np.ndarray, radius: float) -> flo
     harmonic = np.fft.fft(rays, axis=0)[1]
     size = np.linalg.norm(np.abs(harmonic), axis=-1)
     return float(max(np.argmax(size), MIN_RADIUS_PX / 2))
-
-
-def sample_rays(change: np.ndarray, center: np.ndarray, reach_px: float) -> np.ndarray:
-    """Colour change along rays from the centre at whole pixels, shape [RAY_COUNT, reach, 3].
-
-    Samples outside the image are NaN.
-    """
-    angle = np.arange(RAY_COUNT)[:, None] * (2 * np.pi / RAY_COUNT)
-    distance = np.arange(int(np.ceil(reach_px)) + 1)[None, :]
-    x = (center[0] + distance * np.cos(angle)).astype(np.float32)
-    y = (center[1] + distance * np.sin(angle)).astype(np.float32)
-    rays = cv2.remap(change, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    outside = (x < 0) | (y < 0) | (x > change.shape[1] - 1) | (y > change.shape[0] - 1)
-    rays[outside] = np.nan
-    return rays
-
-
-def fit_drop(change: np.ndarray, center: np.ndarray, radius: float) -> CircleFit:
-    """Circle through the point of each ray where the colour changes fastest, near the given one.
-
-    The lens blurs the rim, so that this circle is a little wider than the contact.
-    """
-    rays = sample_rays(change, center, 1.4 * radius + 4)
-    speed = np.nan_to_num(np.linalg.norm(np.gradient(rays, axis=1), axis=-1), nan=0.0)
-    speed[:, : int(0.75 * radius)] = 0.0
-    peak = np.argmax(speed, axis=1)
-    angle = np.arange(RAY_COUNT) * (2 * np.pi / RAY_COUNT)
-    reach = peak + _parabola_offset(speed, peak)
-    points = center + reach[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    found = speed[np.arange(RAY_COUNT), peak] > 0
-    if found.sum() < 3:
-        found[:] = True
-    fit = fit_circle_ransac(points[found], tolerance=max(2.0, 0.06 * radius))
-    inliers = np.zeros(RAY_COUNT, dtype=bool)
-    inliers[np.flatnonzero(found)[fit.inliers]] = True
-    return CircleFit(fit.center, fit.radius, inliers, fit.rms)
-
-
-def _parabola_offset(values: np.ndarray, peak: np.ndarray) -> np.ndarray:
-    """Sub-sample position of each row's peak relative to its index, within half a sample."""
-    rows = np.arange(len(values))
-    middle = np.clip(peak, 1, values.shape[1] - 2)
-    left, top, right = (values[rows, middle + k] for k in (-1, 0, 1))
-    curvature = left - 2 * top + right
-    offset = np.divide(0.5 * (left - right), curvature, out=np.zeros_like(top), where=curvature < 0)
-    return np.where(middle == peak, np.clip(offset, -0.5, 0.5), 0.0)

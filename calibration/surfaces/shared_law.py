@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import STEP, RadialSurfaces, slope_of
-from taccel_lab.calibration.surfaces.types import PressSurface
 from taccel_lab.geometry import PixelGrid
 
 SPANNING = 6

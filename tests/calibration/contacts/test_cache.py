@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.contacts import kept, usable_presses
-from taccel_lab.calibration.contacts.kept import contacts_path, kept_contacts
+from taccel_lab.calibration.contacts import cache
+from taccel_lab.calibration.contacts.cache import cached_contacts, contacts_path
+from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.errors import InputError
 from taccel_lab.output import CACHE_VARIABLE
-from tests.calibration.contacts.test_selection import with_empty_frames
+from tests.calibration.contacts.test_usable import with_empty_frames
 from tests.calibration.synthetic import synthetic_captures
 
 
@@ -32,11 +33,11 @@ def captures(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> CaptureSet:
     return with_empty_frames(captures, {4})
 
 
-def test_kept_contacts_are_those_that_were_found(
+def test_cached_contacts_are_those_that_were_found(
     captures: CaptureSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = usable_presses(captures, cache=True)
-    monkeypatch.setattr(kept, "find_contacts", searched)
+    monkeypatch.setattr(cache, "find_contacts", searched)
     again = usable_presses(captures, cache=True)
     assert [asdict(c) for c in again[1]] == [asdict(c) for c in first[1]]
     assert again[2] == first[2] and "p4" in again[2][0].message
@@ -50,8 +51,8 @@ def test_nothing_is_kept_unless_asked(captures: CaptureSet) -> None:
 def test_anything_that_matters_asks_for_a_search(
     captures: CaptureSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept_contacts(captures)
-    monkeypatch.setattr(kept, "find_contacts", searched)
+    cached_contacts(captures)
+    monkeypatch.setattr(cache, "find_contacts", searched)
     mask = captures.mask.copy()
     mask[0, 0] = not mask[0, 0]
     first, *others = captures.presses
@@ -68,23 +69,23 @@ def test_anything_that_matters_asks_for_a_search(
         replace(captures, presses=(*others, first)),
     ):
         with pytest.raises(SearchedAgainError):
-            kept_contacts(changed)
+            cached_contacts(changed)
     # A label that nobody corrected has no part in the search.
-    assert kept_contacts(replace(captures, presses=(replace(first, circle=moved), *others)))
-    monkeypatch.setattr(kept, "_code_sha256", lambda: "another version")
+    assert cached_contacts(replace(captures, presses=(replace(first, circle=moved), *others)))
+    monkeypatch.setattr(cache, "_code_sha256", lambda: "another version")
     with pytest.raises(SearchedAgainError):
-        kept_contacts(captures)
+        cached_contacts(captures)
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"contacts": [], "refusals": {}}', "[]"])
 def test_a_damaged_file_is_told_and_made_anew(captures: CaptureSet, text: str) -> None:
     captures = replace(captures, presses=captures.presses[:3])
-    found = kept_contacts(captures)
+    found = cached_contacts(captures)
     contacts_path(captures).write_text(text)
     with pytest.warns(UserWarning, match="are damaged"):
-        again = kept_contacts(captures)
+        again = cached_contacts(captures)
     assert again.contacts == found.contacts
-    assert kept_contacts(captures).contacts == found.contacts
+    assert cached_contacts(captures).contacts == found.contacts
 
 
 def test_a_cache_that_cannot_be_written_is_named(
@@ -93,4 +94,4 @@ def test_a_cache_that_cannot_be_written_is_named(
     (tmp_path / "file").touch()
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file"))
     with pytest.raises(InputError, match=CACHE_VARIABLE):
-        kept_contacts(captures)
+        cached_contacts(captures)

@@ -4,13 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal
 
-from taccel_lab.calibration.capture.captures import CaptureSet
-from taccel_lab.calibration.contacts.ball import DetectedContact, Progress, find_contacts
-from taccel_lab.calibration.contacts.kept import kept_contacts
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.contacts.cache import cached_contacts
+from taccel_lab.calibration.contacts.fit import find_contacts
+from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
+from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
 
 MAX_LOST_SHARE = 0.1
 """Part of the presses that may show no contact; beyond, something is wrong with the whole set."""
@@ -19,7 +24,7 @@ MAX_CUT_SHARE = 0.5
 
 
 def usable_presses(
-    captures: CaptureSet, progress: Progress | None = None, *, cache: bool = False
+    captures: CaptureSet, progress: Progress = silent, *, cache: bool = False
 ) -> tuple[CaptureSet, list[DetectedContact], list[Remark]]:
     """The presses with a contact, their contacts in order, and a remark on those left out.
 
@@ -29,7 +34,7 @@ def usable_presses(
         InputError: More than a tenth of the presses show no contact, or more than half of them one
             that is cut by the border; with every reason.
     """
-    found = (kept_contacts if cache else find_contacts)(captures, progress)
+    found = (cached_contacts if cache else find_contacts)(captures, progress)
     refusals = [found.refusals[i] for i in sorted(found.refusals)]
     if too_many_lost(len(captures.presses), [refusal.cut for refusal in refusals]):
         raise InputError("\n".join(refusal.message for refusal in refusals))
@@ -59,3 +64,45 @@ def too_many_lost(press_count: int, cut: Sequence[bool]) -> bool:
     """
     empty = sum(not border for border in cut)
     return empty > MAX_LOST_SHARE * press_count or len(cut) > MAX_CUT_SHARE * press_count
+
+
+@dataclass(frozen=True)
+class UsableCircles:
+    """Presses that a fit may use, and their circles in order."""
+
+    captures: CaptureSet
+    circles: list[ContactCircle]
+    remarks: list[Remark]
+    """On presses left out."""
+    agreement: LabelAgreement | None
+    """Of found circles with labels; None where nobody gave any."""
+
+
+def usable_circles(
+    captures: CaptureSet,
+    which: Literal["fused", "labels", "detected"] = "fused",
+    *,
+    cache: bool = True,
+    progress: Progress = silent,
+) -> UsableCircles:
+    """Circles of the training presses ``captures``, which are explained together.
+
+    All of them are looked at, whatever circles are taken, so that empty frames are told. With
+    ``cache``, contacts that an earlier run or stage found in these images are taken as they are.
+
+    Raises:
+        InputError: ``labels`` are wanted, and a press has none; too many presses without a contact.
+    """
+    unlabelled = sum(press.circle is None for press in captures.presses)
+    if which == "labels" and unlabelled:
+        raise InputError(
+            f"{captures.source}: {unlabelled} presses come without a contact circle; --circles "
+            "labels needs all of them, fused or detected does not"
+        )
+    captures, found, remarks = usable_presses(captures, progress, cache=cache)
+    return UsableCircles(
+        captures,
+        choose_circles(captures, found, which),
+        remarks,
+        compare_with_labels(captures, found),
+    )

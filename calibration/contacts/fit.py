@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find the contact circles of ball presses in their images, without anybody clicking.
 
-1. The light's drift is taken off each frame (``taccel_lab.calibration.background``); what is left,
-smoothed,
-   is the colour change of the press (``change``).
-2. A disc that stands out gives a first circle, the steepest drop of colour along rays from its
-   centre says whether it is round (``rough``).
+1. The light's drift is taken off each frame (``light``); what is left, smoothed, is the colour
+   change of the press (``color_change``).
+2. A disc that stands out gives a first circle (``first_circle``), the steepest drop of colour along
+   rays from its centre says whether it is round (``rim``).
 3. All presses together are explained by one map from the slope that a ball leaves to the colour
    change; that moves centres and radii to a fraction of a pixel (``photometric``).
 
@@ -14,32 +13,39 @@ A single press goes the same way with a smaller map.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts.change import ColorChange, color_change
-from taccel_lab.calibration.contacts.doubt import circle_covariances
+from taccel_lab.calibration.contacts.color_change import ColorChange, color_change
+from taccel_lab.calibration.contacts.first_circle import (
+    MIN_RADIUS_PX,
+    first_circle,
+    gathered_share,
+    turning_radius,
+)
 from taccel_lab.calibration.contacts.photometric import (
     FittedContact,
     MapTerms,
     PhotometricFit,
     fit_contacts,
 )
-from taccel_lab.calibration.contacts.polar import PolarSamples, sample_rings
-from taccel_lab.calibration.contacts.rough import (
-    MIN_RADIUS_PX,
-    fit_drop,
-    gathered_share,
-    rough_circle,
-    turning_radius,
+from taccel_lab.calibration.contacts.result import (
+    CutContactError,
+    DetectedContact,
+    FoundContacts,
+    Refusal,
 )
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.contacts.rim import fit_rim
+from taccel_lab.calibration.contacts.rings import RingSamples, sample_rings
+from taccel_lab.calibration.contacts.uncertainty import circle_covariances
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.progress import Progress, silent
 
+TASK = "finding the contacts"
 MIN_CONTRAST_LEVELS = 12.0
 """Weakest colour change that counts as a contact, in levels of 255."""
 MIN_CONTRAST_DARK_LEVELS = 5.0
@@ -59,70 +65,6 @@ ROUNDS = (8, 16)
 """Rounds of the fit on the first samples, and on those around the circles that it found."""
 USUAL_RATIO = 0.7
 """Contact radius over ball radius that is assumed when nobody says what the ball is."""
-
-Progress = Callable[[int, int], None]
-"""Called with (presses done, presses in all)."""
-
-
-@dataclass(frozen=True)
-class DetectedContact:
-    """A contact found in an image, with what speaks for it."""
-
-    circle: ContactCircle
-    radius_sigma_px: float
-    """Standard deviation of the radius."""
-    inlier_fraction: float
-    """Rays whose steepest drop of colour lies on one circle."""
-    edge_rms_px: float
-    """Their distance from that circle."""
-    contrast_levels: float
-    """90th percentile of the smoothed colour change in the contact [levels]."""
-    center_sigma_px: float = 0.0
-    """Standard deviation of the centre along an axis."""
-    explained: float = 1.0
-    """Share of the colour change that the ball's slope explains."""
-    visible: float = 1.0
-    """Share of the contact and its surroundings that lies in the image and outside the mask."""
-
-    @property
-    def confidence(self) -> float:
-        """0..1: explained share times visible share, less the more uncertain the circle is."""
-        sigma = np.hypot(self.center_sigma_px, self.radius_sigma_px)
-        doubt = 1 + (sigma / (0.08 * self.circle.radius_px)) ** 2
-        return float(np.clip(self.explained, 0, 1) * min(1.0, self.visible) / doubt)
-
-
-@dataclass(frozen=True)
-class Refusal:
-    """Why a press cannot be used."""
-
-    name: str
-    message: str
-    cut: bool = False
-    """A contact is there, but the image's border or the mask cuts it: no fault of the captures."""
-
-
-class CutContactError(InputError):
-    """A contact that reaches out of the image, or is mostly masked."""
-
-
-@dataclass(frozen=True)
-class FoundContacts:
-    """Contacts of a capture set: one or a refusal for every press, in order."""
-
-    contacts: list[DetectedContact | None]
-    refusals: dict[int, Refusal]
-    """By the index of the press."""
-    fit: PhotometricFit | None
-    """The joint fit; None when no press was usable."""
-    samples: list[PolarSamples] = field(default_factory=list)
-    """What was fitted, one entry for each press that was."""
-    ball_px: list[float] = field(default_factory=list)
-    """Radius of the ball of each of these presses [px]."""
-    drifts: dict[int, Light] = field(default_factory=dict)
-    """Drift of each frame's light, by the index of the press."""
-    noise_levels: dict[int, float] = field(default_factory=dict)
-    """Noise of the smoothed colour change, by the index of the press [levels]."""
 
 
 def detect_contact(
@@ -149,7 +91,7 @@ def detect_contact(
     return _accept(start, contacts[0], grid)
 
 
-def find_contacts(captures: CaptureSet, progress: Progress | None = None) -> FoundContacts:
+def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundContacts:
     """Contact of every press, or the reason why it has none; the presses are fitted together.
 
     A circle that a person has corrected (``contacts.toml``) is taken as it is.
@@ -166,8 +108,7 @@ def find_contacts(captures: CaptureSet, progress: Progress | None = None) -> Fou
             starts[i] = _start(change, captures.background, press.source)
         except InputError as error:
             refusals[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
-        if progress is not None:
-            progress(i + 1, len(captures.presses))
+        progress(TASK, i + 1, len(captures.presses))
     if not starts:
         return FoundContacts(found, refusals, None)
     balls = [captures.presses[i].radius_mm or captures.ball_radius_mm for i in starts]
@@ -191,9 +132,7 @@ def find_contacts(captures: CaptureSet, progress: Progress | None = None) -> Fou
     )
 
 
-def resolve_contacts(
-    captures: CaptureSet, progress: Progress | None = None
-) -> list[DetectedContact]:
+def resolve_contacts(captures: CaptureSet, progress: Progress = silent) -> list[DetectedContact]:
     """Detect the contact of every press; a press that shows none raises InputError."""
     found = find_contacts(captures, progress)
     if found.refusals:
@@ -215,7 +154,7 @@ class _Start:
 def _start(change: ColorChange, background: np.ndarray, name: str) -> _Start:
     """First circle of a press; InputError when there is nothing to start from."""
     strength = change.strength()
-    center, radius = rough_circle(change.change, strength)
+    center, radius = first_circle(change.change, strength)
     disc = _distance(strength.shape, center) <= radius
     contrast = float(np.percentile(strength[disc], 90)) if disc.any() else 0.0
     bright = float(np.percentile(background, 90))
@@ -228,7 +167,7 @@ def _start(change: ColorChange, background: np.ndarray, name: str) -> _Start:
         )
     turning = turning_radius(change.change, center, radius)
     radius = float(np.clip(1.05 * turning, 0.5 * radius, radius))
-    drop = fit_drop(change.change, center, radius)
+    drop = fit_rim(change.change, center, radius)
     return _Start(
         name,
         change,
@@ -247,7 +186,7 @@ def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
 
 def _refine(
     starts: Sequence[_Start], ball_px: Sequence[float]
-) -> tuple[list[tuple[FittedContact, PolarSamples]], PhotometricFit]:
+) -> tuple[list[tuple[FittedContact, RingSamples]], PhotometricFit]:
     circles = [start.circle for start in starts]
     terms = MapTerms.for_presses(len(starts))
     blur = float(np.hypot(starts[0].change.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
@@ -273,7 +212,7 @@ def _refine(
 
 
 def _accept(
-    start: _Start, refined: tuple[FittedContact, PolarSamples], grid: PixelGrid
+    start: _Start, refined: tuple[FittedContact, RingSamples], grid: PixelGrid
 ) -> DetectedContact:
     """The contact in the image's own pixels; InputError when it is none, or cut by the border."""
     contact, samples = refined
@@ -281,7 +220,7 @@ def _accept(
     height, width = start.change.change.shape[:2]
     limit = min(height, width) / 2
     center = np.array([circle.u_px, circle.v_px])
-    drop = fit_drop(start.change.change, center, max(circle.radius_px, 2.0))
+    drop = fit_rim(start.change.change, center, max(circle.radius_px, 2.0))
     inliers = float(drop.inliers.mean())
     # A smooth skin leaves no sharp rim, but then its whole colour wheel is a ball's.
     round_enough = contact.explained >= CERTAINLY_EXPLAINED or (

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet
-from taccel_lab.calibration.contacts.ball import FoundContacts
 from taccel_lab.calibration.contacts.photometric import fit_contacts
+from taccel_lab.calibration.contacts.result import FoundContacts
 from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO
 from taccel_lab.calibration.result import Remark, Severity
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.contacts import usable_presses
-from taccel_lab.calibration.contacts.selection import too_many_lost
+from taccel_lab.calibration.contacts.usable import too_many_lost, usable_presses
 from taccel_lab.errors import InputError
 from tests.calibration.synthetic import synthetic_captures
 

@@ -19,9 +19,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.contacts.circle_arrays import circle_array
 from taccel_lab.calibration.contacts.photometric import MapTerms, PhotometricFit, fit_contacts
-from taccel_lab.calibration.contacts.polar import PolarSamples
+from taccel_lab.calibration.contacts.rings import RingSamples
 
 OTHER_SKIRT = 2.0
 OTHER_ROUNDS = 5
@@ -32,7 +32,7 @@ CHANNELS = 3
 
 
 def circle_covariances(
-    samples: Sequence[PolarSamples],
+    samples: Sequence[RingSamples],
     ball_px: Sequence[float],
     fit: PhotometricFit,
     terms: MapTerms,
@@ -44,10 +44,10 @@ def circle_covariances(
     channel moves, and all of what map and skirt do, are typical values (medians) over the presses.
     """
     circles = [contact.circle for contact in fit.contacts]
-    start = _shapes(circles)
+    start = circle_array(circles)
 
     def moved(
-        samples: Sequence[PolarSamples],
+        samples: Sequence[RingSamples],
         terms: MapTerms,
         skirt: float | None = None,
     ) -> np.ndarray:
@@ -55,7 +55,7 @@ def circle_covariances(
             samples, circles, ball_px, blur_px=fit.blur_px, terms=terms, iterations=OTHER_ROUNDS,
             skirt=skirt,
         )  # fmt: skip
-        return _shapes([contact.circle for contact in other.contacts]) - start
+        return circle_array([contact.circle for contact in other.contacts]) - start
 
     finer = 1.4826 * _typical(moved(samples, terms.finer()))
     skirt = _typical(moved(samples, terms, OTHER_SKIRT))
@@ -73,16 +73,12 @@ def circle_covariances(
     return covariances
 
 
-def _shapes(circles: Sequence[ContactCircle]) -> np.ndarray:
-    return np.array([(c.u_px, c.v_px, c.radius_px) for c in circles])
-
-
 def _typical(moved: np.ndarray) -> np.ndarray:
     """Median distance moved along u and v, one value for both, and in radius, shape [3]."""
     center = float(np.median(np.abs(moved[:, :2])))
     return np.array([center, center, float(np.median(np.abs(moved[:, 2])))])
 
 
-def _without(samples: PolarSamples, channel: int) -> PolarSamples:
+def _without(samples: RingSamples, channel: int) -> RingSamples:
     """A channel that is zero everywhere has no say: the map of it is zero as well."""
     return replace(samples, change=np.where(np.arange(CHANNELS) == channel, 0.0, samples.change))

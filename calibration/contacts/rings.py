@@ -20,7 +20,7 @@ SECTORS = 12
 
 
 @dataclass(frozen=True)
-class PolarSamples:
+class RingSamples:
     """Samples of one press; those outside the image or on masked pixels are left out."""
 
     u_px: np.ndarray
@@ -47,7 +47,7 @@ def sample_rings(
     circle: ContactCircle,
     mask: np.ndarray | None = None,
     reach_radii: float = REACH_RADII,
-) -> PolarSamples:
+) -> RingSamples:
     """Colour change [height_px, width_px, 3] at the rings around ``circle``, square pixels."""
     height, width = change.shape[:2]
     rings = (np.arange(RING_COUNT) + 0.5) / RING_COUNT
@@ -67,7 +67,7 @@ def sample_rings(
     if len(u):
         columns, lines = u.astype(np.float32)[None], v.astype(np.float32)[None]
         values = cv2.remap(change, columns, lines, cv2.INTER_LINEAR)[0].astype(np.float64)
-    return PolarSamples(
+    return RingSamples(
         u_px=u,
         v_px=v,
         unit_u=2 * u / (width - 1) - 1,
