@@ -225,7 +225,8 @@ def _contact_report(folder: Path) -> dict[str, Any]:
     from dataclasses import asdict
 
     from taccel_lab.calibration.capture import load_captures
-    from taccel_lab.calibration.contacts import compare_with_labels, resolve_contacts
+    from taccel_lab.calibration.contacts.fit import resolve_contacts
+    from taccel_lab.calibration.contacts.labels import compare_with_labels
 
     captures = load_captures(folder)
     agreement = compare_with_labels(captures, resolve_contacts(captures))

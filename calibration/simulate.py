@@ -18,12 +18,6 @@ import numpy as np
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.captures import check_radius
-from taccel_lab.calibration.surfaces.between import (
-    MIN_OTHERS,
-    SPANNING,
-    SharedLaw,
-    spanning_presses,
-)
 from taccel_lab.calibration.surfaces.depth_search import EQUATOR_SHARE
 from taccel_lab.calibration.surfaces.outcome_cache import keep_outcome, kept_outcome
 from taccel_lab.calibration.surfaces.press_batch import (
@@ -33,7 +27,13 @@ from taccel_lab.calibration.surfaces.press_batch import (
     simulate_batch,
     surfaces_of,
 )
-from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.shared_law import (
+    MIN_OTHERS,
+    SPANNING,
+    SharedLaw,
+    spanning_presses,
+)
 from taccel_lab.envs.physics import SURFACE_PHYSICS, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile

@@ -16,7 +16,7 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.surfaces.between import SharedLaw
+    from taccel_lab.calibration.surfaces.shared_law import SharedLaw
     from taccel_lab.cli.demo_report import DemoResults
 
 DEMO_SENSOR = "gelsight"
@@ -71,7 +71,8 @@ class Demo:
         from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
         from taccel_lab.calibration.color.fit import HeldoutSet, calibrate_color
         from taccel_lab.calibration.color.options import ColorFitOptions
-        from taccel_lab.calibration.contacts import choose_circles, resolve_contacts
+        from taccel_lab.calibration.contacts.fit import resolve_contacts
+        from taccel_lab.calibration.contacts.fusion import choose_circles
         from taccel_lab.calibration.simulate import simulate_presses
         from taccel_lab.cli.calibrate.base import on_grid
         from taccel_lab.cli.demo_report import DemoResults

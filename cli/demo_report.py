@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from taccel_lab.calibration.capture import CaptureSet, ContactCircle
     from taccel_lab.calibration.color.evaluate import ImageScore
     from taccel_lab.calibration.color.fit import ColorCalibration
-    from taccel_lab.calibration.contacts import DetectedContact
+    from taccel_lab.calibration.contacts.result import DetectedContact
     from taccel_lab.calibration.surfaces import PressSurface
     from taccel_lab.envs import PressOutcome
     from taccel_lab.profile import SensorProfile

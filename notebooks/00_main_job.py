@@ -65,7 +65,9 @@ print(f"{base.mesh.node_count} nodes, {base.mesh.tet_count} tets")
 # in the image and compared with the labels.
 
 # %%
-from taccel_lab.calibration.contacts import choose_circles, compare_with_labels, resolve_contacts
+from taccel_lab.calibration.contacts.fit import resolve_contacts
+from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.labels import compare_with_labels
 
 split = captures.split(4)
 training = captures.only(split.train)

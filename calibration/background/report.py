@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.calibration.background.dust import speck_count
-from taccel_lab.calibration.background.fit import BackgroundCalibration
+from taccel_lab.calibration.background.result import BackgroundCalibration
 from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREEN, ORANGE, in_report_style, new_figure
 
@@ -91,7 +91,7 @@ def _draw_images(result: BackgroundCalibration) -> Figure:
 @in_report_style
 def _draw_drift(result: BackgroundCalibration) -> Figure:
     level = result.image.reshape(-1, 3).mean(axis=0)
-    shifts = np.array([(f.drift.gain - 1) * level + f.drift.offset for f in result.frames])
+    shifts = np.array([f.drift.shift(level) for f in result.frames])
     figure, axis = new_figure(10.5, 3.4)
     for c, (name, color) in enumerate((("red", ORANGE), ("green", GREEN), ("blue", BLUE))):
         axis.plot(shifts[:, c], "o-", color=color, label=name, markersize=3, linewidth=1)

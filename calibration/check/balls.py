@@ -8,7 +8,7 @@ A radius on its own cannot be read from a contact circle. It shows where it cont
   (Hertz; K. L. Johnson, Contact Mechanics, 1985, eq. 4.22) and ``a^2 = 2 R d - d^2`` in a gel that
   does not rise beside the ball, so ``a^2 / 2 d < R < a^2 / d``;
 - slopes: a ball that is too small has contacts steeper than the gel beside them
-  (``taccel_lab.calibration.contacts.ball_check``; a ball that is stated too large does not show
+  (``taccel_lab.calibration.contacts.ball_radius``; a ball that is stated too large does not show
   there);
 - two balls: the colour changes over the contact's centre at a rate of 1/R, so that presses of one
   ball agree and those of two differ as their radii do.
@@ -25,8 +25,8 @@ from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check.findings import Finding, error, name_some, warning
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.contacts.ball import find_contacts
-from taccel_lab.calibration.contacts.ball_check import check_ball
+from taccel_lab.calibration.contacts.ball_radius import check_ball
+from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.geometry import PixelGrid
 
 TRAVEL_SLACK = 1.35

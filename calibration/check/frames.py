@@ -11,8 +11,8 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle, Press
 from taccel_lab.calibration.check.framing import level_fit, thumb
-from taccel_lab.calibration.contacts import DetectedContact, detect_contact
-from taccel_lab.calibration.contacts.ball import CutContactError
+from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.calibration.contacts.result import CutContactError, DetectedContact
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -11,7 +11,7 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.check.findings import Finding, error, info, name_some, warning
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.contacts.selection import too_many_lost
+from taccel_lab.calibration.contacts.usable import too_many_lost
 from taccel_lab.geometry import PixelGrid
 
 LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3

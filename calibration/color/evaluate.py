@@ -18,13 +18,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.light.fit import FAR_RADII
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
 CROP_RADII = 1.6
 """Half width of the crop in contact radii."""
-FAR_RADII = 3.0
-"""Beyond this many contact radii an image is taken as untouched."""
 MAX_LEVEL = 255.0
 SSIM_WINDOW_PX = 11
 

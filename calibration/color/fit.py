@@ -14,7 +14,6 @@ from typing import Literal
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import fit_drift
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.color.drift_choice import DriftChoice, choose_drift
 from taccel_lab.calibration.color.evaluate import ImageScore, noise_floor_l1, score_image
@@ -32,11 +31,12 @@ from taccel_lab.calibration.color.options import ColorFitOptions, Progress
 from taccel_lab.calibration.color.registration import MIN_PRESSES, Registration, register_presses
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore, Spread
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
-from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.contacts.labels import LabelPlacement
+from taccel_lab.calibration.light.fit import fit_light_beside
 from taccel_lab.calibration.result import Remark
+from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
-from taccel_lab.calibration.surfaces.types import PressSurface
-from taccel_lab.calibration.surfaces.variation import moved_surfaces
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
 
@@ -260,7 +260,7 @@ class _Job:
         """Figures of a render in the light of the capture, where the fit took drift off."""
         grid = self.captures.grid
         if self.options.remove_drift:
-            drift = fit_drift(captured, fit.background, circle, grid, self.captures.mask)
+            drift = fit_light_beside(captured, fit.background, circle, grid, self.captures.mask)
             rendered = np.clip(drift.apply(rendered), 0.0, 255.0)
         return score_image(rendered, captured, figures_in, grid, pixels)
 

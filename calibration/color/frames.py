@@ -8,15 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift, fit_drift
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.options import ColorFitOptions
-from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.light.fit import fit_light_beside
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModelConfig, pixel_uv
 
-NO_DRIFT = Drift(np.ones(3), np.zeros(3))
+NO_DRIFT = Light(np.ones(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -49,17 +50,17 @@ def frame_drift(
     grid: PixelGrid,
     mask: np.ndarray | None,
     options: ColorFitOptions,
-) -> Drift:
+) -> Light:
     """Drift of a frame against the background; none where the options leave it in."""
     if not options.remove_drift:
         return NO_DRIFT
-    return fit_drift(frame.image, background, frame.circle, grid, mask)
+    return fit_light_beside(frame.image, background, frame.circle, grid, mask)
 
 
 def draw_samples(
     frames: Sequence[ColorFrame],
     rest_image: np.ndarray,
-    drifts: Mapping[str, Drift],
+    drifts: Mapping[str, Light],
     grid: PixelGrid,
     mask: np.ndarray | None,
     options: ColorFitOptions,
@@ -84,7 +85,7 @@ def join_samples(parts: Sequence[Samples]) -> Samples:
 
 
 def samples_at(
-    frame: ColorFrame, pixel_idx: np.ndarray, rest_image: np.ndarray, drift: Drift, grid: PixelGrid
+    frame: ColorFrame, pixel_idx: np.ndarray, rest_image: np.ndarray, drift: Light, grid: PixelGrid
 ) -> Samples:
     """Given pixels of a frame; ``pixel_idx`` counts along rows."""
     surface = frame.surface

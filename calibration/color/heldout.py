@@ -23,19 +23,20 @@ from typing import Literal
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import MIN_FAR_PIXELS, Drift, fit_drift
 from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.color.evaluate import FAR_RADII, ImageScore, mean_score, score_image
+from taccel_lab.calibration.color.evaluate import ImageScore, mean_score, score_image
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.registration import place_press
-from taccel_lab.calibration.contacts import detect_contact
-from taccel_lab.calibration.contacts.label_placement import LabelPlacement
-from taccel_lab.calibration.contacts.tiles import even_tiles, filled_from
+from taccel_lab.calibration.color.tiles import even_tiles, filled_from
+from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.calibration.contacts.labels import LabelPlacement
+from taccel_lab.calibration.light.fit import FAR_RADII, MIN_FAR_PIXELS, fit_light_beside
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
-from taccel_lab.calibration.surfaces.types import PressSurface
-from taccel_lab.calibration.surfaces.variation import moved_surfaces
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
 
@@ -249,7 +250,7 @@ class _Job:
     ) -> HeldoutPress:
         drift = NO_DRIFT
         if self.fit.options.remove_drift:
-            drift = fit_drift(image, self.fit.background, figures_in, self.grid, self.mask)
+            drift = fit_light_beside(image, self.fit.background, figures_in, self.grid, self.mask)
         even = even_tiles(self.grid, self._ball_px(press))
         frame = ColorFrame(press.name, image, start, surface)
         labelled = press.circle is not None
@@ -265,7 +266,7 @@ class _Job:
             surface if labelled else on_tiles.surface, None if labelled else ~even, bare,
         )  # fmt: skip
 
-    def _moved(self, frame: ColorFrame, drift: Drift, mask: np.ndarray) -> ColorFrame:
+    def _moved(self, frame: ColorFrame, drift: Light, mask: np.ndarray) -> ColorFrame:
         """The press where the frozen model puts it, looking at the pixels of ``mask``."""
         circle = place_press(
             self.fit.model, self.fit.background, frame, self.library, self.grid, drift, mask=mask
@@ -276,7 +277,7 @@ class _Job:
     def _rendered(
         self,
         frame: ColorFrame,
-        drift: Drift,
+        drift: Light,
         figures_in: ContactCircle,
         pixels: np.ndarray | None,
     ) -> Placed:

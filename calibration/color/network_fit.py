@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from taccel_lab.calibration.background.average import average_background
-from taccel_lab.calibration.background.drift import Drift
 from taccel_lab.calibration.color.evaluate import crop_slices
 from taccel_lab.calibration.color.frames import (
     ColorFrame,
@@ -20,6 +18,8 @@ from taccel_lab.calibration.color.frames import (
 )
 from taccel_lab.calibration.color.options import ColorFitOptions, Progress
 from taccel_lab.calibration.color.training import SSIM_WINDOW_PX, Crop, train
+from taccel_lab.calibration.light.average import average_background
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModel
@@ -39,7 +39,7 @@ class ColorFit:
     """(step, loss in levels) every 25 steps."""
     disc_l1_train: dict[str, float]
     """L1 inside each training press's contact disc, drift removed [levels]."""
-    drifts: dict[str, Drift]
+    drifts: dict[str, Light]
     options: ColorFitOptions
     seconds: float
     inputs: dict[str, str] = field(default_factory=dict)
@@ -102,7 +102,7 @@ def fit_color_model(
 def rest_background(
     frames: Sequence[ColorFrame],
     background: np.ndarray,
-    drifts: Mapping[str, Drift],
+    drifts: Mapping[str, Light],
     grid: PixelGrid,
     mask: np.ndarray | None,
     options: ColorFitOptions,
@@ -136,7 +136,7 @@ def _split(
 def _crops(
     frames: Sequence[ColorFrame],
     rest_image: np.ndarray,
-    drifts: Mapping[str, Drift],
+    drifts: Mapping[str, Light],
     grid: PixelGrid,
     mask: np.ndarray | None,
 ) -> list[Crop]:
@@ -163,7 +163,7 @@ def disc_l1(
     model: ColorModel,
     frame: ColorFrame,
     rest_image: np.ndarray,
-    drift: Drift,
+    drift: Light,
     grid: PixelGrid,
     mask: np.ndarray | None,
 ) -> float:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.frames import (
     ColorFrame,
@@ -28,8 +27,10 @@ from taccel_lab.calibration.color.frames import (
 from taccel_lab.calibration.color.network_fit import rest_background
 from taccel_lab.calibration.color.options import SHORT_FIT, ColorFitOptions
 from taccel_lab.calibration.color.training import train
+from taccel_lab.calibration.contacts.refine import refine_circle
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.surfaces.moved_press import MovedPress
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
-from taccel_lab.calibration.surfaces.variation import MovedPress
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModel
@@ -42,7 +43,6 @@ SURE_DEVIATIONS = 2.0
 """A factor other than one is taken when the presses' gain is this many standard errors."""
 CORRELATED_PIXELS = 25.0
 """Neighbouring pixels err alike: as many count as one."""
-ROBUST_LEVELS = 4.0
 AGAIN_STEPS = 30
 """Steps of a fit that goes on from another, of a hundred of the first."""
 AGAIN_RATE = 0.5
@@ -148,7 +148,7 @@ def place_press(
     frame: ColorFrame,
     library: RadialSurfaces,
     grid: PixelGrid,
-    drift: Drift,
+    drift: Light,
     *,
     mask: np.ndarray | None = None,
 ) -> ContactCircle:
@@ -280,17 +280,14 @@ def _place(
     rest_image: np.ndarray,
     frame: ColorFrame,
     moved: MovedPress,
-    drift: Drift,
+    drift: Light,
     grid: PixelGrid,
     mask: np.ndarray | None,
     start: ContactCircle,
     prior: ContactCircle,
     settings: RegistrationOptions,
 ) -> tuple[ContactCircle, np.ndarray]:
-    """The circle where the render meets the image best, by Gauss-Newton steps with a prior.
-
-    Large residuals (scratches of the ball, dust) count less, after Huber.
-    """
+    """The circle where the render meets the image best."""
     near = start.distance_px(grid) <= REACH * start.radius_px
     if mask is not None:
         near &= mask
@@ -300,27 +297,12 @@ def _place(
     wanted -= rest_image.reshape(-1, 3)[idx]
     rest = frame.surface.rest_normals.reshape(-1, 3)[idx]
 
-    def residual(p: np.ndarray) -> np.ndarray:
-        normals, sunk = moved.at(ContactCircle(*map(float, p)), idx)
+    def misfit(circle: ContactCircle) -> np.ndarray:
+        normals, sunk = moved.at(circle, idx)
         return (model.predict_pixels(idx, normals, sunk, rest) - wanted).ravel()
 
-    middle = np.array([prior.u_px, prior.v_px, prior.radius_px])
     radius_sigma_px = settings.radius_sigma * prior.radius_px
     deviation = np.array([settings.center_sigma_px, settings.center_sigma_px, radius_sigma_px])
     # Pixels beside each other err alike, and the channels of a pixel do.
     share = 1.0 / (3 * CORRELATED_PIXELS * len(idx) / max(1, near.sum()))
-    share = min(share, 1.0 / 3)
-    p = np.array([start.u_px, start.v_px, start.radius_px])
-    normal = np.diag(1 / deviation**2)
-    for _ in range(6):
-        r = residual(p)
-        jacobian = np.stack([(residual(p + step) - r) / 0.5 for step in 0.5 * np.eye(3)], axis=-1)
-        scale = max(1.0, 1.4826 * float(np.median(np.abs(r))))
-        weight = share / scale**2 / np.maximum(1.0, np.abs(r) / max(ROBUST_LEVELS, scale))
-        normal = (jacobian * weight[:, None]).T @ jacobian + np.diag(1 / deviation**2)
-        gradient = jacobian.T @ (weight * r) + (p - middle) / deviation**2
-        step = np.clip(-np.linalg.solve(normal, gradient), -1.5, 1.5)
-        p = np.clip(p + step, middle - 3 * deviation, middle + 3 * deviation)
-        if np.abs(step).max() < 0.05:
-            break
-    return ContactCircle(*map(float, p)), np.sqrt(np.diag(np.linalg.inv(normal)))
+    return refine_circle(misfit, start, prior, deviation, min(share, 1.0 / 3))

@@ -23,7 +23,7 @@ from taccel_lab.calibration.color.heldout import (
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.registration import Registration
 from taccel_lab.calibration.color.remarks import color_remarks
-from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TaximTable

@@ -19,9 +19,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift
 from taccel_lab.calibration.color.frames import ColorFrame
-from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms
@@ -43,7 +43,7 @@ _CONSTANT_RIDGE = 1e-9
 def fit_taxim_table(
     frames: Sequence[ColorFrame],
     background: np.ndarray,
-    drifts: Mapping[str, Drift],
+    drifts: Mapping[str, Light],
     grid: PixelGrid,
     *,
     mask: np.ndarray | None = None,

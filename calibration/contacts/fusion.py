@@ -30,7 +30,8 @@ from typing import Literal
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts.ball import DetectedContact
+from taccel_lab.calibration.contacts.circle_arrays import circle_array, circle_of
+from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.errors import InputError
 
 MIN_PRESSES = 8
@@ -73,8 +74,8 @@ def fuse_circles(
     train = np.ones(len(labels), dtype=bool) if training is None else np.asarray(training, bool)
     if not len(labels) or not train.any():
         raise InputError("circles are fused from at least one labelled training press")
-    given = _shapes(labels)
-    found = _shapes([contact.circle for contact in detected])
+    given = circle_array(labels)
+    found = circle_array([contact.circle for contact in detected])
     stated = np.array([(c.center_sigma_px, c.center_sigma_px, c.radius_sigma_px) for c in detected])
     variance = np.maximum(stated, MIN_SIGMA_PX) ** 2
     scatter = _label_variance((given - found)[train], variance[train])
@@ -93,7 +94,7 @@ def fuse_circles(
         middle = radius[train].mean()
         fused[:, 2] = middle + share * (radius - middle)
     return FusedCircles(
-        [ContactCircle(float(u), float(v), float(r)) for u, v, r in fused],
+        [circle_of(shape) for shape in fused],
         shift,
         np.sqrt(of_labels * (of_found + chance) / whole),
         (float(np.sqrt(scatter[0])), float(np.sqrt(scatter[2]))),
@@ -129,10 +130,6 @@ def choose_circles(
     for i, circle in zip(labelled, given, strict=True):
         circles[i] = circle
     return circles
-
-
-def _shapes(circles: Sequence[ContactCircle]) -> np.ndarray:
-    return np.array([(c.u_px, c.v_px, c.radius_px) for c in circles]).reshape(-1, 3)
 
 
 def _label_variance(difference: np.ndarray, variance: np.ndarray) -> np.ndarray:

@@ -22,7 +22,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.contacts.polar import PolarSamples
+from taccel_lab.calibration.contacts.circle_arrays import circle_of
+from taccel_lab.calibration.contacts.rings import RingSamples
 from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO, SKIRT, slope_law
 
 ITERATIONS = 14
@@ -88,7 +89,7 @@ class MapTerms:
 class _State:
     """Everything that is fitted of one press."""
 
-    samples: PolarSamples
+    samples: RingSamples
     ball_px: float
     shape: np.ndarray
     """u, v, radius [px], shape [3]."""
@@ -127,7 +128,7 @@ class PhotometricFit:
 
 
 def fit_contacts(
-    samples: Sequence[PolarSamples],
+    samples: Sequence[RingSamples],
     circles: Sequence[ContactCircle],
     ball_px: Sequence[float],
     *,
@@ -154,7 +155,7 @@ def fit_contacts(
 class _JointFit:
     def __init__(
         self,
-        samples: Sequence[PolarSamples],
+        samples: Sequence[RingSamples],
         circles: Sequence[ContactCircle],
         ball_px: Sequence[float],
         blur_px: float,
@@ -321,7 +322,7 @@ class _JointFit:
         return PhotometricFit(
             contacts=[
                 FittedContact(
-                    ContactCircle(*(float(x) for x in press.shape)),
+                    circle_of(press.shape),
                     press.covariance,
                     press.explained,
                     press.rms,

@@ -29,7 +29,7 @@ from taccel_lab.calibration.depth.depth_fit import (
 )
 from taccel_lab.calibration.depth.grey_contact import find_grey_contact
 from taccel_lab.calibration.result import Remark, Severity, judge
-from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, DepthResponseBlock, Provenance, SensorProfile
 from taccel_lab.signals.depth_response import Channel, DepthResponse, channel_of

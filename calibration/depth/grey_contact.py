@@ -18,14 +18,13 @@ import numpy as np
 from scipy import ndimage
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.contacts.circle_fit import fit_circle_ransac
+from taccel_lab.calibration.contacts.rim import RAY_COUNT, circle_on_rays, sample_rays
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
 SMOOTHING_PX = 2.0
 PROFILE_SMOOTHING_PX = 1.0
 """Of the mean slope over all rays."""
-RAY_COUNT = 180
 MIN_DROP_LEVELS = 6.0
 MIN_DROP_OVER_NOISE = 8.0
 MIN_ROUND = 0.6
@@ -72,7 +71,7 @@ def find_grey_contact(
         )
     center, radius = _rough(smooth, peak, name)
     for _ in range(3):
-        _, radius = _steepest_circle(smooth, center, radius)
+        radius = _steepest_radius(smooth, center, radius)
         center = _isoline_center(smooth, center, radius, peak)
     # The mean over all rays is quiet enough; smoothing would move the steepest place inwards.
     steepest, fall = _rim_radii(values, center, radius)
@@ -100,56 +99,39 @@ def _rough(smooth: np.ndarray, peak: float, name: str) -> tuple[np.ndarray, floa
     return np.array([columns.mean(), rows.mean()]), radius
 
 
-def _rays(smooth: np.ndarray, center: np.ndarray, reach: float) -> np.ndarray:
-    angle = np.arange(RAY_COUNT)[:, None] * (2 * np.pi / RAY_COUNT)
-    distance = np.arange(int(np.ceil(reach)) + 1)[None, :]
-    x = (center[0] + distance * np.cos(angle)).astype(np.float32)
-    y = (center[1] + distance * np.sin(angle)).astype(np.float32)
-    rays = cv2.remap(smooth, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    outside = (x < 0) | (y < 0) | (x > smooth.shape[1] - 1) | (y > smooth.shape[0] - 1)
-    rays[outside] = np.nan
-    return rays
-
-
-def _steepest_circle(
-    smooth: np.ndarray, center: np.ndarray, radius: float
-) -> tuple[np.ndarray, float]:
-    """Circle through the steepest drop along each ray, near the given one."""
-    slope = -np.gradient(_rays(smooth, center, 1.8 * radius + 4), axis=1)
+def _steepest_radius(smooth: np.ndarray, center: np.ndarray, radius: float) -> float:
+    """Radius of the circle through the steepest drop along each ray, near the given one."""
+    slope = -np.gradient(sample_rays(smooth, center, 1.8 * radius + 4), axis=1)
     slope = np.nan_to_num(slope, nan=-np.inf)
     slope[:, : int(0.4 * radius)] = -np.inf
-    reach = np.argmax(slope, axis=1)
-    angle = np.arange(RAY_COUNT) * (2 * np.pi / RAY_COUNT)
-    found = np.isfinite(slope.max(axis=1))
-    points = center + reach[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    fit = fit_circle_ransac(points[found], tolerance=max(2.0, 0.06 * radius))
-    return fit.center, fit.radius
+    seen = np.isfinite(slope.max(axis=1))
+    return circle_on_rays(np.argmax(slope, axis=1), seen, center, radius).radius
 
 
 def _isoline_center(
     smooth: np.ndarray, center: np.ndarray, radius: float, peak: float
 ) -> np.ndarray:
     """Mean centre of the circles through the lines of equal grey inside the contact."""
-    rays = np.nan_to_num(_rays(smooth, center, 1.1 * radius), nan=-np.inf)
-    angle = np.arange(RAY_COUNT) * (2 * np.pi / RAY_COUNT)
-    direction = np.column_stack([np.cos(angle), np.sin(angle)])
+    rays = np.nan_to_num(sample_rays(smooth, center, 1.1 * radius), nan=-np.inf)
+    every = np.arange(RAY_COUNT)
     centers = []
     for share in ISOLINES:
         below = rays < share * peak
         reach = np.argmax(below, axis=1)
-        rows = np.flatnonzero(below.any(axis=1) & (reach > 0))
-        if len(rows) < RAY_COUNT // 2:
+        seen = below.any(axis=1) & (reach > 0)
+        if seen.sum() < RAY_COUNT // 2:
             continue
-        before, after = rays[rows, reach[rows] - 1], rays[rows, reach[rows]]
-        part = np.clip((before - share * peak) / np.maximum(before - after, 1e-6), 0, 1)
-        points = center + (reach[rows] - 1 + part)[:, None] * direction[rows]
-        centers.append(fit_circle_ransac(points, tolerance=max(2.0, 0.06 * radius)).center)
+        before, after = rays[every, reach - 1], rays[every, reach]
+        with np.errstate(invalid="ignore"):
+            part = np.clip((before - share * peak) / np.maximum(before - after, 1e-6), 0, 1)
+        crossing = np.where(seen, reach - 1 + part, 0.0)
+        centers.append(circle_on_rays(crossing, seen, center, float(crossing[seen].mean())).center)
     return np.mean(centers, axis=0) if centers else center
 
 
 def _rim_radii(values: np.ndarray, center: np.ndarray, radius: float) -> tuple[float, float]:
     """Radii of the steepest drop and of the steepest fall of its slope behind that [px]."""
-    profile = np.nanmean(_rays(values, center, 2.0 * radius + 6), axis=0)
+    profile = np.nanmean(sample_rays(values, center, 2.0 * radius + 6), axis=0)
     profile = profile[np.isfinite(profile)]
     slope = -ndimage.gaussian_filter1d(np.gradient(profile), PROFILE_SMOOTHING_PX)
     first = int(0.5 * radius)

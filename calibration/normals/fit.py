@@ -13,11 +13,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.background import fit_robust_drift
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.contacts import detect_contact
-from taccel_lab.calibration.contacts.label_placement import LabelPlacement
+from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.calibration.contacts.labels import LabelPlacement
+from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.normals.network_fit import (
     InverseFit,
     InverseFitOptions,
@@ -35,7 +35,7 @@ from taccel_lab.calibration.normals.score import (
     score_heldout,
 )
 from taccel_lab.calibration.result import Remark, judge
-from taccel_lab.calibration.surfaces.types import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, NormalsBlock, Provenance, SensorProfile
 
@@ -282,7 +282,7 @@ def _frames(
 
 def _without_drift(image: np.ndarray, scene: Scene) -> np.ndarray:
     """The frame in the light of the background, as the model will see new ones."""
-    found = fit_robust_drift(image, scene.background, scene.mask, gradient=False)
+    found = fit_light(image, scene.background, scene.mask, gradient=False)
     return found.remove(image).astype(np.float32)
 
 

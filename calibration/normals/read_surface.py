@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.background import fit_robust_drift
+from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.depth_response import DepthResponse
@@ -149,7 +149,7 @@ class SurfaceReader:
             )
         levels = image.astype(np.float32)
         if self.drift:
-            drift = fit_robust_drift(levels, self.background, self.mask, gradient=False)
+            drift = fit_light(levels, self.background, self.mask, gradient=False)
             levels = drift.remove(levels).astype(np.float32)
         if self.response is not None:
             return self._by_depth(levels)

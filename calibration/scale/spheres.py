@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 
 from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.contacts.ball import detect_contact
+from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift
-from taccel_lab.calibration.background.drift_report import drift_spread
+from taccel_lab.calibration.light.drift import drift_spread
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.result import Remark, Severity, judge
 from taccel_lab.calibration.spread.units import UnitSpread
 from taccel_lab.errors import InputError
@@ -29,7 +29,7 @@ FEW = 5
 class SpreadCalibration:
     """A perturbation block with what it rests on."""
 
-    frame_drifts: tuple[Drift, ...]
+    frame_drifts: tuple[Light, ...]
     """Light of each frame against the background."""
     frame_noise_levels: float | None
     units: UnitSpread | None
@@ -56,7 +56,7 @@ class SpreadCalibration:
         return values
 
     @property
-    def lights(self) -> tuple[Drift, ...]:
+    def lights(self) -> tuple[Light, ...]:
         """The lights whose spread is taken: of the units where there are several, else frames."""
         if self.units is not None and self.units.lights:
             return self.units.lights
@@ -131,7 +131,7 @@ class SpreadCalibration:
 
 
 def calibrate_spread(
-    frame_drifts: Sequence[Drift],
+    frame_drifts: Sequence[Light],
     units: UnitSpread | None,
     background: np.ndarray,
     *,
@@ -159,7 +159,7 @@ def calibrate_spread(
 
 
 def light_spread(
-    lights: Sequence[Drift], pivot: np.ndarray
+    lights: Sequence[Light], pivot: np.ndarray
 ) -> dict[str, tuple[float, float, float]]:
     """Standard deviations of gain, offset and gradient between lights, by channel.
 
@@ -190,5 +190,5 @@ def _triple(values: np.ndarray) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
 
 
-def _drift_figures(drift: Drift) -> dict[str, Any]:
+def _drift_figures(drift: Light) -> dict[str, Any]:
     return {"gain": drift.gain, "offset": drift.offset, "gradient": drift.gradient}

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.background.drift import Drift, fit_robust_drift
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 
@@ -22,7 +23,7 @@ class UnitSpread:
     """Standard deviations between units; None of what fewer than two of them measured."""
 
     unit_count: int
-    lights: tuple[Drift, ...]
+    lights: tuple[Light, ...]
     """Light of each unit against the mean of all images at rest; empty without images."""
     mm_per_px_relative: float | None
     center_px: float | None
@@ -88,9 +89,9 @@ def _relative(values: Sequence[float]) -> float | None:
     return float(np.std(values, ddof=1) / np.mean(values))
 
 
-def _lights(profiles: Sequence[SensorProfile]) -> tuple[Drift, ...]:
+def _lights(profiles: Sequence[SensorProfile]) -> tuple[Light, ...]:
     images = [p.background_rgb for p in profiles if p.background_rgb is not None]
     if len(images) < 2 or len({image.shape for image in images}) > 1:
         return ()
     mean = np.mean([image.astype(np.float64) for image in images], axis=0)
-    return tuple(fit_robust_drift(image.astype(np.float64), mean) for image in images)
+    return tuple(fit_light(image.astype(np.float64), mean) for image in images)

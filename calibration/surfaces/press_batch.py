@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.calibration.surfaces.depth_search import DepthSearch
-from taccel_lab.calibration.surfaces.types import PressSurface, SimulationEffort
+from taccel_lab.calibration.surfaces.press_surface import PressSurface, SimulationEffort
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.profile import MaterialBlock

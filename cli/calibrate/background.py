@@ -38,11 +38,11 @@ class CalibrateBackground:
         from taccel_lab.calibration.background.report import background_page
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import count_progress
+        from taccel_lab.cli.progress import stage_progress
 
         job = open_job(self.captures, self.out, self.base, self.report)
         folder = job.folder
-        with count_progress(job.console, "comparing the frames") as progress:
+        with stage_progress(job.console) as progress:
             result = calibrate_background(folder, progress)
         job.write(result, background_page(result))
         usable = ~(result.dust | result.new_dust)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from taccel_lab.calibration.color.result import ColorCalibration
     from taccel_lab.calibration.result import Remark
     from taccel_lab.calibration.surfaces import PressSurface
-    from taccel_lab.calibration.surfaces.between import SharedLaw
+    from taccel_lab.calibration.surfaces.shared_law import SharedLaw
     from taccel_lab.profile import SensorProfile
 
 ASKED_ELSEWHERE = frozenset({"sensor_unknown"})

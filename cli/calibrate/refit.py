@@ -5,19 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from tyro.conf import Positional
-
-from taccel_lab.errors import InputError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from taccel_lab.calibration.background.refit_frames import Surfaces
-    from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-    from taccel_lab.calibration.surfaces import PressSurface
-    from taccel_lab.profile import SensorProfile
 
 
 @dataclass(frozen=True)
@@ -48,12 +38,12 @@ class CalibrateRefit:
     def run(self) -> None:
         from rich.console import Console
 
-        from taccel_lab.calibration.background.refit import refit_profile
-        from taccel_lab.calibration.background.refit_frames import refit_frames
-        from taccel_lab.calibration.background.refit_report import refit_page
         from taccel_lab.calibration.capture import load_capture_folder
+        from taccel_lab.calibration.refit.fit import RefitOptions, calibrate_refit
+        from taccel_lab.calibration.refit.report import refit_page
         from taccel_lab.cli.calibrate.base import report_folder, require_outputs, write_results
         from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.profile import load_profile
 
         console = Console(stderr=True)
@@ -61,39 +51,8 @@ class CalibrateRefit:
         require_outputs(self.out, report)
         profile = load_profile(self.profile)
         folder = load_capture_folder(self.captures)
-        if folder.sensor != profile.sensor.family:
-            raise InputError(
-                f"the captures are of a {folder.sensor}, the profile {self.profile} is of a "
-                f"{profile.sensor.family}"
-            )
-        if profile.background_rgb is None:
-            raise InputError(
-                f"the profile {self.profile} has no background, so that there is nothing to refit; "
-                "run taccel-lab calibrate color first"
-            )
-        surfaces: Surfaces | Literal["hertz"] = "hertz"
-        if self.surface == "simulated":
-            surfaces = _simulated(profile, console)
-        new = refit_frames(profile, folder, surfaces)
-        result = refit_profile(
-            profile,
-            new.fitted,
-            source=folder.provenance.get("source", folder.source),
-            surface_provider=new.surface_provider,
-            mask=folder.mask,
-            heldout=new.heldout,
-        )
+        with stage_progress(console) as progress:
+            result = calibrate_refit(folder, profile, RefitOptions(self.surface), progress)
         write_results(result, refit_page(result, profile), profile, self.out, report, console)
         if self.json:
             print_json({"profile": str(self.out), "refit": result.figures()})
-
-
-def _simulated(profile: SensorProfile, console: Console) -> Surfaces:
-    def make(captures: CaptureSet, circles: list[ContactCircle]) -> list[PressSurface]:
-        from taccel_lab.calibration.simulate import simulate_presses
-        from taccel_lab.cli.progress import count_progress
-
-        with count_progress(console, "simulating the presses") as progress:
-            return simulate_presses(captures, circles, profile, progress=progress)
-
-    return make

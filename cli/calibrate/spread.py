@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 if TYPE_CHECKING:
-    from taccel_lab.calibration.background.fit import BackgroundCalibration, FrameLight
+    from taccel_lab.calibration.background.result import BackgroundCalibration, FrameLight
     from taccel_lab.calibration.report import Page
     from taccel_lab.calibration.spread import SpreadCalibration
 
@@ -43,7 +43,7 @@ class CalibrateSpread:
         from taccel_lab.calibration.spread import calibrate_spread, spread_of_units
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import count_progress
+        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.profile import load_profile
 
         job = open_job(self.captures, self.out, self.base, self.report)
@@ -52,7 +52,7 @@ class CalibrateSpread:
         if self.units:
             others = [load_profile(path) for path in self.units]
             units = spread_of_units([job.base, *others] if self.base is not None else others)
-        with count_progress(job.console, "comparing the frames") as progress:
+        with stage_progress(job.console) as progress:
             light = calibrate_background(folder, progress)
         result = calibrate_spread(
             [frame.drift for frame in compared_frames(light)],

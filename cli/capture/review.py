@@ -32,7 +32,8 @@ class CaptureReview:
 
         from taccel_lab.calibration.capture import load_captures
         from taccel_lab.calibration.capture.overrides import with_overrides
-        from taccel_lab.calibration.contacts.review import review_contacts, write_review
+        from taccel_lab.calibration.contacts.report import write_review
+        from taccel_lab.calibration.contacts.review import review_contacts
         from taccel_lab.calibration.result import Severity, judge
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import count_progress

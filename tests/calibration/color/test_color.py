@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 import torch
 
-from taccel_lab.calibration.background.average import average_background
-from taccel_lab.calibration.background.drift import Drift, fit_drift
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.color.fit import ColorPlan, HeldoutSet, calibrate_color
 from taccel_lab.calibration.color.folds import cross_validate
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.light.average import average_background
+from taccel_lab.calibration.light.fit import fit_light_beside
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile, save_profile
@@ -132,11 +133,11 @@ def test_drift_is_recovered_beside_a_contact() -> None:
     captures, surfaces = synthetic_captures(1, noise=0.5)
     press = captures.presses[0]
     assert press.circle is not None
-    true = Drift(np.array([1.05, 0.97, 1.0]), np.array([2.0, -3.0, 5.0]))
+    true = Light(np.array([1.05, 0.97, 1.0]), np.array([2.0, -3.0, 5.0]))
     # A gradient wide enough to tell gain from offset.
     background = flat_background() * np.linspace(0.5, 1.5, GRID.width_px)[None, :, None]
     frame = true.apply(background + known_change(surfaces[0]))
-    found = fit_drift(frame, background, press.circle, GRID)
+    found = fit_light_beside(frame, background, press.circle, GRID)
     assert found.gain == pytest.approx(true.gain, abs=0.01)
     assert found.apply(background) == pytest.approx(true.apply(background), abs=0.5)
     assert true.remove(true.apply(frame)) == pytest.approx(frame)
@@ -148,7 +149,7 @@ def test_averaged_background_is_quieter_and_free_of_contacts() -> None:
     truth = flat_background()
     noisy = truth + rng.normal(0, 2.0, truth.shape)
     frames = frames_of(captures, surfaces)
-    still = Drift(np.ones(3), np.zeros(3))
+    still = Light(np.ones(3), np.zeros(3))
     averaged = average_background(
         noisy, [f.image for f in frames], [f.circle for f in frames], [still] * len(frames), GRID
     )

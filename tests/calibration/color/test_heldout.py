@@ -19,8 +19,8 @@ from taccel_lab.calibration.color.fit import ColorPlan, calibrate_color
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.color.registration import register_presses
-from taccel_lab.calibration.contacts.label_placement import LabelPlacement
-from taccel_lab.calibration.contacts.tiles import even_tiles, filled_from
+from taccel_lab.calibration.color.tiles import even_tiles, filled_from
+from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.cli.calibrate.color import CalibrateColor
 from taccel_lab.errors import InputError, SimulationError

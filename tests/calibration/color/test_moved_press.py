@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces.moved_press import MovedPress, moved_surfaces
 from taccel_lab.calibration.surfaces.radial import MARGIN, RadialSurfaces
-from taccel_lab.calibration.surfaces.variation import MovedPress, moved_surfaces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.background.drift import Drift
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.color import taxim_table
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -23,7 +23,7 @@ GRID = PixelGrid(120, 90, 0.1, 0.1)
 BINS = 12
 PLACES = [(u, v, r) for u in (25.0, 45.0, 60.0, 80.0, 95.0) for v in (25.0, 45.0, 65.0)
           for r in (14.0, 17.0)]  # fmt: skip
-STILL = Drift(np.ones(3), np.zeros(3))
+STILL = Light(np.ones(3), np.zeros(3))
 BACKGROUND = np.full((GRID.height_px, GRID.width_px, 3), 120.0, dtype=np.float32)
 
 
@@ -36,7 +36,7 @@ def true_table(rng: np.random.Generator) -> TaximTable:
     return TaximTable(BINS, grad)
 
 
-def frames_of(table: TaximTable, drift: Drift = STILL) -> list[ColorFrame]:
+def frames_of(table: TaximTable, drift: Light = STILL) -> list[ColorFrame]:
     frames = []
     for i, (u, v, r) in enumerate(PLACES):
         circle = ContactCircle(u, v, r)
@@ -46,7 +46,7 @@ def frames_of(table: TaximTable, drift: Drift = STILL) -> list[ColorFrame]:
     return frames
 
 
-def lights(frames: list[ColorFrame], drift: Drift = STILL) -> dict[str, Drift]:
+def lights(frames: list[ColorFrame], drift: Light = STILL) -> dict[str, Light]:
     return {frame.name: drift for frame in frames}
 
 
@@ -78,7 +78,7 @@ def test_the_pull_keeps_the_images_near_and_the_far_side_tame() -> None:
 
 def test_drift_is_taken_off_and_masked_pixels_have_no_effect() -> None:
     truth = true_table(np.random.default_rng(3))
-    drift = Drift(np.array([1.1, 0.9, 1.0]), np.array([5.0, -5.0, 3.0]))
+    drift = Light(np.array([1.1, 0.9, 1.0]), np.array([5.0, -5.0, 3.0]))
     plain, drifted = frames_of(truth), frames_of(truth, drift)
     one = fit_taxim_table(plain, BACKGROUND, lights(plain), GRID, bins=BINS)
     two = fit_taxim_table(drifted, BACKGROUND, lights(drifted, drift), GRID, bins=BINS)

@@ -11,13 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts import (
-    compare_with_labels,
-    detect_contact,
-    find_contacts,
-    resolve_contacts,
-)
-from taccel_lab.calibration.contacts.ball_check import check_ball
+from taccel_lab.calibration.contacts.ball_radius import check_ball
+from taccel_lab.calibration.contacts.fit import detect_contact, find_contacts, resolve_contacts
+from taccel_lab.calibration.contacts.labels import compare_with_labels
 from taccel_lab.calibration.contacts.slope_law import SKIRT, hertz_slope, slope_law
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.contacts import choose_circles, fuse_circles, resolve_contacts
-from taccel_lab.calibration.contacts.ball import DetectedContact
-from taccel_lab.calibration.contacts.fusion import LABEL_SHIFT_PX
+from taccel_lab.calibration.contacts.fit import resolve_contacts
+from taccel_lab.calibration.contacts.fusion import LABEL_SHIFT_PX, choose_circles, fuse_circles
+from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.errors import InputError
 from tests.calibration.synthetic import synthetic_captures
 

@@ -21,11 +21,12 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.images import read_image
-from taccel_lab.calibration.contacts import find_contacts, fuse_circles, resolve_contacts
-from taccel_lab.calibration.contacts.agreement import LabelAgreement, agreement
-from taccel_lab.calibration.contacts.ball import DetectedContact
-from taccel_lab.calibration.contacts.change import color_change
-from taccel_lab.calibration.contacts.rough import fit_drop
+from taccel_lab.calibration.contacts.color_change import color_change
+from taccel_lab.calibration.contacts.fit import find_contacts, resolve_contacts
+from taccel_lab.calibration.contacts.fusion import fuse_circles
+from taccel_lab.calibration.contacts.labels import LabelAgreement, agreement
+from taccel_lab.calibration.contacts.result import DetectedContact
+from taccel_lab.calibration.contacts.rim import fit_rim
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.contacts.presses import press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
@@ -79,7 +80,7 @@ def scatter_of_three(captures: CaptureSet, found: list[DetectedContact]) -> Scat
     circles, rims = shapes([contact.circle for contact in found]), []
     for press, (u, v, radius) in zip(captures.presses, circles, strict=True):
         change = color_change(press.image(), captures.background, captures.grid, captures.mask)
-        rim = fit_drop(change.change, np.array([u, v]), radius)
+        rim = fit_rim(change.change, np.array([u, v]), radius)
         rims.append((*rim.center, rim.radius))
     by_label, by_rim = circles - label, circles - np.array(rims)
     by_label, by_rim = (d - np.median(d, axis=0) for d in (by_label, by_rim))

@@ -13,8 +13,10 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, load_captures
 from taccel_lab.calibration.capture.overrides import read_overrides, with_overrides
-from taccel_lab.calibration.contacts import choose_circles, resolve_contacts
-from taccel_lab.calibration.contacts.review import review_contacts, write_review
+from taccel_lab.calibration.contacts.fit import resolve_contacts
+from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.report import write_review
+from taccel_lab.calibration.contacts.review import review_contacts
 from taccel_lab.cli.capture.review import CaptureReview
 from taccel_lab.errors import InputError
 from tests.calibration.contacts.presses import BALL_MM, GRID, gel, press_set, pressed, scattered

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.background.drift import fit_robust_drift
+from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.spread import calibrate_spread, spread_of_units
 from taccel_lab.errors import InputError
 from taccel_lab.profile import (
@@ -48,7 +48,7 @@ def drawn_frames(count: int, noise: float, seed: int = 0) -> np.ndarray:
 def test_the_spread_of_many_frames_is_recovered() -> None:
     count = 200
     background = textured_background()
-    drifts = [fit_robust_drift(frame, background) for frame in drawn_frames(count, 1.0)]
+    drifts = [fit_light(frame, background) for frame in drawn_frames(count, 1.0)]
     found = calibrate_spread(
         drifts, None, background, inputs={"a": "0" * 64}, source="test", noise_levels=1.0
     ).values()
@@ -62,7 +62,7 @@ def test_the_spread_of_many_frames_is_recovered() -> None:
 def test_the_block_draws_images_like_the_measured_ones() -> None:
     background = textured_background()
     frames = drawn_frames(100, 0.5)
-    drifts = [fit_robust_drift(frame, background) for frame in frames]
+    drifts = [fit_light(frame, background) for frame in frames]
     result = calibrate_spread(drifts, None, background, inputs={"a": "0" * 64}, source="test")
     block = result.apply_to(tiny_profile(GRID)).perturbation
     assert block is not None and block.provenance.verdict == "good"

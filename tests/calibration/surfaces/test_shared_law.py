@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
-from taccel_lab.calibration.surfaces.between import SPANNING, SharedLaw, spanning_presses
+from taccel_lab.calibration.surfaces.shared_law import SPANNING, SharedLaw, spanning_presses
 from taccel_lab.geometry import PixelGrid
 
 GRID = PixelGrid(160, 120, 0.08, 0.08)

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The image of the untouched sensor with what is known of its quality."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.calibration.background.dust import speck_count
+from taccel_lab.calibration.light.drift import DriftSpread
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import BackgroundBlock, CameraBlock, Provenance, SensorProfile
+
+
+@dataclass(frozen=True)
+class FrameLight:
+    """One frame against the background."""
+
+    name: str
+    kind: str
+    """``background``, ``untouched`` or ``press``."""
+    drift: Light
+    seen_share: float
+    """Share of the image that shows untouched gel."""
+    plain_l1: float
+    """Mean difference of the untouched part from the one background image [levels]."""
+    corrected_l1: float
+    """The same from the background that was made of the other frames, in this frame's light."""
+
+
+@dataclass(frozen=True)
+class BackgroundCalibration:
+    """The background image with what is known of its quality."""
+
+    image: np.ndarray
+    """RGB levels, float32, shape [height_px, width_px, 3]."""
+    frames: tuple[FrameLight, ...]
+    spread: DriftSpread | None
+    """None of a single frame."""
+    noise: np.ndarray
+    """Noise of each pixel between frames [levels], NaN where unknown, shape [height, width]."""
+    dust: np.ndarray
+    """Specks of the background, bool, shape [height_px, width_px]."""
+    new_dust: np.ndarray
+    """Specks that the presses show and the background image does not, likewise."""
+    remarks: tuple[Remark, ...]
+    inputs: dict[str, str]
+    source: str
+    mm_per_px: tuple[float, float] | None
+    method: str
+
+    @property
+    def noise_levels(self) -> float | None:
+        """Median noise of a pixel between frames [levels]; None with fewer than 3 frames."""
+        known = self.noise[np.isfinite(self.noise)]
+        return float(np.median(known)) if len(known) else None
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured, ready for JSON."""
+        rows = []
+        for frame in self.frames:
+            drift = frame.drift
+            rows.append(
+                {
+                    "name": frame.name,
+                    "kind": frame.kind,
+                    "gain_rgb": drift.gain.tolist(),
+                    "offset_rgb": drift.offset.tolist(),
+                    "gradient_rgb": drift.gradient.tolist(),
+                    "noise_levels": drift.noise_levels,
+                    "untouched_share": frame.seen_share,
+                    "plain_l1": frame.plain_l1,
+                    "corrected_l1": frame.corrected_l1,
+                }
+            )
+        return {
+            "verdict": judge(self.remarks),
+            "plain_l1": self._mean("plain_l1"),
+            "heldout_l1": self._mean("corrected_l1"),
+            "noise_levels": self.noise_levels,
+            "drift": None
+            if self.spread is None
+            else {**asdict(self.spread), "auto_white_balance": self.spread.auto_white_balance},
+            "dust_specks": speck_count(self.dust),
+            "dust_share": float(self.dust.mean()),
+            "new_dust_specks": speck_count(self.new_dust),
+            "frames": rows,
+        }
+
+    def _mean(self, name: str) -> float:
+        return float(np.mean([getattr(frame, name) for frame in self.frames]))
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with the background, and the image's size where the profile has another."""
+        height, width = self.image.shape[:2]
+        camera = profile.camera
+        if (camera.width_px, camera.height_px) != (width, height):
+            if self.mm_per_px is None:
+                raise InputError(
+                    f"the captures are {width}x{height} px, the profile's camera "
+                    f"{camera.width_px}x{camera.height_px} px, and the captures state no scale; "
+                    "give mm_per_px_x and mm_per_px_y, or a --base with a calibrated camera"
+                )
+            profile = profile.without("background", "color", "normals").with_block(
+                CameraBlock.from_grid(
+                    PixelGrid(width, height, *self.mm_per_px),
+                    Provenance(
+                        kind="published",
+                        method="image size and scale of the captures; the image centre lies over "
+                        "the apex",
+                        source=self.source,
+                    ),
+                )
+            )
+        residuals = {
+            "heldout_untouched_l1_levels": self._mean("corrected_l1"),
+            "plain_untouched_l1_levels": self._mean("plain_l1"),
+        }
+        spread = {
+            "heldout_untouched_l1_levels": float(np.std([f.corrected_l1 for f in self.frames]))
+        }
+        if self.noise_levels is not None:
+            spread["pixel_levels"] = self.noise_levels
+        if self.spread is not None:
+            for name, value in zip(("red", "green", "blue"), self.spread.shift_levels, strict=True):
+                spread[f"drift_{name}_levels"] = value
+        return profile.with_block(
+            BackgroundBlock(
+                provenance=Provenance(
+                    kind="calibrated",
+                    method=self.method,
+                    source=self.source,
+                    inputs=self.inputs,
+                    residuals=residuals,
+                    spread=spread,
+                    valid_region={
+                        "level": (float(self.image.min()), float(self.image.max())),
+                    },
+                    verdict=judge(self.remarks).value,
+                    remarks=tuple(remark.message for remark in self.remarks),
+                )
+            ),
+            self.image,
+        )

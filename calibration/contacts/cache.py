@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contacts that were found, kept in the cache folder by everything that they depend on.
+
+Colour and normals look for the same contacts in the same images, and so does every later run. The
+key holds what the search sees: images, background, mask, scale, balls, corrections by a person, and
+the text of the modules that search.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import taccel_lab.calibration.contacts
+import taccel_lab.calibration.light
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.contacts.fit import find_contacts
+from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts, Refusal
+from taccel_lab.errors import InputError
+from taccel_lab.output import CACHE_VARIABLE, cache_folder, content_key, write_json
+from taccel_lab.progress import Progress, silent
+
+
+def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundContacts:
+    """Contacts of ``captures`` as ``find_contacts`` gives them, from the cache where they are.
+
+    What is read from the cache holds contacts and refusals only, not the fit that they came from.
+
+    Raises:
+        InputError: The cache folder cannot be written.
+    """
+    path = contacts_path(captures)
+    kept = _read(path, len(captures.presses))
+    if kept is not None:
+        return kept
+    found = find_contacts(captures, progress)
+    try:
+        write_json(path, _to_dict(found))
+    except OSError as error:
+        raise InputError(
+            f"cannot write the cache of contacts {path.parent} ({error.strerror}); set "
+            f"{CACHE_VARIABLE} to a folder that can be written"
+        ) from error
+    return found
+
+
+def contacts_path(captures: CaptureSet) -> Path:
+    """File that the contacts of ``captures`` are kept in."""
+    key = content_key(
+        {
+            "code": _code_sha256(),
+            "background": captures.background,
+            "mask": captures.mask,
+            "grid": asdict(captures.grid),
+            "ball_radius_mm": captures.ball_radius_mm,
+            "presses": [
+                {
+                    # Names and places are part of the refusals' messages.
+                    "name": press.name,
+                    "source": press.source,
+                    "sha256": press.sha256,
+                    "radius_mm": press.radius_mm,
+                    "corrected": asdict(press.circle) if press.checked and press.circle else None,
+                }
+                for press in captures.presses
+            ],
+        }
+    )
+    return cache_folder() / "contacts" / f"{key}.json"
+
+
+@cache
+def _code_sha256() -> str:
+    """Of the modules that search, so that contacts of another version are never taken."""
+    rooms = (taccel_lab.calibration.contacts, taccel_lab.calibration.light)
+    folders = [Path(str(room.__file__)).parent for room in rooms]
+    files = [path for folder in folders for path in sorted(folder.glob("*.py"))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+
+
+def _to_dict(found: FoundContacts) -> dict[str, Any]:
+    return {
+        "contacts": [None if contact is None else asdict(contact) for contact in found.contacts],
+        "refusals": {str(i): asdict(refusal) for i, refusal in found.refusals.items()},
+    }
+
+
+def _read(path: Path, count: int) -> FoundContacts | None:
+    """What is kept; None without, or when the file is damaged."""
+    if not path.exists():
+        return None
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        contacts = [
+            None
+            if value is None
+            else DetectedContact(**{**value, "circle": ContactCircle(**value["circle"])})
+            for value in values["contacts"]
+        ]
+        refusals = {int(i): Refusal(**value) for i, value in values["refusals"].items()}
+        if len(contacts) != count:
+            raise ValueError("it is of another number of presses")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        warnings.warn(f"kept contacts {path} are damaged ({error}): found again", stacklevel=2)
+        return None
+    return FoundContacts(contacts, refusals, None)

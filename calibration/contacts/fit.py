@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Find the contact circles of ball presses in their images, without anybody clicking.
+
+1. The light's drift is taken off each frame (``light``); what is left, smoothed, is the colour
+   change of the press (``color_change``).
+2. A disc that stands out gives a first circle (``first_circle``), the steepest drop of colour along
+   rays from its centre says whether it is round (``rim``).
+3. All presses together are explained by one map from the slope that a ball leaves to the colour
+   change; that moves centres and radii to a fraction of a pixel (``photometric``).
+
+A single press goes the same way with a smaller map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.contacts.color_change import ColorChange, color_change
+from taccel_lab.calibration.contacts.first_circle import (
+    MIN_RADIUS_PX,
+    first_circle,
+    gathered_share,
+    turning_radius,
+)
+from taccel_lab.calibration.contacts.photometric import (
+    FittedContact,
+    MapTerms,
+    PhotometricFit,
+    fit_contacts,
+)
+from taccel_lab.calibration.contacts.result import (
+    CutContactError,
+    DetectedContact,
+    FoundContacts,
+    Refusal,
+)
+from taccel_lab.calibration.contacts.rim import fit_rim
+from taccel_lab.calibration.contacts.rings import RingSamples, sample_rings
+from taccel_lab.calibration.contacts.uncertainty import circle_covariances
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.progress import Progress, silent
+
+TASK = "finding the contacts"
+MIN_CONTRAST_LEVELS = 12.0
+"""Weakest colour change that counts as a contact, in levels of 255."""
+MIN_CONTRAST_DARK_LEVELS = 5.0
+"""The same on a dark sensor: a tenth of its background's 90th percentile, but at least this."""
+MIN_CONTRAST_OVER_NOISE = 6.0
+MIN_INLIER_FRACTION = 0.4
+MIN_EXPLAINED = 0.6
+CERTAINLY_EXPLAINED = 0.9
+MIN_GATHERED = 0.6
+"""Part of a strong colour change through the contact that has to end within two radii: an edge
+goes on."""
+MIN_VISIBLE = 0.55
+"""Share of the rings around a contact that has to lie in the image and outside the mask."""
+SAMPLING_BLUR_SHARE = 0.04
+"""Guess of the blur of gel and lens together, in ball radii, besides our own smoothing."""
+ROUNDS = (8, 16)
+"""Rounds of the fit on the first samples, and on those around the circles that it found."""
+USUAL_RATIO = 0.7
+"""Contact radius over ball radius that is assumed when nobody says what the ball is."""
+
+
+def detect_contact(
+    image: np.ndarray,
+    background: np.ndarray,
+    grid: PixelGrid,
+    *,
+    mask: np.ndarray | None = None,
+    name: str = "image",
+    ball_radius_mm: float | None = None,
+) -> DetectedContact:
+    """Contact circle of one ball press.
+
+    ``image`` and ``background`` are RGB levels, shape [height_px, width_px, 3]. Raises InputError
+    naming ``name`` when the image shows no contact or no round one, or when the contact reaches out
+    of the image.
+    """
+    start = _start(color_change(image, background, grid, mask), background, name)
+    if ball_radius_mm is None:
+        ball_px = start.circle.radius_px / USUAL_RATIO
+    else:
+        ball_px = ball_radius_mm / grid.mm_per_px_x
+    contacts, _ = _refine([start], [ball_px])
+    return _accept(start, contacts[0], grid)
+
+
+def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundContacts:
+    """Contact of every press, or the reason why it has none; the presses are fitted together.
+
+    A circle that a person has corrected (``contacts.toml``) is taken as it is.
+    """
+    starts: dict[int, _Start] = {}
+    refusals: dict[int, Refusal] = {}
+    found: list[DetectedContact | None] = [None] * len(captures.presses)
+    for i, press in enumerate(captures.presses):
+        if press.checked and press.circle is not None:
+            found[i] = DetectedContact(press.circle, 0.0, 1.0, 0.0, 0.0)
+            continue
+        try:
+            change = color_change(press.image(), captures.background, captures.grid, captures.mask)
+            starts[i] = _start(change, captures.background, press.source)
+        except InputError as error:
+            refusals[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
+        progress(TASK, i + 1, len(captures.presses))
+    if not starts:
+        return FoundContacts(found, refusals, None)
+    balls = [captures.presses[i].radius_mm or captures.ball_radius_mm for i in starts]
+    ball_px = [radius_mm / captures.grid.mm_per_px_x for radius_mm in balls]
+    contacts, fit = _refine(list(starts.values()), ball_px)
+    for (i, start), contact in zip(starts.items(), contacts, strict=True):
+        try:
+            found[i] = _accept(start, contact, captures.grid)
+        except InputError as error:
+            refusals[i] = Refusal(
+                captures.presses[i].name, str(error), isinstance(error, CutContactError)
+            )
+    return FoundContacts(
+        found,
+        refusals,
+        fit,
+        samples=[samples for _, samples in contacts],
+        ball_px=ball_px,
+        drifts={i: start.change.drift for i, start in starts.items()},
+        noise_levels={i: start.change.noise_levels for i, start in starts.items()},
+    )
+
+
+def resolve_contacts(captures: CaptureSet, progress: Progress = silent) -> list[DetectedContact]:
+    """Detect the contact of every press; a press that shows none raises InputError."""
+    found = find_contacts(captures, progress)
+    if found.refusals:
+        raise InputError("\n".join(found.refusals[i].message for i in sorted(found.refusals)))
+    return [contact for contact in found.contacts if contact is not None]
+
+
+@dataclass(frozen=True)
+class _Start:
+    name: str
+    change: ColorChange
+    circle: ContactCircle
+    """In the picture of square pixels."""
+    inlier_fraction: float
+    edge_rms_px: float
+    contrast_levels: float
+
+
+def _start(change: ColorChange, background: np.ndarray, name: str) -> _Start:
+    """First circle of a press; InputError when there is nothing to start from."""
+    strength = change.strength()
+    center, radius = first_circle(change.change, strength)
+    disc = _distance(strength.shape, center) <= radius
+    contrast = float(np.percentile(strength[disc], 90)) if disc.any() else 0.0
+    bright = float(np.percentile(background, 90))
+    needed = float(np.clip(0.1 * bright, MIN_CONTRAST_DARK_LEVELS, MIN_CONTRAST_LEVELS))
+    if contrast < needed or contrast < MIN_CONTRAST_OVER_NOISE * change.noise_levels:
+        raise InputError(
+            f"{name}: no contact found; its strongest colour change is {contrast:.1f} levels of "
+            f"255 over a noise of {change.noise_levels:.1f}, at least {needed:g} levels and "
+            f"{MIN_CONTRAST_OVER_NOISE:g} times the noise are needed. Remove the frame"
+        )
+    turning = turning_radius(change.change, center, radius)
+    radius = float(np.clip(1.05 * turning, 0.5 * radius, radius))
+    drop = fit_rim(change.change, center, radius)
+    return _Start(
+        name,
+        change,
+        ContactCircle(float(center[0]), float(center[1]), radius),
+        float(drop.inliers.mean()),
+        drop.rms,
+        contrast,
+    )
+
+
+def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
+    return np.hypot(
+        np.arange(shape[1])[None, :] - center[0], np.arange(shape[0])[:, None] - center[1]
+    )
+
+
+def _refine(
+    starts: Sequence[_Start], ball_px: Sequence[float]
+) -> tuple[list[tuple[FittedContact, RingSamples]], PhotometricFit]:
+    circles = [start.circle for start in starts]
+    terms = MapTerms.for_presses(len(starts))
+    blur = float(np.hypot(starts[0].change.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
+    fit, samples = None, []
+    for rounds in ROUNDS:
+        samples = [
+            sample_rings(start.change.change, circle, start.change.mask)
+            for start, circle in zip(starts, circles, strict=True)
+        ]
+        for start, sample in zip(starts, samples, strict=True):
+            if sample.visible < 0.2:
+                raise InputError(f"{start.name}: no contact found inside the image; remove it")
+        fit = fit_contacts(samples, circles, ball_px, blur_px=blur, terms=terms, iterations=rounds)
+        circles = [contact.circle for contact in fit.contacts]
+    assert fit is not None
+    contacts = [
+        replace(contact, covariance=covariance)
+        for contact, covariance in zip(
+            fit.contacts, circle_covariances(samples, ball_px, fit, terms), strict=True
+        )
+    ]
+    return list(zip(contacts, samples, strict=True)), fit
+
+
+def _accept(
+    start: _Start, refined: tuple[FittedContact, RingSamples], grid: PixelGrid
+) -> DetectedContact:
+    """The contact in the image's own pixels; InputError when it is none, or cut by the border."""
+    contact, samples = refined
+    circle = contact.circle
+    height, width = start.change.change.shape[:2]
+    limit = min(height, width) / 2
+    center = np.array([circle.u_px, circle.v_px])
+    drop = fit_rim(start.change.change, center, max(circle.radius_px, 2.0))
+    inliers = float(drop.inliers.mean())
+    # A smooth skin leaves no sharp rim, but then its whole colour wheel is a ball's.
+    round_enough = contact.explained >= CERTAINLY_EXPLAINED or (
+        inliers >= MIN_INLIER_FRACTION and contact.explained >= MIN_EXPLAINED
+    )
+    gathered = gathered_share(start.change.strength(), center, circle.radius_px)
+    if (
+        not round_enough
+        or gathered < MIN_GATHERED
+        or not MIN_RADIUS_PX <= circle.radius_px <= limit
+    ):
+        raise InputError(
+            f"{start.name}: no round contact found; {inliers:.0%} of the rays agree on a circle of "
+            f"radius {circle.radius_px:.1f} px and a ball's slope explains "
+            f"{max(contact.explained, 0):.0%} of the colour change, of which {gathered:.0%} lies "
+            f"within two radii; at least {MIN_INLIER_FRACTION:.0%}, {MIN_RADIUS_PX:g} to "
+            f"{limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. Remove the "
+            "frame or give its circle"
+        )
+    beyond = max(
+        circle.radius_px - circle.u_px,
+        circle.radius_px - circle.v_px,
+        circle.u_px + circle.radius_px - (width - 1),
+        circle.v_px + circle.radius_px - (height - 1),
+    )
+    if beyond > 0 or samples.visible < MIN_VISIBLE:
+        raise CutContactError(
+            f"{start.name}: the contact at ({circle.u_px:.0f}, "
+            f"{circle.v_px / start.change.ratio:.0f}) px with radius {circle.radius_px:.0f} px "
+            + (f"reaches {beyond:.0f} px out of the image" if beyond > 0 else "is mostly masked")
+            + f"; {samples.visible:.0%} of it and its surroundings can be seen. Remove the frame"
+        )
+    sigma = np.sqrt(np.maximum(np.diag(contact.covariance), 0.0))
+    return DetectedContact(
+        circle=ContactCircle(circle.u_px, circle.v_px / start.change.ratio, circle.radius_px),
+        radius_sigma_px=float(sigma[2]),
+        inlier_fraction=inliers,
+        edge_rms_px=drop.rms,
+        contrast_levels=start.contrast_levels,
+        center_sigma_px=float(np.sqrt((sigma[0] ** 2 + sigma[1] ** 2) / 2)),
+        explained=contact.explained,
+        visible=samples.visible,
+    )

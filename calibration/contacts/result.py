@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contacts that were found in images, with what speaks for each, and refusals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.contacts.photometric import PhotometricFit
+from taccel_lab.calibration.contacts.rings import RingSamples
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.errors import InputError
+
+
+@dataclass(frozen=True)
+class DetectedContact:
+    """A contact found in an image, with what speaks for it."""
+
+    circle: ContactCircle
+    radius_sigma_px: float
+    """Standard deviation of the radius."""
+    inlier_fraction: float
+    """Rays whose steepest drop of colour lies on one circle."""
+    edge_rms_px: float
+    """Their distance from that circle."""
+    contrast_levels: float
+    """90th percentile of the smoothed colour change in the contact [levels]."""
+    center_sigma_px: float = 0.0
+    """Standard deviation of the centre along an axis."""
+    explained: float = 1.0
+    """Share of the colour change that the ball's slope explains."""
+    visible: float = 1.0
+    """Share of the contact and its surroundings that lies in the image and outside the mask."""
+
+    @property
+    def confidence(self) -> float:
+        """0..1: explained share times visible share, less the more uncertain the circle is."""
+        sigma = np.hypot(self.center_sigma_px, self.radius_sigma_px)
+        doubt = 1 + (sigma / (0.08 * self.circle.radius_px)) ** 2
+        return float(np.clip(self.explained, 0, 1) * min(1.0, self.visible) / doubt)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a press cannot be used."""
+
+    name: str
+    message: str
+    cut: bool = False
+    """A contact is there, but the image's border or the mask cuts it: no fault of the captures."""
+
+
+class CutContactError(InputError):
+    """A contact that reaches out of the image, or is mostly masked."""
+
+
+@dataclass(frozen=True)
+class FoundContacts:
+    """Contacts of a capture set: one or a refusal for every press, in order."""
+
+    contacts: list[DetectedContact | None]
+    refusals: dict[int, Refusal]
+    """By the index of the press."""
+    fit: PhotometricFit | None
+    """The joint fit; None when no press was usable."""
+    samples: list[RingSamples] = field(default_factory=list)
+    """What was fitted, one entry for each press that was."""
+    ball_px: list[float] = field(default_factory=list)
+    """Radius of the ball of each of these presses [px]."""
+    drifts: dict[int, Light] = field(default_factory=dict)
+    """Drift of each frame's light, by the index of the press."""
+    noise_levels: dict[int, float] = field(default_factory=dict)
+    """Noise of the smoothed colour change, by the index of the press [levels]."""

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which presses a fit may use: those with a contact; a few without one do not stop the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.contacts.cache import cached_contacts
+from taccel_lab.calibration.contacts.fit import find_contacts
+from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
+from taccel_lab.calibration.contacts.result import DetectedContact
+from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
+
+MAX_LOST_SHARE = 0.1
+"""Part of the presses that may show no contact; beyond, something is wrong with the whole set."""
+MAX_CUT_SHARE = 0.5
+"""Part of the presses whose contact the border may cut: that is no fault of the whole set."""
+
+
+def usable_presses(
+    captures: CaptureSet, progress: Progress = silent, *, cache: bool = False
+) -> tuple[CaptureSet, list[DetectedContact], list[Remark]]:
+    """The presses with a contact, their contacts in order, and a remark on those left out.
+
+    With ``cache``, contacts are kept in the user's cache folder, and taken from it.
+
+    Raises:
+        InputError: More than a tenth of the presses show no contact, or more than half of them one
+            that is cut by the border; with every reason.
+    """
+    found = (cached_contacts if cache else find_contacts)(captures, progress)
+    refusals = [found.refusals[i] for i in sorted(found.refusals)]
+    if too_many_lost(len(captures.presses), [refusal.cut for refusal in refusals]):
+        raise InputError("\n".join(refusal.message for refusal in refusals))
+    contacts = [contact for contact in found.contacts if contact is not None]
+    if not refusals:
+        return captures, contacts, []
+    kept = tuple(
+        press
+        for press, contact in zip(captures.presses, found.contacts, strict=True)
+        if contact is not None
+    )
+    names = ", ".join(refusal.name for refusal in refusals)
+    remark = Remark(
+        Severity.WARNING,
+        "presses_left_out",
+        f"{len(refusals)} of {len(captures.presses)} presses were left out: {names}. "
+        + "; ".join(refusal.message for refusal in refusals),
+    )
+    provenance = {**captures.provenance, "left_out": names}
+    return replace(captures, presses=kept, provenance=provenance), contacts, [remark]
+
+
+def too_many_lost(press_count: int, cut: Sequence[bool]) -> bool:
+    """Whether so many presses without a usable contact speak against the whole set.
+
+    ``cut`` has an entry for each of them: whether the image's border is what cuts its contact.
+    """
+    empty = sum(not border for border in cut)
+    return empty > MAX_LOST_SHARE * press_count or len(cut) > MAX_CUT_SHARE * press_count
+
+
+@dataclass(frozen=True)
+class UsableCircles:
+    """Presses that a fit may use, and their circles in order."""
+
+    captures: CaptureSet
+    circles: list[ContactCircle]
+    remarks: list[Remark]
+    """On presses left out."""
+    agreement: LabelAgreement | None
+    """Of found circles with labels; None where nobody gave any."""
+
+
+def usable_circles(
+    captures: CaptureSet,
+    which: Literal["fused", "labels", "detected"] = "fused",
+    *,
+    cache: bool = True,
+    progress: Progress = silent,
+) -> UsableCircles:
+    """Circles of the training presses ``captures``, which are explained together.
+
+    All of them are looked at, whatever circles are taken, so that empty frames are told. With
+    ``cache``, contacts that an earlier run or stage found in these images are taken as they are.
+
+    Raises:
+        InputError: ``labels`` are wanted, and a press has none; too many presses without a contact.
+    """
+    unlabelled = sum(press.circle is None for press in captures.presses)
+    if which == "labels" and unlabelled:
+        raise InputError(
+            f"{captures.source}: {unlabelled} presses come without a contact circle; --circles "
+            "labels needs all of them, fused or detected does not"
+        )
+    captures, found, remarks = usable_presses(captures, progress, cache=cache)
+    return UsableCircles(
+        captures,
+        choose_circles(captures, found, which),
+        remarks,
+        compare_with_labels(captures, found),
+    )

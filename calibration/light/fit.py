@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fit of one frame's light against the background.
+
+Contacts and shadows are outliers of the light's law: the fit is an iteratively reweighted least
+squares with Tukey's biweight (J. W. Tukey and A. E. Beaton, Technometrics 16, 1974) on the distance
+over all channels, so that nobody has to say where the contact is. What a flat background cannot
+tell is held by a weak prior at "no change".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.light.light import Light, unit_position
+from taccel_lab.calibration.light.smoothing import smoothed
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+
+SAMPLE_COUNT = 8000
+"""Pixels that the robust fit looks at, on a regular lattice."""
+MIN_PIXELS = 200
+BIWEIGHT = 3.0
+"""Residual, in robust standard deviations, beyond which a pixel has no say."""
+MIN_SCALE_LEVELS = 1.0
+PRIOR_SIGMA = np.array([0.07, 30.0, 10.0, 10.0])
+"""Prior spread of gain, offset and the gradient's two parts [1, levels, levels, levels]."""
+PRIOR_SAMPLES = 200.0
+"""Independent samples that a frame counts as against the prior: neighbours err alike."""
+SMOOTHING_SHARE = 1 / 160
+"""Smoothing before the fit, as a part of the shorter side. Noise of the background would draw the
+gain to 0 wherever the gradient can explain the background as well."""
+ITERATIONS = 12
+
+FAR_RADII = 3.0
+"""Beyond this many contact radii an image is taken as untouched."""
+MIN_FAR_PIXELS = 500
+
+
+def biweight(distance: np.ndarray, reach: float) -> np.ndarray:
+    """Tukey's weight of residuals: 1 at zero, 0 from ``reach`` on; of their shape."""
+    return np.clip(1 - (distance / reach) ** 2, 0.0, 1.0) ** 2
+
+
+def fit_light(
+    frame: np.ndarray,
+    background: np.ndarray,
+    mask: np.ndarray | None = None,
+    *,
+    gradient: bool = True,
+) -> Light:
+    """Light of ``frame`` against ``background`` wherever the two go together.
+
+    Images are RGB levels, shape [height_px, width_px, 3]; pixels where ``mask`` is false are left
+    out. The untouched part has to be the larger one. ``gradient=False`` fits gain and offset only.
+    """
+    height, width = background.shape[:2]
+    step = max(1, int(np.sqrt(height * width / SAMPLE_COUNT)))
+    rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
+    usable = np.ones(rows.shape, bool) if mask is None else mask[rows, columns]
+    rows, columns = rows[usable], columns[usable]
+    if len(rows) < min(MIN_PIXELS, height * width // 4):
+        raise InputError(
+            f"only {len(rows)} usable pixels to fit the light's drift; the mask leaves too few"
+        )
+    u, v = unit_position(height, width)
+    plane = np.column_stack([u[0, columns], v[rows, 0]])
+    sigma = max(min(height, width) * SMOOTHING_SHARE, 1.0)
+    before = smoothed(background, mask, sigma)[rows, columns].astype(np.float64)
+    after = smoothed(frame, mask, sigma)[rows, columns].astype(np.float64)
+    size = 4 if gradient else 2
+    designs = [np.column_stack([before[:, c], np.ones(len(plane)), plane]) for c in range(3)]
+    designs = [design[:, :size] for design in designs]
+    none = np.array([1.0, 0.0, 0.0, 0.0])[:size]
+    fitted = np.tile(none, (3, 1))
+    left = after - before
+    left = left - np.median(left, axis=0)
+    weight = np.ones(len(left))
+    scale = MIN_SCALE_LEVELS
+    for k in range(ITERATIONS):
+        distance = np.linalg.norm(left, axis=1)
+        inside = distance[weight > 0] if k else distance
+        # The median of the norm of three normal variables is 1.538 standard deviations.
+        scale = max(float(np.median(inside)) / 1.538, MIN_SCALE_LEVELS / 3)
+        reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
+        weight = biweight(distance, reach)
+        for c, design in enumerate(designs):
+            fitted[c] = _with_prior(design, after[:, c], weight, none, scale)
+            left[:, c] = after[:, c] - design @ fitted[c]
+    return Light(
+        gain=fitted[:, 0].copy(),
+        offset=fitted[:, 1].copy(),
+        gradient=fitted[:, 2:].copy() if gradient else np.zeros((3, 2)),
+        noise_levels=scale,
+    )
+
+
+def _with_prior(
+    design: np.ndarray, wanted: np.ndarray, weight: np.ndarray, none: np.ndarray, scale: float
+) -> np.ndarray:
+    """Weighted least squares, drawn weakly to "no change"."""
+    normal, side = normal_equations(design, wanted, weight, scale, PRIOR_SIGMA[: len(none)])
+    step = np.linalg.solve(normal, side)
+    step[1] -= step[0] * _mean_level(design, weight)
+    return none + step
+
+
+def _mean_level(design: np.ndarray, weight: np.ndarray) -> float:
+    return float(np.average(design[:, 0], weights=weight)) if weight.sum() > 0 else 0.0
+
+
+def normal_equations(
+    design: np.ndarray,
+    wanted: np.ndarray,
+    weight: np.ndarray,
+    scale: float,
+    prior_sigma: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix [p, p] and right side [p] for gain - 1, offset at the mean level, and gradient.
+
+    The background has noise of its own, as large as the frame's (half of what is left), which would
+    draw the gain to 0. The frame is therefore held against what the background's level is expected
+    to be without it: all that offset and gradient explain of it, and of the rest the share that is
+    no noise (regression calibration; W. A. Fuller, Measurement Error Models, 1987, section 1.2).
+    The matrix is the Gram matrix of those levels plus the prior: never indefinite, and a background
+    that is all noise says nothing of the gain.
+
+    Args:
+        design: Background level, ones, and the place along each axis, shape [n, p].
+        wanted: Levels of the frame, shape [n].
+        weight: Of each pixel, 0..1, shape [n].
+        scale: Standard deviation of frame minus background [levels].
+        prior_sigma: Prior spread of each unknown, shape [p].
+    """
+    root = np.sqrt(weight)[:, None]
+    others = design[:, 1:]
+    by_others = np.linalg.lstsq(root * others, root[:, 0] * design[:, 0], rcond=None)[0]
+    explained = others @ by_others
+    own = design[:, 0] - explained
+    noise = 0.5 * float(weight.sum()) * scale**2
+    power = float(weight @ own**2)
+    share = max(0.0, 1.0 - noise / power) if power > 0 else 0.0
+    expected = design.copy()
+    expected[:, 0] = explained + share * own
+    change = wanted - expected[:, 0]
+    # The offset is that at the mean level, so that its prior does not fight the gain's.
+    expected[:, 0] -= _mean_level(design, weight)
+    counted = max(float(weight.sum()) / PRIOR_SAMPLES, 1.0)
+    weighed = expected * weight[:, None]
+    prior = np.diag(counted * (scale / prior_sigma) ** 2)
+    return weighed.T @ expected + prior, weighed.T @ change
+
+
+def without_light(image: np.ndarray, background: np.ndarray, light: Light) -> np.ndarray:
+    """Frame minus the background in the frame's light [levels], float32."""
+    return (image - light.apply(background.astype(np.float32))).astype(np.float32)
+
+
+def fit_light_beside(
+    frame: np.ndarray,
+    background: np.ndarray,
+    circle: ContactCircle,
+    grid: PixelGrid,
+    mask: np.ndarray | None = None,
+) -> Light:
+    """Gain and offset of ``frame`` against ``background`` beyond 3 radii of its contact.
+
+    Images are RGB levels, shape [height_px, width_px, 3]; masked pixels are left out. Raises
+    InputError when the contact leaves fewer than 500 pixels.
+    """
+    far = circle.distance_px(grid) > FAR_RADII * circle.radius_px
+    if mask is not None:
+        far &= mask
+    if far.sum() < MIN_FAR_PIXELS:
+        raise InputError(
+            f"only {int(far.sum())} usable pixels lie beyond {FAR_RADII:g} contact radii; at least "
+            f"{MIN_FAR_PIXELS} are needed to fit the background's drift"
+        )
+    return fit_light(frame, background, far, gradient=False)

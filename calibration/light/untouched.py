@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which pixels of a frame show untouched gel, and an image of the gel from those alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+
+from taccel_lab.calibration.light.average import median_where_seen
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.smoothing import smoothed
+from taccel_lab.errors import InputError
+
+TOUCHED_SIGMAS = 4.0
+TOUCHED_LEVELS = 3.0
+"""Smallest smoothed change that counts as touched [levels]."""
+SMOOTHING_SHARE = 1 / 160
+MARGIN_SHARE = 1 / 24
+"""Widening of the touched parts, both as parts of the image's shorter side."""
+SPECK_SHARE = 1 / 14
+"""Parts smaller than this are specks, not contacts, as a part of the shorter side."""
+STEADY_LEVELS = 1.5
+STEADY_SIGMAS = 1.0
+STEADY_SMOOTHING_SHARE = 1 / 40
+MIN_MEDIAN_FRAMES = 5
+MIN_SEEN = 3
+"""Untouched frames that a pixel of a background made of presses needs."""
+MAX_RARELY_SEEN = 0.1
+"""Share of the image that may be seen by fewer."""
+
+ReadImage = Callable[[], np.ndarray]
+
+
+def untouched_pixels(
+    frame: np.ndarray, background: np.ndarray, drift: Light, mask: np.ndarray | None = None
+) -> np.ndarray:
+    """Where ``frame`` shows the background in its own light, bool, shape [height_px, width_px].
+
+    Touched parts are those whose smoothed change stands out of the frame's noise, with a margin;
+    specks do not count as touched. Pixels where ``mask`` is false are neither.
+    """
+    side = min(frame.shape[:2])
+    strength, noise = _strength(frame, background, drift, mask, max(side * SMOOTHING_SHARE, 0.7))
+    limit = max(TOUCHED_LEVELS, TOUCHED_SIGMAS * noise)
+    count, parts, stats, _ = cv2.connectedComponentsWithStats((strength > limit).astype(np.uint8))
+    large = stats[:, cv2.CC_STAT_AREA] >= (SPECK_SHARE * side) ** 2
+    large[0] = False
+    size = 2 * max(1, round(side * MARGIN_SHARE)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    touched = cv2.dilate(large[parts].astype(np.uint8), kernel) > 0 if count > 1 else parts > 0
+    return ~touched if mask is None else ~touched & mask
+
+
+def steady_pixels(
+    frame: np.ndarray, background: np.ndarray, drift: Light, mask: np.ndarray | None = None
+) -> np.ndarray:
+    """Where a frame may be averaged into ``background``: where no shade of a touch is left.
+
+    The gel sinks far beyond a contact, by less and less; averaged over presses that leaves a stain.
+    Only untouched pixels count whose surroundings agree with the background to within 1.5 levels,
+    or the noise of the frame's light where that is more. What is averaged then is the fine noise.
+    """
+    sigma = max(min(frame.shape[:2]) * STEADY_SMOOTHING_SHARE, 1.0)
+    strength, noise = _strength(frame, background, drift, mask, sigma)
+    steady = strength < max(STEADY_LEVELS, min(STEADY_SIGMAS * noise, 2 * STEADY_LEVELS))
+    return steady & untouched_pixels(frame, background, drift, mask)
+
+
+def _strength(
+    frame: np.ndarray,
+    background: np.ndarray,
+    drift: Light,
+    mask: np.ndarray | None,
+    sigma_px: float,
+) -> tuple[np.ndarray, float]:
+    """Size of the smoothed change [levels], and its robust standard deviation from zero."""
+    change = frame.astype(np.float32) - drift.apply(background.astype(np.float32))
+    strength = np.linalg.norm(smoothed(change, mask, sigma_px), axis=-1)
+    usable = strength if mask is None else strength[mask]
+    return strength, float(np.median(usable)) / 1.538 * np.sqrt(3)
+
+
+def background_from_presses(
+    frames: Sequence[ReadImage], mask: np.ndarray | None = None
+) -> np.ndarray:
+    """Image of the untouched gel from presses alone, float32 levels, shape [height, width, 3].
+
+    Each pixel is the median over the frames, whose light is first brought to the common one; then
+    again over the frames that did not touch it. Raises InputError with fewer than 5 frames, or
+    where pixels were touched in nearly all of them.
+    """
+    if len(frames) < MIN_MEDIAN_FRAMES:
+        raise InputError(
+            f"no image of the untouched sensor, and {len(frames)} presses are too few to make one "
+            f"of: at least {MIN_MEDIAN_FRAMES}. Give background"
+        )
+    images = [read() for read in frames]
+    start = _median(images, [None] * len(images), [None] * len(images))[0]
+    drifts = [fit_light(image, start, mask) for image in images]
+    # The common light is that of the frames' mean, so that the drifts cancel out.
+    level = start
+    for _ in range(2):
+        seen = [
+            untouched_pixels(image, level, drift, mask)
+            for image, drift in zip(images, drifts, strict=True)
+        ]
+        level, count = _median(images, drifts, seen)
+        drifts = [fit_light(image, level, mask) for image in images]
+    rarely = np.asarray(count < MIN_SEEN)
+    if mask is not None:
+        rarely &= mask
+    if rarely.mean() > MAX_RARELY_SEEN:
+        raise InputError(
+            f"no image of the untouched sensor, and {rarely.mean():.0%} of it is touched in all "
+            f"but {MIN_SEEN - 1} of the {len(images)} presses; give background, or presses that "
+            "are spread over the gel"
+        )
+    return level
+
+
+def _median(
+    images: Sequence[np.ndarray],
+    drifts: Sequence[Light | None],
+    seen: Sequence[np.ndarray | None],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Median of the drift-free images over the frames that see a pixel, and how many do."""
+    steady = [
+        image if drift is None else np.clip(drift.remove(image.astype(np.float32)), 0, 255)
+        for image, drift in zip(images, drifts, strict=True)
+    ]
+    # Half precision is a sixteenth of a level, and all presses are in memory at once.
+    steady = [np.asarray(image, np.float16) for image in steady]
+    always = np.ones(images[0].shape[:2], dtype=bool)
+    shown = [always if where is None else where for where in seen]
+    result = median_where_seen(steady, shown)
+    count = np.sum(shown, axis=0)
+    if not count.all():
+        result = np.where(
+            count[..., None] > 0, result, median_where_seen(steady, [always] * len(steady))
+        )
+    return result, count

@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bring an existing profile to the light of today from a handful of new frames.
+
+The profile stays of the same kind: its background is put into the new light and averaged with what
+the new frames show of the untouched gel, and the last layer of its colour model is scaled a
+channel, which scales the colour change that it gives. Every figure is of frames that were left out
+of the fit, one after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.light.average import RunningMean
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.untouched import steady_pixels, untouched_pixels
+from taccel_lab.calibration.refit.frames import Surfaces, refit_frames
+from taccel_lab.calibration.refit.light_change import (
+    LightChange,
+    LightChangeFit,
+    RefitFrame,
+    fit_light_change,
+)
+from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
+from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.simulate import simulate_presses
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
+
+MIN_FRAMES = 3
+MAX_RESPONSE_SIGMA = 0.25
+"""Largest relative standard deviation of the response that a refit may have."""
+ROUGH_RESPONSE_SIGMA = 0.1
+"""The same above which it is worth a warning."""
+FRAME_DRIFT_LEVELS = 3.0
+MIN_GAIN_LEVELS = 0.1
+
+
+@dataclass(frozen=True)
+class RefitOptions:
+    """Settings of a refit."""
+
+    surface: Literal["simulated", "hertz"] = "simulated"
+    """Gel surface under a press: the simulation, or a closed form, which is quick."""
+
+
+def calibrate_refit(
+    folder: CaptureFolder,
+    base: SensorProfile,
+    options: RefitOptions = RefitOptions(),
+    progress: Progress = silent,
+) -> RefitCalibration:
+    """Correct ``base`` for the light of today, which ``folder`` shows.
+
+    Raises:
+        InputError: Captures of another sensor or image size, a profile without a background, and
+            whatever ``refit_profile`` refuses.
+    """
+    if folder.sensor != base.sensor.family:
+        raise InputError(
+            f"the captures are of a {folder.sensor}, the profile is of a {base.sensor.family}"
+        )
+    _require_background(base)
+    surfaces = _simulated(base, progress) if options.surface == "simulated" else "hertz"
+    new = refit_frames(base, folder, surfaces)
+    return refit_profile(
+        base,
+        new.fitted,
+        source=folder.provenance.get("source", folder.source),
+        surface_provider=new.surface_provider,
+        mask=folder.mask,
+        heldout=new.heldout,
+    )
+
+
+def _simulated(profile: SensorProfile, progress: Progress) -> Surfaces:
+    def tell(done: int, total: int) -> None:
+        progress("simulating the presses", done, total)
+
+    def make(captures: CaptureSet, circles: list[ContactCircle]) -> list[PressSurface]:
+        return simulate_presses(captures, circles, profile, progress=tell)
+
+    return make
+
+
+def _require_background(profile: SensorProfile) -> np.ndarray:
+    if profile.background_rgb is None:
+        raise InputError(
+            "the profile has no background, so that there is nothing to refit; run taccel-lab "
+            "calibrate color first"
+        )
+    return profile.background_rgb
+
+
+def refit_profile(
+    profile: SensorProfile,
+    frames: Sequence[RefitFrame],
+    *,
+    source: str,
+    surface_provider: str,
+    mask: np.ndarray | None = None,
+    heldout: Sequence[RefitFrame] = (),
+) -> RefitCalibration:
+    """Fit today's light to new ``frames`` of the sensor of ``profile``.
+
+    Presses of ``heldout`` have no part in it; the finished correction is scored on them.
+
+    Raises InputError when the profile has no background, or when the frames cannot tell the
+    correction: too few, no contact although the profile has a colour model, a response that the
+    frames disagree on, or no gain on frames that were left out.
+    """
+    old = _require_background(profile)
+    if len(frames) < MIN_FRAMES:
+        raise InputError(
+            f"{len(frames)} new frames cannot tell a correction from chance; at least "
+            f"{MIN_FRAMES}, better 5, presses among them"
+        )
+    pressed = [frame for frame in frames if frame.change is not None]
+    if profile.color is not None and len(pressed) < 2:
+        raise InputError(
+            f"{len(pressed)} of the {len(frames)} new frames are presses: the colour model's "
+            "response cannot be told from that; at least 2 presses of a known ball"
+        )
+    old = old.astype(np.float64)
+    fit = fit_light_change(frames, old, mask)
+    errors = tuple(
+        _error(frame, change, _new_background(frames, change, old, mask, k), old, mask)
+        for k, (frame, change) in enumerate(zip(frames, fit.left_out, strict=True))
+    )
+    background = _new_background(frames, fit.change, old, mask, None)
+    refit = RefitCalibration(
+        fit=fit,
+        background=background,
+        errors=errors,
+        heldout=tuple(_error(frame, fit.change, background, old, mask) for frame in heldout),
+        remarks=_remarks(fit, frames, errors, old, mask),
+        inputs={frame.name: frame.sha256 for frame in frames},
+        source=source,
+        surface_provider=surface_provider,
+    )
+    _refuse_chance(refit, profile.color is not None)
+    return refit
+
+
+_PAIRS = (("before", "after"), ("whole_before", "whole_after"))
+
+
+def _sure_gain(errors: Sequence[FrameError], before: str, after: str) -> float:
+    """How much less left-out frames are off, less what may be chance [levels].
+
+    Two standard errors over the frames may be.
+    """
+    gain = np.array([getattr(error, before) - getattr(error, after) for error in errors])
+    return float(gain.mean() - max(MIN_GAIN_LEVELS, 2 * gain.std(ddof=1) / np.sqrt(len(gain))))
+
+
+def _refuse_chance(refit: RefitCalibration, has_color: bool) -> None:
+    sigma = refit.fit.sigma.response / np.maximum(refit.fit.change.response, 1e-3)
+    worst = int(np.argmax(sigma))
+    if has_color and sigma[worst] > MAX_RESPONSE_SIGMA:
+        raise InputError(
+            f"the {len(refit.errors)} frames cannot tell the correction: the response of "
+            f"{CHANNELS[worst]} is {refit.fit.change.response[worst]:.2f} with a standard "
+            f"deviation of {100 * sigma[worst]:.0f} %, at most {100 * MAX_RESPONSE_SIGMA:.0f} % "
+            "is allowed. Give more presses, spread over the gel, in steady light"
+        )
+    disc, whole = (_sure_gain(refit.errors, *names) for names in _PAIRS)
+    if max(disc, whole) <= 0:
+        raise InputError(
+            "no correction is worth it: on frames left out of the fit the error is "
+            f"{refit.mean('before'):.2f} levels with the old profile and "
+            f"{refit.mean('after'):.2f} with a refitted one ({refit.mean('whole_before'):.2f} and "
+            f"{refit.mean('whole_after'):.2f} over the whole frames). The old profile stays"
+        )
+
+
+def _new_background(
+    frames: Sequence[RefitFrame],
+    change: LightChange,
+    old: np.ndarray,
+    mask: np.ndarray | None,
+    leave_out: int | None,
+) -> np.ndarray:
+    """The old background in the new light, averaged with what the frames show of the gel."""
+    base = change.light.apply(old)
+    mean = RunningMean.empty(old.shape)
+    mean.add(base, np.ones(old.shape[:2], bool))
+    for k, frame in enumerate(frames):
+        if k == leave_out:
+            continue
+        drift = fit_light(frame.image, base, mask)
+        pick = untouched_pixels if frame.change is None else steady_pixels
+        seen = pick(frame.image, base, drift, mask)
+        mean.add(drift.remove(frame.image.astype(np.float64)), seen)
+    averaged = mean.mean(base)
+    if mask is not None:
+        averaged[~mask] = base[~mask]
+    return np.clip(averaged, 0, 255).astype(np.float32)
+
+
+def _error(
+    frame: RefitFrame,
+    change: LightChange,
+    new: np.ndarray,
+    old: np.ndarray,
+    mask: np.ndarray | None,
+) -> FrameError:
+    """How far a frame is off with the old background, and with a new one and its change."""
+    usable = np.ones(old.shape[:2], bool) if mask is None else mask
+    background = new.astype(np.float64)
+    before, after = old, background
+    if frame.change is not None:
+        before = np.clip(old + frame.change, 0, 255)
+        after = np.clip(background + change.response * frame.change, 0, 255)
+    where = usable if frame.disc is None else usable & frame.disc
+    image = frame.image.astype(np.float64)
+
+    def l1(rendered: np.ndarray, pixels: np.ndarray) -> float:
+        return float(np.abs(rendered - image)[pixels].mean())
+
+    return FrameError(
+        name=frame.name,
+        pressed=frame.change is not None,
+        before=l1(before, where),
+        after=l1(after, where),
+        whole_before=l1(before, usable),
+        whole_after=l1(after, usable),
+    )
+
+
+def _remarks(
+    fit: LightChangeFit,
+    frames: Sequence[RefitFrame],
+    errors: Sequence[FrameError],
+    old: np.ndarray,
+    mask: np.ndarray | None,
+) -> tuple[Remark, ...]:
+    change, sigma = fit.change, fit.sigma
+    values = ", ".join(
+        f"{name} {r:.3f} ± {s:.3f}"
+        for name, r, s in zip(CHANNELS, change.response, sigma.response, strict=True)
+    )
+    before, after = (float(np.mean([getattr(e, n) for e in errors])) for n in ("before", "after"))
+    remarks = [
+        Remark(
+            Severity.INFO,
+            "response",
+            f"the colour change is now {values} of what it was; left-out frames are off by "
+            f"{after:.2f} levels instead of {before:.2f}",
+        )
+    ]
+    rough = sigma.response / np.maximum(change.response, 1e-3)
+    if rough.max() > ROUGH_RESPONSE_SIGMA:
+        name = CHANNELS[int(np.argmax(rough))]
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "rough_response",
+                f"the frames disagree by {100 * rough.max():.0f} % on the response of {name}: more "
+                "presses, in steadier light, would tell it better",
+            )
+        )
+    if len(frames) < 5:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "few_frames",
+                f"{len(frames)} frames: the standard deviations are rough; 5 or more are better",
+            )
+        )
+    worse = [error.name for error in errors if error.after > error.before + 0.5]
+    if worse:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "some_worse",
+                f"{', '.join(worse)} fits worse than before when it is left out: the light changes "
+                "between the new frames, or a press is off",
+            )
+        )
+    moving = _between(frames, change, old, mask)
+    if moving > FRAME_DRIFT_LEVELS:
+        remarks.append(
+            Remark(
+                Severity.WARNING,
+                "light_unsteady",
+                f"the light of the new frames differs by {moving:.1f} levels among themselves: one "
+                "correction cannot follow. Fix exposure and white balance",
+            )
+        )
+    return tuple(remarks)
+
+
+def _between(
+    frames: Sequence[RefitFrame], change: LightChange, old: np.ndarray, mask: np.ndarray | None
+) -> float:
+    """Root mean square over the frames and channels of the light's change left in each [levels]."""
+    base = change.light.apply(old)
+    level = base.reshape(-1, 3).mean(axis=0)
+    shifts = [fit_light(frame.image, base, mask).shift(level) for frame in frames]
+    return float(np.sqrt(np.mean(np.square(shifts))))

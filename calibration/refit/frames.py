@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""New frames of a sensor and what its profile renders for them: the input of a refit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
+from taccel_lab.calibration.contacts.fit import detect_contact, resolve_contacts
+from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.labels import LabelPlacement
+from taccel_lab.calibration.refit.light_change import RefitFrame
+from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
+from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+
+NEAR_RADII = 1.8
+"""The model's own error matters less beyond this many contact radii."""
+
+Surfaces = Callable[[CaptureSet, list[ContactCircle]], list[PressSurface]]
+
+
+@dataclass(frozen=True)
+class NewFrames:
+    """What a refit is given."""
+
+    fitted: list[RefitFrame]
+    """Untouched frames and training presses."""
+    heldout: list[RefitFrame]
+    """Presses that only figures see, placed without any part in the others' circles."""
+    surface_provider: str
+    """What made the surfaces."""
+
+
+def refit_frames(
+    profile: SensorProfile,
+    folder: CaptureFolder,
+    surfaces: Surfaces | Literal["hertz"] = "hertz",
+) -> NewFrames:
+    """Frames of ``folder`` with the old profile's render.
+
+    Presses are split before an image is read, by the one rule for captures; with fewer than four,
+    only what the manifest holds out is. The circles of the training presses are found in their
+    images together; a held-out press is placed by its label, as those of the training presses lie,
+    or else found in its own image alone. ``surfaces`` makes the gel's surface under each press,
+    ``hertz`` in closed form. A profile without a colour model takes the untouched frames only.
+    Raises InputError when the images are not of the profile's size.
+    """
+    size = profile.camera.width_px, profile.camera.height_px
+    frames: list[RefitFrame] = []
+    untouched = list(folder.untouched)
+    if folder.background is not None:
+        untouched.insert(0, folder.background)
+    for i, frame in enumerate(untouched):
+        image = frame.image()
+        _check_size(image, size, frame.source)
+        name = f"untouched_{i}_{frame.name}"
+        frames.append(RefitFrame(name, frame.sha256, image, None, None, None))
+    if profile.color is None or profile.color_weights is None or not folder.presses:
+        return NewFrames(frames, [], "none")
+    captures = _capture_set(profile, folder)
+    # Of fewer presses than that the rule can hold none out; what the manifest says still holds.
+    few = len(captures.presses) < HOLDOUT_EVERY and captures.heldout is None
+    split = captures.split(0 if few else HOLDOUT_EVERY)
+    for press in captures.presses:
+        _check_size(press.image(), size, press.source)
+    training = captures.only(split.train)
+    circles = choose_circles(training, resolve_contacts(training))
+    made = _surfaces(profile, training, circles, surfaces)
+    frames += _pressed(profile, training, circles, made)
+    if not split.heldout:
+        return NewFrames(frames, [], _providers(made))
+    others = captures.only(split.heldout)
+    shift = LabelPlacement.of(training.presses, circles)
+    placed = [_placed(press, others, shift) for press in others.presses]
+    made_there = _surfaces(profile, others, placed, surfaces)
+    heldout = _pressed(profile, others, placed, made_there)
+    return NewFrames(frames, heldout, _providers([*made, *made_there]))
+
+
+def _placed(press: Press, captures: CaptureSet, shift: LabelPlacement) -> ContactCircle:
+    """Where a held-out press is, by its label or else by its own image."""
+    ball_mm = press.radius_mm or captures.ball_radius_mm
+    if press.circle is not None:
+        return shift.applied(press.circle, ball_mm / captures.grid.mm_per_px_x)
+    return detect_contact(
+        press.image(), captures.background, captures.grid, mask=captures.mask, name=press.source,
+        ball_radius_mm=ball_mm,
+    ).circle  # fmt: skip
+
+
+def _surfaces(
+    profile: SensorProfile,
+    captures: CaptureSet,
+    circles: list[ContactCircle],
+    surfaces: Surfaces | Literal["hertz"],
+) -> list[PressSurface]:
+    if surfaces != "hertz":
+        return surfaces(captures, circles)
+    return [
+        analytic_surface(
+            circle,
+            captures.grid,
+            press.radius_mm or captures.ball_radius_mm,
+            decay_mm=profile.gel.thickness_mm,
+        )
+        for circle, press in zip(circles, captures.presses, strict=True)
+    ]
+
+
+def _pressed(
+    profile: SensorProfile,
+    captures: CaptureSet,
+    circles: list[ContactCircle],
+    surfaces: list[PressSurface],
+) -> list[RefitFrame]:
+    """The presses with the change that the profile's colour model gives for them."""
+    assert profile.color is not None and profile.color_weights is not None
+    model = ColorModel(
+        ColorModelConfig.from_dict(profile.color.architecture), profile.color_weights
+    )
+    frames = []
+    for press, circle, surface in zip(captures.presses, circles, surfaces, strict=True):
+        distance = circle.distance_px(captures.grid)
+        frames.append(
+            RefitFrame(
+                press.name,
+                press.sha256,
+                press.image(),
+                model.predict(surface.normals, surface.displacement_mm(), surface.rest_normals),
+                distance <= circle.radius_px,
+                distance <= NEAR_RADII * circle.radius_px,
+            )
+        )
+    return frames
+
+
+def _providers(surfaces: list[PressSurface]) -> str:
+    return ", ".join(sorted({surface.provider for surface in surfaces}))
+
+
+def _capture_set(profile: SensorProfile, folder: CaptureFolder) -> CaptureSet:
+    """The presses on the profile's own grid, against the new background or else the old one."""
+    radius = folder.ball_radius_mm or next(iter(folder.ball_radii_mm()), None)
+    if radius is None:
+        raise InputError(
+            f"{folder.source}: the radius of the ball is missing; give [indenter] radius_mm"
+        )
+    old = profile.background_rgb
+    assert old is not None
+    background = old if folder.background is None else folder.background.image()
+    return CaptureSet(
+        source=folder.source,
+        sensor=folder.sensor,
+        background=background,
+        background_sha256="" if folder.background is None else folder.background.sha256,
+        mask=np.ones(background.shape[:2], bool) if folder.mask is None else folder.mask,
+        ball_radius_mm=radius,
+        grid=profile.grid(),
+        presses=tuple(dataclasses.replace(press) for press in folder.presses),
+        provenance=folder.provenance,
+        heldout=folder.heldout,
+    )
+
+
+def _check_size(image: np.ndarray, size: tuple[int, int], source: str) -> None:
+    found = image.shape[1], image.shape[0]
+    if found != size:
+        raise InputError(
+            f"{source} is {found[0]}x{found[1]} px, the profile's camera {size[0]}x{size[1]} px; a "
+            "refit takes frames of the same camera and crop"
+        )

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The correction of an old profile, with its gain on frames that were left out of the fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.calibration.refit.light_change import LightChangeFit
+from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.errors import InputError
+from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
+from taccel_lab.signals.color_model import ColorModelConfig
+
+CHANNELS = ("red", "green", "blue")
+
+
+@dataclass(frozen=True)
+class FrameError:
+    """Mean absolute error of a new frame that was left out of the fit [levels]."""
+
+    name: str
+    pressed: bool
+    before: float
+    """The old profile, in the contact disc of a press or over an untouched frame."""
+    after: float
+    whole_before: float
+    """Over the whole frame."""
+    whole_after: float
+
+
+@dataclass(frozen=True)
+class RefitCalibration:
+    """The correction with what it gains."""
+
+    fit: LightChangeFit
+    background: np.ndarray
+    """New background, RGB levels, float32, shape [height_px, width_px, 3]."""
+    errors: tuple[FrameError, ...]
+    """Of the fitted frames, each by a fit without it."""
+    heldout: tuple[FrameError, ...]
+    """Of presses that had no part in anything."""
+    remarks: tuple[Remark, ...]
+    inputs: dict[str, str]
+    source: str
+    surface_provider: str
+
+    def mean(self, name: str) -> float:
+        """Mean of a figure of ``errors`` over the frames [levels]."""
+        return float(np.mean([getattr(error, name) for error in self.errors]))
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured, ready for JSON."""
+        change, sigma = self.fit.change, self.fit.sigma
+        return {
+            "verdict": judge(self.remarks),
+            "before_l1": self.mean("before"),
+            "after_l1": self.mean("after"),
+            "whole_before_l1": self.mean("whole_before"),
+            "whole_after_l1": self.mean("whole_after"),
+            "response_rgb": change.response.tolist(),
+            "response_sigma": sigma.response.tolist(),
+            "gain_rgb": change.light.gain.tolist(),
+            "gain_sigma": sigma.light.gain.tolist(),
+            "offset_rgb": change.light.offset.tolist(),
+            "gradient_rgb": change.light.gradient.tolist(),
+            "frames": [vars(error) for error in self.errors],
+            "heldout": [vars(error) for error in self.heldout],
+        }
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` in the new light: background and, where it has one, colour model."""
+        profile = profile.with_block(
+            BackgroundBlock(
+                provenance=self._provenance(
+                    profile.background,
+                    "refitted: the old background in the new light, averaged with the untouched "
+                    f"parts of {len(self.errors)} new frames",
+                )
+            ),
+            self.background,
+        )
+        if profile.color is None or profile.color_weights is None:
+            return profile
+        config = ColorModelConfig.from_dict(profile.color.architecture)
+        response = self.fit.change.response
+        factors = ", ".join(f"{name} {x:.3f}" for name, x in zip(CHANNELS, response, strict=True))
+        method = f"refitted: last layer scaled by {factors}; before that: "
+        return profile.with_block(
+            profile.color.replace(
+                provenance=self._provenance(profile.color, method + profile.color.provenance.method)
+            ),
+            scale_channels(config, profile.color_weights, response),
+        )
+
+    def _provenance(self, block: Block | None, method: str) -> Provenance:
+        old = {} if block is None else dict(block.provenance.inputs)
+        region = {} if block is None else dict(block.provenance.valid_region)
+        sigma = self.fit.sigma
+        spread = {f"response_{n}": float(x) for n, x in zip(CHANNELS, sigma.response, strict=True)}
+        spread |= {f"gain_{n}": float(x) for n, x in zip(CHANNELS, sigma.light.gain, strict=True)}
+        return Provenance(
+            kind="calibrated",
+            method=method,
+            source=self.source,
+            inputs={**old, **{f"refit_{name}": sha for name, sha in self.inputs.items()}},
+            residuals={
+                "heldout_l1_levels": self.mean("after"),
+                "heldout_before_refit_l1_levels": self.mean("before"),
+                "heldout_whole_l1_levels": self.mean("whole_after"),
+            },
+            spread=spread,
+            valid_region=region or {"level": (0.0, 255.0)},
+            verdict=judge(self.remarks).value,
+            remarks=tuple(remark.message for remark in self.remarks),
+        )
+
+
+def scale_channels(
+    config: ColorModelConfig, weights: Any, factors: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Weights of a colour model whose change is ``factors`` [3] times as large a channel."""
+    last = len(config.layer_sizes()) - 1
+    scaled = {name: np.array(value) for name, value in weights.items()}
+    # Also the bias, which cancels, so that the layer stays the old one but for its scale.
+    for name in (f"layer{last}.weight", f"layer{last}.bias"):
+        if name not in scaled or scaled[name].shape[0] != 3:
+            raise InputError(
+                f"the profile's colour model has no last layer {name} of three channels; it "
+                "cannot be refitted"
+            )
+        shape = (3,) + (1,) * (scaled[name].ndim - 1)
+        scaled[name] = (scaled[name] * factors.reshape(shape)).astype(scaled[name].dtype)
+    return scaled

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated press moved a little: elsewhere by some pixels, with a contact a little larger.
+
+What the simulation gave against the gel at rest is shifted as it is, so that the lean of a crowned
+gel stays in; the change with the contact radius is that of the radial profiles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces, slope_of
+
+MOVED_RADII = 2.7
+"""Beyond this many contact radii a surface stays where it was: it is nearly at rest there."""
+_MAX_TILT = math.radians(88.0)
+
+
+@dataclass(frozen=True)
+class MovedPress:
+    """A simulated press that can be asked for at other circles."""
+
+    circle: ContactCircle
+    """Where it was simulated, with the radius that the simulation reached."""
+    library: RadialSurfaces
+    tilt: np.ndarray
+    """dh/dx, dh/dy against the gel at rest and displacement [mm], shape [3, rows, columns]."""
+    origin: tuple[int, int]
+    """Row and column of the arrays' first pixel in the image."""
+
+    @classmethod
+    def of(
+        cls,
+        surface: PressSurface,
+        circle: ContactCircle,
+        library: RadialSurfaces,
+        reach_radii: float = 3.0,
+    ) -> MovedPress:
+        """Of a simulated press, known as far as ``reach_radii`` around it."""
+        grid = library.grid
+        half = reach_radii * surface.contact_radius_px
+        half_v = half * grid.mm_per_px_x / grid.mm_per_px_y
+        top = max(0, math.floor(circle.v_px - half_v))
+        left = max(0, math.floor(circle.u_px - half))
+        window = (
+            slice(top, math.ceil(circle.v_px + half_v) + 1),
+            slice(left, math.ceil(circle.u_px + half) + 1),
+        )
+        slope = slope_of(surface.normals[window]) - slope_of(surface.rest_normals[window])
+        sunk = surface.displacement_mm()[window]
+        return cls(
+            ContactCircle(circle.u_px, circle.v_px, surface.contact_radius_px),
+            library,
+            np.concatenate([np.moveaxis(slope, -1, 0), sunk[None]]),
+            (top, left),
+        )
+
+    def at(self, circle: ContactCircle, pixel_idx: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normals [pixel, 3] and displacement [mm] [pixel] as if simulated at ``circle``.
+
+        ``pixel_idx`` counts along rows; pixels should lie within reach of the simulated press.
+        """
+        grid = self.library.grid
+        u, v = pixel_idx % grid.width_px, pixel_idx // grid.width_px
+        place = np.stack(
+            [
+                v - (circle.v_px - self.circle.v_px) - self.origin[0],
+                u - (circle.u_px - self.circle.u_px) - self.origin[1],
+            ]
+        )
+        slope_x, slope_y, sunk = (
+            map_coordinates(layer, place, order=1, mode="nearest") for layer in self.tilt
+        )
+        x = (u - circle.u_px) * grid.mm_per_px_x
+        y = (v - circle.v_px) * grid.mm_per_px_y
+        distance = np.maximum(np.hypot(x, y), 1e-9)
+        before = self.library.profiles_at(self.circle.radius_px, distance)
+        after = self.library.profiles_at(circle.radius_px, distance)
+        toward = (slope_x * x + slope_y * y) / distance
+        tilt = np.clip(np.arctan(toward) + after[0] - before[0], -_MAX_TILT, _MAX_TILT)
+        change = (np.tan(tilt) - toward) / distance
+        rest = self.library.rest_slope.reshape(-1, 2)[pixel_idx]
+        normals = np.stack(
+            [
+                -(rest[:, 0] + slope_x + change * x),
+                -(rest[:, 1] + slope_y + change * y),
+                np.ones_like(x),
+            ],
+            axis=-1,
+        )
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        return normals, sunk + after[1] - before[1]
+
+
+def moved_surfaces(
+    surfaces: Sequence[PressSurface],
+    simulated: Sequence[ContactCircle],
+    circles: Sequence[ContactCircle],
+    library: RadialSurfaces,
+) -> list[PressSurface]:
+    """Surfaces simulated at some circles as if simulated at others near them.
+
+    The travel changes with what the gel sinks at the middle. Nobody simulated the force there: it
+    is NaN, and so is the residual.
+    """
+    grid = library.grid
+    moved = []
+    for surface, at, circle in zip(surfaces, simulated, circles, strict=True):
+        if circle == replace(at, radius_px=surface.contact_radius_px):
+            moved.append(surface)
+            continue
+        near = np.flatnonzero(circle.distance_px(grid) <= MOVED_RADII * circle.radius_px)
+        normals, height = surface.normals.copy(), surface.height_m.copy()
+        found, sunk = MovedPress.of(surface, at, library).at(circle, near)
+        normals.reshape(-1, 3)[near] = found
+        height.reshape(-1)[near] = surface.rest_height_m.reshape(-1)[near] + sunk * 1e-3
+        middle = np.zeros(1)
+        deeper_mm = (
+            library.profiles_at(surface.contact_radius_px, middle)[1]
+            - library.profiles_at(circle.radius_px, middle)[1]
+        )
+        moved.append(
+            replace(
+                surface,
+                normals=normals,
+                height_m=height,
+                contact_radius_px=circle.radius_px,
+                depth_mm=surface.depth_mm + float(deeper_mm[0]),
+                force_n=math.nan,
+                residual_n=math.nan,
+                provider=f"{surface.provider}, moved",
+                effort=None,
+            )
+        )
+    return moved

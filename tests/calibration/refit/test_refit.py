@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A profile brought to the light of today: synthetic degradation is recovered and measured."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.refit.fit import refit_profile
+from taccel_lab.calibration.refit.light_change import RefitFrame, fit_light_change
+from taccel_lab.calibration.refit.report import refit_page
+from taccel_lab.calibration.refit.result import RefitCalibration
+from taccel_lab.calibration.surfaces import analytic_surface
+from taccel_lab.errors import InputError
+from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
+from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+from tests.calibration.drawn.faults import add_gradient, add_noise, drift, poison, quantise
+from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, flat_background, tiny_profile
+
+GAIN = np.array([0.7, 0.9, 1.0])
+OFFSET = np.array([2.0, -1.0, 0.0])
+
+
+def old_profile() -> SensorProfile:
+    """A profile with a colour model of random weights whose response is some tens of levels."""
+    config = ColorModelConfig(GRID.width_px, GRID.height_px, hidden=(8,))
+    rng = np.random.default_rng(0)
+    weights = {
+        name: rng.normal(0, 1.0, shape).astype(np.float32)
+        for name, shape in expected_shapes(config).items()
+    }
+    made_up = Provenance(kind="assumed", method="made up for a test", source="none")
+    profile = tiny_profile(GRID).with_block(
+        BackgroundBlock(provenance=made_up), textured().astype(np.float32)
+    )
+    return profile.with_block(
+        ColorBlock(architecture=config.to_dict(), provenance=made_up), weights
+    )
+
+
+def textured() -> np.ndarray:
+    rng = np.random.default_rng(5)
+    return np.clip(flat_background() + rng.normal(0, 8, flat_background().shape), 0, 255)
+
+
+def model_of(profile: SensorProfile) -> ColorModel:
+    assert profile.color is not None and profile.color_weights is not None
+    return ColorModel(ColorModelConfig.from_dict(profile.color.architecture), profile.color_weights)
+
+
+def new_frames(
+    profile: SensorProfile,
+    count: int = 5,
+    *,
+    gain: np.ndarray = GAIN,
+    offset: np.ndarray = OFFSET,
+    noise: float = 0.0,
+    whole_levels: bool = False,
+    seed: int = 0,
+) -> list[RefitFrame]:
+    rng = np.random.default_rng(seed)
+    model = model_of(profile)
+    frames = []
+    for i in range(count):
+        circle = ContactCircle(
+            float(rng.uniform(40, 120)), float(rng.uniform(40, 80)), float(rng.uniform(11, 15))
+        )
+        surface = analytic_surface(circle, GRID, BALL_RADIUS_MM, decay_mm=1.0)
+        change = model.predict(surface.normals, surface.displacement_mm(), surface.rest_normals)
+        image = drift(textured() + change, gain, offset)
+        image = add_noise(add_gradient(image, 2.0, -1.0), noise, rng)
+        distance = circle.distance_px(GRID)
+        frames.append(
+            RefitFrame(
+                f"new{i}",
+                f"{i:064x}",
+                quantise(image) if whole_levels else image,
+                change,
+                distance <= circle.radius_px,
+                distance <= 1.8 * circle.radius_px,
+            )
+        )
+    return frames
+
+
+def refit(
+    profile: SensorProfile, frames: list[RefitFrame], mask: np.ndarray | None = None
+) -> RefitCalibration:
+    return refit_profile(profile, frames, source="test", surface_provider="made up", mask=mask)
+
+
+def test_perfect_degradation_is_recovered() -> None:
+    profile = old_profile()
+    result = refit(profile, new_frames(profile))
+    assert result.fit.change.response == pytest.approx(GAIN, abs=1e-3)
+    assert result.fit.change.light.gain == pytest.approx(GAIN, abs=1e-3)
+    assert result.mean("after") < 0.3 and result.mean("before") > 5
+    # The refitted profile renders a press that nobody has seen.
+    refitted = result.apply_to(profile)
+    unseen = new_frames(profile, 7, seed=3)[6]
+    assert unseen.disc is not None and unseen.change is not None
+    assert model_of(profile).config == model_of(refitted).config
+    scaled = model_of(refitted).weights
+    for name, value in model_of(profile).weights.items():
+        factor = result.fit.change.response if name.startswith("layer1") else np.ones(1)
+        shape = (-1,) + (1,) * (value.ndim - 1)
+        assert scaled[name] == pytest.approx(value * factor.reshape(shape), rel=1e-5)
+    assert refitted.background_rgb is not None
+    rendered = refitted.background_rgb + result.fit.change.response * unseen.change
+    assert np.abs(rendered - unseen.image)[unseen.disc].mean() < 0.2
+    assert refitted.color is not None and "refitted" in refitted.color.provenance.method
+
+
+def test_noise_within_its_own_sigma() -> None:
+    profile = old_profile()
+    off = []
+    for seed in range(4):
+        frames = new_frames(profile, noise=2.0, whole_levels=True, seed=seed)
+        result = refit(profile, frames)
+        sigma = np.maximum(result.fit.sigma.response, 1e-4)
+        off.append((result.fit.change.response - GAIN) / sigma)
+        assert result.mean("after") < 2.2
+    # Student's t of 4 degrees of freedom: 95 % within 2.8.
+    assert np.mean(np.abs(off) < 2.8) > 0.8
+    assert np.median(np.abs(off)) > 0.1
+
+
+def test_a_spoilt_frame_leaves_the_fit_without_it_bit_for_bit_as_it_is() -> None:
+    profile = old_profile()
+    old = np.asarray(profile.background_rgb, dtype=np.float64)
+    frames = new_frames(profile, noise=1.0)
+    clean = fit_light_change(frames, old)
+    noise = np.random.default_rng(1).uniform(0, 255, old.shape)
+    spoilt = [dataclasses.replace(f, image=noise) if k == 2 else f for k, f in enumerate(frames)]
+    found = fit_light_change(spoilt, old)
+
+    def same(k: int) -> list[bool]:
+        a, b = clean.left_out[k], found.left_out[k]
+        pairs = [(getattr(a.light, n), getattr(b.light, n)) for n in ("gain", "offset", "gradient")]
+        return [np.array_equal(x, y) for x, y in [*pairs, (a.response, b.response)]]
+
+    assert all(same(2)) and not any(same(1))
+
+
+def test_masked_pixels_have_no_effect() -> None:
+    profile = old_profile()
+    mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
+    mask[10:50, 20:60] = False
+    rng = np.random.default_rng(1)
+    frames = new_frames(profile)
+    spoilt = [dataclasses.replace(f, image=poison(f.image, mask, rng)) for f in frames]
+    assert refit(profile, spoilt, mask).figures() == refit(profile, frames, mask).figures()
+
+
+def test_untouched_frames_help_the_background() -> None:
+    profile = old_profile()
+    rng = np.random.default_rng(2)
+    rest = [
+        RefitFrame(
+            f"rest{i}", f"{i:064x}",
+            add_noise(add_gradient(drift(textured(), GAIN, OFFSET), 2.0, -1.0), 1.0, rng),
+            None, None, None,
+        )
+        for i in range(3)
+    ]  # fmt: skip
+    result = refit(profile, [*new_frames(profile, 3, noise=1.0), *rest])
+    truth = add_gradient(drift(textured(), GAIN, OFFSET), 2.0, -1.0)
+    assert np.abs(result.background - truth).mean() < 0.6
+
+
+def test_what_five_frames_cannot_tell_is_refused() -> None:
+    profile = old_profile()
+    same = new_frames(profile, gain=np.ones(3), offset=np.zeros(3), noise=1.0)
+    flat = [dataclasses.replace(f, image=add_gradient(f.image, -2.0, 1.0)) for f in same]
+    with pytest.raises(InputError, match="The old profile stays"):
+        refit(profile, flat)
+    with pytest.raises(InputError, match="at least 3, better 5"):
+        refit(profile, same[:2])
+    untouched = [dataclasses.replace(f, change=None, disc=None, near=None) for f in same]
+    with pytest.raises(InputError, match="at least 2 presses"):
+        refit(profile, untouched)
+    wild = [
+        dataclasses.replace(
+            f, image=textured() + (f.change if f.change is not None else 0) * (0.2 + 0.6 * i)
+        )
+        for i, f in enumerate(new_frames(profile))
+    ]
+    with pytest.raises(InputError, match="cannot tell the correction"):
+        refit(profile, wild)
+    with pytest.raises(InputError, match="nothing to refit"):
+        refit(profile.without("background"), same)
+
+
+def test_held_out_presses_are_scored_and_change_nothing() -> None:
+    profile = old_profile()
+    frames = new_frames(profile, 7, noise=1.0)
+    plain = refit(profile, frames[:5])
+    result = refit_profile(
+        profile, frames[:5], source="test", surface_provider="made up", heldout=frames[5:]
+    )
+    assert np.array_equal(result.background, plain.background)
+    assert np.array_equal(result.fit.change.response, plain.fit.change.response)
+    assert result.errors == plain.errors and plain.heldout == ()
+    assert [error.name for error in result.heldout] == ["new5", "new6"]
+    for error in result.heldout:
+        assert error.after < 1.5 and error.before > 5
+    assert len(result.figures()["heldout"]) == 2
+    titles = [table.title for table in refit_page(result, profile).tables]
+    assert "Held-out presses" in titles
+    assert "Held-out presses" not in [t.title for t in refit_page(plain, profile).tables]
