@@ -67,13 +67,13 @@ class Demo:
         console.print(f"report: {self.out / 'report.html'}", highlight=False)
 
     def _work(self, folder: Path, console: Console, clock: StageClock) -> DemoResults:
+        from taccel_lab.calibration.base_profile import on_grid
         from taccel_lab.calibration.capture import find_taxim_pack, load_captures
         from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
         from taccel_lab.calibration.color.fit import HeldoutSet, calibrate_color
         from taccel_lab.calibration.color.options import ColorFitOptions
         from taccel_lab.calibration.contacts import choose_circles, resolve_contacts
         from taccel_lab.calibration.simulate import simulate_presses
-        from taccel_lab.cli.calibrate.base import on_grid
         from taccel_lab.cli.demo_report import DemoResults
         from taccel_lab.cli.press import check_depth, load_sensor
         from taccel_lab.cli.progress import count_progress, fit_progress

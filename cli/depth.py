@@ -14,8 +14,8 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
     from matplotlib.figure import Figure
-    from taccel_lab.calibration.normals.read_surface import SurfaceReading
 
+    from taccel_lab.calibration.normals.read_surface import SurfaceReading
     from taccel_lab.geometry import PixelGrid
 
 
@@ -52,10 +52,10 @@ class Depth:
         import cv2
         import numpy as np
         from rich.console import Console
-        from taccel_lab.calibration.normals.read_surface import SurfaceReader
 
         from taccel_lab.calibration.camera.rectification import RectificationMaps
         from taccel_lab.calibration.capture.images import decode, read_image
+        from taccel_lab.calibration.normals.read_surface import SurfaceReader
         from taccel_lab.cli.console import print_json
         from taccel_lab.output import atomic_directory, require_replaceable, write_json
         from taccel_lab.profile import load_profile

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.images import file_sha256, read_image
 from taccel_lab.calibration.depth.fit import DepthCalibration, calibrate_depth
 from taccel_lab.calibration.depth.grey_contact import find_grey_contact
 from taccel_lab.calibration.depth.report import depth_page
+from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError

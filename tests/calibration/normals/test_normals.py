@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from taccel_lab.calibration.normals.ball_normals import ball_center_px, ball_normals
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
-from taccel_lab.calibration.normals.samples import SampleOptions, Scene
-from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.normals.ball_normals import ball_center_px, ball_normals
 from taccel_lab.calibration.normals.fit import NormalCalibration, calibrate_normals
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions, fit_normal_model
+from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.report import normals_page
+from taccel_lab.calibration.normals.samples import SampleOptions, Scene
+from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.result import Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from taccel_lab.calibration.normals.skirt import hertz_skirts
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.images import file_sha256, read_image
 from taccel_lab.calibration.normals.fit import calibrate_normals
+from taccel_lab.calibration.normals.skirt import hertz_skirts
 from taccel_lab.geometry import PixelGrid
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
