@@ -40,6 +40,11 @@ class Remark:
     code: str
     """Stable name for programs, such as ``scale_disagrees``."""
     message: str
+    frames: tuple[str, ...] = ()
+    """Names of the images it is about; empty: all, or none in particular."""
+    blocks: tuple[str, ...] = ()
+    """Blocks that a finding about captures stops (error) or harms (warning); empty for a remark
+    about one calibration."""
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.message}"

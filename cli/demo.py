@@ -67,6 +67,7 @@ class Demo:
         console.print(f"report: {self.out / 'report.html'}", highlight=False)
 
     def _work(self, folder: Path, console: Console, clock: StageClock) -> DemoResults:
+        from taccel_lab.calibration.base_profile import on_grid
         from taccel_lab.calibration.capture import find_taxim_pack, load_captures
         from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
         from taccel_lab.calibration.color.fit import HeldoutSet, calibrate_color
@@ -74,7 +75,6 @@ class Demo:
         from taccel_lab.calibration.contacts.fit import resolve_contacts
         from taccel_lab.calibration.contacts.fusion import choose_circles
         from taccel_lab.calibration.simulate import simulate_presses
-        from taccel_lab.cli.calibrate.base import on_grid
         from taccel_lab.cli.demo_report import DemoResults
         from taccel_lab.cli.press import check_depth, load_sensor
         from taccel_lab.cli.progress import count_progress, fit_progress

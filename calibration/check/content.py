@@ -150,6 +150,14 @@ def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
         if folder.markers is None:
             return "", "an image of the dots at rest, videos of them moving"
         return f"dots at rest, {len(folder.markers.videos)} videos", ""
+    if command == "spread":
+        untouched = len(folder.untouched)
+        several = f"{untouched} further images of the untouched gel" if untouched > 1 else ""
+        if presses > 1 and not several:
+            several = f"{presses} ball presses"
+        if folder.background is None or not several:
+            return "", "an image of the untouched gel, and several more of it or ball presses"
+        return several, ""
     kinds = [record.entry.kind for record in folder.records]
     if not kinds:
         return "", "force records: indentation (E), slide (friction), relaxation (damping)"

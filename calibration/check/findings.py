@@ -4,33 +4,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from taccel_lab.calibration.result import Remark, Severity
 
-COMMANDS = ("camera", "scale", "background", "color", "normals", "depth", "markers", "material")
+COMMANDS = (
+    "camera",
+    "scale",
+    "background",
+    "color",
+    "normals",
+    "depth",
+    "markers",
+    "material",
+    "spread",
+)
 """Blocks that captures calibrate, by the name of their command."""
 _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.INFO: 2}
 MAX_NAMES = 6
 
 
-@dataclass(frozen=True)
-class Finding(Remark):
-    """One thing that is wrong, weak or worth knowing about captures."""
-
-    frames: tuple[str, ...] = ()
-    """Names of the images it is about; empty: all, or none in particular."""
-    blocks: tuple[str, ...] = ()
-    """Commands that it stops (error) or harms (warning)."""
-
-    def to_dict(self) -> dict[str, object]:
-        return {
-            "severity": str(self.severity),
-            "code": self.code,
-            "message": self.message,
-            "frames": list(self.frames),
-            "blocks": list(self.blocks),
-        }
+Finding = Remark
+"""A remark about captures: it names the blocks that it concerns."""
 
 
 def worst_first(findings: Sequence[Finding]) -> list[Finding]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,8 @@ class CaptureCheck:
     """Of the presses; its scale is made up where none is stated."""
     background: BackgroundCheck | None = None
     notes: tuple[str, ...] = field(default_factory=tuple)
+    ball_fitted: bool = False
+    """Whether the ball's radius was held against the slopes that colours show."""
 
     @property
     def usable(self) -> bool:
@@ -63,7 +65,7 @@ class CaptureCheck:
             "usable": self.usable,
             "contents": self.folder.contents(),
             "blocks": [block.to_dict() for block in self.blocks],
-            "findings": [finding.to_dict() for finding in self.findings],
+            "findings": [asdict(finding) for finding in self.findings],
             "notes": list(self.notes),
             "presses": self._press_figures(),
             "coverage": self._coverage(),
@@ -159,6 +161,7 @@ def check_captures(
         grid=grid,
         background=background,
         notes=notes,
+        ball_fitted=fit_ball,
     )
 
 

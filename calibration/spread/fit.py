@@ -1,136 +1,70 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From drift over the frames of one unit, and from units side by side, to the perturbation block.
-
-Images at rest of several units already hold one draw of the drift each, so that their spread is
-the whole one; where they are missing, the drift between the frames of one unit stands in.
-"""
+"""From the frames of a capture folder, and from profiles of units, to their spread."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.light.drift import drift_spread
+from taccel_lab.calibration.background.fit import calibrate_background
+from taccel_lab.calibration.background.result import BackgroundCalibration, FrameLight
+from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.result import Remark, Severity, judge
-from taccel_lab.calibration.spread.units import UnitSpread
+from taccel_lab.calibration.spread.result import SpreadCalibration
+from taccel_lab.calibration.spread.units import UnitSpread, spread_of_units
 from taccel_lab.errors import InputError
-from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
-
-FEW = 5
-"""Below this many frames or units a standard deviation is off by a third or more."""
+from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
 
 
 @dataclass(frozen=True)
-class SpreadCalibration:
-    """A perturbation block with what it rests on."""
+class SpreadOptions:
+    """What is compared besides the frames of the folder."""
 
-    frame_drifts: tuple[Light, ...]
-    """Light of each frame against the background."""
-    frame_noise_levels: float | None
-    units: UnitSpread | None
-    pivot: np.ndarray
-    """Mean level of each channel of the background [levels], shape [3]."""
-    inputs: dict[str, str]
-    source: str
-
-    def values(self) -> dict[str, Any]:
-        """Fields of the block."""
-        units = self.units
-        values: dict[str, Any] = light_spread(self.lights, self.pivot)
-        if self.frame_noise_levels is not None:
-            values["noise_levels"] = self.frame_noise_levels
-        if units is not None:
-            for name in (
-                "mm_per_px_relative",
-                "center_px",
-                "young_modulus_relative",
-                "friction_coefficient",
-            ):
-                if getattr(units, name) is not None:
-                    values[name] = getattr(units, name)
-        return values
-
-    @property
-    def lights(self) -> tuple[Light, ...]:
-        """The lights whose spread is taken: of the units where there are several, else frames."""
-        if self.units is not None and self.units.lights:
-            return self.units.lights
-        return self.frame_drifts
-
-    @property
-    def remarks(self) -> tuple[Remark, ...]:
-        remarks = []
-        for what, count in (
-            ("frames", len(self.frame_drifts) if self.lights is self.frame_drifts else 0),
-            ("units", 0 if self.units is None else self.units.unit_count),
-        ):
-            if 0 < count < FEW:
-                remarks.append(
-                    Remark(
-                        Severity.WARNING,
-                        f"few_{what}",
-                        f"{count} {what}: each standard deviation is itself uncertain by "
-                        f"{relative_error(count):.0%}; {FEW} or more {what} would halve that",
-                    )
-                )
-        if self.units is None:
-            remarks.append(
-                Remark(
-                    Severity.INFO,
-                    "no_units",
-                    "one unit: scale, place, modulus and friction are not perturbed; give profiles "
-                    "of other units of this design",
-                )
-            )
-        return tuple(remarks)
-
-    def figures(self) -> dict[str, Any]:
-        """Everything measured, ready for JSON."""
-        return {
-            "perturbation": self.values(),
-            "frame_count": len(self.frame_drifts),
-            "unit_count": 0 if self.units is None else self.units.unit_count,
-            "frames": [_drift_figures(d) for d in self.frame_drifts],
-            "unit_lights": [_drift_figures(d) for d in self.units.lights] if self.units else [],
-        }
-
-    def apply_to(self, profile: SensorProfile) -> SensorProfile:
-        """``profile`` with the perturbation block."""
-        values = self.values()
-        count = len(self.lights) or (0 if self.units is None else self.units.unit_count)
-        error = relative_error(count)
-        spread = {k: error * v for k, v in values.items() if isinstance(v, float)}
-        for name in ("gain_rgb", "offset_rgb", "gradient_rgb"):
-            if name in values:
-                spread[name] = error * float(np.mean(values[name]))
-        residuals = [d.noise_levels for d in self.lights]
-        return profile.with_block(
-            PerturbationBlock(
-                **values,
-                provenance=Provenance(
-                    kind="calibrated",
-                    method="standard deviation of the light (gain, offset, gradient against the "
-                    "mean image, robust fit) between "
-                    + ("units" if self.lights is not self.frame_drifts else "frames")
-                    + "; of scale, place, modulus and friction between units",
-                    source=self.source,
-                    inputs=self.inputs,
-                    residuals={"light_fit_levels": float(np.mean(residuals)) if residuals else 0.0},
-                    spread=spread,
-                    valid_region={"sample_count": (float(count), float(count))},
-                    verdict=judge(self.remarks).value,
-                    remarks=tuple(r.message for r in self.remarks),
-                ),
-            )
-        )
+    units: tuple[SensorProfile, ...] = ()
+    """Profiles of several units of one design, the one at hand among them where it is known."""
 
 
 def calibrate_spread(
+    folder: CaptureFolder,
+    base: SensorProfile,
+    options: SpreadOptions = SpreadOptions(),
+    progress: Progress = silent,
+) -> SpreadCalibration:
+    """How far the light of the folder's frames differs, and units where profiles are given.
+
+    Args:
+        folder: Its untouched images are compared, or its presses where there are fewer than two.
+        base: Profile that the result extends; nothing of it is compared.
+        options: Profiles of units.
+        progress: Told of the frames.
+
+    Raises:
+        InputError: Fewer than two frames and no profiles, or profiles that cannot be compared.
+    """
+    units = spread_of_units(options.units) if options.units else None
+    light = calibrate_background(folder, progress)
+    return fit_spread(
+        [frame.drift for frame in _compared_frames(light)],
+        units,
+        light.image,
+        inputs=light.inputs,
+        source=light.source,
+        noise_levels=light.noise_levels,
+        sensor=folder.sensor,
+    )
+
+
+def _compared_frames(light: BackgroundCalibration) -> list[FrameLight]:
+    """The untouched frames, or the presses where there are fewer than two of them."""
+    untouched = [frame for frame in light.frames if frame.kind == "untouched"]
+    presses = [frame for frame in light.frames if frame.kind == "press"]
+    return untouched if len(untouched) > 1 else presses
+
+
+def fit_spread(
     frame_drifts: Sequence[Light],
     units: UnitSpread | None,
     background: np.ndarray,
@@ -138,6 +72,7 @@ def calibrate_spread(
     inputs: dict[str, str],
     source: str,
     noise_levels: float | None = None,
+    sensor: str = "",
 ) -> SpreadCalibration:
     """Combine what was measured; InputError when there is nothing to take a spread of.
 
@@ -148,6 +83,7 @@ def calibrate_spread(
         inputs: SHA-256 of what was measured, by name.
         source: Where it comes from.
         noise_levels: Standard deviation of a pixel between frames in one light [levels].
+        sensor: Its family, for the page.
     """
     if len(frame_drifts) < 2 and units is None:
         raise InputError(
@@ -155,40 +91,6 @@ def calibrate_spread(
             "frames and no profiles"
         )
     pivot = background.astype(np.float64).mean(axis=(0, 1))
-    return SpreadCalibration(tuple(frame_drifts), noise_levels, units, pivot, dict(inputs), source)
-
-
-def light_spread(
-    lights: Sequence[Light], pivot: np.ndarray
-) -> dict[str, tuple[float, float, float]]:
-    """Standard deviations of gain, offset and gradient between lights, by channel.
-
-    The offset is that at the level ``pivot`` [3]: about the mean level of the image it varies
-    independently of the gain, at zero it would repeat it.
-    """
-    if len(lights) < 2:
-        return {}
-    gain = np.array([light.gain for light in lights]).std(axis=0, ddof=1)
-    offset = drift_spread(lights, pivot[None, None]).shift_levels
-    gradient = np.array([light.gradient for light in lights])
-    # One figure for both directions: the root mean square of their standard deviations.
-    plane = np.sqrt(gradient.var(axis=0, ddof=1).mean(axis=1))
-    return {
-        "gain_rgb": _triple(gain),
-        "pivot_rgb": _triple(pivot),
-        "offset_rgb": offset,
-        "gradient_rgb": _triple(plane),
-    }
-
-
-def relative_error(count: int) -> float:
-    """Standard error of a standard deviation from ``count`` samples, as a part of it."""
-    return 1.0 if count < 2 else 1 / math.sqrt(2 * (count - 1))
-
-
-def _triple(values: np.ndarray) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
-
-
-def _drift_figures(drift: Light) -> dict[str, Any]:
-    return {"gain": drift.gain, "offset": drift.offset, "gradient": drift.gradient}
+    return SpreadCalibration(
+        tuple(frame_drifts), noise_levels, units, pivot, dict(inputs), source, sensor
+    )

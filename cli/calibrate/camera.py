@@ -71,8 +71,7 @@ class CalibrateCamera:
         job.write(result, camera_page(result, folder))
         if self.maps is not None:
             result.maps().save(self.maps)
-            if not job.is_stage:
-                job.console.print(f"wrote {self.maps}", highlight=False)
+            job.console.print(f"wrote {self.maps}", highlight=False)
         if self.json:
             print_json({"profile": str(self.out), "camera": result.figures()})
         else:

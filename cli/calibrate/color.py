@@ -95,12 +95,12 @@ class CalibrateColor:
         import warp as wp
         from rich.console import Console
 
+        from taccel_lab.calibration.check.block_findings import refusing_with
         from taccel_lab.calibration.color.fit import ColorPlan, HeldoutSet, calibrate_color
         from taccel_lab.calibration.color.options import ColorFitOptions
         from taccel_lab.calibration.color.report import color_page
         from taccel_lab.cli.calibrate.base import report_folder, require_outputs, write_results
         from taccel_lab.cli.calibrate.contacts import contact_circles
-        from taccel_lab.cli.calibrate.findings import refusing_with
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import count_progress, fit_progress
 
@@ -154,10 +154,16 @@ class CalibrateColor:
         """The presses, the designed sensor with their camera, and what is weak or assumed; what
         cannot be used is refused with all reasons."""
         from taccel_lab.cad.parameters import parse_overrides
+        from taccel_lab.calibration.base_profile import (
+            base_profile,
+            lost_blocks,
+            on_grid,
+            presses_on_camera,
+        )
         from taccel_lab.calibration.capture import load_capture_folder
+        from taccel_lab.calibration.check.block_findings import capture_findings
         from taccel_lab.calibration.surfaces.design import fitted_design
-        from taccel_lab.cli.calibrate.base import base_profile, on_grid, presses_on_camera
-        from taccel_lab.cli.calibrate.findings import capture_findings, lost_blocks
+        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.sensors.registry import sensor_family
 
         folder = load_capture_folder(self.captures)
@@ -180,11 +186,9 @@ class CalibrateColor:
                 lost = lost_blocks(given, base)
         except InputError as error:
             fault = error
-        findings = [
-            finding
-            for finding in capture_findings(folder, "color", console)
-            if finding.code not in ASKED_ELSEWHERE
-        ]
+        with stage_progress(console) as progress:
+            found = capture_findings(folder, "color", progress)
+        findings = [finding for finding in found if finding.code not in ASKED_ELSEWHERE]
         if captures is None:
             also = [f"- {finding.message}" for finding in findings]
             heading = ["the captures have more faults:"] if also else []

@@ -59,24 +59,26 @@ class CalibrateDepth:
         import warp as wp
         from rich.console import Console
 
+        from taccel_lab.calibration.base_profile import lost_blocks, on_grid
+        from taccel_lab.calibration.check.block_findings import (
+            capture_findings,
+            joined,
+            refusing_with,
+        )
         from taccel_lab.calibration.depth.fit import calibrate_depth
         from taccel_lab.calibration.depth.rectified import grey_captures
         from taccel_lab.calibration.depth.report import depth_page
-        from taccel_lab.cli.calibrate.base import on_grid, open_job
-        from taccel_lab.cli.calibrate.findings import (
-            capture_findings,
-            joined,
-            lost_blocks,
-            refusing_with,
-        )
+        from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.progress import stage_progress
 
         wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
         job = open_job(self.captures, self.out, self.base, self.report)
         captures, remarks = grey_captures(job.folder, job.base, self.maps)
         base = on_grid(job.base, captures.grid, captures.provenance)
         lost = lost_blocks(job.base, base)
-        findings = capture_findings(job.folder, "depth", job.console)
+        with stage_progress(job.console) as progress:
+            findings = capture_findings(job.folder, "depth", progress)
         with refusing_with(findings), job.console.status("finding contacts and fitting the curve"):
             result = calibrate_depth(
                 captures,

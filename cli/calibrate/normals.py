@@ -65,20 +65,20 @@ class CalibrateNormals:
         import warp as wp
         from rich.console import Console
 
+        from taccel_lab.calibration.base_profile import lost_blocks, presses_on_camera
+        from taccel_lab.calibration.check.block_findings import (
+            capture_findings,
+            joined,
+            refusing_with,
+        )
         from taccel_lab.calibration.normals.fit import calibrate_normals
         from taccel_lab.calibration.normals.network_fit import InverseFitOptions
         from taccel_lab.calibration.normals.report import normals_page
         from taccel_lab.calibration.normals.samples import Scene
-        from taccel_lab.cli.calibrate.base import open_job, presses_on_camera
+        from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.calibrate.contacts import contact_circles
-        from taccel_lab.cli.calibrate.findings import (
-            capture_findings,
-            joined,
-            lost_blocks,
-            refusing_with,
-        )
         from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import fit_progress
+        from taccel_lab.cli.progress import fit_progress, stage_progress
         from taccel_lab.signals.rest_surface import rest_surface
 
         wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
@@ -90,7 +90,8 @@ class CalibrateNormals:
         split = captures.split(self.holdout_every)
         heldout = captures.only(split.heldout) if split.heldout else None
         lost = lost_blocks(job.base, base)
-        findings = capture_findings(job.folder, "normals", job.console)
+        with stage_progress(job.console) as progress:
+            findings = capture_findings(job.folder, "normals", progress)
         rest = rest_surface(base.mesh, captures.grid)
         with refusing_with(findings):
             captures, circles, left_out = contact_circles(

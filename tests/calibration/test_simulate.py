@@ -14,13 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import taccel_lab.calibration.simulate as simulate
+from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces import PressSurface, press_batch
 from taccel_lab.calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
 from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
 from taccel_lab.calibration.surfaces.shared_law import SPANNING, spanning_presses
-from taccel_lab.cli.calibrate.base import on_grid
 from taccel_lab.envs.physics import PHYSICS, SURFACE_PHYSICS, Accuracy
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid

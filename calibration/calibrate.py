@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every block that a capture folder has captures for, each on the profile of the one before.
+
+The captures are checked first. A block without captures is skipped; one that the check blocks, or
+that refuses its captures, is passed over, and the profile keeps what the base says of it. After a
+board on the gel the other blocks see the images that the profile's camera describes: rectified.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from taccel_lab.calibration.base_profile import base_profile
+from taccel_lab.calibration.blocks import BLOCKS, CalibrationBlock
+from taccel_lab.calibration.camera.rectification import RectificationMaps
+from taccel_lab.calibration.camera.rectify_captures import rectify_captures
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.load import load_capture_folder
+from taccel_lab.calibration.check.block_findings import capture_check
+from taccel_lab.calibration.check.content import Readiness
+from taccel_lab.calibration.check.run import CaptureCheck
+from taccel_lab.calibration.report.page import Page, Table, write_page
+from taccel_lab.calibration.report.profile_page import profile_page
+from taccel_lab.calibration.result import Remark, Severity, judge
+from taccel_lab.errors import InputError
+from taccel_lab.output import atomic_directory
+from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
+
+
+class State(StrEnum):
+    """How the calibration of a block ended."""
+
+    DONE = "done"
+    SKIPPED = "skipped"
+    """There are no captures for it."""
+    BLOCKED = "blocked"
+    """The check of the captures found that they cannot be used for it."""
+    REFUSED = "refused"
+    """The calibration found that they cannot."""
+
+
+@dataclass(frozen=True)
+class BlockOutcome:
+    """How the calibration of one block ended."""
+
+    name: str
+    state: State
+    message: str
+    """The verdict, or the reason why the block is as before."""
+    seconds: float = 0.0
+    page: Page | None = None
+    """Report of a block that is done; pictures are drawn when it is written."""
+
+    @property
+    def is_unfit(self) -> bool:
+        """Whether there are captures for the block and they cannot be used."""
+        return self.state in (State.BLOCKED, State.REFUSED)
+
+    def figures(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "name": self.name,
+            "state": str(self.state),
+            "message": self.message,
+            "seconds": self.seconds,
+        }
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A profile with how each of its blocks came about."""
+
+    profile: SensorProfile
+    blocks: tuple[BlockOutcome, ...]
+    """In the order of ``taccel_lab.calibration.blocks.BLOCKS``."""
+    maps: RectificationMaps | None = None
+    """From raw images to those of the profile's camera, after a board on the gel."""
+    notes: tuple[str, ...] = ()
+    """What rectification left out of the captures."""
+    rectified: TemporaryDirectory[str] | None = None
+    """Rectified captures, which pages read while they are written; they go with this object."""
+
+    @property
+    def unfit(self) -> tuple[BlockOutcome, ...]:
+        """Blocks whose captures are there and cannot be used."""
+        return tuple(outcome for outcome in self.blocks if outcome.is_unfit)
+
+    def page(self) -> Page:
+        """The whole: how each block ended, then the profile's own page."""
+        page = profile_page(self.profile)
+        unfit = [
+            Remark(Severity.ERROR, "block_unfit", f"{o.name} {o.state}: {o.message}")
+            for o in self.unfit
+        ]
+        table = Table(
+            "Calibrated blocks",
+            ("block", "state", "verdict or reason", "seconds"),
+            [(o.name, str(o.state), o.message, o.seconds or None) for o in self.blocks],
+            caption="The report of each block is in the folder of its name beside this page.",
+        )
+        return replace(
+            page,
+            remarks=(*unfit, *page.remarks),
+            tables=(table, *page.tables),
+            figures={**page.figures, "blocks": [o.figures() for o in self.blocks]},
+        )
+
+    def write_report(self, folder: Path | str) -> None:
+        """Write the page of the whole, and that of each block into a folder of its name.
+
+        Raises:
+            InputError: The folder holds files that taccel-lab did not write.
+        """
+        with atomic_directory(folder) as staging:
+            write_page(self.page(), staging / "index")
+            for path in (staging / "index").iterdir():
+                path.replace(staging / path.name)
+            (staging / "index").rmdir()
+            for outcome in self.blocks:
+                if outcome.page is not None:
+                    write_page(outcome.page, staging / outcome.name)
+            if self.maps is not None:
+                self.maps.save(staging / "maps.npz")
+
+
+def calibrate(
+    folder: CaptureFolder | Path | str,
+    base: SensorProfile | Path | str | None = None,
+    only: Sequence[str] = (),
+    options: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
+) -> Calibration:
+    """Fit every block that the captures allow.
+
+    Args:
+        folder: Captures, or the path of a capture folder.
+        base: Profile to extend, or its folder; the catalogue's design of the sensor if None.
+        only: Names of blocks; all when empty.
+        options: Options of a block's fit by its name; its defaults where none are given.
+        progress: Told of the tasks of each block, as ``color: fitting the colour model``.
+
+    Raises:
+        InputError: An unknown block, files that cannot be read, a base of another sensor, or
+            captures that calibrate nothing, with the reason for each block.
+    """
+    options = dict(options or {})
+    chosen = _chosen(only, options)
+    if not isinstance(folder, CaptureFolder):
+        folder = load_capture_folder(folder)
+    raw, profile = folder, base_profile(base, folder)
+    ready = _readiness(capture_check(folder, progress))
+    outcomes: list[BlockOutcome] = []
+    maps, rectified, notes = None, None, ()
+    on_gel = any(board.entry.on_gel for board in raw.boards)
+    for block in chosen:
+        state, message = ready[block.name]
+        if block.name == "scale" and rectified is not None:
+            state, message = State.SKIPPED, "the board on the gel gave the scale"
+        if state is not None:
+            outcomes.append(BlockOutcome(block.name, state, message))
+            continue
+        outcome, result, profile = _fit(block, folder, profile, options, progress)
+        outcomes.append(outcome)
+        if result is not None and block.name == "camera" and on_gel:
+            maps = result.maps()
+            if raw.background is not None:
+                rectified = TemporaryDirectory(prefix="taccel_lab_")
+                place = Path(rectified.name) / "captures"
+                notes = tuple(rectify_captures(raw, maps, place))
+                folder = load_capture_folder(place)
+    if not any(outcome.state is State.DONE for outcome in outcomes):
+        lines = "\n".join(f"  {o.name}: {o.message}" for o in outcomes)
+        raise InputError(f"{raw.source}: nothing could be calibrated\n{lines}")
+    return Calibration(profile, tuple(outcomes), maps, notes, rectified)
+
+
+def _chosen(only: Sequence[str], options: Mapping[str, Any]) -> list[CalibrationBlock]:
+    known = [block.name for block in BLOCKS]
+    unknown = [name for name in (*only, *options) if name not in known]
+    if unknown:
+        raise InputError(f"no block {', '.join(unknown)}; there are {', '.join(known)}")
+    return [block for block in BLOCKS if not only or block.name in only]
+
+
+def _readiness(check: CaptureCheck) -> dict[str, tuple[State | None, str]]:
+    """Why a block is not fitted, by its name; None where it is."""
+    found: dict[str, tuple[State | None, str]] = {}
+    for block in check.blocks:
+        if block.readiness is Readiness.ABSENT:
+            found[block.command] = State.SKIPPED, f"needs {block.missing}"
+        elif block.readiness is Readiness.BLOCKED:
+            causes = [f.message for f in check.findings if block.command in f.blocks]
+            message = "; ".join([block.missing, *causes]).strip("; ")
+            found[block.command] = State.BLOCKED, message
+        else:
+            found[block.command] = None, block.found
+    return found
+
+
+def _fit(
+    block: CalibrationBlock,
+    folder: CaptureFolder,
+    base: SensorProfile,
+    options: Mapping[str, Any],
+    progress: Progress,
+) -> tuple[BlockOutcome, Any, SensorProfile]:
+    """How it ended, the result (None where it was refused) and the profile after it."""
+
+    def told(task: str, done: int, total: int) -> None:
+        progress(f"{block.name}: {task}", done, total)
+
+    chosen = options.get(block.name)
+    started = time.perf_counter()
+    try:
+        result = block.fit(folder, base, block.options() if chosen is None else chosen, told)
+        profile, page = result.apply_to(base), block.page(result)
+    except InputError as error:
+        seconds = time.perf_counter() - started
+        return BlockOutcome(block.name, State.REFUSED, str(error), seconds), None, base
+    seconds = time.perf_counter() - started
+    verdict = str(judge(result.remarks))
+    return BlockOutcome(block.name, State.DONE, verdict, seconds, page), result, profile

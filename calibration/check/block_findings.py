@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the check of the captures says of one block, for its verdict and its refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.check.run import CaptureCheck, check_captures
+from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
+
+TASK = "checking the captures"
+RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
+
+_last: list[CaptureCheck] = []
+"""The last check: blocks that are fitted to one folder, one after the other, share it."""
+
+
+def capture_findings(
+    folder: CaptureFolder, block: str, progress: Progress = silent
+) -> list[Remark]:
+    """Findings of ``taccel-lab capture check`` that name ``block``, worst first.
+
+    A fit to captures that contradict themselves can leave small residuals: the check holds them
+    against the ball, the sensor and each other.
+    """
+    # A grey sensor has no slopes by colour to hold the ball against.
+    found = capture_check(folder, progress, fit_ball=block != "depth")
+    return [finding for finding in found.findings if block in finding.blocks]
+
+
+def capture_check(
+    folder: CaptureFolder, progress: Progress = silent, *, fit_ball: bool = True
+) -> CaptureCheck:
+    """The check of ``folder``, made once while the same folder is asked for again and again.
+
+    One that has the ball fitted serves those that do not ask for it: what it says more is of other
+    blocks.
+    """
+    if _last and _last[0].folder is folder and (_last[0].ball_fitted or not fit_ball):
+        return _last[0]
+    found = check_captures(
+        folder, progress=lambda done, total: progress(TASK, done, total), fit_ball=fit_ball
+    )
+    _last[:] = [found]
+    return found
+
+
+@contextmanager
+def refusing_with(findings: Sequence[Remark]) -> Iterator[None]:
+    """A refusal inside names what the check found as well: the cause may be among it. Remarks that
+    concern no block say nothing of the captures and are passed over."""
+    try:
+        yield
+    except InputError as fault:
+        also = [
+            f"- {finding.message}"
+            for finding in findings
+            if finding.blocks and finding.severity != Severity.INFO and finding.code != "no_contact"
+        ]
+        heading = ["the captures have more faults:"] if also else []
+        raise InputError("\n".join([str(fault), *heading, *also])) from None
+
+
+def joined(findings: Sequence[Remark], remarks: Sequence[Remark]) -> tuple[Remark, ...]:
+    """Findings, then remarks of the fit; where both have one thing to say, the graver one does."""
+    said = {finding.code: RANK[finding.severity] for finding in findings}
+    graver = [remark for remark in remarks if RANK[remark.severity] > said.get(remark.code, -1)]
+    codes = {remark.code for remark in graver}
+    return (*(finding for finding in findings if finding.code not in codes), *graver)

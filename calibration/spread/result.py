@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The perturbation block: drift over the frames of one unit, and units side by side.
+
+Images at rest of several units already hold one draw of the drift each, so that their spread is
+the whole one; where they are missing, the drift between the frames of one unit stands in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.calibration.light.drift import drift_spread
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.result import Remark, Severity, judge
+from taccel_lab.calibration.spread.units import UnitSpread
+from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
+
+FEW = 5
+"""Below this many frames or units a standard deviation is off by a third or more."""
+
+
+@dataclass(frozen=True)
+class SpreadCalibration:
+    """A perturbation block with what it rests on."""
+
+    frame_drifts: tuple[Light, ...]
+    """Light of each frame against the background."""
+    frame_noise_levels: float | None
+    units: UnitSpread | None
+    pivot: np.ndarray
+    """Mean level of each channel of the background [levels], shape [3]."""
+    inputs: dict[str, str]
+    source: str
+    sensor: str = ""
+    """Family of the sensor, for the title of the page."""
+
+    def values(self) -> dict[str, Any]:
+        """Fields of the block."""
+        units = self.units
+        values: dict[str, Any] = light_spread(self.lights, self.pivot)
+        if self.frame_noise_levels is not None:
+            values["noise_levels"] = self.frame_noise_levels
+        if units is not None:
+            for name in (
+                "mm_per_px_relative",
+                "center_px",
+                "young_modulus_relative",
+                "friction_coefficient",
+            ):
+                if getattr(units, name) is not None:
+                    values[name] = getattr(units, name)
+        return values
+
+    @property
+    def lights(self) -> tuple[Light, ...]:
+        """The lights whose spread is taken: of the units where there are several, else frames."""
+        if self.units is not None and self.units.lights:
+            return self.units.lights
+        return self.frame_drifts
+
+    @property
+    def remarks(self) -> tuple[Remark, ...]:
+        remarks = []
+        for what, count in (
+            ("frames", len(self.frame_drifts) if self.lights is self.frame_drifts else 0),
+            ("units", 0 if self.units is None else self.units.unit_count),
+        ):
+            if 0 < count < FEW:
+                remarks.append(
+                    Remark(
+                        Severity.WARNING,
+                        f"few_{what}",
+                        f"{count} {what}: each standard deviation is itself uncertain by "
+                        f"{relative_error(count):.0%}; {FEW} or more {what} would halve that",
+                    )
+                )
+        if self.units is None:
+            remarks.append(
+                Remark(
+                    Severity.INFO,
+                    "no_units",
+                    "one unit: scale, place, modulus and friction are not perturbed; give profiles "
+                    "of other units of this design",
+                )
+            )
+        return tuple(remarks)
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured, ready for JSON."""
+        return {
+            "perturbation": self.values(),
+            "frame_count": len(self.frame_drifts),
+            "unit_count": 0 if self.units is None else self.units.unit_count,
+            "frames": [_drift_figures(d) for d in self.frame_drifts],
+            "unit_lights": [_drift_figures(d) for d in self.units.lights] if self.units else [],
+        }
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with the perturbation block."""
+        values = self.values()
+        count = len(self.lights) or (0 if self.units is None else self.units.unit_count)
+        error = relative_error(count)
+        spread = {k: error * v for k, v in values.items() if isinstance(v, float)}
+        for name in ("gain_rgb", "offset_rgb", "gradient_rgb"):
+            if name in values:
+                spread[name] = error * float(np.mean(values[name]))
+        residuals = [d.noise_levels for d in self.lights]
+        return profile.with_block(
+            PerturbationBlock(
+                **values,
+                provenance=Provenance(
+                    kind="calibrated",
+                    method="standard deviation of the light (gain, offset, gradient against the "
+                    "mean image, robust fit) between "
+                    + ("units" if self.lights is not self.frame_drifts else "frames")
+                    + "; of scale, place, modulus and friction between units",
+                    source=self.source,
+                    inputs=self.inputs,
+                    residuals={"light_fit_levels": float(np.mean(residuals)) if residuals else 0.0},
+                    spread=spread,
+                    valid_region={"sample_count": (float(count), float(count))},
+                    verdict=judge(self.remarks).value,
+                    remarks=tuple(r.message for r in self.remarks),
+                ),
+            )
+        )
+
+
+def light_spread(
+    lights: Sequence[Light], pivot: np.ndarray
+) -> dict[str, tuple[float, float, float]]:
+    """Standard deviations of gain, offset and gradient between lights, by channel.
+
+    The offset is that at the level ``pivot`` [3]: about the mean level of the image it varies
+    independently of the gain, at zero it would repeat it.
+    """
+    if len(lights) < 2:
+        return {}
+    gain = np.array([light.gain for light in lights]).std(axis=0, ddof=1)
+    offset = drift_spread(lights, pivot[None, None]).shift_levels
+    gradient = np.array([light.gradient for light in lights])
+    # One figure for both directions: the root mean square of their standard deviations.
+    plane = np.sqrt(gradient.var(axis=0, ddof=1).mean(axis=1))
+    return {
+        "gain_rgb": _triple(gain),
+        "pivot_rgb": _triple(pivot),
+        "offset_rgb": offset,
+        "gradient_rgb": _triple(plane),
+    }
+
+
+def relative_error(count: int) -> float:
+    """Standard error of a standard deviation from ``count`` samples, as a part of it."""
+    return 1.0 if count < 2 else 1 / math.sqrt(2 * (count - 1))
+
+
+def _triple(values: np.ndarray) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _drift_figures(drift: Light) -> dict[str, Any]:
+    return {"gain": drift.gain, "offset": drift.offset, "gradient": drift.gradient}

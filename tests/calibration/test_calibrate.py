@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``calibrate``: blocks in order, what is skipped, blocked and refused, and one check for all."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import taccel_lab.calibration.calibrate as whole
+from taccel_lab.calibration.blocks import BLOCKS
+from taccel_lab.calibration.calibrate import State, calibrate
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.load import load_capture_folder
+from taccel_lab.calibration.check import block_findings
+from taccel_lab.calibration.check.findings import COMMANDS
+from taccel_lab.calibration.check.run import CaptureCheck
+from taccel_lab.calibration.spread.fit import SpreadOptions
+from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
+from taccel_lab.sensors.profile import catalogue_profile
+from tests.cli.small_captures import write_captures
+
+
+@pytest.fixture
+def captures(tmp_path: Path) -> Path:
+    return write_captures(tmp_path / "captures")
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Sources of the checks that are made."""
+    sources: list[str] = []
+    real = block_findings.check_captures
+
+    def counted(folder: CaptureFolder, **options: Any) -> CaptureCheck:
+        sources.append(folder.source)
+        return real(folder, **options)
+
+    monkeypatch.setattr(block_findings, "check_captures", counted)
+    return sources
+
+
+def refuse(*_: object) -> None:
+    raise InputError("the light is off")
+
+
+def replace_fit(monkeypatch: pytest.MonkeyPatch, name: str, fit: Any) -> None:
+    blocks = tuple(replace(b, fit=fit) if b.name == name else b for b in BLOCKS)
+    monkeypatch.setattr(whole, "BLOCKS", blocks)
+
+
+def test_every_block_is_checked_for() -> None:
+    assert tuple(block.name for block in BLOCKS) == COMMANDS
+
+
+def test_blocks_build_on_one_another(captures: Path, tmp_path: Path) -> None:
+    told: list[str] = []
+    found = calibrate(
+        captures,
+        only=("background", "markers", "spread"),
+        progress=lambda task, done, total: told.append(task),
+    )
+    assert [(o.name, o.state) for o in found.blocks] == [
+        ("background", State.DONE),
+        ("markers", State.SKIPPED),
+        ("spread", State.DONE),
+    ]
+    assert "dots at rest" in found.blocks[1].message
+    assert not found.unfit
+    assert found.profile.background is not None and found.profile.perturbation is not None
+    assert found.profile.background.provenance.kind == "calibrated"
+    assert {"checking the captures", "background: comparing the frames"} <= set(told)
+
+    found.write_report(tmp_path / "report")
+    assert (tmp_path / "report" / "background" / "report.html").is_file()
+    assert (tmp_path / "report" / "background" / "dust.png").is_file()
+    html = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "Calibrated blocks" in html and "perturbation" in html
+
+
+def test_a_block_that_refuses_leaves_the_others_alone(
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replace_fit(monkeypatch, "background", refuse)
+    found = calibrate(load_capture_folder(captures), only=("background", "spread"))
+    (refused,) = found.unfit
+    assert (refused.state, refused.message) == (State.REFUSED, "the light is off")
+    assert refused.page is None
+    assert found.profile.background is None and found.profile.perturbation is not None
+    found.write_report(tmp_path / "report")
+    data = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
+    assert data["verdict"] == "weak" and data["blocks"][0]["state"] == "refused"
+
+
+def test_a_block_is_fitted_with_its_options(
+    captures: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[SpreadOptions] = []
+
+    def fit(folder: CaptureFolder, base: SensorProfile, options: SpreadOptions, _: object) -> None:
+        given.append(options)
+        raise InputError("no fit in this test")
+
+    replace_fit(monkeypatch, "spread", fit)
+    units = SpreadOptions((catalogue_profile("gelsight"),))
+    only = ("background", "spread")
+    calibrate(captures, only=only, options={"spread": units})
+    calibrate(captures, only=only)
+    assert given == [units, SpreadOptions()]
+
+
+def test_the_example_of_the_docs_runs(captures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "calibration.md").read_text(encoding="utf-8")
+    example = re.search(r"```python\n(from .*?calibrate\(.*?)```", text, re.DOTALL)
+    assert example is not None
+    monkeypatch.chdir(captures.parent)
+    names: dict[str, Any] = {}
+    exec(compile(example[1], "calibration.md", "exec"), names)
+    assert [block.state for block in names["found"].blocks] == [State.DONE, State.DONE]
+    assert Path("unit3", "profile.toml").is_file() and Path("unit3_report").is_dir()
+
+
+def test_nothing_to_do_is_refused(captures: Path) -> None:
+    with pytest.raises(InputError, match="nothing could be calibrated\n  markers: needs"):
+        calibrate(captures, only=("markers",))
+
+
+def test_unknown_blocks_and_other_sensors_are_refused(captures: Path) -> None:
+    with pytest.raises(InputError, match="no block colour; there are camera, scale"):
+        calibrate(captures, only=("colour",))
+    with pytest.raises(InputError, match="no block colour"):
+        calibrate(captures, options={"colour": None})
+    with pytest.raises(InputError, match="captures are of a gelsight, the profile to extend is of"):
+        calibrate(captures, catalogue_profile("digit"))
+
+
+def test_one_check_serves_all_blocks(
+    captures: Path, made: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asks(folder: CaptureFolder, *_: object) -> None:
+        block_findings.capture_findings(folder, "color")
+        raise InputError("no fit in this test")
+
+    replace_fit(monkeypatch, "color", asks)
+    found = calibrate(captures, only=("background", "color"))
+    assert [o.state for o in found.blocks] == [State.DONE, State.REFUSED]
+    assert len(made) == 1
+
+
+def test_a_check_is_made_again_for_other_captures_and_with_the_ball(
+    captures: Path, made: list[str]
+) -> None:
+    folder = load_capture_folder(captures)
+    block_findings.capture_check(folder, fit_ball=False)
+    first = block_findings.capture_check(folder)
+    assert len(made) == 2
+    assert block_findings.capture_check(folder, fit_ball=False) is first
+    assert block_findings.capture_findings(folder, "color") == [
+        finding for finding in first.findings if "color" in finding.blocks
+    ]
+    assert len(made) == 2
+    block_findings.capture_check(load_capture_folder(captures))
+    assert len(made) == 3
