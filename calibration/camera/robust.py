@@ -12,13 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 HUBER = 2.0
 """Length of a residual over the standard deviation along an axis from which on it counts less: 98 %
 efficiency on normal noise in two dimensions."""
 _EXACT_PX = 1e-9
 """Scale of residuals below which they are taken for exact."""
+_MOST_STEPS = 200
 _ROUNDS, _STEADY = 20, 1e-3
 """Fits with a new scale at most, and the relative change of the scale that asks for no other."""
 
@@ -69,7 +70,6 @@ def fit_robustly(
     prior: Callable[[np.ndarray], np.ndarray] | None = None,
     robust: bool = True,
     tolerance: float = 1e-12,
-    most_calls: int = 200,
 ) -> RobustFit:
     """Parameters that make the sum of Huber's losses least; its scale is that of the residuals.
 
@@ -82,19 +82,16 @@ def fit_robustly(
         prior: What is known of the parameters already, as standardised residuals, [k] -> [m].
         robust: Huber's loss, or plain squares.
         tolerance: Of cost, step and gradient.
-        most_calls: Of ``residuals`` for one scale.
     """
-    x = np.array(start, dtype=np.float64)
-    left = residuals(x)
-    for _ in range(_ROUNDS):
-        scale = max(robust_scale(left), _EXACT_PX)
+
+    def at_scale(x: np.ndarray, scale: float) -> OptimizeResult:
         limit = HUBER * scale if robust else np.inf
 
-        def to_minimise(x: np.ndarray, limit: float = limit, scale: float = scale) -> np.ndarray:
+        def to_minimise(x: np.ndarray) -> np.ndarray:
             points = _root_loss(residuals(x), limit)[0].ravel()
             return points if prior is None else np.append(points, scale * prior(x))
 
-        def slopes(x: np.ndarray, limit: float = limit) -> np.ndarray:
+        def slopes(x: np.ndarray) -> np.ndarray:
             assert jacobian is not None
             left, by_x = residuals(x), jacobian(x)
             _, share, bend = _root_loss(left, limit)
@@ -103,7 +100,7 @@ def fit_robustly(
             turned += (bend[:, None] * left)[..., None] * along[:, None]
             return turned.reshape(-1, len(x))
 
-        fitted = least_squares(
+        return least_squares(
             to_minimise,
             x,
             jac="2-point" if jacobian is None else slopes,  # type: ignore[arg-type]
@@ -111,13 +108,24 @@ def fit_robustly(
             xtol=tolerance,
             ftol=tolerance,
             gtol=tolerance,
-            max_nfev=most_calls,
+            max_nfev=_MOST_STEPS,
         )
-        x, left = fitted.x, residuals(fitted.x)
-        if not robust or abs(max(robust_scale(left), _EXACT_PX) - scale) <= _STEADY * scale:
+
+    x = np.array(start, dtype=np.float64)
+    scale = _scale(residuals(x))
+    fitted = at_scale(x, scale)
+    for _ in range(_ROUNDS if robust else 0):
+        before, scale = scale, _scale(residuals(fitted.x))
+        if abs(scale - before) <= _STEADY * before:
             break
+        fitted = at_scale(fitted.x, scale)
+    left = residuals(fitted.x)
     weights = huber_weights(left) if robust else np.ones(len(left))
-    return RobustFit(x, left, weights, fitted.jac, fitted.status > 0)
+    return RobustFit(fitted.x, left, weights, fitted.jac, fitted.status > 0)
+
+
+def _scale(left: np.ndarray) -> float:
+    return max(robust_scale(left), _EXACT_PX)
 
 
 def _root_loss(left: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -15,10 +15,10 @@ from taccel_lab.calibration.camera.dot_board import detect_dots, detect_pins
 from taccel_lab.calibration.camera.find_boards import detect_views
 from taccel_lab.calibration.camera.fit import calibrate_camera
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.capture.folder import BoardCaptures, CaptureFolder, Frame
-from taccel_lab.calibration.capture.schema import BoardEntry
+from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.profile import catalogue_profile
+from tests.calibration.camera.views import board_of
 from tests.calibration.drawn.boards import (
     chess_pattern,
     dot_pattern,
@@ -98,12 +98,7 @@ def test_mirrored_view_among_others_is_refused() -> None:
         for seed, turn in enumerate((0.0, 12.0, 185.0, 30.0))
     ]
     views[2] = np.ascontiguousarray(views[2][:, ::-1])
-    entry = BoardEntry(kind="chessboard", columns=7, rows=5, images=["x"] * 4)
-    frames = tuple(
-        Frame(f"v{i}", f"v{i}.png", f"{i:064x}", lambda image=image: image)
-        for i, image in enumerate(views)
-    )
-    found = detect_views([BoardCaptures(entry, frames, None)])
+    found = detect_views([board_of(views, 7, 5)])
     assert len(found.views) == 3
     assert any("mirrored" in reason and "v2" in reason for reason in found.refused)
 
@@ -189,20 +184,13 @@ def test_boards_of_two_cameras_are_not_mixed() -> None:
     pose = pose_of(7, 5)
     image = picture(chess_pattern(7, 5), pose)
     larger = cv2.resize(image, (640, 480), interpolation=cv2.INTER_CUBIC)
-    entry = BoardEntry(kind="chessboard", columns=7, rows=5, images=["a", "b"])
-    frames = tuple(
-        Frame(f"v{i}", f"v{i}.png", f"{i:064x}", lambda image=image: image)
-        for i, image in enumerate((image, larger))
-    )
     with pytest.raises(InputError, match="of one size"):
-        detect_views([BoardCaptures(entry, frames, None)])
+        detect_views([board_of([image, larger], 7, 5)])
 
 
 def test_an_image_twice_counts_once() -> None:
     image = picture(chess_pattern(7, 5), pose_of(7, 5))
-    entry = BoardEntry(kind="chessboard", columns=7, rows=5, images=["a", "b", "c"])
-    frames = tuple(Frame(f"v{i}", f"v{i}.png", "0" * 64, lambda: image) for i in range(3))
-    board = BoardCaptures(entry, frames, None)
+    board = board_of([image] * 3, 7, 5)
     found = detect_views([board])
     assert len(found.views) == 1
     assert found.refused[0] == "v1.png: the same image as v0.png"

@@ -13,9 +13,7 @@ from taccel_lab.calibration.camera.heldout import fold_of_views
 from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.robust import rms
-from taccel_lab.calibration.capture.folder import BoardCaptures, Frame
-from taccel_lab.calibration.capture.schema import BoardEntry
-from tests.calibration.camera.views import TRUTHS, views_of
+from tests.calibration.camera.views import TRUTHS, board_of, views_of
 from tests.calibration.drawn.boards import chess_pattern, pose_over, render_board
 from tests.calibration.drawn.faults import add_noise, quantise
 
@@ -58,16 +56,6 @@ def test_spoilt_held_out_views_leave_the_fit_bit_for_bit_as_it_is() -> None:
         assert after.heldout_all_px > 20
 
 
-def board_of(images: list[np.ndarray]) -> BoardCaptures:
-    names = [f"view_{k}.png" for k in range(len(images))]
-    entry = BoardEntry(kind="chessboard", columns=7, rows=5, images=names)
-    frames = tuple(
-        Frame(name, name, f"{k:064x}", lambda image=image: image)
-        for k, (name, image) in enumerate(zip(names, images, strict=True))
-    )
-    return BoardCaptures(entry, frames, None)
-
-
 def test_held_out_images_of_noise_leave_the_fit_bit_for_bit_as_it_is() -> None:
     """From images on: what is held out is decided by the manifest, not by what is found in them."""
     parameters, rng = np.array([270.0, 268.0, 158.0, 121.0, -0.1]), np.random.default_rng(3)
@@ -79,7 +67,7 @@ def test_held_out_images_of_noise_leave_the_fit_bit_for_bit_as_it_is() -> None:
             LENSES["k1"], parameters, pose, (320, 240), chess_pattern(7, 5), 4.0, samples=2
         )
         images.append(quantise(add_noise(drawn, 1.5, rng)))
-    clean = detect_views([board_of(images)])
+    clean = detect_views([board_of(images, 7, 5)])
     assert [view.place for view in clean.views] == list(range(6))
     before = calibrate_intrinsics(clean.views, models=["k1"], folds=FOLDS).chosen
     for held in (0, 2):
@@ -87,7 +75,7 @@ def test_held_out_images_of_noise_leave_the_fit_bit_for_bit_as_it_is() -> None:
             rng.integers(0, 256, image.shape, dtype=np.uint8) if k % FOLDS == held else image
             for k, image in enumerate(images)
         ]
-        left = detect_views([board_of(noise)])
+        left = detect_views([board_of(noise, 7, 5)])
         assert len(left.refused) == 2
         assert [view.place for view in left.views] == [k for k in range(6) if k % FOLDS != held]
         after = calibrate_intrinsics(left.views, models=["k1"], folds=FOLDS)

@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
+
 import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.lens import LENSES
+from taccel_lab.calibration.capture.folder import BoardCaptures, Frame
+from taccel_lab.calibration.capture.schema import BoardEntry
 from tests.calibration.drawn.boards import exact_view, pose_over
 
 SIZE = (640, 480)
@@ -44,3 +48,14 @@ def views_of(
         if (view.uv_px > 2).all() and (view.uv_px < np.array(SIZE) - 3).all():
             views.append(view)
     return views
+
+
+def board_of(images: list[np.ndarray], columns: int, rows: int) -> BoardCaptures:
+    """A chessboard in some images, as a capture folder has it."""
+    names = [f"v{k}.png" for k in range(len(images))]
+    entry = BoardEntry(kind="chessboard", columns=columns, rows=rows, images=names)
+    frames = tuple(
+        Frame(name, name, sha256(image.tobytes()).hexdigest(), lambda image=image: image)
+        for name, image in zip(names, images, strict=True)
+    )
+    return BoardCaptures(entry, frames, None)

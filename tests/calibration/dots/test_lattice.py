@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from taccel_lab.calibration.dots.lattice import lattice_index, renumbered
-from taccel_lab.calibration.dots.lattice_growth import Growth, places_within
 from taccel_lab.calibration.dots.layout import fit_layout
 from taccel_lab.errors import InputError
 from taccel_lab.optics import MarkerGrid
@@ -140,15 +139,6 @@ def test_a_stray_point_amid_four_makes_no_finer_lattice(where: tuple[float, floa
         assert lattice.row[-1] == -1
         assert lattice.numbered.sum() == len(points)
         assert np.hypot(*lattice.basis.T).min() > 28
-
-
-def test_places_count_the_empty_ones() -> None:
-    index = np.array([[0, 0], [4, 0], [0, 4], [4, 4], [2, 2], [9, 9]])
-    numbered = np.array([True, True, True, True, True, False])
-    step = np.zeros(2)
-    assert places_within(Growth(index, numbered, step, step)) == 25
-    assert places_within(Growth(index, index[:, 1] == 0, step, step)) == 5
-    assert places_within(Growth(index, index[:, 0] == 9, step, step)) == 1
 
 
 def test_a_whole_missing_column_leaves_a_gap() -> None:
