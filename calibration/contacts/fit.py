@@ -129,7 +129,6 @@ def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundCon
         samples=[samples for _, samples in contacts],
         ball_px=ball_px,
         drifts={i: start.change.drift for i, start in starts.items()},
-        noise_levels={i: start.change.noise_levels for i, start in starts.items()},
     )
 
 
