@@ -15,7 +15,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from taccel_lab.calibration.surfaces.between import SharedLaw
 
 from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.background.report import background_page
@@ -47,6 +46,7 @@ from taccel_lab.calibration.result import CalibrationResult, Remark
 from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.calibration.scale.report import scale_page
 from taccel_lab.calibration.simulate import simulate_presses
+from taccel_lab.calibration.surfaces.shared_law import SharedLaw
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress
 from taccel_lab.signals.rest_surface import rest_surface

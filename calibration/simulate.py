@@ -72,7 +72,7 @@ def simulate_presses(
         processes: Worker processes; the number of cores, at most 8, when None.
         cache: Keep the outcomes in the user's cache folder, and take what is there.
         share: Simulate the presses of a ball that span the others only, and read the others off
-            them, where one law explains those that were simulated (``surfaces.between``).
+            them, where one law explains those that were simulated (``surfaces.shared_law``).
         laws: With ``share``, the laws of earlier presses of this sensor by the radius of the ball
             [mm]: they serve these presses too, and new ones are added.
         progress: Told how many presses are done, and of how many.

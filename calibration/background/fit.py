@@ -26,7 +26,6 @@ from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 
 CLIPPED_SHARE = 0.01
-STALE_LEVELS = 2.0
 MIN_SEEN_SHARE = 0.15
 """A frame that shows less untouched gel than this is left out."""
 MIN_SEEN_FRAMES = 3

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import warnings
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -21,8 +20,8 @@ import taccel_lab.calibration.light
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts, Refusal
-from taccel_lab.errors import InputError
-from taccel_lab.output import CACHE_VARIABLE, cache_folder, content_key, write_json
+from taccel_lab.calibration.kept import read_kept, write_kept
+from taccel_lab.output import cache_folder, content_key, write_json
 from taccel_lab.progress import Progress, silent
 
 
@@ -35,17 +34,12 @@ def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundC
         InputError: The cache folder cannot be written.
     """
     path = contacts_path(captures)
-    kept = _read(path, len(captures.presses))
+    count = len(captures.presses)
+    kept = read_kept(path, lambda path: _read(path, count), "contacts")
     if kept is not None:
         return kept
     found = find_contacts(captures, progress)
-    try:
-        write_json(path, _to_dict(found))
-    except OSError as error:
-        raise InputError(
-            f"cannot write the cache of contacts {path.parent} ({error.strerror}); set "
-            f"{CACHE_VARIABLE} to a folder that can be written"
-        ) from error
+    write_kept(path, lambda path: write_json(path, _to_dict(found)), "contacts")
     return found
 
 
@@ -90,22 +84,15 @@ def _to_dict(found: FoundContacts) -> dict[str, Any]:
     }
 
 
-def _read(path: Path, count: int) -> FoundContacts | None:
-    """What is kept; None without, or when the file is damaged."""
-    if not path.exists():
-        return None
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        contacts = [
-            None
-            if value is None
-            else DetectedContact(**{**value, "circle": ContactCircle(**value["circle"])})
-            for value in values["contacts"]
-        ]
-        refusals = {int(i): Refusal(**value) for i, value in values["refusals"].items()}
-        if len(contacts) != count:
-            raise ValueError("it is of another number of presses")
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        warnings.warn(f"kept contacts {path} are damaged ({error}): found again", stacklevel=2)
-        return None
+def _read(path: Path, count: int) -> FoundContacts:
+    values = json.loads(path.read_text(encoding="utf-8"))
+    contacts = [
+        None
+        if value is None
+        else DetectedContact(**{**value, "circle": ContactCircle(**value["circle"])})
+        for value in values["contacts"]
+    ]
+    if len(contacts) != count:
+        raise ValueError("it is of another number of presses")
+    refusals = {int(i): Refusal(**value) for i, value in values["refusals"].items()}
     return FoundContacts(contacts, refusals, None)

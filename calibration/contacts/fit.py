@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.contacts.color_change import ColorChange, color_change
 from taccel_lab.calibration.contacts.first_circle import (
     MIN_RADIUS_PX,
@@ -26,6 +26,7 @@ from taccel_lab.calibration.contacts.first_circle import (
     gathered_share,
     turning_radius,
 )
+from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.photometric import (
     FittedContact,
     MapTerms,
@@ -128,7 +129,6 @@ def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundCon
         samples=[samples for _, samples in contacts],
         ball_px=ball_px,
         drifts={i: start.change.drift for i, start in starts.items()},
-        noise_levels={i: start.change.noise_levels for i, start in starts.items()},
     )
 
 
@@ -138,6 +138,27 @@ def resolve_contacts(captures: CaptureSet, progress: Progress = silent) -> list[
     if found.refusals:
         raise InputError("\n".join(found.refusals[i].message for i in sorted(found.refusals)))
     return [contact for contact in found.contacts if contact is not None]
+
+
+def place_heldout(
+    press: Press, image: np.ndarray, captures: CaptureSet, labels: LabelPlacement
+) -> ContactCircle:
+    """Where a press is that had no part in a fit: by its label, or found in ``image`` without one.
+
+    ``labels`` says how those of the training presses lie. Raises InputError when there is no label
+    and the image shows no contact.
+    """
+    ball_mm = press.radius_mm or captures.ball_radius_mm
+    if press.circle is not None:
+        return labels.applied(press.circle, ball_mm / captures.grid.mm_per_px_x)
+    return detect_contact(
+        image,
+        captures.background,
+        captures.grid,
+        mask=captures.mask,
+        name=press.source,
+        ball_radius_mm=ball_mm,
+    ).circle
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,6 @@ class PhotometricFit:
     blur_px: float
     rms_levels: float
     """Root mean square residual over all presses, robustly weighed [levels]."""
-    iterations: int
     sums_by_press: np.ndarray
     """Weighted squared residual of each press [levels^2], shape [press_count]."""
 
@@ -145,11 +144,10 @@ def fit_contacts(
     """
     terms = terms or MapTerms.for_presses(len(samples))
     fit = _JointFit(samples, circles, ball_px, blur_px, terms, SKIRT if skirt is None else skirt)
-    done = 0
     for done in range(1, iterations + 1):
         if fit.round(done) < CONVERGED_PX and done > 4:
             break
-    return fit.result(done)
+    return fit.result()
 
 
 class _JointFit:
@@ -317,7 +315,7 @@ class _JointFit:
     def _energy(left: np.ndarray, weight: np.ndarray) -> float:
         return float(np.sum((left * weight[:, None]) ** 2))
 
-    def result(self, iterations: int) -> PhotometricFit:
+    def result(self) -> PhotometricFit:
         weights = sum(float(np.sum(press.robust**2)) for press in self.presses) * 3
         return PhotometricFit(
             contacts=[
@@ -331,6 +329,5 @@ class _JointFit:
             ],
             blur_px=float(self.blur_px),
             rms_levels=float(np.sqrt(self.total / max(weights, 1.0))),
-            iterations=iterations,
             sums_by_press=self.sums.copy(),
         )

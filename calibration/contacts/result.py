@@ -71,5 +71,3 @@ class FoundContacts:
     """Radius of the ball of each of these presses [px]."""
     drifts: dict[int, Light] = field(default_factory=dict)
     """Drift of each frame's light, by the index of the press."""
-    noise_levels: dict[int, float] = field(default_factory=dict)
-    """Noise of the smoothed colour change, by the index of the press [levels]."""

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.light.average import median_where_seen
-from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.fit import fit_light, without_light
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.errors import InputError
@@ -77,7 +77,7 @@ def _strength(
     sigma_px: float,
 ) -> tuple[np.ndarray, float]:
     """Size of the smoothed change [levels], and its robust standard deviation from zero."""
-    change = frame.astype(np.float32) - drift.apply(background.astype(np.float32))
+    change = without_light(frame.astype(np.float32), background, drift)
     strength = np.linalg.norm(smoothed(change, mask, sigma_px), axis=-1)
     usable = strength if mask is None else strength[mask]
     return strength, float(np.median(usable)) / 1.538 * np.sqrt(3)

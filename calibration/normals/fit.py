@@ -13,9 +13,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.normals.network_fit import (
@@ -223,7 +223,7 @@ def calibrate_normals(
     for press in () if heldout is None else heldout.presses:
         image = press.image().astype(np.float32)
         try:
-            circle = _placed(press, image, captures, labels)
+            circle = place_heldout(press, image, captures, labels)
         except InputError as error:
             failures[press.name] = str(error)
             continue
@@ -284,19 +284,6 @@ def _without_drift(image: np.ndarray, scene: Scene) -> np.ndarray:
     """The frame in the light of the background, as the model will see new ones."""
     found = fit_light(image, scene.background, scene.mask, gradient=False)
     return found.remove(image).astype(np.float32)
-
-
-def _placed(
-    press: Press, image: np.ndarray, captures: CaptureSet, labels: LabelPlacement
-) -> ContactCircle:
-    """Circle to judge a held-out press in: by its label, or found without one."""
-    radius_mm = press.radius_mm or captures.ball_radius_mm
-    if press.circle is not None:
-        return labels.applied(press.circle, radius_mm / captures.grid.mm_per_px_x)
-    return detect_contact(
-        image, captures.background, captures.grid, mask=captures.mask, name=press.source,
-        ball_radius_mm=radius_mm,
-    ).circle  # fmt: skip
 
 
 def _flat_noise(image: np.ndarray, circle: ContactCircle, scene: Scene) -> float:

@@ -10,14 +10,15 @@ from typing import Literal
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
-from taccel_lab.calibration.contacts.fit import detect_contact, resolve_contacts
+from taccel_lab.calibration.contacts.fit import place_heldout, resolve_contacts
 from taccel_lab.calibration.contacts.fusion import choose_circles
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.refit.light_change import RefitFrame
-from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces.analytic import analytic_surface
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
@@ -80,21 +81,10 @@ def refit_frames(
         return NewFrames(frames, [], _providers(made))
     others = captures.only(split.heldout)
     shift = LabelPlacement.of(training.presses, circles)
-    placed = [_placed(press, others, shift) for press in others.presses]
+    placed = [place_heldout(press, press.image(), others, shift) for press in others.presses]
     made_there = _surfaces(profile, others, placed, surfaces)
     heldout = _pressed(profile, others, placed, made_there)
     return NewFrames(frames, heldout, _providers([*made, *made_there]))
-
-
-def _placed(press: Press, captures: CaptureSet, shift: LabelPlacement) -> ContactCircle:
-    """Where a held-out press is, by its label or else by its own image."""
-    ball_mm = press.radius_mm or captures.ball_radius_mm
-    if press.circle is not None:
-        return shift.applied(press.circle, ball_mm / captures.grid.mm_per_px_x)
-    return detect_contact(
-        press.image(), captures.background, captures.grid, mask=captures.mask, name=press.source,
-        ball_radius_mm=ball_mm,
-    ).circle  # fmt: skip
 
 
 def _surfaces(

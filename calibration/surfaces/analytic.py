@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.contacts.slope_law import hertz_slope
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -82,8 +83,7 @@ def _slope(
     r = radii_mm[inside]
     slope[inside] = r / np.sqrt(ball_radius_mm**2 - r**2)
     if skirt == "hertz":
-        t = radii_mm[~inside] / rim_mm
-        shape = (2 / math.pi) * (t * np.arcsin(1 / t) - np.sqrt(1 - 1 / t**2))
+        shape = hertz_slope(radii_mm[~inside] / rim_mm)
         rim_slope = min(rim_mm / math.sqrt(ball_radius_mm**2 - rim_mm**2), MAX_SLOPE)
         slope[~inside] = rim_slope * shape * np.exp(-(radii_mm[~inside] - rim_mm) / decay_mm)
     return slope

@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
-from taccel_lab.calibration.surfaces.radial import RadialSurfaces, slope_of
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces, normals_of, slope_of
 
 MOVED_RADII = 2.7
 """Beyond this many contact radii a surface stays where it was: it is nearly at rest there."""
@@ -87,16 +87,9 @@ class MovedPress:
         tilt = np.clip(np.arctan(toward) + after[0] - before[0], -_MAX_TILT, _MAX_TILT)
         change = (np.tan(tilt) - toward) / distance
         rest = self.library.rest_slope.reshape(-1, 2)[pixel_idx]
-        normals = np.stack(
-            [
-                -(rest[:, 0] + slope_x + change * x),
-                -(rest[:, 1] + slope_y + change * y),
-                np.ones_like(x),
-            ],
-            axis=-1,
-        )
-        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-        return normals, sunk + after[1] - before[1]
+        slope = rest + np.stack([slope_x, slope_y], axis=-1)
+        slope += change[:, None] * np.stack([x, y], axis=-1)
+        return normals_of(slope), sunk + after[1] - before[1]
 
 
 def moved_surfaces(

@@ -7,17 +7,15 @@ simulation and what is kept of it agree to the last bit.
 
 from __future__ import annotations
 
-import warnings
-import zipfile
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from taccel_lab import __version__
+from taccel_lab.calibration.kept import read_kept, write_kept
 from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
-from taccel_lab.errors import InputError
-from taccel_lab.output import CACHE_VARIABLE, atomic_file, cache_folder, content_key
+from taccel_lab.output import atomic_file, cache_folder, content_key
 
 RECIPE = 4
 """Raised whenever the same press comes out otherwise."""
@@ -32,28 +30,22 @@ def outcome_path(batch: PressBatch) -> Path:
 
 def kept_outcome(batch: PressBatch) -> BatchOutcome | None:
     """The outcome of an earlier simulation; None without, or when the file is damaged."""
-    path = outcome_path(batch)
-    if not path.exists():
-        return None
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            found = BatchOutcome(**{name: stored[name] for name in _NAMES})
-        if not all(len(getattr(found, name)) == len(batch.at_mm) for name in _NAMES):
-            raise ValueError("it is of another number of presses")
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        warnings.warn(f"kept presses {path} are damaged ({error}): simulated again", stacklevel=2)
-        return None
-    return found
+    return read_kept(outcome_path(batch), lambda path: _read(path, len(batch.at_mm)), "presses")
 
 
 def keep_outcome(batch: PressBatch, outcome: BatchOutcome) -> None:
     """Keep an outcome; InputError when the cache folder cannot be written."""
-    path = outcome_path(batch)
-    try:
+
+    def write(path: Path) -> None:
         with atomic_file(path) as staging:
             np.savez_compressed(staging, **{name: getattr(outcome, name) for name in _NAMES})
-    except OSError as error:
-        raise InputError(
-            f"cannot write the cache of presses {path.parent} ({error.strerror}); set "
-            f"{CACHE_VARIABLE} to a folder that can be written"
-        ) from error
+
+    write_kept(outcome_path(batch), write, "presses")
+
+
+def _read(path: Path, count: int) -> BatchOutcome:
+    with np.load(path, allow_pickle=False) as stored:
+        found = BatchOutcome(**{name: stored[name] for name in _NAMES})
+    if not all(len(getattr(found, name)) == count for name in _NAMES):
+        raise ValueError("it is of another number of presses")
+    return found

@@ -66,8 +66,8 @@ class RadialSurfaces:
         variable = radii / radii.mean() - 1.0
         tilt, sunk = (np.stack([p[k] for p in profiles]) for k in (0, 1))
         return cls(
-            tilt_rad=_fit_columns(variable, tilt, degree),
-            sunk_per_radius=_fit_columns(variable, sunk, degree),
+            tilt_rad=np.polyfit(variable, tilt, degree),
+            sunk_per_radius=np.polyfit(variable, sunk, degree),
             middle_px=float(radii.mean()),
             radius_range_px=(
                 float(radii.min() * (1 - MARGIN)),
@@ -97,6 +97,12 @@ class RadialSurfaces:
 def slope_of(normals: np.ndarray) -> np.ndarray:
     """dh/dx and dh/dy of outward normals, shape [..., 2]."""
     return -normals[..., :2] / np.maximum(normals[..., 2:], 1e-3)
+
+
+def normals_of(slope: np.ndarray) -> np.ndarray:
+    """Outward unit normals of dh/dx and dh/dy [..., 2], shape [..., 3]."""
+    normals = np.concatenate([-slope, np.ones((*slope.shape[:-1], 1))], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
 def _profile(
@@ -130,10 +136,6 @@ def _profile(
     ]
     means[0][0] = 0.0
     return means[0], means[1]
-
-
-def _fit_columns(variable: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
-    return np.polyfit(variable, values, degree)
 
 
 def _polynomial(coefficients: np.ndarray, variable: float) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
-from taccel_lab.calibration.surfaces.radial import STEP, RadialSurfaces, slope_of
+from taccel_lab.calibration.surfaces.radial import STEP, RadialSurfaces, normals_of, slope_of
 from taccel_lab.geometry import PixelGrid
 
 SPANNING = 6
@@ -121,7 +121,7 @@ class SharedLaw:
         return PressSurface(
             height_m=like.rest_height_m + sunk_mm * 1e-3,
             rest_height_m=like.rest_height_m,
-            normals=_normals(slope),
+            normals=normals_of(slope),
             rest_normals=like.rest_normals,
             contact_radius_px=radius_px,
             depth_mm=between("depth_mm"),
@@ -159,7 +159,7 @@ class SharedLaw:
         for surface, circle in zip(self.simulated, circles, strict=True):
             away = circle.distance_px(self.library.grid) / surface.contact_radius_px
             slope, _ = self._around(circle, surface.contact_radius_px)
-            cosine = np.einsum("vuk,vuk->vu", _normals(slope), surface.normals)
+            cosine = np.einsum("vuk,vuk->vu", normals_of(slope), surface.normals)
             angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
             rings = (away <= 1.0, (away > 1.0) & (away <= RING_RADII))
             found += [float(angle[ring].mean()) for ring in rings if ring.any()]
@@ -171,9 +171,3 @@ def _offsets(circle: ContactCircle, grid: PixelGrid) -> tuple[np.ndarray, np.nda
     x = (np.arange(grid.width_px)[None, :] - circle.u_px) * grid.mm_per_px_x
     y = (np.arange(grid.height_px)[:, None] - circle.v_px) * grid.mm_per_px_y
     return x, y, np.maximum(np.hypot(x, y), 1e-9)
-
-
-def _normals(slope: np.ndarray) -> np.ndarray:
-    """Outward unit normals of dh/dx and dh/dy, shape [..., 3]."""
-    normals = np.concatenate([-slope, np.ones((*slope.shape[:-1], 1))], axis=-1)
-    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.contacts.circle_arrays import circle_array
 from taccel_lab.calibration.contacts.fit import resolve_contacts
 from taccel_lab.calibration.contacts.fusion import LABEL_SHIFT_PX, choose_circles, fuse_circles
 from taccel_lab.calibration.contacts.result import DetectedContact
@@ -28,10 +29,6 @@ def contacts(values: np.ndarray, center: float, radius: float) -> list[DetectedC
     ]
 
 
-def shapes(items: list[ContactCircle]) -> np.ndarray:
-    return np.array([(item.u_px, item.v_px, item.radius_px) for item in items])
-
-
 def presses(count: int, spread: float, rng: np.random.Generator) -> np.ndarray:
     return np.column_stack([np.full((count, 2), 100.0), rng.normal(60, spread, count)])
 
@@ -42,7 +39,7 @@ def test_fusion_beats_both(true_spread: float) -> None:
     truth = presses(400, true_spread, rng)
     label = truth + rng.normal(0, 2.0, truth.shape)
     found = truth + rng.normal(0, 2.0, truth.shape)
-    fused = shapes(fuse_circles(circles(label), contacts(found, 2.0, 2.0)).circles)
+    fused = circle_array(fuse_circles(circles(label), contacts(found, 2.0, 2.0)).circles)
     error = fused[:, 2] - truth[:, 2]
     # Best possible: the posterior spread of two measurements with noise 2 and prior true_spread.
     best = (1 / (2 / 4.0 + 1 / true_spread**2)) ** 0.5 if true_spread else 0.0
@@ -59,7 +56,7 @@ def test_a_shift_that_all_labels_share_is_told_and_taken_off() -> None:
         label = truth + shift + rng.normal(0, 1.5, truth.shape)
         found = truth + rng.normal(0, 0.7, truth.shape)
         fused = fuse_circles(circles(label), contacts(found, 0.7, 0.7))
-        errors.append(shapes(fused.circles) - truth)
+        errors.append(circle_array(fused.circles) - truth)
         offs.append((fused.shift_px - shift) / fused.shift_sigma_px)
         assert fused.label_sigma_px == pytest.approx((1.5, 1.5), rel=0.5)
     error = np.array(errors)
@@ -77,7 +74,7 @@ def test_a_common_error_within_the_stated_one_is_not_blamed_on_the_labels() -> N
     label = truth + rng.normal(0, 1.0, truth.shape)
     found = truth - (0.0, 0.0, 6.0) + rng.normal(0, 0.5, truth.shape)
     fused = fuse_circles(circles(label), contacts(found, 0.5, 6.0))
-    off = shapes(fused.circles)[:, 2] - truth[:, 2]
+    off = circle_array(fused.circles)[:, 2] - truth[:, 2]
     # A fifth of it, as 3^2 / (3^2 + 6^2), may still be the labels'.
     assert off.mean() == pytest.approx(-1.2, abs=0.4)
     assert abs(fused.shift_px[2]) < 1.5 * fused.shift_sigma_px[2]
@@ -113,8 +110,8 @@ def test_labels_that_all_move_take_circles_along_by_their_doubt_alone(
 ) -> None:
     label = np.array([(u, v, a) for u, v, a, _ in rows])
     found = contacts(np.array([(u, v, b) for u, v, _, b in rows]), 0.4, 0.4)
-    first = shapes(fuse_circles(circles(label), found).circles)
-    second = shapes(fuse_circles(circles(label + (move, 0, 0)), found).circles)
+    first = circle_array(fuse_circles(circles(label), found).circles)
+    second = circle_array(fuse_circles(circles(label + (move, 0, 0)), found).circles)
     moved = second[:, 0] - first[:, 0]
     assert np.abs(moved).max() <= abs(move) * 2 * 0.4**2 / LABEL_SHIFT_PX**2 + 1e-9
 
@@ -122,7 +119,7 @@ def test_labels_that_all_move_take_circles_along_by_their_doubt_alone(
 def test_two_presses_lie_where_they_are_found_and_apart_as_both_say() -> None:
     label = [ContactCircle(50, 50, r) for r in (20.0, 30.0)]
     found = contacts(np.array([(52, 50, 24), (52, 50, 28)]), 1.0, 1.0)
-    fused = shapes(fuse_circles(label, found).circles)
+    fused = circle_array(fuse_circles(label, found).circles)
     # Both scatters are 1 px, and the mean difference is little beside the shift's 3 px.
     assert fused[1, 2] - fused[0, 2] == pytest.approx((10 + 4) / 2)
     assert fused[:, 2].mean() == pytest.approx(26 - 1.0 * (1 + 0.5) / (9 + 2), abs=0.15)

@@ -21,6 +21,7 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.contacts.circle_arrays import circle_array
 from taccel_lab.calibration.contacts.color_change import color_change
 from taccel_lab.calibration.contacts.fit import find_contacts, resolve_contacts
 from taccel_lab.calibration.contacts.fusion import fuse_circles
@@ -70,14 +71,10 @@ class Scatter:
     """Root mean square that the detection states for itself."""
 
 
-def shapes(circles: list[ContactCircle]) -> np.ndarray:
-    return np.array([(c.u_px, c.v_px, c.radius_px) for c in circles])
-
-
 def scatter_of_three(captures: CaptureSet, found: list[DetectedContact]) -> Scatter:
     """Presses whose rim or label is off by more than 6 px of the usual are mistakes."""
-    label = shapes([press.circle for press in captures.presses if press.circle is not None])
-    circles, rims = shapes([contact.circle for contact in found]), []
+    label = circle_array([press.circle for press in captures.presses if press.circle is not None])
+    circles, rims = circle_array([contact.circle for contact in found]), []
     for press, (u, v, radius) in zip(captures.presses, circles, strict=True):
         change = color_change(press.image(), captures.background, captures.grid, captures.mask)
         rim = fit_rim(change.change, np.array([u, v]), radius)
@@ -104,7 +101,7 @@ def measured(captures: CaptureSet) -> tuple[LabelAgreement, Scatter]:
     assert not contacts.refusals
     found = [contact for contact in contacts.contacts if contact is not None]
     given = [press.circle for press in captures.presses if press.circle is not None]
-    off = shapes([contact.circle for contact in found]) - shapes(given)
+    off = circle_array([contact.circle for contact in found]) - circle_array(given)
     own = np.array([(c.center_sigma_px, c.center_sigma_px, c.radius_sigma_px) for c in found])
     covered = []
     for half in (np.arange(len(off)) % 2 == 0, np.arange(len(off)) % 2 == 1):
@@ -125,7 +122,7 @@ def test_three_measurements_tell_whose_scatter_it_is() -> None:
     captures = press_set(circles, images)
     labelled = [
         ContactCircle(*(float(x) for x in shape + rng.normal(0, 1.5, 3)))
-        for shape in shapes(circles)
+        for shape in circle_array(circles)
     ]
     presses = tuple(
         dataclasses.replace(press, circle=label)
@@ -133,7 +130,7 @@ def test_three_measurements_tell_whose_scatter_it_is() -> None:
     )
     found = resolve_contacts(captures)
     scatter = scatter_of_three(dataclasses.replace(captures, presses=presses), found)
-    true = np.std(shapes([c.circle for c in found]) - shapes(circles), axis=0)
+    true = np.std(circle_array([c.circle for c in found]) - circle_array(circles), axis=0)
     assert scatter.label == pytest.approx([1.5, 1.5], rel=0.3)
     assert true.max() < 0.3 and scatter.found.max() < 0.7
 
