@@ -2,9 +2,10 @@
 """Parameters with bounds, unit and source: the fields of frozen dataclasses that users may set.
 
 ``parameter(...)`` declares a dataclass field; ``ParameterSet`` checks every value when an instance
-is made, lists what can be set and reads overrides written as ``name=value``. Sets that share
-parameters inherit them from common bases; ``restated(...)`` gives an inherited one another default
-with its own source.
+is made, lists what can be set and reads overrides written as ``name=value``. A parameter is
+declared once: ``parameter_of(...)`` hands one of a part to whatever builds that part, with another
+default and narrower bounds where there is reason to; ``restated(...)`` does so with an inherited
+one. A set of ``groups`` has the parameters of all of them and hands each group out with its values.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 from taccel_lab.errors import InputError
 
 _KEY = "parameter"
+_Group = TypeVar("_Group", bound="ParameterSet")
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,39 @@ class _Restated:
     changes: dict[str, Any]
 
 
+def parameter_of(
+    part: type[ParameterSet],
+    name: str,
+    default: float | int | str | None = None,
+    *,
+    source: str | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    zero_means: str | None = None,
+) -> Any:
+    """Declare the parameter ``name`` of a part as one of a sensor.
+
+    What is left out stays as the part declares it. Bounds may only be narrower: the part knows what
+    can be built, a sensor what its other parts leave room for. Another default needs a source.
+    """
+    declared = part.parameters()[name]
+    if default is not None and source is None:
+        raise TypeError(f"another default of {part.__name__}.{name} needs a source")
+    low, high = declared.minimum, declared.maximum
+    if (low is not None and (minimum or low) < low) or (high is not None and (maximum or 0) > high):
+        raise TypeError(f"bounds of {name} are wider than those of {part.__name__}")
+    return parameter(
+        declared.default if default is None else default,
+        unit=declared.unit,
+        description=declared.description,
+        source=declared.source if source is None else source,
+        minimum=low if minimum is None else minimum,
+        maximum=high if maximum is None else maximum,
+        choices=declared.choices,
+        zero_means=declared.zero_means if zero_means is None else zero_means,
+    )
+
+
 def restated(
     default: float | int | str,
     *,
@@ -134,9 +169,17 @@ class ParameterSet:
 
     parameter_group: ClassVar[str] = ""
     """Heading of the parameters that a class declares itself, not those that it inherits."""
+    groups: ClassVar[tuple[type[ParameterSet], ...]] = ()
+    """Sets whose parameters this one has, too, under the same names; see ``group``."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
+        for part in vars(cls).get("groups", ()):
+            for f in dataclasses.fields(part):  # type: ignore[arg-type]
+                cls.__annotations__.setdefault(f.name, f.type)
+                if f.name not in vars(cls):
+                    copied = dataclasses.field(default=f.default, metadata=dict(f.metadata))
+                    setattr(cls, f.name, copied)
         group = vars(cls).get("parameter_group", "")
         for name, value in list(vars(cls).items()):
             if isinstance(value, _Restated):
@@ -144,7 +187,7 @@ class ParameterSet:
                 changed = dataclasses.field(default=value.default, metadata={_KEY: details})
                 setattr(cls, name, changed)
             elif isinstance(value, dataclasses.Field) and _KEY in value.metadata:
-                value.metadata[_KEY]["group"] = group
+                value.metadata[_KEY].setdefault("group", group)
 
     @classmethod
     def parameters(cls) -> dict[str, Parameter]:
@@ -159,6 +202,13 @@ class ParameterSet:
     def __post_init__(self) -> None:
         for name, spec in self.parameters().items():
             object.__setattr__(self, name, spec.check(getattr(self, name)))
+
+    def group(self, kind: type[_Group]) -> _Group:
+        """One of ``groups`` with the values of this set, whose bounds are those that count."""
+        found = object.__new__(kind)
+        for name in kind.parameters():
+            object.__setattr__(found, name, getattr(self, name))
+        return found
 
     def with_values(self, overrides: Mapping[str, Any]) -> Self:
         """A copy with other values, which may be text; unknown names raise InputError."""
@@ -192,7 +242,7 @@ class ParameterSet:
 
 
 def _inherited_details(cls: type[ParameterSet], name: str) -> dict[str, Any]:
-    for base in cls.__mro__[1:]:
+    for base in (*vars(cls).get("groups", ()), *cls.__mro__[1:]):
         field = vars(base).get("__dataclass_fields__", {}).get(name)
         if field is not None:
             return field.metadata[_KEY]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,9 @@ from OCP.gp import gp_Trsf
 
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
-from taccel_lab.cad.mesh.units import check_units
-from taccel_lab.cad.parts.imprint import imprint
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
-from taccel_lab.cad.step_import.checks import check_solid, check_thickness, one_solid
+from taccel_lab.cad.parts.solids import imprint
+from taccel_lab.cad.step_import.checks import check_solid, check_thickness, chosen_body
 from taccel_lab.cad.step_import.reader import read_step
 from taccel_lab.cad.step_import.selection import (
     FaceInfo,
@@ -32,6 +31,7 @@ from taccel_lab.cad.step_import.selection import (
     rectangle_of,
     select_faces,
 )
+from taccel_lab.cad.step_import.units import check_units
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -62,8 +62,15 @@ class FaceSelection:
     """Unit of the numbers as read; millimetres, checked for plausibility, if empty."""
 
     @classmethod
-    def from_toml(cls, path: Path) -> FaceSelection:
-        """Read the fields as keys of a TOML file; selectors may be one string or a list."""
+    def from_toml(cls, path: Path | None) -> FaceSelection:
+        """Read the fields as keys of a TOML file; selectors may be one string or a list.
+
+        Without a file the defaults.
+        """
+        if path is None:
+            return cls()
+        if not path.is_file():
+            raise InputError(f"{path} does not exist or is no file")
         try:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -84,6 +91,10 @@ class FaceSelection:
                 raise InputError(f"{what}: {key} must be text{' or a list of it' * selects}")
             values[key] = tuple(items) if selects else "".join(items)
         return cls(**values)
+
+    def with_given(self, values: Mapping[str, str | tuple[str, ...]]) -> FaceSelection:
+        """With other values where they are not empty."""
+        return replace(self, **{name: value for name, value in values.items() if value})  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -112,7 +123,7 @@ class ImportedGel:
 
 def list_faces(path: Path | str, body: str = "") -> list[FaceInfo]:
     """Faces of the solid in a STEP file, numbered, in the file's own frame [mm]."""
-    chosen = one_solid(read_step(path), Path(path), body or None)
+    chosen = chosen_body(read_step(path), Path(path), body or None)
     return describe_faces(chosen.shape.faces(), chosen.face_names, chosen.face_colors)
 
 
@@ -126,7 +137,7 @@ def import_gel(path: Path | str, selection: FaceSelection | None = None) -> Impo
     if selection.origin not in _ORIGINS:
         raise InputError(f"origin {selection.origin!r} is not allowed; use {' or '.join(_ORIGINS)}")
     bodies = read_step(path)
-    body = one_solid(bodies, path, selection.body or None)
+    body = chosen_body(bodies, path, selection.body or None)
     solid = body.shape
     assert isinstance(solid, Solid)
     box = solid.bounding_box()

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parameters import parameter_of, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.optics.description import Light
 from taccel_lab.sensors.base import GelMaterial, SensorFamily
-from taccel_lab.sensors.parameter_groups import SkinParameters
 from taccel_lab.sensors.parameter_groups.lights import WHITE
+from taccel_lab.sensors.parameter_groups.material import SkinParameters
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _MOULD = "measured on the mould drawings of 9DTact (linchangyi1/9DTact, MIT)"
@@ -20,8 +21,10 @@ _SAME_SILICONE = "assumption: the same silicone as the core with black pigment; 
 
 
 @dataclass(frozen=True)
-class NineDTactParameters(SkinParameters, RectangleSensorParameters):
+class NineDTactParameters(RectangleSensorParameters):
     """Parameters of a 9DTact; its outer dimensions include the skin."""
+
+    groups: ClassVar = (SkinParameters,)
 
     length_x_mm: float = restated(31.1, minimum=14, source=f"{_MOULD}: black skin 31.1 x 24.1 mm")
     length_y_mm: float = restated(24.1, minimum=14, source=f"{_MOULD}: black skin 31.1 x 24.1 mm")
@@ -32,14 +35,13 @@ class NineDTactParameters(SkinParameters, RectangleSensorParameters):
         2.8, minimum=1.2, maximum=8, source=f"{_MOULD}: mould of 2.8 mm, core of 2.5 mm",
         description="gel thickness with the skin",
     )  # fmt: skip
-    skin_top_mm: float = parameter(
-        0.3, minimum=0.1, maximum=1.0, unit="mm", source=f"{_MOULD}: 2.8 mm less 2.5 mm",
-        description="thickness of the skin on the contact face",
+    skin_top_mm: float = parameter_of(
+        GelPad, "skin_mm", 0.3, minimum=0.1, maximum=1.0, zero_means="",
+        source=f"{_MOULD}: 2.8 mm less 2.5 mm",
     )  # fmt: skip
-    skin_side_mm: float = parameter(
-        0.8, minimum=0.2, maximum=1.0, unit="mm",
+    skin_side_mm: float = parameter_of(
+        GelPad, "skin_side_mm", 0.8, minimum=0.2, maximum=1.0, zero_means="",
         source=f"{_MOULD}: (31.1 - 29.5) / 2 = (24.1 - 22.5) / 2 mm",
-        description="thickness of the skin on the walls",
     )  # fmt: skip
     young_modulus_mpa: float = restated(
         0.2, source="assumption: soft translucent silicone; no modulus of this gel is published"
@@ -94,7 +96,10 @@ class NineDTactParameters(SkinParameters, RectangleSensorParameters):
 
     def layer_materials(self) -> tuple[GelMaterial, ...]:
         """Translucent core, black skin."""
-        return (self.material(), self.skin_material(self.friction))
+        return (
+            self.material(),
+            self.group(SkinParameters).skin_material(self.material().friction_coefficient),
+        )
 
     def lights(self) -> tuple[Light, ...]:
         """White LEDs on four sides."""

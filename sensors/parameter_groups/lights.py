@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.optics.description import Light, Triple
-from taccel_lab.sensors.parameter_groups.unstated import NO_FIGURE
+from taccel_lab.sensors.base import NO_FIGURE
 
 RED, GREEN, BLUE, WHITE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
 """Ideal LEDs: each colour reaches one channel of the camera only."""
@@ -72,12 +72,4 @@ class LightParameters(ParameterSet):
             size_mm=(self.led_length_mm or self.led_size_mm, self.led_size_mm),
             lobe=self.led_lobe,
             name=name,
-        )
-
-    def led_triple(self, red_deg: float, green_deg: float, blue_deg: float) -> tuple[Light, ...]:
-        """One LED of each colour."""
-        return (
-            self.led(red_deg, RED, "red"),
-            self.led(green_deg, GREEN, "green"),
-            self.led(blue_deg, BLUE, "blue"),
         )
