@@ -26,9 +26,9 @@ from taccel_lab.optics.compare import (
     compare_press,
     pressed_top,
 )
-from taccel_lab.optics.description import OpticalDesign
 from taccel_lab.optics.render import OpticalModel, PreviewImage
 from taccel_lab.output import atomic_file, write_json
+from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.sensors.registry import sensor_family
 
 LONG_SIDE_PX = 240

@@ -23,7 +23,7 @@ from taccel_lab.calibration.markers.lattice_growth import (
     shortest_basis,
 )
 from taccel_lab.errors import InputError
-from taccel_lab.optics.description import lattice_steps
+from taccel_lab.profile.optical_design import lattice_steps
 
 Kind = Literal["rectangular", "hexagonal", "none"]
 
