@@ -10,8 +10,7 @@ run on the row's own mesh, since the mesh's error would hide it.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields, replace
-from enum import StrEnum
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -136,14 +135,8 @@ def all_rows(quick: bool) -> Iterator[Row]:
 
 
 def solver_choices() -> Iterator[tuple[str, Any]]:
-    """Every value of every setting of the solver that is a choice: linear method, projection."""
+    """Every value of every setting of the solver that is a choice: the linear method."""
     yield from (("linear_method", name) for name in METHODS)
-    for item in fields(SolverConfig):
-        default = getattr(DEFAULTS, item.name)
-        if isinstance(default, StrEnum):
-            yield from ((item.name, choice) for choice in type(default))
-        elif item.name == "contact_hessian_mode":
-            yield from ((item.name, mode) for mode in (1, 2))
 
 
 def errors(outcome: Outcome, exact: Outcome) -> dict[str, float]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from taccel_lab.cad.parts.pad import Pad
-    from taccel_lab.optics.description import Light, OpticalDesign, Window
+    from taccel_lab.profile.optical_design import Light, OpticalDesign, Window
     from taccel_lab.sensors import FamilyParameters, SensorFamily
     from taccel_lab.sensors.base import Housing
 

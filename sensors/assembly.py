@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.geometry import Region
-from taccel_lab.optics.description import Camera, Light, Window
+from taccel_lab.profile.optical_design import Camera, Light, Window
 from taccel_lab.sensors.base import FamilyParameters, Housing
 
 if TYPE_CHECKING:

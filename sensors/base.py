@@ -12,7 +12,7 @@ from taccel_lab.cad.parameters import ParameterSet
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.optics.description import MarkerGrid, OpticalDesign
+from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
 
 NO_FIGURE = "assumption: no source states it for this sensor"
 """The source of a default that no source states."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
-from taccel_lab.optics.description import Light, MarkerGrid, OpticalDesign, Triple, Window
+from taccel_lab.profile.optical_design import Light, MarkerGrid, OpticalDesign, Triple, Window
 from taccel_lab.sensors.base import FamilyParameters, GelMaterial, Housing
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 from taccel_lab.sensors.parameter_groups.coating import CoatingParameters

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.optics.description import Camera
+from taccel_lab.profile.optical_design import Camera
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 

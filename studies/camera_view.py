@@ -47,7 +47,9 @@ def view_model(
 
 def photometry(parameters: FamilyParameters, device: str = "cpu") -> Photometry:
     """Photometric figures of the untouched gel, without its markers."""
-    return view_model(parameters, markers=False, device=device).photometry()
+    from taccel_lab.optics.photometry import measure_photometry
+
+    return measure_photometry(view_model(parameters, markers=False, device=device))
 
 
 def picture_change(model: OpticalModel, record: PressRecord, steps: list[int]) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.optics.camera_model import CameraModel
-from taccel_lab.optics.description import Camera
+from taccel_lab.profile.optical_design import Camera
 
 LensName = Literal["k1", "fisheye", "pinhole", "rational"]
 

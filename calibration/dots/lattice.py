@@ -24,7 +24,7 @@ from taccel_lab.calibration.dots.lattice_growth import (
     symmetric_seeds,
 )
 from taccel_lab.errors import InputError
-from taccel_lab.optics.description import lattice_steps
+from taccel_lab.profile.optical_design import lattice_steps
 
 Kind = Literal["rectangular", "hexagonal", "none"]
 

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from taccel_lab.calibration.dots.lattice import Lattice
 from taccel_lab.errors import InputError
-from taccel_lab.optics.description import lattice_middle, lattice_steps
+from taccel_lab.profile.optical_design import lattice_middle, lattice_steps
 
 PITCH_X, PITCH_Y, ROTATION, CENTRE_X, CENTRE_Y = range(5)
 NAMES = ("pitch_x", "pitch_y", "rotation_rad", "centre_x", "centre_y")

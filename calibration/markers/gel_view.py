@@ -18,10 +18,10 @@ from scipy.interpolate import LinearNDInterpolator
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.optics.camera_model import CameraModel, resized
-from taccel_lab.optics.description import Light, OpticalDesign
 from taccel_lab.optics.media import glued_back_mm, media_between, without_refraction
 from taccel_lab.optics.refraction import Media
 from taccel_lab.profile import OpticsBlock, SensorProfile
+from taccel_lab.profile.optical_design import Light, OpticalDesign
 
 _FLAT_MM = 0.01
 _STEPS = 40

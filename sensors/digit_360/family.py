@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from taccel_lab.cad.parameters import parameter_of, restated
 from taccel_lab.cad.parts.dome_pad import SolidDomePad
-from taccel_lab.optics.description import Light
+from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import parameter, parameter_of, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.optics.description import Light
+from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 

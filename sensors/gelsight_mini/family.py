@@ -14,7 +14,7 @@ from typing import ClassVar
 from taccel_lab.cad.parameters import parameter, parameter_of, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
-from taccel_lab.optics.description import Light
+from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.parameter_groups.lights import BLUE, GREEN, RED
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters

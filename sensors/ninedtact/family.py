@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from taccel_lab.cad.parameters import parameter_of, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.optics.description import Light
+from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import GelMaterial, SensorFamily
 from taccel_lab.sensors.parameter_groups.lights import WHITE
 from taccel_lab.sensors.parameter_groups.material import SkinParameters

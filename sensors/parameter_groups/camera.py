@@ -9,7 +9,7 @@ from typing import ClassVar
 from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.optics.description import Camera
+from taccel_lab.profile.optical_design import Camera
 from taccel_lab.sensors.base import NO_FIGURE
 
 

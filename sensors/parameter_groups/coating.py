@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from taccel_lab.cad.parameters import ParameterSet, parameter
-from taccel_lab.optics.description import Coating
+from taccel_lab.profile.optical_design import Coating
 
 
 @dataclass(frozen=True)

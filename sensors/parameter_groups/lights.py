@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from taccel_lab.cad.parameters import ParameterSet, parameter
-from taccel_lab.optics.description import Light, Triple
+from taccel_lab.profile.optical_design import Light, Triple
 from taccel_lab.sensors.base import NO_FIGURE
 
 RED, GREEN, BLUE, WHITE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)

@@ -12,7 +12,7 @@ import numpy as np
 
 from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.errors import InputError
-from taccel_lab.optics.description import MarkerGrid
+from taccel_lab.profile.optical_design import MarkerGrid
 
 
 @dataclass(frozen=True)

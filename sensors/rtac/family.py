@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from taccel_lab.cad.parameters import parameter_of, restated
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
-from taccel_lab.optics.description import Light, Window
+from taccel_lab.profile.optical_design import Light, Window
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 from taccel_lab.sensors.parameter_groups.lights import WHITE

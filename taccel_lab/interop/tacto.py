@@ -18,8 +18,8 @@ from taccel_lab.interop.frames import LINK_FROM_GEL, euler_xyz, turn
 from taccel_lab.interop.image_files import write_rgb
 from taccel_lab.interop.mesh_files import gel_surface, write_stl
 from taccel_lab.interop.record import ExportRecord, required
-from taccel_lab.optics.description import Light
 from taccel_lab.profile import SensorProfile
+from taccel_lab.profile.optical_design import Light
 from taccel_lab.profile.units import deg_from_rad, m_from_mm
 
 PEER = "tacto 0.0.3"

@@ -29,25 +29,20 @@ from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_mollifier_d1,
     edge_edge_mollifier_d2,
 )
-from taccel_lab.ipc.matrix_types import mat43d, mat1212d
+from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.pair_hessian import (
     HESSIAN_EXACT,
-    HESSIAN_GAUSS_NEWTON,
     HESSIAN_PSD,
-    PairHessian,
     pair_gradient,
-    pair_hessian,
-    pair_hessian_block,
 )
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
-class MollifiedHessian:
-    """Hessian of a mollified pair in factors.
+class MollifierTerms:
+    """What the mollifier adds to m times the Hessian of E, in factors.
 
-    scaled: m times the Hessian of E.
     left, right: mixed term left right^T + right left^T, rows per node.
     turn, bend: coefficients of hess c [N/m^3] and of grad c grad c^T [N/m^7].
     curvature: 1 for the exact hess c, 0 for its Gauss-Newton part.
@@ -55,7 +50,6 @@ class MollifiedHessian:
     cross_gradient: grad c [m^3].
     """
 
-    scaled: PairHessian
     left: mat43d
     right: mat43d
     turn: wp.float64
@@ -92,30 +86,6 @@ def _norm(rows: mat43d) -> wp.float64:
 
 
 @wp.func
-def mollified_hessian(
-    pair: ClosestPair,
-    ea0: wp.vec3d,
-    ea1: wp.vec3d,
-    eb0: wp.vec3d,
-    eb1: wp.vec3d,
-    threshold: wp.float64,
-    e0: wp.float64,
-    e1: wp.float64,
-    e2: wp.float64,
-    mode: wp.int32,
-) -> MollifiedHessian:
-    """Hessian of m E(d); arguments of `mollified_gradient`, e2 = d2E/dd2 [N/m].
-
-    mode: HESSIAN_EXACT; HESSIAN_PSD, the sum of projected parts; HESSIAN_GAUSS_NEWTON, only
-    m max(e2, 0) grad d grad d^T. Where m = 1 it equals `pair_hessian`.
-    """
-    h = mollifier_terms(pair, ea0, ea1, eb0, eb1, threshold, e0, e1, mode)
-    m = edge_edge_mollifier(edge_edge_cross_sq(ea0, ea1, eb0, eb1), threshold)
-    h.scaled = pair_hessian(pair, ea0, ea1, eb0, eb1, m * e1, m * e2, mode)
-    return h
-
-
-@wp.func
 def mollifier_terms(
     pair: ClosestPair,
     ea0: wp.vec3d,
@@ -126,12 +96,15 @@ def mollifier_terms(
     e0: wp.float64,
     e1: wp.float64,
     mode: wp.int32,
-) -> MollifiedHessian:
-    """What the mollifier adds to m times the Hessian of E; ``scaled`` is left at zero."""
+) -> MollifierTerms:
+    """What the mollifier adds to m times the Hessian of E; arguments of `mollified_gradient`.
+
+    mode: HESSIAN_EXACT, or HESSIAN_PSD for the sum of projected parts.
+    """
     half = wp.float64(0.5)
     cross_sq = edge_edge_cross_sq(ea0, ea1, eb0, eb1)
-    h = MollifiedHessian()
-    if cross_sq >= threshold or mode == HESSIAN_GAUSS_NEWTON:
+    h = MollifierTerms()
+    if cross_sq >= threshold:
         return h
     slope = edge_edge_mollifier_d1(cross_sq, threshold)
     h.edge_a = ea1 - ea0
@@ -156,28 +129,9 @@ def mollifier_terms(
 
 
 @wp.func
-def mollified_hessian_block(h: MollifiedHessian, i: wp.int32, j: wp.int32) -> wp.mat33d:
-    """Block d2(m E)/dx_i dx_j [N/m]."""
-    return pair_hessian_block(h.scaled, i, j) + mollifier_block(h, i, j)
-
-
-@wp.func
-def mollifier_block(h: MollifiedHessian, i: wp.int32, j: wp.int32) -> wp.mat33d:
+def mollifier_block(h: MollifierTerms, i: wp.int32, j: wp.int32) -> wp.mat33d:
     """The part of a block [N/m] that the mollifier adds."""
     block = wp.outer(h.left[i], h.right[j]) + wp.outer(h.right[i], h.left[j])
     block += h.turn * cross_sq_hessian_block(h.edge_a, h.edge_b, i, j, h.curvature)
     block += h.bend * wp.outer(h.cross_gradient[i], h.cross_gradient[j])
     return block
-
-
-@wp.func
-def mollified_hessian_matrix(h: MollifiedHessian) -> mat1212d:
-    """All 16 blocks [N/m]."""
-    matrix = mat1212d()
-    block_count = int(16)
-    for k in range(block_count):
-        block = mollified_hessian_block(h, k // 4, k % 4)
-        for a in range(3):
-            for b in range(3):
-                matrix[3 * (k // 4) + a, 3 * (k % 4) + b] = block[a, b]
-    return matrix

@@ -19,7 +19,7 @@ import warp as wp
 
 from taccel_lab.ipc.distance.closest_pair import ClosestPair
 from taccel_lab.ipc.distance.derivatives import outer_rows, pair_frame, pair_normal
-from taccel_lab.ipc.matrix_types import mat35d, mat43d, mat55d, mat1212d, vec5d
+from taccel_lab.ipc.matrix_types import mat35d, mat43d, mat55d, vec5d
 from taccel_lab.ipc.psd import project_psd_5x5
 
 wp.set_module_options({"enable_backward": False})
@@ -132,16 +132,3 @@ def pair_hessian_block(h: PairHessian, i: wp.int32, j: wp.int32) -> wp.mat33d:
     """Block d2E/dx_i dx_j [N/m]."""
     local = _node_basis(h, i) * h.core * wp.transpose(_node_basis(h, j))
     return h.axes * local * wp.transpose(h.axes)
-
-
-@wp.func
-def pair_hessian_matrix(h: PairHessian) -> mat1212d:
-    """All 16 blocks [N/m]."""
-    matrix = mat1212d()
-    block_count = int(16)
-    for k in range(block_count):
-        block = pair_hessian_block(h, k // 4, k % 4)
-        for a in range(3):
-            for b in range(3):
-                matrix[3 * (k // 4) + a, 3 * (k % 4) + b] = block[a, b]
-    return matrix

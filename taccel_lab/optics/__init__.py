@@ -1,6 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Camera, lights and what a sensor would look like before it is built."""
 
-from taccel_lab.optics.description import Camera, Coating, Light, MarkerGrid, OpticalDesign, Window
+from taccel_lab.profile.optical_design import (
+    Camera,
+    Coating,
+    Light,
+    MarkerGrid,
+    OpticalDesign,
+    Window,
+)
 
 __all__ = ["Camera", "Coating", "Light", "MarkerGrid", "OpticalDesign", "Window"]

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.optics.description import Camera
+from taccel_lab.profile.optical_design import Camera
 
 _ITERATIONS = 40
 _TOLERANCE = 1e-12

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.optics.description import MarkerGrid, lattice_middle, lattice_steps
 from taccel_lab.optics.frames import LightField
+from taccel_lab.profile.optical_design import MarkerGrid, lattice_middle, lattice_steps
 
 MARKER_ALBEDO = 0.05
 """Share of the coating's reflectance that is left in the middle of a marker."""

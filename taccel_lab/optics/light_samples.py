@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.optics.description import Light
+from taccel_lab.profile.optical_design import Light
 
 
 @dataclass(frozen=True)

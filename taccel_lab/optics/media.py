@@ -11,8 +11,8 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
-from taccel_lab.optics.description import OpticalDesign
 from taccel_lab.optics.refraction import DomeMedia, FlatMedia, Media
+from taccel_lab.profile.optical_design import OpticalDesign
 
 OUTSIDE_INDEX = 1.0
 """Air between the camera and what stands in front of it."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -21,7 +21,6 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.optics.camera_model import CameraModel, resized
 from taccel_lab.optics.coating import marker_factor, turbid_reflectance
-from taccel_lab.optics.description import MarkerGrid, OpticalDesign
 from taccel_lab.optics.display import Display, WhiteBalance, exposed
 from taccel_lab.optics.frames import LightField, PreviewImage
 from taccel_lab.optics.light_samples import sample_lights
@@ -35,9 +34,7 @@ from taccel_lab.optics.media import (
 from taccel_lab.optics.refraction import FlatMedia, Media
 from taccel_lab.optics.shading_kernels import Gloss, Layers, hit_kernel, light_kernel
 from taccel_lab.optics.surface import FineFace, GelFace, height_face
-
-if TYPE_CHECKING:
-    from taccel_lab.optics.photometry import Photometry
+from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
 
 wp.set_module_options({"enable_backward": False})
 
@@ -256,12 +253,6 @@ class OpticalModel:
             rest_mm=seen_only("rest"),
             mask=mask,
         )
-
-    def photometry(self) -> Photometry:
-        """Photometric figures of the untouched gel."""
-        from taccel_lab.optics.photometry import measure_photometry
-
-        return measure_photometry(self)
 
     def reflectance(self, light: LightField, *, markers: bool = True) -> np.ndarray:
         """Diffuse reflectance of what each pixel sees, with or without dots, shape [H, W, 3]."""

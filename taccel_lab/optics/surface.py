@@ -21,6 +21,8 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.signals.contact_surface import ContactSurface
+from taccel_lab.signals.gradient_recovery import recover_gradients
 
 CREASE_DEG = 30.0
 """Faces that meet more sharply than this at rest are not smoothed into one another."""
@@ -125,8 +127,6 @@ class GelFace:
             return None
         import warp as wp
 
-        from taccel_lab.signals.contact_surface import ContactSurface
-
         surface = ContactSurface.from_faces(self._faces, len(rest))
         return (
             wp.array(surface.ring_start, dtype=wp.int32, device=self._device),
@@ -138,8 +138,6 @@ class GelFace:
         if self._rings is None or not _is_function_of_xy(corners):
             return None
         import warp as wp
-
-        from taccel_lab.signals.gradient_recovery import recover_gradients
 
         points = wp.array(nodes[None], dtype=wp.vec3d, device=self._device)
         z = np.ascontiguousarray(nodes[None, :, 2])

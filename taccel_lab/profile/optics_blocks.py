@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The optional blocks of a profile that say how a sensor looks at its gel, and what holds it.
 
-They hold what ``taccel_lab.optics.description`` holds, whose checks they share.
+They hold what ``taccel_lab.profile.optical_design`` holds, whose checks they share.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from taccel_lab.optics.description import (
+from taccel_lab.profile.optical_design import (
     Camera,
     Coating,
     Light,
@@ -135,7 +135,7 @@ class CoatingBlock(Block):
 
 
 class LightEntry(Frozen):
-    """One LED; see ``taccel_lab.optics.description.Light``."""
+    """One LED; see ``taccel_lab.profile.optical_design.Light``."""
 
     name: str = ""
     position_mm: Triple

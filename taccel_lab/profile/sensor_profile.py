@@ -13,8 +13,8 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
-from taccel_lab.optics.description import OpticalDesign
 from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
+from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.profile.optics_blocks import (
     CoatingBlock,
     HousingBlock,

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stepping a model: orchestration only."""
 
-from taccel_lab.solvers.config import ElementProjection, SolverConfig
+from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.plan import Plan, PlanEntry
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.sharded import Shard, ShardedSolver
 from taccel_lab.solvers.solver_ipc import SolverIPC
 
 __all__ = [
-    "ElementProjection",
     "EnvStatus",
     "Plan",
     "PlanEntry",

@@ -5,22 +5,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.potentials.elastic import PSD_ABS, PSD_CLAMP
 from taccel_lab.scene import TimeStepping
-
-
-class ElementProjection(StrEnum):
-    """What becomes of negative eigenvalues of an element Hessian."""
-
-    CLAMP = "clamp"
-    ABS = "abs"
-
-    @property
-    def code(self) -> int:
-        return {"clamp": PSD_CLAMP, "abs": PSD_ABS}[self.value]
 
 
 @dataclass(frozen=True)
@@ -58,14 +45,11 @@ class SolverConfig:
     """Contacts, and candidates for them, beyond which an environment is given up."""
     check_start: bool = True
     """Whether environments are searched for bodies that overlap before their first step."""
-    element_projection: ElementProjection = ElementProjection.CLAMP
     linear_method: str = "auto"
     """How the Newton systems are solved, a key of ``ipc.linear.system.METHODS``; "auto" chooses by
     device and size."""
     capture: bool = True
     """Whether steps are captured as graphs and launched as a whole."""
-    contact_hessian_mode: int = 1
-    """1: projected to positive semidefinite; 2: only the Gauss-Newton term."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -95,11 +79,6 @@ class SolverConfig:
         if not 0 <= self.max_substep_halvings <= 20:
             raise InputError(
                 f"max_substep_halvings must lie in [0, 20], got {self.max_substep_halvings}"
-            )
-        if self.contact_hessian_mode not in (1, 2):
-            raise InputError(
-                "contact_hessian_mode must be 1 (projected) or 2 (Gauss-Newton), "
-                f"got {self.contact_hessian_mode}"
             )
 
     def static_range_m(self, time: TimeStepping) -> float:

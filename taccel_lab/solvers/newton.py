@@ -21,6 +21,7 @@ import warp as wp
 from taccel_lab.ipc.affine.embedding import embed_vertices
 from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.capacity import GrowingList
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP
 from taccel_lab.ipc.kinematics import place_poses_between
 from taccel_lab.ipc.motion import (
     aim_prescribed,
@@ -31,6 +32,7 @@ from taccel_lab.ipc.motion import (
     spread_solution,
     zero_rows,
 )
+from taccel_lab.ipc.pair_hessian import HESSIAN_PSD
 from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.ipc.potentials.inversion import find_inversions
@@ -286,7 +288,6 @@ class StepRun:
     def _assemble(self, x: wp.array) -> None:
         """Matrix and right-hand side of all active environments."""
         s, p = self.s, self.p
-        mode = s.config.element_projection.code
         if s.joints is not None:
             s.joints.set_frames(self.state.poses, s.target_poses)
         system = newton_system(self.model, s.linear, s.displacements)
@@ -297,10 +298,10 @@ class StepRun:
 
         def of_elements() -> None:
             for part in elements:
-                part.write_hessians(p.active, x, mode)
+                part.write_hessians(p.active, x, PSD_CLAMP)
 
         def of_contact() -> None:
-            s.contact.add_hessian(p.active, x, system, s.config.contact_hessian_mode)
+            s.contact.add_hessian(p.active, x, system, int(HESSIAN_PSD))
 
         def of_friction() -> None:
             if s.friction is not None:
@@ -308,7 +309,7 @@ class StepRun:
 
         def of_affine() -> None:
             if s.affine is not None:
-                s.affine.add_hessian(p.active, x, system, mode)
+                s.affine.add_hessian(p.active, x, system, PSD_CLAMP)
 
         def gather() -> None:
             for part in elements:

@@ -19,8 +19,8 @@ from taccel_lab.geometry import Region
 from taccel_lab.interop.export import export_profile
 from taccel_lab.interop.frames import LINK_FROM_GEL
 from taccel_lab.interop.tacto import MOST_LIGHTS, merged_lights
-from taccel_lab.optics.description import Light
 from taccel_lab.profile import SensorProfile
+from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.profile import catalogue_profile
 
 DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))

@@ -32,10 +32,15 @@ from taccel_lab.ipc.distance import (
 from taccel_lab.ipc.matrix_types import mat23d, mat43d, mat55d, mat1212d
 from taccel_lab.ipc.mollified_edge_edge import (
     mollified_gradient,
-    mollified_hessian,
-    mollified_hessian_matrix,
+    mollifier_block,
+    mollifier_terms,
 )
-from taccel_lab.ipc.pair_hessian import pair_gradient, pair_hessian, pair_hessian_matrix
+from taccel_lab.ipc.pair_hessian import (
+    PairHessian,
+    pair_gradient,
+    pair_hessian,
+    pair_hessian_block,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -92,6 +97,19 @@ def _query_pairs_kernel(
     hessian_sq[i] = distance_sq_hessian(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3])
 
 
+@wp.func
+def _hessian_matrix(h: PairHessian) -> mat1212d:
+    """All 16 blocks [N/m]."""
+    matrix = mat1212d()
+    block_count = int(16)
+    for k in range(block_count):
+        block = pair_hessian_block(h, k // 4, k % 4)
+        for a in range(3):
+            for b in range(3):
+                matrix[3 * (k // 4) + a, 3 * (k % 4) + b] = block[a, b]
+    return matrix
+
+
 @wp.kernel
 def _pair_energy_kernel(
     kind: wp.int32,
@@ -106,7 +124,7 @@ def _pair_energy_kernel(
     pair = _closest(kind, x[i, 0], x[i, 1], x[i, 2], x[i, 3])
     gradient[i] = pair_gradient(pair, e1[i])
     h = pair_hessian(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3], e1[i], e2[i], mode)
-    hessian[i] = pair_hessian_matrix(h)
+    hessian[i] = _hessian_matrix(h)
 
 
 @wp.kernel
@@ -146,8 +164,17 @@ def _mollified_energy_kernel(
     e = threshold[i]
     value[i] = e0 * edge_edge_mollifier(edge_edge_cross_sq(x[i, 0], x[i, 1], x[i, 2], x[i, 3]), e)
     gradient[i] = mollified_gradient(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3], e, e0, e1)
-    h = mollified_hessian(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3], e, e0, e1, e2, mode)
-    hessian[i] = mollified_hessian_matrix(h)
+    m = edge_edge_mollifier(edge_edge_cross_sq(x[i, 0], x[i, 1], x[i, 2], x[i, 3]), e)
+    h = pair_hessian(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3], m * e1, m * e2, mode)
+    terms = mollifier_terms(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3], e, e0, e1, mode)
+    matrix = _hessian_matrix(h)
+    block_count = int(16)
+    for k in range(block_count):
+        block = mollifier_block(terms, k // 4, k % 4)
+        for a in range(3):
+            for b in range(3):
+                matrix[3 * (k // 4) + a, 3 * (k % 4) + b] += block[a, b]
+    hessian[i] = matrix
 
 
 @wp.kernel
@@ -243,16 +270,10 @@ def _ccd_kernel(
 
 @wp.kernel
 def _project_kernel(
-    a2: wp.array(dtype=wp.mat22d),
-    a3: wp.array(dtype=wp.mat33d),
-    a5: wp.array(dtype=mat55d),
-    a12: wp.array(dtype=mat1212d),
+    matrices: wp.array(dtype=mat55d),
 ):
     i = wp.tid()
-    a2[i] = psd.project_psd_2x2(a2[i])
-    a3[i] = psd.project_psd_3x3(a3[i])
-    a5[i] = psd.project_psd_5x5(a5[i])
-    a12[i] = psd.project_psd_12x12(a12[i])
+    matrices[i] = psd.project_psd_5x5(matrices[i])
 
 
 class Pairs(NamedTuple):
@@ -343,9 +364,8 @@ def collide(
     return toi, status, iterations
 
 
-def project(a2: Array, a3: Array, a5: Array, a12: Array) -> list[Array]:
-    """PSD projections of 2x2, 3x3, 5x5 and 12x12 matrices, equal counts."""
-    dtypes = [wp.mat22d, wp.mat33d, mat55d, mat1212d]
-    arrays = [_device(a, dtype) for a, dtype in zip((a2, a3, a5, a12), dtypes, strict=True)]
-    wp.launch(_project_kernel, len(a2), inputs=arrays, device="cpu")
-    return [array.numpy() for array in arrays]
+def project(matrices: Array) -> Array:
+    """Projections of 5x5 matrices to positive semidefinite ones."""
+    array = _device(matrices, mat55d)
+    wp.launch(_project_kernel, len(matrices), inputs=[array], device="cpu")
+    return array.numpy()

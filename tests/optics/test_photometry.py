@@ -14,7 +14,11 @@ from hypothesis import strategies as st
 
 from taccel_lab.optics import Coating, Light, MarkerGrid
 from taccel_lab.optics.depth_of_field import blur_px, sharp_range_mm
-from taccel_lab.optics.photometry import channel_independence, pixel_footprint
+from taccel_lab.optics.photometry import (
+    channel_independence,
+    measure_photometry,
+    pixel_footprint,
+)
 from tests.optics.flat_gel import CAMERA_Z, GEL_MM, PLATE, camera, design, model, towards
 
 FAR = 4000.0
@@ -34,7 +38,7 @@ def test_three_lights_at_120_degrees(elevation: float) -> None:
     """Unit rows at elevation e have the singular values cos(e) sqrt(3/2), twice, and sin(e)
     sqrt(3)."""
     lights = far_lights((0.0, 120.0, 240.0), elevation)
-    figures = model(design(*lights), refraction=False).photometry()
+    figures = measure_photometry(model(design(*lights), refraction=False))
     e = math.radians(elevation)
     sides = (math.cos(e) * math.sqrt(1.5), math.sin(e) * math.sqrt(3))
     assert figures.light_rank == 3
@@ -62,10 +66,10 @@ def test_condition_number_is_that_of_the_unit_rows(matrix: list[float], gain: fl
 
 def test_sensors_without_three_directions_say_so() -> None:
     white = Light(*towards(0, 40, FAR), (1.0, 1.0, 1.0))
-    grey = model(design(white), refraction=False).photometry()
+    grey = measure_photometry(model(design(white), refraction=False))
     assert grey.light_rank == 1
     assert grey.condition_number is None
-    two = model(design(*far_lights((0.0, 120.0), 40.0)), refraction=False).photometry()
+    two = measure_photometry(model(design(*far_lights((0.0, 120.0), 40.0)), refraction=False))
     assert two.light_rank == 2
     assert two.condition_number is None
     # A channel that no light feeds is dark, not an error.
@@ -77,13 +81,13 @@ def test_sensors_without_three_directions_say_so() -> None:
 def test_scale_of_a_pinhole_over_a_flat_gel() -> None:
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
     optics = replace(design(*lights), camera=camera(fy_px=75.0))
-    straight = model(optics, refraction=False).photometry()
+    straight = measure_photometry(model(optics, refraction=False))
     for spread, focal in ((straight.mm_per_px_x, 60.0), (straight.mm_per_px_y, 75.0)):
         assert spread.minimum == pytest.approx(-CAMERA_Z / focal, rel=1e-4)
         assert spread.maximum == pytest.approx(-CAMERA_Z / focal, rel=1e-4)
     assert straight.anisotropy.median == pytest.approx(75 / 60, rel=1e-3)
     # Window and gel shorten the distance that counts at the axis, and bend more off it.
-    bent = model(replace(optics, window=PLATE)).photometry()
+    bent = measure_photometry(model(replace(optics, window=PLATE)))
     apparent = (-CAMERA_Z - 3.0 - GEL_MM) + 3.0 / 1.49 + GEL_MM / 1.41
     assert bent.mm_per_px_x.maximum == pytest.approx(apparent / 60.0, rel=1e-3)
     assert bent.mm_per_px_x.minimum < 0.999 * apparent / 60.0
@@ -106,7 +110,7 @@ def test_visible_fraction(half: float) -> None:
     optics = model(design(*lights), half=half, refraction=False, size_px=(164, 124))
     shown = 41 * 0.5 * 31 * 0.5
     expected = min(1.0, shown / (2 * half) ** 2)
-    assert optics.photometry().visible_fraction == pytest.approx(expected, rel=0.02)
+    assert measure_photometry(optics).visible_fraction == pytest.approx(expected, rel=0.02)
 
 
 def test_visible_part_of_a_dome() -> None:
@@ -129,16 +133,16 @@ def test_visible_part_of_a_dome() -> None:
     corners = face.points_mm[face.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     whole = 0.5 * np.linalg.norm(normals, axis=1).sum()
-    figures = optics.photometry()
+    figures = measure_photometry(optics)
     assert figures.visible_fraction == pytest.approx(seen / whole, rel=0.01)
 
 
 def test_dots_count_in_no_figure() -> None:
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
-    plain = model(design(*lights), refraction=False).photometry()
-    dotted = model(
-        design(*lights), refraction=False, markers=MarkerGrid(3, 4, 4.0, 4.0, 1.5)
-    ).photometry()
+    plain = measure_photometry(model(design(*lights), refraction=False))
+    dotted = measure_photometry(
+        model(design(*lights), refraction=False, markers=MarkerGrid(3, 4, 4.0, 4.0, 1.5))
+    )
     assert dotted.uniformity_min_over_mean == pytest.approx(plain.uniformity_min_over_mean)
     # Exposure is that of the picture with its dots.
     assert dotted.levels_per_deg == pytest.approx(plain.levels_per_deg, rel=0.1)
@@ -156,13 +160,13 @@ def test_window_smaller_than_the_view_hides_the_rest() -> None:
 def test_evenness_shadows_and_saturation() -> None:
     even = model(design(*far_lights((0.0, 120.0, 240.0), 40.0), camera=camera(falloff=0.0)),
                  refraction=False)  # fmt: skip
-    figures = even.photometry()
+    figures = measure_photometry(even)
     assert min(figures.uniformity_min_over_mean) > 0.98
     assert max(figures.uniformity_variation) < 0.02
     assert figures.shadowed_fraction == 0.0
     assert figures.saturated_fraction == 0.0
     near = Light((4.0, 0.0, -3.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
-    spot = model(design(near), refraction=False, level=180.0).photometry()
+    spot = measure_photometry(model(design(near), refraction=False, level=180.0))
     assert spot.uniformity_min_over_mean[0] < 0.1
     assert spot.saturated_fraction > 0.05
 
@@ -172,7 +176,7 @@ def test_shading_gain_is_the_slope_of_the_picture() -> None:
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
     straight = {"refraction": False, "half": 25.0}
     flat = model(design(*lights, camera=camera(falloff=0.0)), **straight)
-    gain = flat.photometry()
+    gain = measure_photometry(flat)
     tilt = math.radians(0.5)
 
     def change(azimuth: float) -> np.ndarray:
@@ -196,7 +200,7 @@ def test_shading_gain_is_the_slope_of_the_picture() -> None:
 def test_a_turbid_gel_shows_no_slopes() -> None:
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
     turbid = design(*lights, coating=Coating((0.05, 0.05, 0.05)), gel_scattering_per_mm=0.5)
-    figures = model(turbid, refraction=False).photometry()
+    figures = measure_photometry(model(turbid, refraction=False))
     assert figures.levels_per_deg == (0.0, 0.0, 0.0)
 
 
@@ -207,16 +211,16 @@ def test_depth_of_field() -> None:
     assert near < 20 < far
     assert sharp_range_mm(800.0, 0.01, 20.0)[1] == math.inf
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
-    assert model(design(*lights)).photometry().depth_of_field is None
+    assert measure_photometry(model(design(*lights))).depth_of_field is None
     apparent = (-CAMERA_Z - 3.0 - GEL_MM) + 3.0 / 1.49 + GEL_MM / 1.41
     sharp = design(*lights, window=PLATE, camera=camera(focus_mm=apparent, aperture_mm=2.0))
-    figures = model(sharp).photometry().depth_of_field
+    figures = measure_photometry(model(sharp)).depth_of_field
     assert figures is not None
     assert figures.sharp_fraction == 1.0
     assert figures.worst_blur_px < 1e-3
     assert figures.depth_in_gel_mm == pytest.approx(1.41 * (figures.far_mm - figures.near_mm))
     off = replace(sharp, camera=camera(focus_mm=10.0, aperture_mm=2.0))
-    blurred = model(off).photometry().depth_of_field
+    blurred = measure_photometry(model(off)).depth_of_field
     assert blurred is not None
     assert blurred.sharp_fraction == 0.0
     assert blurred.worst_blur_px == pytest.approx(60 * 2 * (1 / 10 - 1 / apparent), rel=1e-4)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.optics.description import Camera, Coating, Light, MarkerGrid, Window
 from taccel_lab.profile import BackgroundBlock, ColorBlock, SensorProfile
 from taccel_lab.profile.blocks import OPTIONAL_BLOCKS
+from taccel_lab.profile.optical_design import Camera, Coating, Light, MarkerGrid, Window
 from taccel_lab.profile.optics_blocks import (
     CoatingBlock,
     LightEntry,

@@ -9,7 +9,7 @@ import pytest
 from taccel_lab.cad.assembly import require_no_overlap
 from taccel_lab.cad.moulds import casting_moulds
 from taccel_lab.cad.parts.pad_solid import labelled_solid
-from taccel_lab.optics.description import Camera, Light
+from taccel_lab.profile.optical_design import Camera, Light
 from taccel_lab.sensors.assembly import camera_shape, gel_layers, led_shapes, sensor_parts
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.potentials.elastic import PSD_ABS, ElasticPotential
+from taccel_lab.ipc.potentials.elastic import PSD_CLAMP, ElasticPotential
 from taccel_lab.ipc.potentials.element_data import ElementSum
 from taccel_lab.model import Model
 
@@ -103,7 +103,7 @@ class ElementForces:
         from scipy.sparse.linalg import spsolve
 
         pattern, size = self.model.pattern, 3 * len(self.free)
-        values = self.system(x[None], PSD_ABS)[0][0]
+        values = self.system(x[None], PSD_CLAMP)[0][0]
         lower = sparse.bsr_array(
             (values, pattern.columns, pattern.row_starts), shape=(size, size)
         ).tocsr()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.optics.description import Light
+from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.parameter_groups.lights import BLUE, GREEN, RED, WHITE
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters

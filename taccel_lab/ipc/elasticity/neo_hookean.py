@@ -18,7 +18,6 @@ import warp as wp
 from taccel_lab.ipc.eigen import symmetric_eigen_3x3
 from taccel_lab.ipc.elasticity.invariants import hessian_of_slopes
 from taccel_lab.ipc.elasticity.principal import (
-    PSD_ABS,
     PSD_CLAMP,
     PSD_NONE,
     PrincipalHessian,
@@ -29,7 +28,6 @@ from taccel_lab.ipc.elasticity.principal import (
 wp.set_module_options({"enable_backward": False})
 
 __all__ = [
-    "PSD_ABS",
     "PSD_CLAMP",
     "PSD_NONE",
     "log_excess",

@@ -18,8 +18,6 @@ PSD_NONE = 0
 """The exact Hessian."""
 PSD_CLAMP = 1
 """Negative element eigenvalues become zero [Teran et al. 2005]."""
-PSD_ABS = 2
-"""Negative element eigenvalues change sign [Chen et al. 2024]: fewer iterations as nu -> 0.5."""
 
 
 @wp.struct
@@ -36,11 +34,9 @@ class PrincipalHessian:
 
 @wp.func
 def lifted(value: wp.float64, mode: int) -> wp.float64:
-    """An eigenvalue, clamped or mirrored when it is negative."""
+    """An eigenvalue, clamped when it is negative."""
     if value >= wp.float64(0.0) or mode == 0:
         return value
-    if mode == 2:
-        return -value
     return wp.float64(0.0)
 
 
