@@ -21,8 +21,8 @@ from typing import Literal
 import numpy as np
 
 from taccel_lab.benchmarks.machine import describe_run
-from taccel_lab.calibration.material.candidates import Candidate, Followed, Reader, follow
 from taccel_lab.calibration.material.gel_presses import GelPresses, MaterialStep, Stop
+from taccel_lab.calibration.material.press_plans import Followed, PressPlan, follow
 from taccel_lab.envs import parse_indenter
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
@@ -83,7 +83,7 @@ def pad_mesh(cells: int) -> TetMesh:
     )
 
 
-def _sloped(env: GelPresses, together: Sequence[Candidate]) -> Reader:
+def _sloped(env: GelPresses, together: Sequence[PressPlan]) -> np.ndarray:
     half = [1e-5 * (0.5 - c.poisson_ratio) for c in together]
     low, high = (
         [
@@ -93,38 +93,38 @@ def _sloped(env: GelPresses, together: Sequence[Candidate]) -> Reader:
         for sign in (-1, 1)
     )
     step = MaterialStep(low, high, [2 * h for h in half])
-    return lambda: np.hstack([env.press_force[:, 2:], env.force_slopes([step])])
+    return np.hstack([env.press_force[:, 2:], env.force_slopes([step])])
 
 
-def _valued(env: GelPresses, together: Sequence[Candidate]) -> Reader:
-    return lambda: env.press_force[:, 2:]
+def _valued(env: GelPresses, together: Sequence[PressPlan]) -> np.ndarray:
+    return env.press_force[:, 2:]
 
 
-def _dragged(env: GelPresses, together: Sequence[Candidate]) -> Reader:
-    return lambda: env.press_force[:, [2, 0]]
+def _dragged(env: GelPresses, together: Sequence[PressPlan]) -> np.ndarray:
+    return env.press_force[:, [2, 0]]
 
 
-def candidates_of(kind: Kind, count: int) -> list[Candidate]:
+def candidates_of(kind: Kind, count: int) -> list[PressPlan]:
     """Gels spread over Poisson's ratio (0.35 to 0.499) or over friction (0.1 to 0.6)."""
     if kind == "friction":
         return [_press(0.47, float(mu), _dragged) for mu in np.geomspace(0.1, 0.6, count)]
     # Chebyshev's points in sqrt(1 - 2 nu), in which forces are smooth up to 0.5.
     s = 0.3 + 0.25 * np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    reader = _sloped if kind == "slopes" else _valued
-    return [_press(0.5 * (1 - float(v) ** 2), 0.0, reader) for v in s]
+    read = _sloped if kind == "slopes" else _valued
+    return [_press(0.5 * (1 - float(v) ** 2), 0.0, read) for v in s]
 
 
-def _press(nu: float, mu: float, reader: object) -> Candidate:
+def _press(nu: float, mu: float, read: object) -> PressPlan:
     stops = [Stop(float(depth)) for depth in DEPTHS_MM]
     if mu:
         d = SHEAR_DEPTH_MM
         stops = [Stop(d * k / 4, read=k == 4) for k in range(1, 5)]
         stops += [Stop(d, (mu * d * k / 2, 0.0)) for k in (1, 2)]
-    return Candidate({}, nu, 0.0, mu, stops, reader, lambda rows: {"rows": rows})  # type: ignore[arg-type]
+    return PressPlan({}, nu, 0.0, mu, stops, read, lambda rows: {"rows": rows})  # type: ignore[arg-type]
 
 
 def timed(
-    mesh: TetMesh, candidates: Sequence[Candidate], device: str
+    mesh: TetMesh, candidates: Sequence[PressPlan], device: str
 ) -> tuple[GelPresses, Followed, float]:
     """The scene of the candidates, what was read there, and seconds with building it."""
     started = time.perf_counter()
