@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forces of a rigid ball or punch on a thin elastic layer that is bonded to a rigid base.
 
-Small strains, no friction. The series is quick and holds for balls on layers that are thick or
-moderately thin; the integral equation holds for any thickness, Poisson's ratio and punch, and is
-the referee of the series. Both are linear in Young's modulus, so one division inverts them.
+Small strains, no friction, any thickness and Poisson's ratio, by an integral equation. The force is
+linear in Young's modulus, so one division inverts it.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -17,55 +17,9 @@ from taccel_lab.errors import InputError
 
 ToolKind = Literal["sphere", "cylinder", "flat"]
 
-SERIES_MAX_CHI = 1.0
-"""Largest sqrt(R depth) / thickness at which the series is used; beyond, its terms grow apart
-(Dimitriadis et al. 2002 state the range)."""
 _KERNEL_NODES = 240
 _KERNEL_END = 24.0
 """Where 1 - L(x) has fallen below 1e-12."""
-
-
-def sphere_force_series_n(
-    depth_mm: np.ndarray,
-    radius_mm: float,
-    thickness_mm: float,
-    poisson_ratio: float,
-    young_modulus_pa: float = 1.0,
-) -> np.ndarray:
-    """Force of a ball on a bonded layer [N]: Hertz's formula with a series in chi.
-
-    F = 4/3 E/(1-nu^2) sqrt(R d^3) (1 - 2 a0/pi chi + 4 a0^2/pi^2 chi^2
-        - 8/pi^3 (a0^3 + 4 pi^2/15 b0) chi^3 + 16 a0/pi^4 (a0^3 + 3 pi^2/5 b0) chi^4),
-    chi = sqrt(R d)/h, a0 = -(1.2876 - 1.4678 nu + 1.3442 nu^2)/(1-nu),
-    b0 = (0.6387 - 1.0277 nu + 1.5164 nu^2)/(1-nu).
-
-    E. K. Dimitriadis, F. Horkay, J. Maresca, B. Kachar, R. S. Chadwick: "Determination of elastic
-    moduli of thin layers of soft material using the atomic force microscope", Biophysical Journal
-    82 (2002), eq. 6 and 13. Valid for chi <= 1 and depths of up to a tenth of the layer; deeper,
-    the force is too low by what the strains are no longer small.
-
-    Args:
-        depth_mm: Depth past first touch [mm], any shape, >= 0.
-        radius_mm: Of the ball [mm].
-        thickness_mm: Of the layer [mm].
-        poisson_ratio: 0 to 0.5, both allowed.
-        young_modulus_pa: Of the layer [Pa].
-    """
-    depth = _checked_depth(depth_mm)
-    _check_layer(radius_mm, thickness_mm, poisson_ratio)
-    nu = poisson_ratio
-    a0 = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu)
-    b0 = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
-    chi = np.sqrt(radius_mm * depth) / thickness_mm
-    series = (
-        1
-        - 2 * a0 / math.pi * chi
-        + 4 * a0**2 / math.pi**2 * chi**2
-        - 8 / math.pi**3 * (a0**3 + 4 * math.pi**2 / 15 * b0) * chi**3
-        + 16 * a0 / math.pi**4 * (a0**3 + 3 * math.pi**2 / 5 * b0) * chi**4
-    )
-    hertz = 4 / 3 * young_modulus_pa / (1 - nu**2) * np.sqrt(radius_mm * depth**3) * 1e-6
-    return hertz * series
 
 
 def layer_force_n(
@@ -88,11 +42,22 @@ def layer_force_n(
     squeezes it uniformly only if it is free to slide and bulge; here its stiffness is that of a
     laterally confined layer, E (1-nu) / ((1+nu) (1-2 nu)) A/h with A = ``pi radius_mm^2``.
 
-    Arguments as of ``sphere_force_series_n``; for ``flat`` the radius is that of the disc of the
-    layer's area.
+    Args:
+        kind: Of the tool.
+        depth_mm: Depth past first touch [mm], any shape, >= 0.
+        radius_mm: Of the ball or the punch; for ``flat`` that of the disc of the layer's area [mm].
+        thickness_mm: Of the layer [mm].
+        poisson_ratio: 0 to 0.5, both allowed.
+        young_modulus_pa: Of the layer [Pa].
     """
-    depth = _checked_depth(depth_mm)
-    _check_layer(radius_mm, thickness_mm, poisson_ratio)
+    depth = np.asarray(depth_mm, dtype=np.float64)
+    if not np.isfinite(depth).all() or (depth < 0).any():
+        raise InputError("depths must be finite and not negative [mm]")
+    for name, value in (("radius", radius_mm), ("thickness", thickness_mm)):
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"the {name} must be above 0 mm, got {value:g}")
+    if not 0 <= poisson_ratio <= 0.5:
+        raise InputError(f"Poisson's ratio of a layer must lie in [0, 0.5], got {poisson_ratio:g}")
     if kind == "flat":
         nu = poisson_ratio
         if nu >= 0.5:
@@ -119,34 +84,24 @@ def layer_force_n(
     return young_modulus_pa * (ratio * flat**1.5).reshape(depth.shape)
 
 
-def fast_young_modulus_pa(
+def layer_young_modulus_pa(
     kind: ToolKind,
     depth_mm: np.ndarray,
     force_n: np.ndarray,
     radius_mm: float,
     thickness_mm: float,
     poisson_ratio: float,
-) -> tuple[float, float]:
-    """Young's modulus [Pa] of force-depth points and its relative spread over the points.
+) -> float:
+    """Young's modulus [Pa] of force-depth points of a layer: the median over the points.
 
-    The median over the points of measured force over the force of a layer of 1 Pa: in closed form
-    for balls with chi <= 1, from the integral equation otherwise. Points at depth 0 are left out.
-    The spread is the median absolute deviation times 1.4826, as a part of the modulus.
+    Points at depth 0 are left out.
     """
     depth, force = np.asarray(depth_mm, dtype=float), np.asarray(force_n, dtype=float)
     usable = depth > 0
     if not usable.any():
         raise InputError("no point of the record lies below first touch (depth above 0 mm)")
-    depth, force = depth[usable], force[usable]
-    chi = math.sqrt(radius_mm * depth.max()) / thickness_mm
-    if kind == "sphere" and chi <= SERIES_MAX_CHI:
-        unit = sphere_force_series_n(depth, radius_mm, thickness_mm, poisson_ratio)
-    else:
-        unit = layer_force_n(kind, depth, radius_mm, thickness_mm, poisson_ratio)
-    each = force / unit
-    middle = float(np.median(each))
-    spread = 1.4826 * float(np.median(np.abs(each - middle)))
-    return middle, abs(spread / middle) if middle else math.inf
+    unit = layer_force_n(kind, depth[usable], radius_mm, thickness_mm, poisson_ratio)
+    return float(np.median(force[usable] / unit))
 
 
 def _ball_curve(
@@ -179,8 +134,7 @@ def _solve(
     t = 0.5 * a_mm * (nodes + 1)
     weights = 0.5 * a_mm * weights
     at = np.append(t, a_mm)
-    x, wx = np.polynomial.legendre.leggauss(_KERNEL_NODES)
-    x, wx = 0.5 * _KERNEL_END * (x + 1), 0.5 * _KERNEL_END * wx
+    x, wx = _kernel_quadrature()
     deficit = wx * (1 - _compliance(x, poisson_ratio))
     cosines = np.cos(np.outer(at / thickness_mm, x))
     kernel = 2 / (math.pi * thickness_mm) * (cosines * deficit) @ cosines.T
@@ -195,24 +149,15 @@ def _solve(
     return found[0], found[-1], weights
 
 
+@cache
+def _kernel_quadrature() -> tuple[np.ndarray, np.ndarray]:
+    x, weights = np.polynomial.legendre.leggauss(_KERNEL_NODES)
+    return 0.5 * _KERNEL_END * (x + 1), 0.5 * _KERNEL_END * weights
+
+
 def _compliance(x: np.ndarray, poisson_ratio: float) -> np.ndarray:
     """L(x), 1 of a half-space, written with exp(-2x) so that it does not overflow."""
     q = 3 - 4 * poisson_ratio
     e = np.exp(-2 * x)
     top = q * (1 - e**2) - 4 * x * e
     return top / (q * (1 + e**2) + (1 + q**2 + 4 * x**2) * e)
-
-
-def _checked_depth(depth_mm: np.ndarray) -> np.ndarray:
-    depth = np.asarray(depth_mm, dtype=np.float64)
-    if not np.isfinite(depth).all() or (depth < 0).any():
-        raise InputError("depths must be finite and not negative [mm]")
-    return depth
-
-
-def _check_layer(radius_mm: float, thickness_mm: float, poisson_ratio: float) -> None:
-    for name, value in (("radius", radius_mm), ("thickness", thickness_mm)):
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"the {name} must be above 0 mm, got {value:g}")
-    if not 0 <= poisson_ratio <= 0.5:
-        raise InputError(f"Poisson's ratio of a layer must lie in [0, 0.5], got {poisson_ratio:g}")

@@ -5,41 +5,85 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material.agreement import friction_of, weighted_mean
-from taccel_lab.calibration.material.flow import FlowFit, fit_flow
-from taccel_lab.calibration.material.options import MaterialOptions
-from taccel_lab.calibration.material.points import (
+from taccel_lab.calibration.material.damping_gain import damping_gain
+from taccel_lab.calibration.material.force_table import ForceTable, force_table
+from taccel_lab.calibration.material.friction import friction_of_records
+from taccel_lab.calibration.material.gel import Gel
+from taccel_lab.calibration.material.indentation_points import (
     IndentationPoints,
     points_of_presses,
     points_of_record,
     require_plausible,
 )
+from taccel_lab.calibration.material.marker_flow import FlowFit, fit_flow
+from taccel_lab.calibration.material.marker_videos import flows_of_folder, videos_with_path
+from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.relaxation import DampingFit, check_relaxation, fit_damping
-from taccel_lab.calibration.material.response import ForceTable, force_table
 from taccel_lab.calibration.material.result import MaterialCalibration
-from taccel_lab.calibration.material.setup import Gel
+from taccel_lab.calibration.material.robust_statistics import combined
 from taccel_lab.calibration.material.sliding import SlideFit, fit_slide
-from taccel_lab.calibration.material.stiffness import Law, Stiffness, fit_stiffness
+from taccel_lab.calibration.material.stiffness import KnownLaw, Stiffness, fit_stiffness
 from taccel_lab.calibration.material.tangential import TangentialFit, fit_tangential
-from taccel_lab.calibration.material.video_flow import flows_of_folder, videos_with_path
-from taccel_lab.calibration.material.viscous_gain import viscous_gain
 from taccel_lab.calibration.result import Estimate, Remark, Severity
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
 
-Progress = Callable[[str, int, int], None]
-"""What is simulated, how many presses are done, of how many."""
+_DEFAULTS = MaterialOptions()
+_KINDS = ("indentation", "slide", "shear", "twist", "relaxation")
+
+
+@dataclass(frozen=True)
+class _Captures:
+    """What there is to fit, and how."""
+
+    folder: CaptureFolder
+    base: SensorProfile
+    gel: Gel
+    options: MaterialOptions
+    progress: Progress
+    points: Sequence[IndentationPoints]
+    slides: Sequence[SlideFit]
+    sheared: Sequence[ForceRecord]
+    """Records of shear and twist."""
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What is known of the gel so far."""
+
+    poisson_ratio: float
+    mooney_ratio: float
+    young: Estimate | None = None
+    friction: Estimate | None = None
+    flow_nu: Estimate | None = None
+    """Poisson's ratio, where marker flow determines it."""
+    stiffness: Stiffness | None = None
+    tangential: tuple[TangentialFit, ...] = ()
+    flows: tuple[FlowFit, ...] = ()
+    friction_remarks: tuple[Remark, ...] = ()
+
+    @property
+    def nu(self) -> Estimate | None:
+        """Poisson's ratio, where the captures determine it."""
+        return (None if self.stiffness is None else self.stiffness.nu) or self.flow_nu
+
+    @property
+    def shared_nu(self) -> float:
+        """Poisson's ratio of other presses, rounded so that equal fits share them."""
+        return round(self.poisson_ratio, 3)
 
 
 def calibrate_material(
     folder: CaptureFolder,
     base: SensorProfile,
-    options: MaterialOptions | None = None,
-    progress: Progress | None = None,
+    options: MaterialOptions = _DEFAULTS,
+    progress: Progress = silent,
 ) -> MaterialCalibration:
     """Fit the material of ``base`` to the records of a capture folder.
 
@@ -47,12 +91,10 @@ def calibrate_material(
         InputError: No record of forces, or one that cannot be used, with what is allowed.
         SimulationError: A press that did not converge.
     """
-    options = options or MaterialOptions()
     gel = Gel.of_profile(base, options.model, options.device)
     if gel.material.model != "mooney_rivlin" and "mooney_ratio" in options.fixed:
         raise InputError("mooney_ratio belongs to the law mooney_rivlin: add --model mooney_rivlin")
     records = {kind: [r for r in folder.records if r.entry.kind == kind] for kind in _KINDS}
-    job = _Job(folder, base, gel, options, progress)
     points = [points_of_record(r, gel, folder.ball_radius_mm) for r in records["indentation"]]
     points += points_of_presses(folder, gel)
     videos = videos_with_path(folder)
@@ -65,291 +107,237 @@ def calibrate_material(
     for record in records["relaxation"]:
         check_relaxation(record)
     slides = [fit_slide(record) for record in records["slide"]]
+    sheared = [*records["shear"], *records["twist"]]
+    captures = _Captures(folder, base, gel, options, progress, points, slides, sheared)
     started = time.perf_counter()
-    sheared = (*records["shear"], *records["twist"])
+    known = _Known(
+        options.fixed.get("nu", base.material.poisson_ratio),
+        options.fixed.get("mooney_ratio", gel.material.mooney_ratio),
+    )
     if sheared or slides or videos:
-        # They tell friction with a modulus, and the modulus depends a little on friction.
-        job.fit_stiffness(points, [job.options.fixed.get("friction", 0.0)])
-        job.fit_friction(sheared, slides, bool(videos))
-        job.fit_stiffness(points, job.press_frictions())
-        before = job.press_frictions()
-        job.fit_friction(sheared, slides, bool(videos))
-        if job.press_frictions() != before:
-            job.fit_stiffness(points, job.press_frictions())
+        # They give friction for a modulus, and the modulus depends a little on friction.
+        frictions = [options.fixed.get("friction", 0.0)]
+        known = _with_stiffness(captures, known, frictions)
+        for first in (True, False):
+            known = _with_friction(captures, known)
+            before, frictions = frictions, _press_frictions(captures, known)
+            if first or frictions != before:
+                known = _with_stiffness(captures, known, frictions)
     else:
-        job.fit_stiffness(points, job.press_frictions())
-    for record in records["relaxation"]:
-        job.fit_damping(record)
-    return job.result((*points, *slides), time.perf_counter() - started)
+        known = _with_stiffness(captures, known, _press_frictions(captures, known))
+    damping = [_damping(captures, known, record) for record in records["relaxation"]]
+    return _result(captures, known, damping, time.perf_counter() - started)
 
 
-_KINDS = ("indentation", "slide", "shear", "twist", "relaxation")
+def _press_frictions(captures: _Captures, known: _Known) -> list[float]:
+    """Coefficients that presses may have had: the one that is known, or 0 and the base's."""
+    if known.friction is not None:
+        return [known.friction.value]
+    if "friction" in captures.options.fixed:
+        return [captures.options.fixed["friction"]]
+    stated = captures.base.material.friction_coefficient
+    return [0.0] if stated == 0 else [0.0, stated]
 
 
-class _Job:
-    """One calibration on its way."""
+def _used_friction(captures: _Captures, known: _Known) -> float:
+    """Coefficient of the presses: what is known, or what the indentations fit best with."""
+    if known.stiffness is not None:
+        return known.stiffness.friction
+    return _press_frictions(captures, known)[-1]
 
-    def __init__(
-        self,
-        folder: CaptureFolder,
-        base: SensorProfile,
-        gel: Gel,
-        options: MaterialOptions,
-        progress: Progress | None,
-    ) -> None:
-        self.folder, self.base, self.gel = folder, base, gel
-        self.options, self._progress = options, progress
-        self.nu = options.fixed.get("nu", base.material.poisson_ratio)
-        self.ratio = options.fixed.get("mooney_ratio", gel.material.mooney_ratio)
-        self.young: Estimate | None = None
-        self.flow_nu: Estimate | None = None
-        """Poisson's ratio that marker flow told."""
-        self.friction: Estimate | None = None
-        self.stiffness: Stiffness | None = None
-        self.tangential: list[TangentialFit] = []
-        self.flows: list[FlowFit] = []
-        self.slides: list[SlideFit] = []
-        self.damping: list[DampingFit] = []
-        self._remarks: dict[str, list[Remark]] = {}
-        """By the part of the fit that made them, which replaces them when it is done again."""
 
-    @property
-    def nu_estimate(self) -> Estimate | None:
-        told = None if self.stiffness is None else self.stiffness.nu
-        return told or self.flow_nu
-
-    @property
-    def shared_nu(self) -> float:
-        """Poisson's ratio of presses beside the tables, rounded so that equal fits share them."""
-        return round(self.nu, 3)
-
-    def _told(self, what: str) -> Callable[[int, int], None] | None:
-        if self._progress is None:
-            return None
-        progress = self._progress
-        return lambda done, count: progress(what, done, count)
-
-    # Indentation ---------------------------------------------------------------------------------
-
-    def fit_stiffness(self, points: list[IndentationPoints], frictions: Sequence[float]) -> None:
-        """E, and what else of the law the points tell; the rest is held. Presses had one of the
-        coefficients of friction given."""
-        if not points:
-            return
-        start, remarks = require_plausible(points, self.gel.thickness_mm, self.nu)
-        free_nu = "nu" not in self.options.fixed and self.flow_nu is None
-        stated = self.options.fixed.get("nu", self.base.material.poisson_ratio)
-        law = Law(
-            stated if self.flow_nu is None else self.flow_nu.value,
-            self.options.fixed.get("mooney_ratio", self.gel.material.mooney_ratio),
-            free_nu,
-            self.gel.material.model == "mooney_rivlin" and "mooney_ratio" not in self.options.fixed,
-            self.flow_nu,
-        )
-        tables: dict[float, list[ForceTable]] = {}
-        for mu in frictions:
-            try:
-                tables[mu] = self._tables(points, mu, law)
-            except SimulationError as error:
-                if not tables:
-                    raise
-                remarks.append(
-                    Remark(
-                        Severity.WARNING,
-                        "friction_unsimulated",
-                        f"whether the tool rubs with the profile's coefficient of {mu:g} is not "
-                        f"known, and presses with it could not be simulated: {error}",
-                    )
-                )
-        self.stiffness = found = fit_stiffness(
-            points, tables, law, start_pa=start, touch_sigma_mm=self.options.touch_sigma_mm
-        )
-        self.nu, self.ratio = found.fit.poisson_ratio, found.fit.mooney_ratio
-        self.young = found.young
-        self._remarks["stiffness"] = [*remarks, *found.remarks]
-
-    def press_frictions(self) -> list[float]:
-        """Coefficients that presses may have had: the one that is known, or 0 and the base's."""
-        if self.friction is not None:
-            return [self.friction.value]
-        if "friction" in self.options.fixed:
-            return [self.options.fixed["friction"]]
-        stated = self.base.material.friction_coefficient
-        return [0.0] if stated == 0 else [0.0, stated]
-
-    def _tables(self, points: Sequence[IndentationPoints], mu: float, law: Law) -> list[ForceTable]:
-        tables = []
-        for i, item in enumerate(points):
-            title = f"presses of {item.tool.description} ({i + 1} of {len(points)})"
-            if mu:
-                title += f", friction {mu:g}"
-            tables.append(
-                force_table(
-                    self.gel,
-                    item.tool,
-                    (float(item.depth_mm.min()), item.deepest_mm),
-                    fixed_nu=self.options.fixed.get("nu"),
-                    fixed_ratio=None if law.free_ratio else law.mooney_ratio,
-                    friction=mu,
-                    physics=self.options.physics,
-                    progress=self._told(title),
+def _with_stiffness(captures: _Captures, known: _Known, frictions: Sequence[float]) -> _Known:
+    """E, and what else of the law the points determine; the rest is held. Presses had one of the
+    coefficients of friction given."""
+    points, options, gel = captures.points, captures.options, captures.gel
+    if not points:
+        return known
+    start, remarks = require_plausible(points, gel.thickness_mm, known.poisson_ratio)
+    stated = options.fixed.get("nu", captures.base.material.poisson_ratio)
+    law = KnownLaw(
+        stated if known.flow_nu is None else known.flow_nu.value,
+        options.fixed.get("mooney_ratio", gel.material.mooney_ratio),
+        "nu" not in options.fixed and known.flow_nu is None,
+        gel.material.model == "mooney_rivlin" and "mooney_ratio" not in options.fixed,
+        known.flow_nu,
+    )
+    tables: dict[float, list[ForceTable]] = {}
+    for mu in frictions:
+        try:
+            tables[mu] = _force_tables(captures, mu, law)
+        except SimulationError as error:
+            if not tables:
+                raise
+            remarks.append(
+                Remark(
+                    Severity.WARNING,
+                    "friction_unsimulated",
+                    f"whether the tool rubs with the profile's coefficient of {mu:g} is not "
+                    f"known, and presses with it could not be simulated: {error}",
                 )
             )
-        return tables
+    found = fit_stiffness(
+        points, tables, law, start_pa=start, touch_sigma_mm=options.touch_sigma_mm
+    )
+    return replace(
+        known,
+        poisson_ratio=found.fit.poisson_ratio,
+        mooney_ratio=found.fit.mooney_ratio,
+        young=found.young,
+        stiffness=replace(found, remarks=(*remarks, *found.remarks)),
+    )
 
-    # The other records ---------------------------------------------------------------------------
 
-    def fit_friction(
-        self, sheared: Sequence[ForceRecord], slides: Sequence[SlideFit], videos: bool
-    ) -> None:
-        """One coefficient from shear, twist, marker flow and slides, unless it is held."""
-        self.tangential, self.flows = [], []
-        self._remarks["tangential"] = []
-        for record in sheared:
-            self.fit_tangential(record)
-        if videos:
-            self.fit_flows()
-        self.slides = list(slides)
-        if "friction" in self.options.fixed:
-            return
-        self.friction, self._remarks["friction"] = friction_of(
-            self.gel, self.folder, slides, self.tangential, self.flows, self.young, self.shared_nu,
-            self.ratio, self.options.physics, self._told("slides"),
-        )  # fmt: skip
+def _force_tables(captures: _Captures, mu: float, law: KnownLaw) -> list[ForceTable]:
+    options = captures.options
+    return [
+        force_table(
+            captures.gel,
+            item.tool,
+            (float(item.depth_mm.min()), item.deepest_mm),
+            fixed_nu=options.fixed.get("nu"),
+            fixed_ratio=None if law.free_ratio else law.mooney_ratio,
+            friction=mu,
+            physics=options.physics,
+            progress=captures.progress,
+        )
+        for item in captures.points
+    ]
 
-    def fit_tangential(self, record: ForceRecord) -> None:
-        tool = self.gel.tool(record.entry.tool, self.folder.ball_radius_mm)
-        young = None
-        if "e" in self.options.fixed:
-            young = (self.options.fixed["e"], 0.0)
-        elif self.young is not None:
-            young = (self.young.value, self.young.sigma / self.young.value)
-        fit = fit_tangential(
-            record, self.gel, tool, poisson_ratio=self.shared_nu, mooney_ratio=self.ratio,
-            young_pa=young,
-            physics=self.options.physics,
-            progress=self._told(f"{record.entry.kind} of {tool.description}"),
-        )  # fmt: skip
-        self.tangential.append(fit)
-        self._remarks["tangential"] += fit.remarks
-        if self.young is None and "e" not in self.options.fixed:
+
+def _with_friction(captures: _Captures, known: _Known) -> _Known:
+    """Shear, twist, marker flow and slides, and one coefficient of them unless it is held."""
+    options = captures.options
+    remarks: list[Remark] = []
+    if known.stiffness is None:
+        known = replace(known, young=None)
+    tangential = []
+    for record in captures.sheared:
+        fit = _tangential(captures, known, record)
+        tangential.append(fit)
+        remarks += fit.remarks
+        if known.young is None and "e" not in options.fixed:
             value = math.exp(fit.solution.value("ln_e"))
             relative = math.hypot(fit.solution.sigma_of("ln_e"), fit.table.error, 0.02)
-            self.young = Estimate(value, relative * value, "Pa")
-            self._remarks["young_of_shear"] = [
+            known = replace(known, young=Estimate(value, relative * value, "Pa"))
+            remarks.append(
                 Remark(
                     Severity.WARNING,
                     "young_of_shear",
                     f"Young's modulus of {value:.4g} Pa comes from the normal force of "
                     f"{fit.name} alone, at one depth; record an indentation",
                 )
-            ]
-
-    def fit_flows(self) -> None:
-        """Marker flow of videos with a path: friction, and Poisson's ratio where no press told."""
-        flows, remarks = flows_of_folder(self.folder, self.base)
-        self._remarks["flows"] = [*remarks]
-        for item in flows:
-            entry = ToolEntry(
-                kind="sphere", radius_mm=self.folder.ball_radius_mm, center_mm=item.path.place_mm
             )
-            known = self.nu_estimate is not None or "nu" in self.options.fixed
-            fit = fit_flow(
-                item.flow, item.path, self.gel, self.gel.tool(entry), name=item.name,
-                sha256=item.sha256, fixed_nu=self.shared_nu if known else None,
-                mooney_ratio=self.ratio,
-                physics=self.options.physics, progress=self._told(f"flow of {item.name}"),
-            )  # fmt: skip
-            self.flows.append(fit)
-            self._remarks["flows"] += fit.remarks
-            if not known and fit.nu_told:
-                self.flow_nu = fit.nu_estimate
-                self.nu = self.flow_nu.value
-
-    def fit_damping(self, record: ForceRecord) -> None:
-        tool = self.gel.tool(record.entry.tool, self.folder.ball_radius_mm)
-        depth = record.columns["depth_mm"]
-        deepest = float(depth.max())
-        table = force_table(
-            self.gel, tool, (max(0.1 * deepest, float(depth.min())), deepest),
-            fixed_nu=self.shared_nu, fixed_ratio=self.ratio, friction=self.used_friction(),
-            physics=self.options.physics, progress=self._told(f"presses of {tool.description}"),
+    videos, said = flows_of_folder(captures.folder, captures.base)
+    remarks += said
+    flows = []
+    for video in videos:
+        entry = ToolEntry(
+            kind="sphere",
+            radius_mm=captures.folder.ball_radius_mm,
+            center_mm=video.path.place_mm,
+        )
+        held = known.nu is not None or "nu" in options.fixed
+        fit = fit_flow(
+            video.flow, video.path, captures.gel, captures.gel.tool(entry), name=video.name,
+            sha256=video.sha256, fixed_nu=known.shared_nu if held else None,
+            mooney_ratio=known.mooney_ratio, physics=options.physics, progress=captures.progress,
         )  # fmt: skip
-        gain = viscous_gain(
-            self.gel, tool, _rounded(deepest), self.shared_nu, self.ratio, self.options.physics
-        )
-        fit = fit_damping(record, tool, table, self.shared_nu, self.ratio, gain)
-        self.damping.append(fit)
-        said = self._remarks.setdefault("damping", [])
-        said += fit.remarks
-        if self.young is not None:
-            ratio = fit.young_modulus_pa / self.young.value
-            if not 0.8 < ratio < 1.25:
-                said.append(
-                    Remark(
-                        Severity.WARNING,
-                        "relaxation_modulus",
-                        f"{fit.name} alone gives {fit.young_modulus_pa:.4g} Pa, {ratio:.2f} times "
-                        "that of the indentations; speed, touch point or tool differ",
-                    )
-                )
-
-    def used_friction(self) -> float:
-        """Coefficient of the presses: what is known, or what the indentations fit best with."""
-        if self.stiffness is not None:
-            return self.stiffness.friction
-        return self.press_frictions()[-1]
-
-    def result(
-        self, read: Sequence[IndentationPoints | SlideFit], seconds: float
-    ) -> MaterialCalibration:
-        damping = [f.damping_time_s for f in self.damping if f.damping_time_s is not None]
-        fit = None if self.stiffness is None else self.stiffness.fit
-        inputs = {}
-        others = (*self.slides, *self.tangential, *self.flows, *self.damping)
-        for item in (*(fit.points if fit else ()), *others):
-            inputs[item.name] = item.sha256
-        manifest = self.folder.provenance.get("manifest_sha256")
-        if manifest:
-            inputs["captures.toml"] = manifest
-        correlation = {}
-        if fit is not None:
-            names = {"ln_e": "young_modulus_pa", "nu": "poisson_ratio"}
-            law = [n for n in fit.solution.names if not n.startswith("touch")]
-            for i, first in enumerate(law):
-                for second in law[i + 1 :]:
-                    value = fit.solution.correlation[i, fit.solution.names.index(second)]
-                    key = f"{names.get(first, first)}*{names.get(second, second)}"
-                    correlation[key] = float(value)
-        young = None if "e" in self.options.fixed else self.young
-        return MaterialCalibration(
-            source=self.folder.provenance.get("source", self.folder.source),
-            license=self.folder.provenance.get("license", ""),
-            model=self.gel.material.model,
-            young_modulus_pa=young,
-            poisson_ratio=self.nu_estimate,
-            mooney_ratio=None if self.stiffness is None else self.stiffness.ratio,
-            friction=self.friction,
-            damping_time_s=weighted_mean(damping),
-            used_poisson_ratio=self.nu,
-            used_mooney_ratio=self.ratio,
-            used_friction=self.used_friction(),
-            physics=self.options.physics,
-            stiffness=self.stiffness,
-            slides=tuple(self.slides),
-            tangential=tuple(self.tangential),
-            flows=tuple(self.flows),
-            damping=tuple(self.damping),
-            correlation=correlation,
-            inputs=inputs,
-            remarks=tuple(
-                [r for item in read for r in item.remarks]
-                + [r for part in self._remarks.values() for r in part]
-            ),
-            seconds=seconds,
-        )
+        flows.append(fit)
+        remarks += fit.remarks
+        if not held and fit.nu_determined:
+            known = replace(known, flow_nu=fit.nu_estimate, poisson_ratio=fit.poisson_ratio)
+    friction = None
+    if "friction" not in options.fixed:
+        young = captures.gel.material.young_modulus_pa if known.young is None else known.young.value
+        friction, said = friction_of_records(
+            captures.gel, captures.folder, captures.slides, [*tangential, *flows], young,
+            known.shared_nu, known.mooney_ratio, options.physics, captures.progress,
+        )  # fmt: skip
+        remarks += said
+    return replace(
+        known,
+        friction=friction,
+        tangential=tuple(tangential),
+        flows=tuple(flows),
+        friction_remarks=tuple(remarks),
+    )
 
 
-def _rounded(depth_mm: float) -> float:
-    """A depth to two digits, so that similar records share presses."""
-    return float(f"{depth_mm:.2g}")
+def _tangential(captures: _Captures, known: _Known, record: ForceRecord) -> TangentialFit:
+    young = None
+    if "e" in captures.options.fixed:
+        young = (captures.options.fixed["e"], 0.0)
+    elif known.young is not None:
+        young = (known.young.value, known.young.sigma / known.young.value)
+    return fit_tangential(
+        record,
+        captures.gel,
+        captures.gel.tool(record.entry.tool, captures.folder.ball_radius_mm),
+        poisson_ratio=known.shared_nu,
+        mooney_ratio=known.mooney_ratio,
+        young_pa=young,
+        physics=captures.options.physics,
+        progress=captures.progress,
+    )
+
+
+def _damping(captures: _Captures, known: _Known, record: ForceRecord) -> DampingFit:
+    tool = captures.gel.tool(record.entry.tool, captures.folder.ball_radius_mm)
+    depth = record.columns["depth_mm"]
+    deepest = float(depth.max())
+    nu, ratio, physics = known.shared_nu, known.mooney_ratio, captures.options.physics
+    table = force_table(
+        captures.gel, tool, (max(0.1 * deepest, float(depth.min())), deepest), fixed_nu=nu,
+        fixed_ratio=ratio, friction=_used_friction(captures, known), physics=physics,
+        progress=captures.progress,
+    )  # fmt: skip
+    # Two digits of the depth, so that similar records share presses.
+    gain = damping_gain(captures.gel, tool, float(f"{deepest:.2g}"), nu, ratio, physics)
+    fit = fit_damping(record, tool, table, nu, ratio, gain)
+    if known.young is None or 0.8 < fit.young_modulus_pa / known.young.value < 1.25:
+        return fit
+    remark = Remark(
+        Severity.WARNING,
+        "relaxation_modulus",
+        f"{fit.name} alone gives {fit.young_modulus_pa:.4g} Pa, "
+        f"{fit.young_modulus_pa / known.young.value:.2f} times that of the indentations; speed, "
+        "touch point or tool differ",
+    )
+    return replace(fit, remarks=(*fit.remarks, remark))
+
+
+def _result(
+    captures: _Captures, known: _Known, damping: Sequence[DampingFit], seconds: float
+) -> MaterialCalibration:
+    stiffness, provenance = known.stiffness, captures.folder.provenance
+    times = [item.damping_time_s for item in damping if item.damping_time_s is not None]
+    fits = (*captures.slides, *known.tangential, *known.flows, *damping)
+    inputs = {item.name: item.sha256 for item in (*captures.points, *fits)}
+    if provenance.get("manifest_sha256"):
+        inputs["captures.toml"] = provenance["manifest_sha256"]
+    remarks = [r for item in (*captures.points, *captures.slides) for r in item.remarks]
+    remarks += () if stiffness is None else stiffness.remarks
+    remarks += [*known.friction_remarks, *(r for item in damping for r in item.remarks)]
+    estimates = {
+        "young_modulus_pa": None if "e" in captures.options.fixed else known.young,
+        "poisson_ratio": known.nu,
+        "mooney_ratio": None if stiffness is None else stiffness.ratio,
+        "friction_coefficient": known.friction,
+        "damping_time_s": combined(times) if times else None,
+    }
+    return MaterialCalibration(
+        source=provenance.get("source", captures.folder.source),
+        license=provenance.get("license", ""),
+        model=captures.gel.material.model,
+        estimates={name: value for name, value in estimates.items() if value is not None},
+        used_poisson_ratio=known.poisson_ratio,
+        used_mooney_ratio=known.mooney_ratio,
+        used_friction=_used_friction(captures, known),
+        physics=captures.options.physics,
+        stiffness=stiffness,
+        fits=fits,
+        inputs=inputs,
+        remarks=tuple(remarks),
+        seconds=seconds,
+    )

@@ -13,20 +13,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taccel_lab.calibration.material.force_table import ForceTable
+from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter, Solution
-from taccel_lab.calibration.material.points import IndentationPoints
-from taccel_lab.calibration.material.response import ForceTable
 from taccel_lab.calibration.result import NORMAL_95
 
 TOUCH_SIGMA_MM = {"sphere": 0.1, "cylinder": 0.05, "flat": 0.05}
 """How well first touch is known where a record has few points [mm]. A ball shows no force at first:
 at 0.05 N it is 0.1 to 0.2 mm in the gel, a punch of 3 mm radius a hundredth."""
 LOOSE_TOUCH_SIGMA_MM = 0.2
-"""The same of a record that tells it by itself."""
-TELLING_POINTS = 6
-"""Points at different depths from which a record tells its touch point."""
+"""The same of a record from which it can be fitted."""
+MANY_POINTS = 6
+"""Points at different depths from which a record determines its touch point."""
 LOOSE_POINTS = 3
-"""Points at different depths from which they tell the touch better than the prior does."""
+"""Points at different depths from which they determine the touch better than the prior does."""
 TOUCH_LIMIT_MM = 0.5
 SMALL_FORCE = 0.05
 """Noise that grows with the force does not fall below this part of the largest one."""
@@ -40,7 +40,7 @@ CLEARLY = 3.84
 """By how much Q has to speak for a constant noise: taken wrongly, it is too small at the largest
 forces, where it matters."""
 GEL_NU = (0.40, 0.499)
-"""Poisson's ratios that gels may have: what records do not tell lies here."""
+"""Poisson's ratios that gels may have: one that records leave open lies here."""
 
 
 @dataclass(frozen=True)
@@ -209,8 +209,7 @@ def fit_indentation(
             groups,
             lambda theta, weights=weights: model.residuals(theta, weights),
         )
-        q = likelihood.solve(profiled=())
-        value = likelihood.cost(q.values)[0] + penalty
+        value = likelihood.q(likelihood.solve(profiled=()).values) + penalty
         if best is None or value < lowest:
             best, lowest = (kind, likelihood), value
     assert best is not None
@@ -275,8 +274,8 @@ def touch_sigma(item: IndentationPoints, given_mm: float | None) -> float:
     """How well the first touch of a press is known [mm]."""
     if given_mm is not None:
         return given_mm
-    told = len(np.unique(item.depth_mm)) >= TELLING_POINTS
-    return LOOSE_TOUCH_SIGMA_MM if told else TOUCH_SIGMA_MM[item.tool.kind]
+    many = len(np.unique(item.depth_mm)) >= MANY_POINTS
+    return LOOSE_TOUCH_SIGMA_MM if many else TOUCH_SIGMA_MM[item.tool.kind]
 
 
 def _noise_kinds(points: Sequence[IndentationPoints]) -> list[str]:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.material.flow import FlowFit
-from taccel_lab.calibration.material.prediction import force_interval_n
+from taccel_lab.calibration.material.friction import FrictionFit
+from taccel_lab.calibration.material.marker_flow import FlowFit
+from taccel_lab.calibration.material.predicted_forces import force_interval_n
 from taccel_lab.calibration.material.relaxation import DampingFit
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.sliding import SlideFit
@@ -96,7 +97,9 @@ def draw_profiles(result: MaterialCalibration) -> Figure:
         found += [(name, p, "") for name, p in free.items() if name in _AXES]
         if result.held():
             held = result.stiffness.fit.solution.profiles["ln_e"]
-    for item in (*result.tangential, *result.flows):
+    for item in result.fits:
+        if not isinstance(item, FrictionFit):
+            continue
         found += [(n, p, f" ({item.name})") for n, p in item.solution.profiles.items()]
     columns = 2 if len(found) == 4 else min(len(found), 3)
     rows = math.ceil(len(found) / columns)
@@ -111,16 +114,18 @@ def draw_profiles(result: MaterialCalibration) -> Figure:
         axis.axvspan(*ends, color=BLUE, alpha=0.12, lw=0)
         axis.plot(values, profile.excess, "o-", ms=3, color=BLUE, label="all others free")
         if name == "ln_e" and held is not None:
-            axis.plot(np.exp(held.values) / 1e3, held.excess, "-", color=GREEN, label="untold held")
+            axis.plot(
+                np.exp(held.values) / 1e3, held.excess, "-", color=GREEN, label="what is open held"
+            )
             axis.legend(fontsize=8, loc="upper center")
         axis.axhline(profile.threshold, color=ORANGE, lw=1, ls="--")
         axis.set_ylim(0, 2.5 * profile.threshold)
         margin = 0.35 * (ends[1] - ends[0]) or 0.05 * abs(ends[0])
         axis.set_xlim(ends[0] - margin, ends[1] + margin)
         axis.set_xlabel(_AXES[name] + where, fontsize=9)
-        note = "not told by the data" if profile.open_low and profile.open_high else ""
+        note = "not determined by the data" if profile.open_low and profile.open_high else ""
         if profile.open_low != profile.open_high:
-            note = "told from one side only"
+            note = "bounded on one side only"
         if note:
             axis.set_title(note, color=ORANGE, fontsize=9)
     for axis in axes.flat[len(found) :]:

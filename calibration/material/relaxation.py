@@ -12,17 +12,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 from scipy.stats import f as f_distribution
-from scipy.stats import t as student
 
 from taccel_lab.calibration.capture import ForceRecord
-from taccel_lab.calibration.material.points import record_sigma
-from taccel_lab.calibration.material.response import ForceTable
-from taccel_lab.calibration.material.setup import Tool
+from taccel_lab.calibration.material.force_table import ForceTable
+from taccel_lab.calibration.material.gel import Tool
+from taccel_lab.calibration.material.indentation_points import record_sigma
+from taccel_lab.calibration.material.robust_statistics import robust_regression
 from taccel_lab.calibration.result import Estimate, Remark, Severity
 from taccel_lab.errors import InputError
 
@@ -65,6 +66,25 @@ class DampingFit:
     relative_residual: float
     max_rate_mm_s: float
     remarks: tuple[Remark, ...]
+
+    group = "damping"
+
+    def residuals(self) -> dict[str, float]:
+        """As a part of the mean force."""
+        return {"relaxation_rms_relative": self.relative_residual}
+
+    def valid_region(self) -> dict[str, tuple[float, float]]:
+        """Speeds of the tool."""
+        return {"rate_mm_s": (0.0, self.max_rate_mm_s)}
+
+    def figures(self) -> dict[str, Any]:
+        """What was found, ready for JSON."""
+        return {
+            "name": self.name,
+            "damping_time_s": self.damping_time_s.value if self.damping_time_s else None,
+            "relaxation": vars(self.relaxation) if self.relaxation else None,
+            "young_modulus_pa": self.young_modulus_pa,
+        }
 
 
 def check_relaxation(record: ForceRecord) -> None:
@@ -115,21 +135,17 @@ def fit_damping(
         use[hold[: 2 * len(hold) // 3]] = False
     sigma = record_sigma(record, len(time))
     weight = np.ones(len(time)) if sigma is None else 1 / sigma
-    fit, covariance = _regression(columns[use] * weight[use, None], force[use] * weight[use])
-    modulus, resistance = float(fit[0]), float(fit[1])
+    fit = robust_regression(columns[use] * weight[use, None], force[use] * weight[use])
+    modulus, resistance = (float(value) for value in fit.values)
     if modulus <= 0:
         raise InputError(
             f"{record.source}: the force does not grow with depth (modulus {modulus:.3g} Pa)"
         )
     tau = resistance / modulus
     # Error of a ratio, to first order.
-    gradient = np.array([-tau, 1.0]) / modulus
-    error = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
-    half = error * float(student.ppf(0.975, max(use.sum() - 2, 1)))
+    estimate: Estimate | None = fit.estimate(tau, np.array([-tau, 1.0]) / modulus, "s")
+    low, high = estimate.interval95
     remarks: list[Remark] = []
-    estimate: Estimate | None = Estimate(
-        max(tau, 0.0), error, "s", (max(tau - half, 0.0), max(tau + half, 0.0))
-    )
     if relaxation is not None:
         remarks.append(
             Remark(
@@ -142,17 +158,17 @@ def fit_damping(
             )
         )
         estimate = None
-    elif tau - half <= 0:
+    elif low <= 0:
         remarks.append(
             Remark(
                 Severity.INFO,
-                "damping_untold",
+                "damping_undetermined",
                 f"{name}: the force does not depend on the speed (up to {fastest:.3g} mm/s) by "
-                f"more than its noise; the damping time is below {max(tau + half, 0):.2g} s",
+                f"more than its noise; the damping time is below {high:.2g} s",
             )
         )
         estimate = None
-    fitted = columns @ fit
+    fitted = columns @ fit.values
     level = float(np.abs(force[use]).mean())
     return DampingFit(
         name, record.source, record.sha256, tool, estimate, relaxation, modulus, time, depth,
@@ -202,16 +218,3 @@ def _relaxation(time: np.ndarray, force: np.ndarray) -> Relaxation | None:
     if begin <= 0 or lost / begin < VISIBLE:
         return None
     return Relaxation(lost / begin, math.exp(float(fit.x[2])))
-
-
-def _regression(columns: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least squares and covariance, with residuals of neighbours correlated as they are found."""
-    fit = np.linalg.lstsq(columns, target, rcond=None)[0]
-    residual = target - columns @ fit
-    dof = max(len(target) - columns.shape[1], 1)
-    variance = float(residual @ residual) / dof
-    r = 0.0
-    if residual.std() > 0:
-        r = float(np.clip(np.corrcoef(residual[:-1], residual[1:])[0, 1], 0.0, 0.95))
-    covariance = variance * np.linalg.pinv(columns.T @ columns) * (1 + r) / (1 - r)
-    return fit, covariance

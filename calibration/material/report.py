@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from taccel_lab.calibration.material.friction import FrictionFit
 from taccel_lab.calibration.material.pictures import (
     draw_damping,
     draw_flow,
@@ -17,12 +19,22 @@ from taccel_lab.calibration.material.pictures import (
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.report import Page, Picture, Table
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _TITLES = {
     "young_modulus_pa": "Young's modulus [Pa]",
     "poisson_ratio": "Poisson's ratio",
     "mooney_ratio": "Mooney ratio",
     "friction_coefficient": "coefficient of friction",
     "damping_time_s": "damping time [s]",
+}
+
+_DRAWINGS: dict[str, tuple[Callable[..., Figure], str]] = {
+    "slides": (draw_slide, "Friction along each stroke."),
+    "tangential": (draw_tangential, "Stick before slip."),
+    "flows": (draw_flow, "Motion of the markers."),
+    "damping": (draw_damping, "Force over time."),
 }
 
 
@@ -92,7 +104,7 @@ def material_page(result: MaterialCalibration) -> Page:
                         *p.reading_interval95_n,
                     ]
                     for i, item in enumerate(fit.points)
-                    for p in result.predicted(i)
+                    for p in stiffness.predicted(i)
                 ],
                 "Press: of this profile, so far past first touch as taccel-lab press --depth-mm "
                 f"says, friction {result.used_friction:g}. Reading: where the record, whose zero "
@@ -122,7 +134,7 @@ def material_page(result: MaterialCalibration) -> Page:
                 + ".",
             )
         )
-    if stiffness is not None or result.tangential or result.flows:
+    if stiffness is not None or any(isinstance(fit, FrictionFit) for fit in result.fits):
         pictures.append(
             Picture(
                 "profiles",
@@ -150,26 +162,13 @@ def material_page(result: MaterialCalibration) -> Page:
                 "mu = 2 (c10 + c01) and the bulk modulus, of small strains.",
             )
         )
-    pictures += [
-        Picture(f"slide{i}", partial(draw_slide, item), "Friction along each stroke.")
-        for i, item in enumerate(result.slides)
-    ]
-    pictures += [
-        Picture(f"tangential{i}", partial(draw_tangential, item), "Stick before slip.")
-        for i, item in enumerate(result.tangential)
-    ]
-    pictures += [
-        Picture(f"flow{i}", partial(draw_flow, item), "Motion of the markers.")
-        for i, item in enumerate(result.flows)
-    ]
-    pictures += [
-        Picture(f"damping{i}", partial(draw_damping, item), "Force over time.")
-        for i, item in enumerate(result.damping)
-    ]
-    told = ", ".join(_TITLES[name].split(" [")[0] for name in result.estimates) or "nothing"
+    for i, fit in enumerate(result.fits):
+        draw, note = _DRAWINGS[fit.group]
+        pictures.append(Picture(f"{fit.group}{i}", partial(draw, fit), note))
+    found = ", ".join(_TITLES[name].split(" [")[0] for name in result.estimates) or "nothing"
     return Page(
         title="Material of the gel",
-        summary=f"From {len(result.inputs)} inputs of {result.source}: {told}.",
+        summary=f"From {len(result.inputs)} inputs of {result.source}: {found}.",
         remarks=result.remarks,
         tables=tables,
         pictures=pictures,

@@ -13,12 +13,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.stats import t as student
 
 from taccel_lab.calibration.capture import ForceRecord
+from taccel_lab.calibration.material.robust_statistics import combined, robust_regression
 from taccel_lab.calibration.result import Estimate, Remark, Severity
 from taccel_lab.errors import InputError
 
@@ -70,7 +70,7 @@ class SlideFit:
     """Mean coefficient while sliding; of a record that never slides the least that it can be."""
     offset_n: float
     """Tangential force at no load."""
-    offset_told: bool
+    offset_determined: bool
     static_friction: float | None
     """Mean coefficient just before slips, where the tool sticks and slips."""
     slip_mm: float | None
@@ -83,6 +83,27 @@ class SlideFit:
     remarks: tuple[Remark, ...]
     sign: int = 1
     """1: positive tangential force along the motion; -1: against it."""
+
+    group = "slides"
+
+    def residuals(self) -> dict[str, float]:
+        """Of a tool that slid."""
+        return {"slide_rms_relative": self.relative_residual} if self.slid else {}
+
+    def valid_region(self) -> dict[str, tuple[float, float]]:
+        """Normal forces."""
+        return {"slide_normal_n": self.normal_range_n}
+
+    def figures(self) -> dict[str, Any]:
+        """What was found, ready for JSON."""
+        return {
+            "name": self.name,
+            "friction": self.friction.value,
+            "sigma": self.friction.sigma,
+            "slid": self.slid,
+            "static_friction": self.static_friction,
+            "offset_n": self.offset_n,
+        }
 
     def predicted_n(self, stroke: Stroke) -> np.ndarray:
         """Tangential force of the fit in the rows of a stroke [N], in the record's signs."""
@@ -114,28 +135,12 @@ def fit_slide(record: ForceRecord) -> SlideFit:
     return _slid(record, name, strokes, sliding, load)
 
 
-def combine(fits: Sequence[SlideFit]) -> tuple[Estimate, list[Remark]]:
-    """One coefficient of several records, weighted; their spread counts as error.
-
-    Random effects: the variance between records is what their scatter shows beyond their own
-    errors (DerSimonian and Laird 1986).
-    """
-    slid = [fit for fit in fits if fit.slid]
-    value = np.array([fit.friction.value for fit in slid])
-    sigma = np.array([max(fit.friction.sigma, 1e-9) for fit in slid])
-    if len(slid) == 1:
-        return slid[0].friction, []
-    weight = sigma**-2
-    mean = float((weight * value).sum() / weight.sum())
-    excess = float((weight * (value - mean) ** 2).sum()) - (len(slid) - 1)
-    spread = max(0.0, excess / (weight.sum() - (weight**2).sum() / weight.sum()))
-    weight = 1 / (sigma**2 + spread)
-    mean = float((weight * value).sum() / weight.sum())
-    error = float(weight.sum() ** -0.5)
-    half = error * float(student.ppf(0.975, len(slid) - 1)) if spread > 0 else 1.96 * error
+def friction_of_slides(fits: Sequence[SlideFit]) -> tuple[Estimate, list[Remark]]:
+    """One coefficient of several records that slid, and whether it goes with the load."""
     remarks = []
-    load = np.array([np.mean(fit.normal_range_n) for fit in slid])
-    if len(slid) >= 3 and np.ptp(load) > LOAD_RANGE * load.mean():
+    value = np.array([fit.friction.value for fit in fits])
+    load = np.array([np.mean(fit.normal_range_n) for fit in fits])
+    if len(fits) >= 3 and np.ptp(load) > LOAD_RANGE * load.mean():
         power = float(np.polyfit(np.log(load), np.log(value), 1)[0])
         if abs(power) > 0.1:
             remarks.append(
@@ -146,7 +151,7 @@ def combine(fits: Sequence[SlideFit]) -> tuple[Estimate, list[Remark]]:
                     f" and {load.max():.3g} N; Coulomb's law has one coefficient, here the mean",
                 )
             )
-    return Estimate(mean, error, "", (max(mean - half, 0.0), mean + half)), remarks
+    return combined([fit.friction for fit in fits]), remarks
 
 
 def _check(source: str, shift: np.ndarray, normal: np.ndarray) -> None:
@@ -251,11 +256,12 @@ def _slid(
     normal = np.concatenate([s.normal_n[s.slides] for s in sliding])
     tangential = np.concatenate([s.tangential_n[s.slides] for s in sliding])
     both = len(set(direction.tolist())) == 2
-    told = both or np.ptp(normal) > LOAD_RANGE * normal.mean()
+    two_unknowns = both or np.ptp(normal) > LOAD_RANGE * normal.mean()
     columns = (direction * normal)[:, None]
-    if told:
+    if two_unknowns:
         columns = np.column_stack([columns, np.ones(len(normal))])
-    slope, offset, sigma, residual = _robust(columns, tangential)
+    fit = robust_regression(columns, tangential)
+    slope, offset = float(fit.values[0]), float(fit.values[1]) if two_unknowns else 0.0
     remarks: list[Remark] = []
     sign = 1 if slope >= 0 else -1
     value = abs(slope)
@@ -270,14 +276,14 @@ def _slid(
             f"{record.source}: tangential over normal force is only {value:.2g} while the tool "
             "slides; no gel is that slippery. Are both forces in newtons, and not swapped?"
         )
-    if not told:
+    if not two_unknowns:
         remarks.append(
             Remark(
                 Severity.INFO,
-                "offset_untold",
-                f"{name}: one direction and a steady load do not tell an offset of the tangential "
-                f"force from friction; 1 % of the load ({0.01 * normal.mean():.2g} N) of offset "
-                "would change the coefficient by 0.01. Slide back as well",
+                "offset_undetermined",
+                f"{name}: one direction and a steady load do not separate an offset of the "
+                f"tangential force from friction; 1 % of the load ({0.01 * normal.mean():.2g} N) "
+                "of offset would change the coefficient by 0.01. Slide back as well",
             )
         )
     static, slip = _slips(sliding, sign, offset)
@@ -300,51 +306,23 @@ def _slid(
                 f"{name}: {len(partly)} of {len(strokes)} strokes never slide and are left out",
             )
         )
-    dof = max(len(tangential) - columns.shape[1], 1)
-    half = sigma * float(student.ppf(0.975, dof))
     level = float(np.abs(tangential - offset).mean())
     return SlideFit(
         name,
         record.source,
         record.sha256,
-        Estimate(value, sigma, "", (max(value - half, 0.0), value + half)),
+        fit.estimate(value, np.eye(columns.shape[1])[0]),
         offset,
-        bool(told),
+        bool(two_unknowns),
         static,
         slip,
         True,
         load,
         tuple(strokes),
-        float(np.sqrt(np.mean(residual**2))) / level,
+        float(np.sqrt(np.mean(fit.residuals**2))) / level,
         tuple(remarks),
         sign,
     )
-
-
-def _robust(columns: np.ndarray, target: np.ndarray) -> tuple[float, float, float, np.ndarray]:
-    """Slope, offset, standard deviation of the slope, and residuals; Huber-like, M-estimate.
-
-    Residuals in time order are not independent: the variance grows by (1 + r) / (1 - r) for a
-    correlation r of neighbours (Bartlett 1935).
-    """
-    start = np.linalg.lstsq(columns, target, rcond=None)[0]
-    spread = 1.4826 * float(np.median(np.abs(target - columns @ start)))
-    scale = max(spread, 1e-9 * float(np.abs(target).max()))
-    fit = least_squares(lambda x: columns @ x - target, start, loss="soft_l1", f_scale=scale)
-    residual = target - columns @ fit.x
-    # Sandwich variance of an M-estimate (Huber 1981): A^-1 B A^-1.
-    bent = 1 + (residual / scale) ** 2
-    influence = residual / np.sqrt(bent)
-    count, unknowns = columns.shape
-    outer = np.linalg.inv(columns.T @ (columns * bent[:, None] ** -1.5))
-    inner = columns.T @ (columns * influence[:, None] ** 2) * count / max(count - unknowns, 1)
-    squared = outer @ inner @ outer
-    r = 0.0
-    if len(residual) > 10 and residual.std() > 0:
-        r = float(np.clip(np.corrcoef(residual[:-1], residual[1:])[0, 1], 0.0, 0.98))
-    sigma = math.sqrt(max(squared[0, 0], 0.0) * (1 + r) / (1 - r))
-    offset = float(fit.x[1]) if len(fit.x) > 1 else 0.0
-    return float(fit.x[0]), offset, sigma, residual
 
 
 def _slips(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stiffness from indentations: what they tell is fitted, what they leave open is held and varied.
+"""Stiffness from indentations: what they determine is fitted, the rest is held and varied.
 
-A held value (Poisson's ratio that the records do not tell, friction that no record told) is one
+A held value (Poisson's ratio that the records do not determine, unmeasured friction) is one
 of many that fit: intervals of Young's modulus and of forces are those over all of them.
 """
 
@@ -10,45 +10,63 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.material.agreement import (
-    SECOND_TOOL,
-    few_points,
-    friction_assumed,
-    records_disagree,
-    residual_remarks,
-    young_unsure,
-)
+from taccel_lab.calibration.material.force_table import ForceTable
 from taccel_lab.calibration.material.indentation import (
     GEL_NU,
     IndentationFit,
     fit_indentation,
     touch_sigma,
 )
+from taccel_lab.calibration.material.indentation_points import IndentationPoints
+from taccel_lab.calibration.material.indentation_remarks import (
+    SECOND_TOOL,
+    few_points,
+    friction_assumed,
+    records_disagree,
+    residual_remarks,
+    young_uncertain,
+)
 from taccel_lab.calibration.material.likelihood import Profile, Solution
-from taccel_lab.calibration.material.points import IndentationPoints
-from taccel_lab.calibration.material.prediction import HeldOut, force_interval_n, held_out
-from taccel_lab.calibration.material.response import ForceTable
+from taccel_lab.calibration.material.predicted_forces import HeldOut, force_interval_n, held_out
 from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
 
 USUAL_NU = (0.45, 0.495)
-"""Poisson's ratios of most gels, over which an untold one is varied to say what it does to E."""
+"""Poisson's ratios of most gels, over which an unknown one is varied to say what it does to E."""
+PREDICTED = 5
+"""Depths of each tool at which a predicted force is reported."""
+BLOCK_NAMES = {"ln_e": "young_modulus_pa", "nu": "poisson_ratio"}
 UNLIKELY = 3.84
 """Q above the least one from which a coefficient of friction is excluded by the points."""
 
 
 @dataclass(frozen=True)
-class Law:
+class KnownLaw:
     """What is known of the law before the indentations."""
 
     poisson_ratio: float
     mooney_ratio: float
     free_nu: bool
     free_ratio: bool
-    told_nu: Estimate | None = None
-    """Poisson's ratio that other records told."""
+    other_nu: Estimate | None = None
+    """Poisson's ratio that other records determine."""
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What a tool is predicted to feel at a depth."""
+
+    depth_mm: float
+    press_n: float
+    """Of a press of the profile so far past first touch."""
+    press_interval95_n: tuple[float, float]
+    reading_n: float
+    """Of a reading where the record, whose zero may be off, calls the depth this."""
+    reading_interval95_n: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -56,7 +74,7 @@ class Stiffness:
     """What indentations say."""
 
     fit: IndentationFit
-    """What is told is free, the rest held: the values that a profile takes."""
+    """What the records determine is free, the rest held: the values that a profile takes."""
     profiled: IndentationFit
     """Everything free, for the profiles."""
     open_fits: tuple[IndentationFit, ...]
@@ -68,6 +86,111 @@ class Stiffness:
     ratio: Estimate | None
     held_out: tuple[HeldOut, ...]
     remarks: tuple[Remark, ...]
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured, ready for JSON."""
+        fit = self.fit
+        return {
+            "indentation": [
+                {
+                    "name": item.name,
+                    "tool": item.tool.description,
+                    "depth_mm": item.depth_mm,
+                    "force_n": item.force_n,
+                    "fitted_n": fit.predicted_n(i, item.depth_mm),
+                    "relative_residual": fit.relative_residuals(i),
+                    "touch_mm": fit.touch_mm(i),
+                    "touch_interval95_mm": fit.touch_interval_mm(i),
+                    "predicted": [vars(item) for item in self.predicted(i)],
+                }
+                for i, item in enumerate(fit.points)
+            ],
+            "held_out": [
+                {
+                    "name": fit.points[item.index].name,
+                    "depth_mm": item.depth_mm,
+                    "force_n": item.force_n,
+                    "predicted_n": item.predicted_n,
+                    "interval95_n": item.interval_n,
+                    "relative": item.relative,
+                }
+                for item in self.held_out
+            ],
+            "noise": {
+                "kind": fit.noise,
+                "scale": fit.solution.noise,
+                "chi2_per_dof": fit.solution.chi2_per_dof,
+                "model_relative": fit.model_error,
+            },
+            "simulated": {
+                "presses": sum(table.press_count for table in fit.tables),
+                "seconds": sum(table.seconds for table in fit.tables),
+                "interpolation_relative": max(t.error.interpolation for t in fit.tables),
+            },
+            "profiles": {
+                name: {
+                    "values": profile.values,
+                    "excess": profile.excess,
+                    "threshold": profile.threshold,
+                    "interval": profile.interval,
+                    "open": [profile.open_low, profile.open_high],
+                }
+                for name, profile in self.profiled.solution.profiles.items()
+                if not name.startswith("touch")
+            },
+        }
+
+    def residuals(self) -> dict[str, float]:
+        """What the fit leaves over, as parts of the forces above a tenth of the largest; of points
+        that were held out first."""
+        fit, found = self.fit, {}
+        least = [0.1 * item.force_n.max() for item in fit.points]
+        miss = np.array([abs(p.relative) for p in self.held_out if p.force_n >= least[p.index]])
+        if len(miss):
+            found["indentation_held_out_worst_relative"] = float(miss.max())
+            found["indentation_held_out_rms_relative"] = float(np.sqrt(np.mean(miss**2)))
+        each = [
+            fit.relative_residuals(i)[item.force_n >= least[i]] for i, item in enumerate(fit.points)
+        ]
+        found["indentation_worst_relative"] = max(float(abs(r).max()) for r in each)
+        found["indentation_rms_relative"] = max(float(np.sqrt(np.mean(r**2))) for r in each)
+        return found
+
+    def valid_region(self) -> dict[str, tuple[float, float]]:
+        """Depths and forces of the points."""
+        depths = np.concatenate([item.depth_mm for item in self.fit.points])
+        forces = np.concatenate([item.force_n for item in self.fit.points])
+        return {
+            "depth_mm": (depths.min(), depths.max()),
+            "force_n": (forces.min(), forces.max()),
+        }
+
+    def correlation(self) -> dict[str, float]:
+        """Of the parameters of the law, by their names in the block joined by ``*``."""
+        solution, found = self.fit.solution, {}
+        law = [(i, n) for i, n in enumerate(solution.names) if not n.startswith("touch")]
+        for (i, first), (j, second) in combinations(law, 2):
+            pair = f"{BLOCK_NAMES.get(first, first)}*{BLOCK_NAMES.get(second, second)}"
+            found[pair] = float(solution.correlation[i, j])
+        return found
+
+    def predicted(self, index: int) -> list[Predicted]:
+        """Forces of the tool of a record at depths up to its deepest."""
+        fit = self.fit
+        depths = fit.points[index].deepest_mm * np.linspace(0.2, 1.0, PREDICTED)
+        forces = fit.tables[index].force_n(
+            depths, fit.young_modulus_pa, fit.poisson_ratio, fit.mooney_ratio
+        )
+        return [
+            Predicted(
+                depth,
+                float(force),
+                self.force_interval_n(index, depth),
+                float(fit.predicted_n(index, np.array([depth]))[0]),
+                self.reading_interval_n(index, depth),
+            )
+            for depth, force in zip(depths.tolist(), forces, strict=True)
+        ]
 
     def force_interval_n(self, index: int, depth_mm: float) -> tuple[float, float]:
         """95 % interval of the force [N] of a press of tool ``index`` past first touch."""
@@ -83,12 +206,12 @@ class Stiffness:
 def fit_stiffness(
     points: Sequence[IndentationPoints],
     tables: Mapping[float, Sequence[ForceTable]],
-    law: Law,
+    law: KnownLaw,
     *,
     start_pa: float,
     touch_sigma_mm: float | None = None,
 ) -> Stiffness:
-    """Fit Young's modulus and what else of the law the points tell.
+    """Fit Young's modulus and what else of the law the points determine.
 
     Args:
         points: Presses.
@@ -121,26 +244,26 @@ def fit_stiffness(
     likeliest = min(tables, key=lambda mu: fit(mu, law.free_nu, law.free_ratio).misfit)
     free = fit(likeliest, law.free_nu, law.free_ratio, profiled=None, drawn=True)
     profiles = free.solution.profiles
-    tells_nu = law.free_nu and not _untold(profiles["nu"])
-    tells_ratio = law.free_ratio and not _untold(profiles["mooney_ratio"])
+    nu_determined = law.free_nu and profiles["nu"].closed
+    ratio_determined = law.free_ratio and profiles["mooney_ratio"].closed
     held = law.poisson_ratio
-    if law.free_nu and not tells_nu:
-        remarks.append(_untold_remark(profiles["nu"], "nu", free.tables[0].nu_range))
+    if law.free_nu and not nu_determined:
+        remarks.append(_undetermined(profiles["nu"], "nu", free.tables[0].nu_range))
         held, said = _held_nu(profiles["nu"], held)
         remarks += said
-    if law.free_ratio and not tells_ratio:
-        remarks.append(_untold_remark(profiles["mooney_ratio"], "mooney_ratio", (0.0, 1.0)))
-    if not tells_nu:
+    if law.free_ratio and not ratio_determined:
+        remarks.append(_undetermined(profiles["mooney_ratio"], "mooney_ratio", (0.0, 1.0)))
+    if not nu_determined:
         # What the profile will hold decides which friction goes with it.
-        likeliest = min(tables, key=lambda mu: fit(mu, False, tells_ratio, held).misfit)
-    found = fit(likeliest, tells_nu, tells_ratio, held, profiled=None)
+        likeliest = min(tables, key=lambda mu: fit(mu, False, ratio_determined, held).misfit)
+    found = fit(likeliest, nu_determined, ratio_determined, held, profiled=None)
     # Gels have no other Poisson's ratio, unless the base profile or other records say so.
     within = (min(GEL_NU[0], held), max(GEL_NU[1], held))
-    if law.told_nu is not None:
-        within = law.told_nu.interval95
-    if tells_nu:
+    if law.other_nu is not None:
+        within = law.other_nu.interval95
+    if nu_determined:
         within = None
-    vary = law.free_nu or law.told_nu is not None
+    vary = law.free_nu or law.other_nu is not None
 
     def open_fit(mu: float, keep: Sequence[np.ndarray] | None = None) -> IndentationFit:
         only = ("ln_e",) if keep is None else ()
@@ -153,7 +276,7 @@ def fit_stiffness(
 
     def refit(keep: Sequence[np.ndarray]) -> tuple[IndentationFit, list[IndentationFit]]:
         return (
-            fit(likeliest, tells_nu, tells_ratio, held, keep=keep),
+            fit(likeliest, nu_determined, ratio_determined, held, keep=keep),
             [open_fit(mu, keep) for mu in left],
         )
 
@@ -161,15 +284,19 @@ def fit_stiffness(
     remarks += residual_remarks(found, predicted)
     remarks += few_points(found, predicted)
     remarks += records_disagree(found, touches)
-    if law.free_nu and not tells_nu:
-        low, high = (fit(likeliest, False, tells_ratio, nu).young_modulus_pa for nu in USUAL_NU)
+    if law.free_nu and not nu_determined:
+        low, high = (
+            fit(likeliest, False, ratio_determined, nu).young_modulus_pa for nu in USUAL_NU
+        )
         remarks.append(_young_given_nu(found, low, high))
     young = _young(found, list(left.values()))
-    remarks += young_unsure(young)
+    remarks += young_uncertain(young)
     if len(tables) > 1:
         remarks.append(
             friction_assumed(
-                {mu: fit(mu, tells_nu, tells_ratio, held) for mu in tables}, likeliest, set(left)
+                {mu: fit(mu, nu_determined, ratio_determined, held) for mu in tables},
+                likeliest,
+                set(left),
             )
         )
     solution = found.solution
@@ -179,19 +306,15 @@ def fit_stiffness(
         open_fits=tuple(left.values()),
         friction=likeliest,
         young=young,
-        nu=_told(found.poisson_ratio, "nu", solution) if tells_nu else None,
-        ratio=_told(found.mooney_ratio, "mooney_ratio", solution) if tells_ratio else None,
+        nu=_estimate(found.poisson_ratio, "nu", solution) if nu_determined else None,
+        ratio=_estimate(found.mooney_ratio, "mooney_ratio", solution) if ratio_determined else None,
         held_out=predicted,
         remarks=tuple(remarks),
     )
 
 
-def _told(value: float, name: str, solution: Solution) -> Estimate:
+def _estimate(value: float, name: str, solution: Solution) -> Estimate:
     return Estimate(value, solution.sigma_of(name), "", solution.profiles[name].interval)
-
-
-def _untold(profile: Profile) -> bool:
-    return profile.open_low or profile.open_high
 
 
 def _young(found: IndentationFit, left: Sequence[IndentationFit]) -> Estimate:
@@ -202,16 +325,18 @@ def _young(found: IndentationFit, left: Sequence[IndentationFit]) -> Estimate:
     return Estimate(value, value * math.log(high / low) / (2 * NORMAL_95), "Pa", (low, high))
 
 
-def _untold_remark(profile: Profile, name: str, bounds: tuple[float, float]) -> Remark:
+def _undetermined(profile: Profile, name: str, bounds: tuple[float, float]) -> Remark:
     low, high = profile.interval
     title = {"nu": "Poisson's ratio", "mooney_ratio": "the Mooney ratio"}[name]
     if profile.open_low and profile.open_high:
-        text = f"the records do not tell {title} (any from {bounds[0]:g} to {bounds[1]:g} fits)"
+        text = (
+            f"the records do not determine {title} (any from {bounds[0]:g} to {bounds[1]:g} fits)"
+        )
     elif profile.open_high:
-        text = f"the records only tell that {title} is above {low:.3g}"
+        text = f"the records only show that {title} is above {low:.3g}"
     else:
-        text = f"the records only tell that {title} is below {high:.3g}"
-    return Remark(Severity.INFO, f"{name}_untold", f"{text}; it is held, not calibrated")
+        text = f"the records only show that {title} is below {high:.3g}"
+    return Remark(Severity.INFO, f"{name}_undetermined", f"{text}; it is held, not calibrated")
 
 
 def _held_nu(profile: Profile, base: float) -> tuple[float, list[Remark]]:
@@ -236,5 +361,5 @@ def _young_given_nu(found: IndentationFit, low: float, high: float) -> Remark:
         "young_given_nu",
         f"Young's modulus holds for nu = {found.poisson_ratio:g}: it is {low:.4g} Pa for "
         f"{USUAL_NU[0]:g} and {high:.4g} Pa for {USUAL_NU[1]:g}; its interval is over nu from "
-        f"{GEL_NU[0]:g} to {GEL_NU[1]:g}. Nu is told by {SECOND_TOOL}",
+        f"{GEL_NU[0]:g} to {GEL_NU[1]:g}. {SECOND_TOOL[0].upper() + SECOND_TOOL[1:]} determine nu",
     )

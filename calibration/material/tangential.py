@@ -7,16 +7,16 @@ Forces scale with Young's modulus; a record that states the normal force tells i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from taccel_lab.calibration.capture import ForceRecord
-from taccel_lab.calibration.material.friction_fit import FrictionFit
+from taccel_lab.calibration.material.friction import FrictionFit
+from taccel_lab.calibration.material.gel import Gel, Tool
+from taccel_lab.calibration.material.indentation_points import record_sigma
 from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter, Solution
-from taccel_lab.calibration.material.points import record_sigma
-from taccel_lab.calibration.material.setup import Gel, Tool
 from taccel_lab.calibration.material.tangential_table import (
     Motion,
     TangentialTable,
@@ -25,6 +25,7 @@ from taccel_lab.calibration.material.tangential_table import (
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
 
 FLAT = 0.3
 """A curve whose last slope is below this part of its first one has slipped: friction is near."""
@@ -65,6 +66,27 @@ class TangentialFit(FrictionFit):
         """Relative error of the simulated table."""
         return self.table.error
 
+    group = "tangential"
+
+    def residuals(self) -> dict[str, float]:
+        """As a part of the largest force."""
+        return {"tangential_rms_relative": self.relative_residual}
+
+    def valid_region(self) -> dict[str, tuple[float, float]]:
+        """The held depth."""
+        return {f"{self.motion}_depth_mm": (self.depth_mm, self.depth_mm)}
+
+    def figures(self) -> dict[str, Any]:
+        """What was found, ready for JSON."""
+        return {
+            "name": self.name,
+            "motion": self.motion,
+            "friction": self.friction,
+            "interval95": self.friction_interval,
+            "determined": self.friction_determined,
+            "relative_residual": self.relative_residual,
+        }
+
 
 def fit_tangential(
     record: ForceRecord,
@@ -75,7 +97,7 @@ def fit_tangential(
     mooney_ratio: float = 0.0,
     young_pa: tuple[float, float] | None = None,
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> TangentialFit:
     """Fit the coefficient of friction to a shear or twist record.
 
@@ -116,77 +138,75 @@ def fit_tangential(
         )  # fmt: skip
 
     table = simulate(least)
+    at_start = np.zeros(1)
     if normal is None:
         assert young_pa is not None
-        start_n = young_pa[0] * table.forces(np.zeros(1), math.sqrt(np.prod(table.mu_range)))[1][0]
-        least = float(np.clip(np.abs(tangential).max() / start_n / lever, 0.05, 1.8))
+        start_n = young_pa[0] * table.forces(at_start, math.sqrt(math.prod(table.mu_range)))[0][1]
+        least = float(np.clip(np.abs(tangential).max() / start_n[0] / lever, 0.05, 1.8))
         table = simulate(least)
     # Rows past what was simulated belong to sliding, and have a record of their own.
-    near = moved <= table.scaled[-1] * table.mu_range[0] * 1.15
+    near = moved <= 1.15 * table.reach
     if near.sum() < 5:
         raise InputError(
-            f"{record.source}: {int(near.sum())} rows lie within the first "
-            f"{table.scaled[-1] * table.mu_range[0]:.3g} of the motion, before the tool slides as "
-            "a whole; at least 5 are needed there"
+            f"{record.source}: {int(near.sum())} rows lie within the first {table.reach:.3g} of "
+            "the motion, before the tool slides as a whole; at least 5 are needed there"
         )
     moved, tangential, rows = moved[near], tangential[near], rows[near]
     normal = None if normal is None else normal[near]
-    first_n = table.forces(np.zeros(1), least)[1][0]
-    start_e = young_pa[0] if young_pa else float(np.median(normal) / first_n)  # type: ignore[arg-type]
-    prior = math.hypot(young_pa[1], 0.01) if young_pa else None
+    # Rows of the table that were measured: the tangential force, and the normal one where stated.
+    measured = tangential[None] if normal is None else np.stack([tangential, normal])
+    largest = np.abs(measured).max(axis=1)
+    if young_pa is not None:
+        start_e, prior = young_pa[0], math.hypot(young_pa[1], 0.01)
+    else:
+        start_e = float(np.median(measured[1]) / table.forces(at_start, least)[0][1, 0])
+        prior = None
+    unit = 1.0 if motion == "shear" else math.degrees(1 / tool.contact_radius_mm(depth))
+    step = START_SIGMA_MM * unit
     low, high = table.mu_range
     parameters = [
         Parameter("ln_mu", math.log(least), math.log(low), math.log(high), 0.1),
         Parameter("ln_e", math.log(start_e), math.log(1e3), math.log(1e9), 0.05, prior),
+        Parameter("start", 0.0, -5 * step, 5 * step, step, step),
+        # The force at the start is a reading like any other: what it is off by is common to all.
+        Parameter(
+            "zero", 0.0, -0.3 * largest[0], 0.3 * largest[0], 0.01 * largest[0], ZERO * largest[0]
+        ),
     ]
-    unit = 1.0 if motion == "shear" else math.degrees(1 / tool.contact_radius_mm(depth))
-    step = START_SIGMA_MM * unit
-    parameters.append(Parameter("start", 0.0, -5 * step, 5 * step, step, step))
-    # The force at the start is a reading like any other: what it is off by is common to all rows.
-    largest = float(np.abs(tangential).max())
-    parameters.append(
-        Parameter("zero", 0.0, -0.3 * largest, 0.3 * largest, 0.01 * largest, ZERO * largest)
-    )
     sigma = record_sigma(record, len(record.columns["depth_mm"]))
     known = sigma is not None and motion == "shear"
-    scale_t = sigma[rows] if known else np.full(len(moved), np.abs(tangential).max())  # type: ignore[index]
-    scale_n = None
-    if normal is not None:
-        scale_n = sigma[rows] if known else np.full(len(moved), normal.max())  # type: ignore[index]
+    scale = sigma[rows] if sigma is not None and known else largest[:, None]
 
-    def values(theta: np.ndarray) -> np.ndarray:
-        mu, e = math.exp(theta[0]), math.exp(theta[1])
-        along, pressed = table.forces(np.maximum(moved - theta[2], 0.0), mu)
-        parts = [(e * along + theta[3] - tangential) / scale_t]
-        if normal is not None and scale_n is not None:
-            parts.append((e * pressed - normal) / scale_n)
-        return np.concatenate(parts)
+    def model(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forces of the rows that were measured, and their derivatives by the parameters, last."""
+        along = moved - theta[2]
+        forces, by_motion, by_ln_mu = (
+            math.exp(theta[1]) * each[: len(measured)]
+            for each in table.forces(np.maximum(along, 0.0), math.exp(theta[0]))
+        )
+        by_zero = np.zeros_like(forces)
+        by_zero[0] = 1.0
+        slopes = np.stack([by_ln_mu, forces, -by_motion * (along > 0), by_zero], axis=-1)
+        return forces + theta[3] * by_zero, slopes
 
     def residuals(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        steps = np.array([1e-5, 1e-5, 1e-5 * max(step, 1e-3), 1e-5 * largest])
-        columns = [
-            (values(theta + d) - values(theta - d)) / (2 * h)
-            for d, h in zip(np.diag(steps), steps, strict=True)
-        ]
-        return values(theta), np.stack(columns, axis=1)
+        forces, slopes = model(theta)
+        weighted = (slopes / np.broadcast_to(scale, forces.shape)[..., None]).reshape(-1, 4)
+        return ((forces - measured) / scale).ravel(), weighted
 
-    groups = [Group(len(moved), known)] * (1 if normal is None else 2)
+    groups = [Group(len(moved), known)] * len(measured)
     solution = Likelihood(parameters, groups, residuals).solve(["ln_mu"], drawn=True)
-    along = table.forces(
-        np.maximum(moved - solution.value("start"), 0.0), math.exp(solution.value("ln_mu"))
-    )[0]
-    fitted = math.exp(solution.value("ln_e")) * along + solution.value("zero")
-    residual = float(np.sqrt(np.mean((fitted - tangential) ** 2)) / np.abs(tangential).max())
+    fitted = model(solution.values)[0][0]
+    residual = float(np.sqrt(np.mean((fitted - tangential) ** 2)) / largest[0])
     remarks = []
     profile = solution.profiles["ln_mu"]
-    if profile.open_low or profile.open_high:
-        least = math.exp(profile.interval[0])
+    if not profile.closed:
         remarks.append(
             Remark(
                 Severity.WARNING,
-                "friction_untold",
+                "friction_undetermined",
                 f"{name}: the contact hardly slips, so friction is only known to be at least "
-                f"{least:.3g}; move the tool farther, or record a slide",
+                f"{math.exp(profile.interval[0]):.3g}; move the tool farther, or record a slide",
             )
         )
     if residual > 0.1:

@@ -10,21 +10,27 @@ torque and the angle.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.polynomial import chebyshev
-from scipy.interpolate import CubicSpline
 
-from taccel_lab.calibration.material.candidates import Candidate, prepare, simulate
+from taccel_lab.calibration.material.gel import (
+    UNIT_MODULUS_PA,
+    Gel,
+    GelBench,
+    Tool,
+    comparison_physics,
+)
 from taccel_lab.calibration.material.gel_presses import Stop
-from taccel_lab.calibration.material.setup import UNIT_MODULUS_PA, Gel, Tool, compared
+from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
+from taccel_lab.calibration.material.press_plans import PressPlan, simulate, simulate_each
 from taccel_lab.envs import PressEnv
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import SimulationError
+from taccel_lab.progress import Progress, silent
 
 GRID = 1.25
 """Coefficients are simulated at powers of this, so that similar records share presses."""
@@ -41,38 +47,41 @@ MIN_STEPS = 5
 """Steps that all presses of a table have to reach."""
 
 Motion = Literal["shear", "twist"]
+_NONE = Axis(0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class TangentialTable:
-    """ln of mu-scaled tangential and normal force of a gel of 1 Pa over scaled motion and mu."""
+    """Tangential and normal force of a gel of 1 Pa over motion and mu."""
 
-    motion: Motion
-    depth_mm: float
-    scaled: np.ndarray
-    """Shift [mm] or angle [deg] over mu, rising from 0, shape [step]."""
-    mu_range: tuple[float, float]
-    tangential: np.ndarray
-    """Chebyshev coefficients over ln mu of T / mu [N], torque [N mm] / mu; [node, step]."""
-    normal: np.ndarray
-    """The same of the normal force [N]."""
+    responses: ResponseTable
+    """Tangential force [N] or torque [N mm] over mu, and normal force [N]; over mu and over the
+    shift [mm] or angle [deg] over mu, which rises from 0."""
     error: float
     """Root mean square difference to a press between the nodes and of another accuracy, as a part
     of the largest force."""
-    seconds: float
 
-    def __post_init__(self) -> None:
-        both = np.stack([self.tangential, self.normal])
-        object.__setattr__(self, "_spline", CubicSpline(self.scaled, both, axis=2))
+    @property
+    def mu_range(self) -> tuple[float, float]:
+        """Coefficients of friction of the table."""
+        return self.responses.second.low, self.responses.second.high
 
-    def forces(self, motion: np.ndarray, mu: float) -> tuple[np.ndarray, np.ndarray]:
-        """Tangential force (or torque [N mm]) and normal force of a gel of 1 Pa, shape [point]."""
-        low, high = np.log(self.mu_range)
-        z = float(np.clip((2 * math.log(mu) - low - high) / (high - low), -1.2, 1.2))
-        basis = chebyshev.chebvander(np.array([z]), len(self.tangential) - 1)[0]
-        scaled = np.clip(np.abs(motion) / mu, 0.0, self.scaled[-1])
-        both = np.tensordot(basis, self._spline(scaled), (0, 1))  # type: ignore[attr-defined]
-        return np.sign(motion) * mu * both[0], both[1]
+    @property
+    def reach(self) -> float:
+        """Motion [mm] or [deg] that is simulated at the least coefficient."""
+        return float(self.responses.way[-1]) * self.mu_range[0]
+
+    def forces(self, motion: np.ndarray, mu: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Tangential force (or torque [N mm]) and normal force of a gel of 1 Pa at motions >= 0,
+        and their derivatives by the motion and by ln mu; each of shape [2, point]."""
+        low, high = self.mu_range
+        scaled = motion / mu
+        value, _, by_mu, by_scaled = self.responses.at(0.0, min(max(mu, low), high), scaled)
+        # The tangential force is mu times what is stored, the normal one is stored as it is.
+        factor = np.array([[mu], [1.0]])
+        by_ln_mu = factor * (mu * by_mu - scaled * by_scaled)
+        by_ln_mu[0] += mu * value[0]
+        return factor * value, factor * by_scaled / mu, by_ln_mu
 
 
 def tangential_table(
@@ -87,127 +96,84 @@ def tangential_table(
     *,
     slipped: bool = False,
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> TangentialTable:
     """Simulate shear [mm] or twist [deg] up to ``reach`` at coefficients about ``least_mu``.
 
     ``least_mu`` is the largest ratio of the forces; a contact that has ``slipped`` as a whole has
     hardly more friction, and a little less on a ball, which leans on the gel before it.
+
+    Raises:
+        SimulationError: Presses that do not converge for long enough.
     """
     first = math.floor(math.log((0.8 if slipped else 0.9) * least_mu, GRID))
     last = math.ceil(math.log((1.1 if slipped else 2.2) * least_mu, GRID))
     last = max(min(last, math.floor(math.log(LARGEST_MU, GRID))), first + 2)
-    mu_range = (GRID**first, GRID**last)
-    unit = np.cos(math.pi * (np.arange(NODES) + 0.5) / NODES)
-    middle, half = (
-        0.5 * math.log(mu_range[0] * mu_range[1]),
-        0.5 * math.log(mu_range[1] / mu_range[0]),
-    )
-    mus = [*np.exp(middle + half * unit), math.exp(middle + 0.1 * half)]
+    axis = Axis(GRID**first, GRID**last, "logarithm")
+    # Between the nodes.
+    check_mu = math.sqrt(axis.low * axis.high) * (axis.high / axis.low) ** 0.05
     full = FULL_SLIP_DEPTHS * depth_mm
     if motion == "twist":
         # The rim of the contact moves by the angle times its radius.
         full = math.degrees(full / tool.contact_radius_mm(depth_mm))
-    wanted = reach / mu_range[0]
-    longest = min(full, GRID ** math.ceil(math.log(1.02 * wanted, GRID)))
+    longest = min(full, GRID ** math.ceil(math.log(1.02 * reach / axis.low, GRID)))
     scaled = longest * np.linspace(0, 1, STEPS + 1) ** 1.3
-    tangential, normal, seconds = [], [], 0.0
-    nodes = [
-        motion_candidate(
-            gel, tool, motion, depth_mm, scaled, float(mu), poisson_ratio, mooney_ratio, physics
-        )
-        for mu in mus[:NODES]
+    mus = [*axis.nodes(NODES).tolist(), check_mu]
+    benches = [gel.bench(tool, depth_mm, each) for each in (physics, comparison_physics(physics))]
+    plans = [
+        motion_plan(bench, motion, scaled, mu, poisson_ratio, mooney_ratio)
+        for mu, bench in zip(mus, [benches[0]] * NODES + [benches[1]], strict=True)
     ]
-    prepare(gel.bench(tool, depth_mm, physics), nodes, progress)
-    for done, mu in enumerate(mus):
-        if progress is not None:
-            progress(done, len(mus))
-        # The last one, between the nodes, tells the error.
-        fineness = physics if done < NODES else compared(physics)
-        found = simulate_motion(
-            gel, tool, motion, depth_mm, scaled, float(mu), poisson_ratio, mooney_ratio, fineness
-        )
-        tangential.append(found["tangential"] / mu / UNIT_MODULUS_PA)
-        normal.append(found["normal_n"] / UNIT_MODULUS_PA)
-        seconds += float(found["seconds"])
-    if progress is not None:
-        progress(len(mus), len(mus))
-    reached = int(np.isfinite(np.array(tangential)).sum(axis=1).min())
+    task = f"{motion} of {tool.description}"
+    found = [
+        *simulate_each(benches[0], plans[:NODES], progress, task),
+        simulate(benches[1], plans[NODES]),
+    ]
+    forces = np.array(
+        [[f["tangential"] / mu, f["normal_n"]] for f, mu in zip(found, mus, strict=True)]
+    )
+    reached = int(np.isfinite(forces[:, 0]).sum(axis=1).min())
     if reached < MIN_STEPS:
         raise SimulationError(
             f"the {motion} of {tool.description} at {depth_mm:g} mm depth and friction of "
-            f"{mu_range[0]:.2g} to {mu_range[1]:.2g} converges for {reached - 1} of {STEPS} steps; "
+            f"{axis.low:.2g} to {axis.high:.2g} converges for {reached - 1} of {STEPS} steps; "
             "record less friction (a drop of oil or powder) or a shallower press"
         )
-    tangential = [row[:reached] for row in tangential]
-    normal = [row[:reached] for row in normal]
-    scaled = scaled[:reached]
-    inverse = np.linalg.inv(chebyshev.chebvander(unit, NODES - 1))
-    check = chebyshev.chebvander(np.array([0.1]), NODES - 1)[0]
-    along, pressed = (inverse @ np.array(rows)[:NODES] for rows in (tangential, normal))
-    miss = np.array(tangential[-1]) - check @ along
-    error = float(np.sqrt(np.mean(miss**2)) / np.abs(tangential[-1]).max())
-    return TangentialTable(motion, depth_mm, scaled, mu_range, along, pressed, error, seconds)
+    forces, scaled = forces[..., :reached] / UNIT_MODULUS_PA, scaled[:reached]
+    responses = ResponseTable.through(_NONE, axis, scaled, forces[None, :NODES])
+    own = forces[NODES, 0]
+    miss = own - responses.at(0.0, check_mu, scaled).value[0]
+    return TangentialTable(responses, float(np.sqrt(np.mean(miss**2)) / np.abs(own).max()))
 
 
-def simulate_motion(
-    gel: Gel,
-    tool: Tool,
+def motion_plan(
+    bench: GelBench,
     motion: Motion,
-    depth_mm: float,
     scaled: np.ndarray,
     mu: float,
     poisson_ratio: float,
-    mooney_ratio: float,
-    physics: PressPhysics,
-) -> dict[str, np.ndarray]:
-    """Forces of one press of 1 MPa that is sheared or turned in steps."""
-    candidate = motion_candidate(
-        gel, tool, motion, depth_mm, scaled, mu, poisson_ratio, mooney_ratio, physics
-    )
-    return simulate(gel.bench(tool, depth_mm, physics), candidate)
+    mooney_ratio: float = 0.0,
+) -> PressPlan:
+    """A press to the depth of the bench that is sheared or turned in steps, ``scaled`` times mu.
 
-
-def motion_candidate(
-    gel: Gel,
-    tool: Tool,
-    motion: Motion,
-    depth_mm: float,
-    scaled: np.ndarray,
-    mu: float,
-    poisson_ratio: float,
-    mooney_ratio: float,
-    physics: PressPhysics,
-) -> Candidate:
-    """The press of ``simulate_motion``.
-
+    Gives ``tangential``, the resistance to the motion less that at its start, and ``normal_n``.
     With much friction the gel folds up behind the tool; what follows is NaN.
     """
-    recipe = {
-        "what": motion,
-        "gel": gel.recipe(),
-        "tool": tool.description,
-        "at_mm": list(tool.at_mm),
-        "depth_mm": depth_mm,
-        "scaled": scaled,
-        "mu": mu,
-        "nu": poisson_ratio,
-        "ratio": mooney_ratio,
-        "physics": physics.record(),
-    }
-    return Candidate(
-        recipe,
+    return PressPlan(
+        bench.recipe(
+            motion, poisson_ratio, mooney_ratio, depth_mm=bench.depth_mm, scaled=scaled, mu=mu
+        ),
         poisson_ratio,
         mooney_ratio,
         mu,
-        motion_stops(tool, motion, depth_mm, scaled * mu),
-        reader=lambda env, _: lambda: tangential_and_normal(env, motion),
+        _motion_stops(bench.tool, motion, bench.depth_mm, scaled * mu),
+        read=lambda env, _: tangential_and_normal(env, motion),
         arrays=lambda rows: {"tangential": rows[:, 0] - rows[0, 0], "normal_n": rows[:, 1]},
         must_reach=1,
     )
 
 
-def motion_stops(tool: Tool, motion: Motion, depth_mm: float, way: np.ndarray) -> list[Stop]:
+def _motion_stops(tool: Tool, motion: Motion, depth_mm: float, way: np.ndarray) -> Sequence[Stop]:
     """Down to a depth, then sideways [mm] or about the axis [deg] to the values of ``way``, of
     which the first is 0; each is read."""
     stops = [

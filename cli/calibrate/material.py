@@ -14,7 +14,7 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.material import MaterialCalibration
+    from taccel_lab.calibration.material.result import MaterialCalibration
 
 
 @dataclass(frozen=True)
@@ -53,11 +53,9 @@ class CalibrateMaterial:
         import warp as wp
         from rich.console import Console
 
-        from taccel_lab.calibration.material import (
-            MaterialOptions,
-            calibrate_material,
-            material_page,
-        )
+        from taccel_lab.calibration.material.fit import calibrate_material
+        from taccel_lab.calibration.material.options import MaterialOptions
+        from taccel_lab.calibration.material.report import material_page
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.press import require_device

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.optics.compare import (
-from taccel_lab.profile.optical_design import OpticalDesign
     BackgroundMatch,
     PressMatch,
     compare_backgrounds,
@@ -22,6 +21,7 @@ from taccel_lab.profile.optical_design import OpticalDesign
     pressed_top,
 )
 from taccel_lab.optics.render import OpticalModel, PreviewImage
+from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.sensors.registry import sensor_family
 from tests.validation.optics_captures import RealPress, RealSensor
 

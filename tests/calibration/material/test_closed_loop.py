@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
-from taccel_lab.calibration.material import MaterialOptions, calibrate_material
+from taccel_lab.calibration.material.fit import calibrate_material
+from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.envs import (
-    PHYSICS,
-    Accuracy,
     PressPath,
     PressPhysics,
     parse_indenter,
@@ -24,8 +23,8 @@ from taccel_lab.envs import (
 )
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
 from taccel_lab.sensors.press_mesh import press_mesh
+from tests.calibration.material.physics import COARSE_FAST as FAST
 
-FAST = PHYSICS[Accuracy.FAST]
 MODULUS, NOISE = 3.1e5, 0.01
 
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.material.candidates import Candidate, follow, prepare, simulate
 from taccel_lab.calibration.material.gel_presses import (
     GelPresses,
     MaterialStep,
     Stop,
     split_by_modulus,
 )
-from taccel_lab.calibration.material.store import is_kept
+from taccel_lab.calibration.material.press_cache import is_kept
+from taccel_lab.calibration.material.press_plans import PressPlan, follow, prepare, simulate
 from taccel_lab.calibration.material.tangential_table import tangential_and_normal
 from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import SimulationError
@@ -144,22 +144,20 @@ class Bench:
         self.device, self.config = device, config
         self.built: list[int] = []
 
-    def presses(self, candidates: Sequence[Candidate]) -> GelPresses:
-        self.built.append(len(candidates))
-        gels = [Material(1e6, candidate.poisson_ratio) for candidate in candidates]
-        return press(gels, [candidate.friction for candidate in candidates], self.config)
+    def presses(self, plans: Sequence[PressPlan]) -> GelPresses:
+        self.built.append(len(plans))
+        gels = [Material(1e6, each.poisson_ratio) for each in plans]
+        return press(gels, [each.friction for each in plans], self.config)
 
 
-def candidate(
-    nu: float, depths: Sequence[float], friction: float = 0.0, must: int = 0
-) -> Candidate:
-    return Candidate(
+def plan(nu: float, depths: Sequence[float], friction: float = 0.0, must: int = 0) -> PressPlan:
+    return PressPlan(
         {"what": "test", "nu": nu, "depths": list(depths), "mu": friction},
         nu,
         0.0,
         friction,
         [Stop(depth) for depth in depths],
-        reader=lambda env, _: lambda: tangential_and_normal(env, "shear"),
+        read=lambda env, _: tangential_and_normal(env, "shear"),
         arrays=lambda rows: {"force_n": rows[:, 1]},
         must_reach=must,
     )
@@ -171,11 +169,11 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_table_of_candidates_comes_out_of_one_scene(own_cache: None) -> None:
-    wanted = [candidate(nu, depths) for nu, depths in ((0.4, (0.2, 0.4)), (0.48, (0.1, 0.3, 0.5)))]
+    wanted = [plan(nu, depths) for nu, depths in ((0.4, (0.2, 0.4)), (0.48, (0.1, 0.3, 0.5)))]
     bench, told = Bench("cuda:0"), []
-    prepare(bench, wanted, lambda done, count: told.append((done, count)))
+    prepare(bench, wanted, lambda *how_far: told.append(how_far))
     assert bench.built == [2]
-    assert told[0] == (0, 2)
+    assert told[0] == ("presses", 0, 2)
     found = [simulate(bench, item) for item in wanted]
     assert bench.built == [2]  # each was kept for itself
     for item, result in zip(wanted, found, strict=True):
@@ -184,14 +182,14 @@ def test_a_table_of_candidates_comes_out_of_one_scene(own_cache: None) -> None:
         assert len(result["force_n"]) == len(item.stops)
     # One core takes them one by one.
     slow = Bench("cpu")
-    prepare(slow, [candidate(0.41, (0.2,)), candidate(0.42, (0.2,))])
+    prepare(slow, [plan(0.41, (0.2,)), plan(0.42, (0.2,))])
     assert slow.built == []
 
 
 def test_an_environment_that_fails_is_tried_again_alone(own_cache: None) -> None:
     """Too few Newton iterations for the deep step, enough for the shallow ones."""
     hasty = SolverConfig(relative_tolerance=1e-8, max_newton_iterations=14, max_substep_halvings=0)
-    good, bad = candidate(0.4, (0.02, 0.03)), candidate(0.499, (0.02, 1.8), must=2)
+    good, bad = plan(0.4, (0.02, 0.03)), plan(0.499, (0.02, 1.8), must=2)
     bench = Bench("cuda:0", hasty)
     prepare(bench, [good, bad])
     assert is_kept(good.recipe) and not is_kept(bad.recipe)
@@ -199,7 +197,7 @@ def test_an_environment_that_fails_is_tried_again_alone(own_cache: None) -> None
     with pytest.raises(SimulationError, match="did not converge"):
         simulate(bench, bad)
     assert bench.built == [2, 1]
-    tolerated = candidate(0.499, (0.02, 1.8), must=1)
+    tolerated = plan(0.499, (0.02, 1.8), must=1)
     forces = simulate(bench, tolerated)["force_n"]
     assert np.isfinite(forces[0]) and np.isnan(forces[1])
 
@@ -216,12 +214,12 @@ def test_volumes_carry_the_moduli() -> None:
             assert part.volumes.numpy()[i].sum() == pytest.approx(total * modulus)
 
 
-def test_presses_need_no_optimiser_and_no_reader_of_files() -> None:
-    """Machines that only simulate have neither."""
-    absent = ("pydantic", "rich", "tyro", "matplotlib", "cv2", "nlopt", "torch")
+def test_presses_need_no_reader_of_files() -> None:
+    """Machines that only simulate have none."""
+    absent = ("pydantic", "rich", "tyro", "matplotlib", "cv2", "torch")
     code = (
         f"import sys; sys.modules.update(dict.fromkeys({absent!r}))\n"
-        "import taccel_lab.calibration.material.candidates, taccel_lab.geometry.block"
+        "import taccel_lab.calibration.material.press_plans, taccel_lab.geometry.block"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

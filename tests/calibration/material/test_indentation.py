@@ -10,22 +10,18 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material import (
-    ForceTable,
-    Gel,
-    IndentationPoints,
-    fit_indentation,
-    force_table,
-)
-from taccel_lab.calibration.material.agreement import together_remark
-from taccel_lab.calibration.material.candidates import Candidate
-from taccel_lab.calibration.material.response import simulate_press
-from taccel_lab.calibration.material.setup import GelBench, Tool
+from taccel_lab.calibration.material.force_table import ForceTable, force_table, press_plan
+from taccel_lab.calibration.material.gel import Gel, GelBench, Tool
+from taccel_lab.calibration.material.indentation import fit_indentation
+from taccel_lab.calibration.material.indentation_points import IndentationPoints
+from taccel_lab.calibration.material.indentation_remarks import young_with_nu
+from taccel_lab.calibration.material.press_plans import PressPlan, simulate
 from taccel_lab.calibration.result import Severity
 from taccel_lab.envs.physics import Accuracy, PressMeshOptions, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from tests.calibration.material.physics import COARSE, DEFAULT, FAST
+from tests.calibration.material.tables import layer_table
 
 DEPTH = np.linspace(0.15, 1.4, 12)
 MODULUS, POISSON = 2.4e5, 0.47
@@ -37,15 +33,27 @@ def tool(gel: Gel) -> Tool:
 
 
 @pytest.fixture(scope="module")
-def table(gel: Gel, tool: Tool, press_cache: Path) -> ForceTable:
-    return force_table(gel, tool, (0.15, 1.4), physics=COARSE)
+def table() -> ForceTable:
+    """A closed form: for questions of the fit, which are none of simulations."""
+    return layer_table("sphere", 7.5)
 
 
 @pytest.fixture(scope="module")
-def truth(gel: Gel, tool: Tool, press_cache: Path) -> np.ndarray:
-    """Forces of the true gel on a mesh with 3.8 times the nodes of the table's."""
-    unit = simulate_press(gel, tool, DEPTH, POISSON, 0.0, 0.0, DEFAULT)
-    return unit * MODULUS / 1e6
+def simulated(gel: Gel, tool: Tool, press_cache: Path) -> ForceTable:
+    return force_table(gel, tool, (0.2, 1.2), physics=COARSE)
+
+
+@pytest.fixture(scope="module")
+def truth(table: ForceTable) -> np.ndarray:
+    return table.force_n(DEPTH, MODULUS, POISSON)
+
+
+def pressed_n(
+    gel: Gel, tool: Tool, depths_mm: np.ndarray, nu: float, ratio: float, physics: PressPhysics
+) -> np.ndarray:
+    """Forces [N] of presses of 1 MPa to each depth."""
+    benches = [gel.bench(tool, depth, physics) for depth in depths_mm.tolist()]
+    return np.array([simulate(b, press_plan(b, nu, ratio))["force_n"][0] for b in benches])
 
 
 def points(
@@ -54,7 +62,9 @@ def points(
     return IndentationPoints("press", "press.csv", "0" * 64, tool, depth, force, sigma)
 
 
-def test_tables_interpolate_and_differentiate(table: ForceTable) -> None:
+def test_tables_interpolate_and_differentiate(simulated: ForceTable) -> None:
+    table = simulated
+    assert table.press_count == 4 * len(table.depths_mm)
     assert table.error.interpolation < 2e-3
     depth = np.array([0.05, 0.3, 1.0])
     value, by_depth, by_nu, _ = table.log_force(depth, 0.47)
@@ -73,17 +83,19 @@ COARSER = PressPhysics(
 
 
 def test_both_parameters_of_mooney_and_rivlin(
-    mini: SensorProfile, tool: Tool, press_cache: Path
+    mini: SensorProfile, tool: Tool, press_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Six presses with slopes over both, against presses elsewhere."""
+    """Six presses with slopes over both at each of three depths, against presses elsewhere."""
+    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 3)
     gel = Gel.of_profile(mini, "mooney_rivlin")
-    table = force_table(gel, tool, (0.2, 1.0), physics=COARSER)
-    assert table.press_count == 7 * len(table.depths_mm)
+    table = force_table(gel, tool, (0.2, 0.6), physics=COARSER)
+    assert table.press_count == 7 * 3
     assert table.error.interpolation < 2e-3
     assert table.nu_range[0] > 1 / 3  # softer volumes do not go with a ratio of 1
     for nu, ratio in ((0.485, 0.7), (0.36, 0.15)):
-        force = simulate_press(gel, tool, table.depths_mm, nu, ratio, 0.0, COARSER)
-        found = table.force_n(table.depths_mm, 1e6, nu, ratio)
+        depths = table.depths_mm[[1]]
+        force = pressed_n(gel, tool, depths, nu, ratio, COARSER)
+        found = table.force_n(depths, 1e6, nu, ratio)
         np.testing.assert_allclose(found, force, rtol=3e-3)
     h = 1e-5
     _, _, by_nu, by_ratio = table.log_force(DEPTH[:4], 0.45, 0.5)
@@ -112,18 +124,18 @@ def test_slopes_replace_presses(
     tool = gel.tool(ToolEntry(kind=kind, radius_mm=2.0))
     exponent = 1.5 if kind == "sphere" else 1.0
 
-    def simulated(bench: GelBench, candidate: Candidate) -> dict[str, np.ndarray]:
-        nu, depth = candidate.poisson_ratio, np.array([candidate.stops[-1].depth_mm])
+    def made_up(bench: GelBench, plan: PressPlan) -> dict[str, np.ndarray]:
+        nu, depth = plan.poisson_ratio, np.array([plan.stops[-1].depth_mm])
         s = np.sqrt(1 - 2 * nu)
         force = 1e6 * depth**exponent * np.exp(1.3 - 2 * s + 0.7 * s**4 * depth)
         found = {"force_n": force, "error_n": 0.01645 * force, "seconds": np.array(0.5)}
-        if "slopes" in candidate.recipe:
+        if "slopes" in plan.recipe:
             found["by_nu_n"] = force * (2 - 2.8 * s**3 * depth) / s
             if missing and depth[0] > 0.5:
                 found["by_nu_n"][0] = np.nan
         return found
 
-    monkeypatch.setattr("taccel_lab.calibration.material.response.simulate", simulated)
+    monkeypatch.setattr("taccel_lab.calibration.material.press_plans.simulate", made_up)
     table = force_table(gel, tool, (0.2, 1.0), friction=friction)
     count *= len(table.depths_mm)
     assert (table.press_count, table.seconds) == (count, 0.5 * count)
@@ -138,7 +150,7 @@ def test_slopes_replace_presses(
         np.testing.assert_allclose(by_nu, (2 - 2.8 * s**3 * depth) / s, rtol=1e-8)
 
 
-def test_forces_scale_with_the_modulus(gel: Gel, tool: Tool, table: ForceTable) -> None:
+def test_forces_scale_with_the_modulus(gel: Gel, tool: Tool) -> None:
     """What spares simulations of other moduli: it holds to the solver's tolerance."""
     from taccel_lab.envs import PressEnv, profile_material
 
@@ -175,16 +187,18 @@ def test_a_late_zero_is_found(tool: Tool, table: ForceTable) -> None:
 
 
 def test_the_modulus_of_a_finer_simulation_within_its_interval(
-    tool: Tool, table: ForceTable, truth: np.ndarray
+    gel: Gel, tool: Tool, simulated: ForceTable, press_cache: Path
 ) -> None:
     """100 records with 1 % noise and touch points that are off by 0.02 mm."""
     rng = np.random.default_rng(11)
+    depths = np.array([0.2, 0.4, 0.6, 0.8, 1.0, 1.2])
+    truth = pressed_n(gel, tool, depths, POISSON, 0.0, FAST) * MODULUS / 1e6
     hits, errors = 0, []
     for _ in range(100):
         touch = 0.02 * rng.standard_normal()
-        force = truth * (1 + 0.01 * rng.standard_normal(len(DEPTH)))
+        force = truth * (1 + 0.01 * rng.standard_normal(len(depths)))
         fit = fit_indentation(
-            [points(tool, DEPTH + touch, force)], [table], start_pa=4e5, poisson_ratio=POISSON,
+            [points(tool, depths + touch, force)], [simulated], start_pa=4e5, poisson_ratio=POISSON,
             free_nu=False, touch_sigma_mm=0.02,
         )  # fmt: skip
         low, high = fit.young_interval_pa
@@ -197,20 +211,22 @@ def test_the_modulus_of_a_finer_simulation_within_its_interval(
 
 @pytest.mark.slow
 def test_two_balls_tell_poisson_ratio(
-    gel: Gel, tool: Tool, table: ForceTable, truth: np.ndarray
+    gel: Gel, tool: Tool, simulated: ForceTable, press_cache: Path
 ) -> None:
     small = gel.tool(ToolEntry(kind="sphere", radius_mm=2.0))
     depth = np.linspace(0.15, 0.9, 8)
     second = force_table(gel, small, (0.15, 0.9), physics=COARSE)
-    force = simulate_press(gel, small, depth, POISSON, 0.0, 0.0, FAST) * MODULUS / 1e6
+    force = pressed_n(gel, small, depth, POISSON, 0.0, FAST) * MODULUS / 1e6
+    wide = np.linspace(0.2, 1.2, 8)
+    truth = pressed_n(gel, tool, wide, POISSON, 0.0, DEFAULT) * MODULUS / 1e6
     rng = np.random.default_rng(2)
     hits, values = [0, 0], []
     for _ in range(12):
         sets = [
-            points(tool, DEPTH, truth * (1 + 0.005 * rng.standard_normal(12))),
+            points(tool, wide, truth * (1 + 0.005 * rng.standard_normal(8))),
             points(small, depth, force * (1 + 0.005 * rng.standard_normal(8))),
         ]
-        fit = fit_indentation(sets, [table, second], start_pa=4e5, poisson_ratio=0.45)
+        fit = fit_indentation(sets, [simulated, second], start_pa=4e5, poisson_ratio=0.45)
         low, high = fit.solution.profiles["nu"].interval
         hits[0] += low <= POISSON <= high
         low, high = fit.young_interval_pa
@@ -228,10 +244,7 @@ def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
     depth = np.linspace(0.1, 1.0, 8)
     tools = [gel.tool(ToolEntry(kind="sphere", radius_mm=radius)) for radius in (2.0, 15.0)]
     tables = [force_table(gel, tool, (0.1, 1.0), physics=FAST) for tool in tools]
-    truth = [
-        simulate_press(gel, tool, depth, POISSON, 0.0, 0.0, DEFAULT) * MODULUS / 1e6
-        for tool in tools
-    ]
+    truth = [pressed_n(gel, tool, depth, POISSON, 0.0, DEFAULT) * MODULUS / 1e6 for tool in tools]
     rng = np.random.default_rng(5)
     errors, hits = [], 0
     for _ in range(40):
@@ -247,7 +260,7 @@ def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
         low, high = fit.young_interval_pa
         hits += low <= MODULUS <= high
         errors.append(fit.young_modulus_pa / MODULUS - 1)
-        assert together_remark(fit) == []
+        assert young_with_nu(fit) == []
     assert np.sqrt(np.mean(np.square(errors))) < 0.02
     assert hits >= 36
 
@@ -259,11 +272,11 @@ def test_one_ball_leaves_the_modulus_to_poisson_ratio_and_says_so(
     force = table.force_n(DEPTH, MODULUS, POISSON) * (1 + 0.01 * rng.standard_normal(12))
     given = [points(tool, DEPTH, force)]
     free = fit_indentation(given, [table], start_pa=4e5, poisson_ratio=0.45)
-    (remark,) = together_remark(free)
+    (remark,) = young_with_nu(free)
     assert remark.code == "young_with_nu" and remark.severity is Severity.INFO
     assert "two tools" in remark.message and "correlation -0.9" in remark.message
     held = fit_indentation(given, [table], start_pa=4e5, poisson_ratio=POISSON, free_nu=False)
-    assert together_remark(held) == []
+    assert young_with_nu(held) == []
 
 
 def test_few_points_do_not_tell_poisson_ratio(

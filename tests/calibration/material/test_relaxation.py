@@ -10,11 +10,11 @@ import pytest
 
 from taccel_lab.calibration.capture import ForceRecord
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material import Gel, force_table
+from taccel_lab.calibration.material.damping_gain import damped_forces, damping_gain
+from taccel_lab.calibration.material.force_table import ForceTable, TableError, force_table
+from taccel_lab.calibration.material.gel import Gel, Tool
+from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
 from taccel_lab.calibration.material.relaxation import DampingFit, fit_damping
-from taccel_lab.calibration.material.response import ForceTable, TableError
-from taccel_lab.calibration.material.setup import Tool
-from taccel_lab.calibration.material.viscous_gain import damped_forces, viscous_gain
 from taccel_lab.errors import InputError
 from tests.calibration.material.physics import COARSE, FAST
 from tests.calibration.material.records import record
@@ -28,9 +28,10 @@ MODULUS = 2e5
 
 def hertz() -> ForceTable:
     """A half-space: ln(F / d^1.5) is a constant."""
-    depths = np.linspace(0.1, 1.2, 5)
+    depths = np.log(np.linspace(0.1, 1.2, 5))
     level = np.full((1, 1, 5), np.log(4 / 3 / (1 - 0.25) * 2.0 * 1e-6))
-    return ForceTable(TOOL, depths, 1.5, (0.5, 0.5), level, TableError(0.0, np.zeros(5)), 0.0, 0)
+    table = ResponseTable(Axis(0.0, 0.0), Axis(0.5, 0.5), depths, level)
+    return ForceTable(1.5, table, TableError(0.0, np.zeros(5)))
 
 
 def fit(force: np.ndarray, depth: np.ndarray = DEPTH) -> DampingFit:
@@ -78,7 +79,7 @@ def test_smooth_motion_gives_it_exactly() -> None:
 def test_an_elastic_gel_has_none_to_tell() -> None:
     found = fit(elastic() + noise(3))
     assert found.damping_time_s is None
-    assert [remark.code for remark in found.remarks] == ["damping_untold"]
+    assert [remark.code for remark in found.remarks] == ["damping_undetermined"]
 
 
 def test_a_gel_that_relaxes_is_reported_and_not_fitted() -> None:
@@ -111,9 +112,9 @@ def test_unfit_records_are_refused(changes: dict, words: str) -> None:
 def test_the_solver_damps_as_the_fit_assumes(gel: Gel, press_cache: Path) -> None:
     """A dynamic press, faster and more damped than the one that gives the gain, is met by it."""
     tool = gel.tool(ToolEntry(kind="sphere", radius_mm=5.0))
-    shallow = viscous_gain(gel, tool, 0.2, 0.45, physics=FAST)
+    shallow = damping_gain(gel, tool, 0.2, 0.45, physics=FAST)
     assert shallow[0] + 0.1 * shallow[1] == pytest.approx(1.0, abs=0.15)
-    gain = viscous_gain(gel, tool, 0.8, 0.45, physics=COARSE)
+    gain = damping_gain(gel, tool, 0.8, 0.45, physics=COARSE)
     assert 0.55 < gain[0] + 0.8 * gain[1] < 0.8
     table = force_table(gel, tool, (0.1, 0.8), fixed_nu=0.45, physics=COARSE)
     force = damped_forces(gel, tool, 0.8, 0.45, 0.0, 0.06, COARSE) * MODULUS / 1e6

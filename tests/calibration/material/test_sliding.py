@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ForceRecord
-from taccel_lab.calibration.material import SlideFit, fit_slide
-from taccel_lab.calibration.material.sliding import combine
+from taccel_lab.calibration.material.sliding import SlideFit, fit_slide, friction_of_slides
 from taccel_lab.errors import InputError
 from tests.calibration.material.records import record
 
@@ -53,7 +52,7 @@ def test_perfect_slides_give_friction_and_offset_exactly() -> None:
     fit = fit_slide(slide(0.8, offset=0.15))
     assert fit.friction.value == pytest.approx(0.8, abs=1e-9)
     assert fit.offset_n == pytest.approx(0.15, abs=1e-9)
-    assert fit.offset_told and not fit.remarks
+    assert fit.offset_determined and not fit.remarks
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -80,7 +79,7 @@ def test_outliers_do_not_bend_it() -> None:
 
 def test_one_direction_does_not_tell_the_offset() -> None:
     fit = fit_slide(slide(0.8, 0.02, back=False))
-    assert codes(fit) == {"offset_untold"}
+    assert codes(fit) == {"offset_undetermined"}
     assert fit.friction.value == pytest.approx(0.8, rel=0.02)
 
 
@@ -102,7 +101,7 @@ def test_records_that_scatter_widen_the_error_and_load_dependence_is_said() -> N
     fits = [
         fit_slide(slide(mu, 0.01, load=load)) for mu, load in ((0.9, 1.0), (0.72, 2.0), (0.6, 4.0))
     ]
-    estimate, remarks = combine(fits)
+    estimate, remarks = friction_of_slides(fits)
     assert estimate.value == pytest.approx(0.74, abs=0.03)
     assert estimate.sigma > 0.05
     assert [remark.code for remark in remarks] == ["friction_by_load"]

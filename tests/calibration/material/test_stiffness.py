@@ -7,19 +7,19 @@ points do not tell, not whether simulations agree.
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material import ForceTable, Gel, IndentationPoints, force_table
-from taccel_lab.calibration.material.response import TableError
-from taccel_lab.calibration.material.setup import Tool
-from taccel_lab.calibration.material.stiffness import Law, Stiffness, fit_stiffness
+from taccel_lab.calibration.material.force_table import ForceTable, TableError
+from taccel_lab.calibration.material.gel import Gel, Tool
+from taccel_lab.calibration.material.indentation_points import IndentationPoints
+from taccel_lab.calibration.material.stiffness import KnownLaw, Stiffness, fit_stiffness
 from taccel_lab.calibration.result import Severity, Verdict, judge
-from tests.calibration.material.physics import COARSE
+from tests.calibration.material.tables import layer_table
 
 MODULUS, HELD = 3e5, 0.46
 FEW = np.array([0.4, 0.7, 1.0])
@@ -32,18 +32,16 @@ def tool(gel: Gel) -> Tool:
 
 
 @pytest.fixture(scope="module")
-def table(gel: Gel, tool: Tool, press_cache: Path) -> ForceTable:
-    return force_table(gel, tool, (0.2, 1.3), physics=COARSE)
+def table() -> ForceTable:
+    return layer_table("sphere", 5.0)
 
 
 def rubbed(table: ForceTable) -> ForceTable:
     """As if friction made presses stiffer, the deeper the more."""
-    coefficients = table.coefficients.copy()
+    coefficients = table.responses.coefficients.copy()
     coefficients[0, 0] += 0.15 * table.depths_mm / table.depths_mm[-1]
-    return ForceTable(
-        table.tool, table.depths_mm, table.exponent, table.nu_range, coefficients,
-        TableError(0.0, np.zeros(1)), 0.0, 0,
-    )  # fmt: skip
+    responses = replace(table.responses, coefficients=coefficients)
+    return replace(table, responses=responses, error=TableError(0.0, np.zeros(1)))
 
 
 def record(
@@ -53,7 +51,7 @@ def record(
 
 
 def fitted(points: IndentationPoints, tables: dict[float, ForceTable], **law: bool) -> Stiffness:
-    known = Law(HELD, 0.0, law.get("free_nu", True), False)
+    known = KnownLaw(HELD, 0.0, law.get("free_nu", True), False)
     every = {mu: [table] for mu, table in tables.items()}
     return fit_stiffness([points], every, known, start_pa=4e5)
 

@@ -1,24 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether records agree with one another and with the law, and what they say together."""
+"""What a user has to know of a fit to indentations: misfit, too few points, records at odds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from taccel_lab.calibration.capture import CaptureFolder
-from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material.flow import FlowFit
 from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
-from taccel_lab.calibration.material.leaning import leaning
-from taccel_lab.calibration.material.prediction import HeldOut
-from taccel_lab.calibration.material.setup import Gel
-from taccel_lab.calibration.material.sliding import SlideFit, combine
-from taccel_lab.calibration.material.tangential import TangentialFit
-from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
-from taccel_lab.envs.physics import PressPhysics
+from taccel_lab.calibration.material.predicted_forces import HeldOut
+from taccel_lab.calibration.result import Estimate, Remark, Severity
 
 MISFIT = 0.05
 """Root mean square residual, as a part of the force, that calls for a remark."""
@@ -29,34 +21,30 @@ FEW = 2
 """Points beyond the fitted numbers from which residuals say something."""
 TOUCH_SAID_MM = 0.005
 """Shift of first touch from which it is said where presses reproduce a record."""
-UNSURE = 0.25
+UNCERTAIN = 0.25
 """Relative half width of an interval that calls for a remark."""
-LEANING_ERROR = 0.02
-"""Relative error of the correction of a ball's leaning: steady state and mesh."""
-
-
 WANTED_SIGMA = 0.02
 """Relative standard deviation of Young's modulus that a calibration is after."""
-TOGETHER = 0.9
-"""Correlation of two parameters from which one is hardly told without the other."""
+CORRELATED = 0.9
+"""Correlation of two parameters from which one is hardly known without the other."""
 
 
-def together_remark(fit: IndentationFit) -> list[Remark]:
-    """That E is uncertain because nu is, and which second tool would tell them apart."""
+def young_with_nu(fit: IndentationFit) -> list[Remark]:
+    """That E is uncertain because nu is, and which second tool would separate them."""
     names = fit.solution.names
     sigma = fit.solution.sigma_of("ln_e")
     if "nu" not in names or sigma <= WANTED_SIGMA:
         return []
     correlation = float(fit.solution.correlation[names.index("ln_e"), names.index("nu")])
-    if abs(correlation) < TOGETHER:
+    if abs(correlation) < CORRELATED:
         return []
     return [
         Remark(
             Severity.INFO,
             "young_with_nu",
-            f"Young's modulus is told only together with Poisson's ratio (correlation "
+            f"Young's modulus is known only together with Poisson's ratio (correlation "
             f"{correlation:+.3f}) and is uncertain by {sigma:.0%} for that; "
-            f"{SECOND_TOOL}, or nu held with --fix nu=..., tells it to about 1 %",
+            f"{SECOND_TOOL}, or nu held with --fix nu=..., gives it to about 1 %",
         )
     ]
 
@@ -66,7 +54,7 @@ SECOND_TOOL = (
     "thickness, and a flat punch about as wide as the gel is thick or a ball of two to four times "
     "the thickness"
 )
-"""What tells E and nu apart (docs/calibration_material.md)."""
+"""What separates E and nu (docs/calibration_material.md)."""
 
 
 def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark]:
@@ -110,7 +98,7 @@ def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[
                     "its depth; the fit allows for it, but look at how touch was detected",
                 )
             )
-    remarks += together_remark(fit)
+    remarks += young_with_nu(fit)
     if fit.solution.misfit and fit.solution.chi2_per_dof is not None:
         remarks.append(
             Remark(
@@ -173,16 +161,16 @@ def few_points(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark
     ]
 
 
-def young_unsure(young: Estimate) -> list[Remark]:
+def young_uncertain(young: Estimate) -> list[Remark]:
     """That the interval of Young's modulus is wide."""
     low, high = young.interval95
     half = 0.5 * (high - low) / young.value
-    if half <= UNSURE:
+    if half <= UNCERTAIN:
         return []
     return [
         Remark(
             Severity.WARNING,
-            "young_unsure",
+            "young_uncertain",
             f"Young's modulus is only known to {half:.0%} ({low:.3g} to {high:.3g} Pa); record "
             "more depths, and deeper ones, or a second tool",
         )
@@ -218,131 +206,3 @@ def friction_assumed(
 def _rms(fit: IndentationFit) -> float:
     each = [fit.relative_residuals(i) for i in range(len(fit.points))]
     return float(np.sqrt(np.mean(np.concatenate(each) ** 2)))
-
-
-def friction_of(
-    gel: Gel,
-    folder: CaptureFolder,
-    slides: Sequence[SlideFit],
-    tangential: Sequence[TangentialFit],
-    flows: Sequence[FlowFit],
-    young: Estimate | None,
-    poisson_ratio: float,
-    mooney_ratio: float,
-    physics: PressPhysics,
-    progress: Callable[[int, int], None] | None,
-) -> tuple[Estimate | None, list[Remark]]:
-    """One coefficient from slides, shear, twist and marker flow; None where none tells it."""
-    found: list[tuple[str, float, float]] = []
-    remarks: list[Remark] = []
-    slid = [fit for fit in slides if fit.slid]
-    if slid:
-        ratio, said = combine(slid)
-        remarks += said
-        entry = next(r.entry.tool for r in folder.records if r.source == slid[0].source)
-        mean, sigma, said = _of_slide(
-            gel, folder, entry, slid, ratio, young, poisson_ratio, mooney_ratio, physics, progress
-        )
-        remarks += said
-        found.append(("slides", mean, sigma))
-    for fit in tangential:
-        if fit.friction_told:
-            found.append((fit.name, fit.friction, fit.friction * fit.relative_sigma))
-    for fit in flows:
-        if fit.friction_told:
-            found.append((fit.name, fit.friction, fit.friction * fit.relative_sigma))
-    if not found:
-        return None, remarks
-    value = np.array([item[1] for item in found])
-    sigma = np.array([max(item[2], 1e-6) for item in found])
-    weight = sigma**-2
-    mean = float(weight @ value / weight.sum())
-    error = float(weight.sum() ** -0.5)
-    if len(found) > 1:
-        scatter = float(weight @ (value - mean) ** 2 / (len(found) - 1))
-        error *= math.sqrt(max(scatter, 1.0))
-        if scatter > 6 and np.ptp(value) > 0.15 * mean:
-            each = ", ".join(f"{name} {v:.3g}" for name, v, _ in found)
-            remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "friction_disagrees",
-                    f"records disagree on friction ({each}); speed, load or a coating that wears "
-                    "may differ. Their weighted mean is used, its error widened",
-                )
-            )
-    half = NORMAL_95 * error
-    # Two digits: presses with it are simulated, and the profile says what they had.
-    stated = float(f"{mean:.2g}")
-    return Estimate(stated, error, "", (max(mean - half, 0.0), mean + half)), remarks
-
-
-def _of_slide(
-    gel: Gel,
-    folder: CaptureFolder,
-    entry: ToolEntry,
-    slides: Sequence[SlideFit],
-    ratio: Estimate,
-    young: Estimate | None,
-    poisson_ratio: float,
-    mooney_ratio: float,
-    physics: PressPhysics,
-    progress: Callable[[int, int], None] | None,
-) -> tuple[float, float, list[Remark]]:
-    """Coefficient and error of slides, freed of the ball's leaning on the gel."""
-    if entry.kind != "sphere":
-        return ratio.value, ratio.sigma, []
-    if entry.radius_mm is None and folder.ball_radius_mm is None:
-        note = "the radius of the sliding ball is not stated"
-    else:
-        tool = gel.tool(entry, folder.ball_radius_mm)
-        load = float(np.mean([np.mean(fit.normal_range_n) for fit in slides]))
-        modulus = young.value if young is not None else gel.material.young_modulus_pa
-        lean = leaning(
-            gel, tool, load, ratio.value, modulus, poisson_ratio, mooney_ratio, physics=physics,
-            progress=progress,
-        )  # fmt: skip
-        if lean is not None:
-            mu = lean.friction(ratio.value)
-            sigma = math.hypot(ratio.sigma * mu / ratio.value, LEANING_ERROR * mu)
-            return (
-                mu,
-                sigma,
-                [
-                    Remark(
-                        Severity.INFO,
-                        "ball_leans",
-                        f"tangential over normal force is {ratio.value:.3g} while the ball slides; "
-                        f"simulated at {lean.depth_mm:.2g} mm depth, a coefficient of {mu:.3g} "
-                        "makes it, since the ball leans on the gel before it",
-                    )
-                ],
-            )
-        note = "slides with so much friction do not converge"
-    return (
-        ratio.value,
-        math.hypot(ratio.sigma, 0.08 * ratio.value),
-        [
-            Remark(
-                Severity.WARNING,
-                "leaning_unknown",
-                f"{note}, so what the ball leans on the gel is not taken off; friction may be up "
-                "to 15 % lower than the ratio of the forces. A flat punch does not lean",
-            )
-        ],
-    )
-
-
-def weighted_mean(estimates: Sequence[Estimate]) -> Estimate | None:
-    """Weighted mean; the scatter of the estimates counts where it exceeds their errors."""
-    if not estimates:
-        return None
-    value = np.array([item.value for item in estimates])
-    weight = np.array([max(item.sigma, 1e-12) ** -2.0 for item in estimates])
-    mean = float(weight @ value / weight.sum())
-    sigma = float(weight.sum() ** -0.5)
-    if len(value) > 1:
-        scatter = float(weight @ (value - mean) ** 2 / (len(value) - 1))
-        sigma *= math.sqrt(max(scatter, 1.0))
-    low = max(mean - NORMAL_95 * sigma, 0.0)
-    return Estimate(mean, sigma, estimates[0].unit, (low, mean + NORMAL_95 * sigma))

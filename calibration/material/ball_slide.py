@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a sliding ball measures, and the coefficient of friction that makes it.
+"""The coefficient of friction that makes the ratio of forces which a sliding ball measures.
 
 A ball that slides leans on the gel before it: the contact shifts forward, and the tangential over
 the normal force exceeds the coefficient, by 2 % for 0.3 and by 13 % for 0.6 on a 4 mm gel. Presses
@@ -10,22 +10,18 @@ coefficient.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from scipy.optimize import brentq
 
 from taccel_lab.calibration.material.bonded_layer import layer_force_n
-from taccel_lab.calibration.material.candidates import prepare
-from taccel_lab.calibration.material.likelihood import root_between
-from taccel_lab.calibration.material.setup import Gel, Tool
-from taccel_lab.calibration.material.tangential_table import (
-    FULL_SLIP_DEPTHS,
-    GRID,
-    motion_candidate,
-    simulate_motion,
-)
+from taccel_lab.calibration.material.gel import Gel, Tool
+from taccel_lab.calibration.material.press_plans import simulate_each
+from taccel_lab.calibration.material.tangential_table import FULL_SLIP_DEPTHS, GRID, motion_plan
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
+from taccel_lab.progress import Progress, silent
 
 STEPS = 6
 LARGEST_RATIO = 1.0
@@ -33,8 +29,8 @@ LARGEST_RATIO = 1.0
 
 
 @dataclass(frozen=True)
-class Leaning:
-    """Ratio of the forces over the coefficient of friction at one load."""
+class BallSlide:
+    """Ratio of the forces at full slip over the coefficient of friction, at one load."""
 
     depth_mm: float
     mus: np.ndarray
@@ -49,7 +45,9 @@ class Leaning:
             return mu * float(np.polyval(gain, mu)) - ratio
 
         low, high = 0.5 * ratio, 1.2 * ratio
-        return root_between(miss, low, high) if miss(low) < 0 < miss(high) else ratio
+        if not miss(low) < 0 < miss(high):
+            return ratio
+        return cast(float, brentq(miss, low, high, xtol=1e-12))
 
 
 def depth_of_load_mm(
@@ -62,7 +60,7 @@ def depth_of_load_mm(
     return float(np.exp(np.interp(math.log(load_n), np.log(forces), np.log(depths))))
 
 
-def leaning(
+def simulate_ball_slide(
     gel: Gel,
     tool: Tool,
     load_n: float,
@@ -72,36 +70,24 @@ def leaning(
     mooney_ratio: float = 0.0,
     *,
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
-    progress: Callable[[int, int], None] | None = None,
-) -> Leaning | None:
+    progress: Progress = silent,
+) -> BallSlide | None:
     """Simulate slides at coefficients about ``ratio``; None where they do not converge."""
     if tool.kind != "sphere" or ratio > LARGEST_RATIO:
         return None
     depth = depth_of_load_mm(tool, load_n, young_pa, poisson_ratio, gel.thickness_mm)
     # A coarse grid of depths: the ratio hardly depends on it, and presses are shared.
     depth = round(GRID ** round(math.log(depth, GRID)), 4)
-    first, last = (math.floor(math.log(0.8 * ratio, GRID)), math.ceil(math.log(ratio, GRID)))
+    first, last = math.floor(math.log(0.8 * ratio, GRID)), math.ceil(math.log(ratio, GRID))
     mus, ratios = [GRID**k for k in range(first, last + 1)], []
     scaled = FULL_SLIP_DEPTHS * depth * np.linspace(0, 1, STEPS + 1)
-    slides = [
-        motion_candidate(
-            gel, tool, "shear", depth, scaled, mu, poisson_ratio, mooney_ratio, physics
-        )
-        for mu in mus
-    ]
-    prepare(gel.bench(tool, depth, physics), slides, progress)
-    for done, mu in enumerate(mus):
-        if progress is not None:
-            progress(done, len(mus))
-        found = simulate_motion(
-            gel, tool, "shear", depth, scaled, mu, poisson_ratio, mooney_ratio, physics
-        )
+    bench = gel.bench(tool, depth, physics)
+    plans = [motion_plan(bench, "shear", scaled, mu, poisson_ratio, mooney_ratio) for mu in mus]
+    for found in simulate_each(bench, plans, progress, f"slides of {tool.description}"):
         value = float(found["tangential"][-1] / found["normal_n"][-1])
         if not math.isfinite(value):
             break
         ratios.append(value)
-    if progress is not None:
-        progress(len(mus), len(mus))
     if len(ratios) < 2:
         return None
-    return Leaning(depth, np.array(mus[: len(ratios)]), np.array(ratios))
+    return BallSlide(depth, np.array(mus[: len(ratios)]), np.array(ratios))

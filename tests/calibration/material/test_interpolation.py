@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import polynomial
 
-from taccel_lab.calibration.material.surface_fit import (
+from taccel_lab.calibration.material.interpolation import (
     chebyshev_basis,
     chebyshev_nodes,
     fit_surface,

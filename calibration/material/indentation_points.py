@@ -11,8 +11,8 @@ from scipy.stats import rankdata
 
 from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material.bonded_layer import fast_young_modulus_pa
-from taccel_lab.calibration.material.setup import Gel, Tool
+from taccel_lab.calibration.material.bonded_layer import layer_young_modulus_pa
+from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 
@@ -161,7 +161,7 @@ def require_plausible(
     """
     moduli, remarks = [], []
     for item in points:
-        modulus = _fast(item, 1.0, thickness_mm, poisson_ratio)
+        modulus = _linear_modulus_pa(item, 1.0, thickness_mm, poisson_ratio)
         low, high = PLAUSIBLE_PA
         if not low <= modulus <= high:
             raise InputError(
@@ -182,21 +182,21 @@ def require_plausible(
     return float(np.exp(np.mean(np.log(moduli)))), remarks
 
 
-def _fast(
+def _linear_modulus_pa(
     item: IndentationPoints, depth_factor: float, thickness_mm: float, poisson_ratio: float
 ) -> float:
     tool = item.tool
     depth = item.depth_mm * depth_factor
     if tool.kind == "sphere":
         depth = np.minimum(depth, 0.9 * tool.radius_mm)
-    return fast_young_modulus_pa(
+    return layer_young_modulus_pa(
         tool.kind, depth, item.force_n, tool.radius_mm, thickness_mm, poisson_ratio
-    )[0]
+    )
 
 
 def _guess(item: IndentationPoints, thickness_mm: float, poisson_ratio: float) -> str:
     """Which units would give a usual gel, in words."""
-    modulus = _fast(item, 1.0, thickness_mm, poisson_ratio)
+    modulus = _linear_modulus_pa(item, 1.0, thickness_mm, poisson_ratio)
     fits = [
         f"force in {unit} ({modulus * factor:.2g} Pa)"
         for unit, factor in FORCE_UNITS.items()
@@ -204,7 +204,7 @@ def _guess(item: IndentationPoints, thickness_mm: float, poisson_ratio: float) -
     ]
     for unit, factor in DEPTH_UNITS.items():
         if item.deepest_mm * factor <= 0.75 * thickness_mm:
-            changed = _fast(item, factor, thickness_mm, poisson_ratio)
+            changed = _linear_modulus_pa(item, factor, thickness_mm, poisson_ratio)
             if USUAL_PA[0] <= changed <= USUAL_PA[1]:
                 fits.append(f"depth in {unit} ({changed:.2g} Pa)")
     if not fits:

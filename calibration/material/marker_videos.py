@@ -9,7 +9,7 @@ from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.folder import Video
 from taccel_lab.calibration.markers.fit import calibrate_markers
 from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
-from taccel_lab.calibration.material.flow_table import ToolPath
+from taccel_lab.calibration.material.tool_path import ToolPath
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile

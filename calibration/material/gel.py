@@ -20,8 +20,8 @@ import numpy as np
 
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.bonded_layer import ToolKind
-from taccel_lab.calibration.material.candidates import Candidate
 from taccel_lab.calibration.material.gel_presses import GelPresses
+from taccel_lab.calibration.material.press_plans import PressPlan
 from taccel_lab.envs import Indenter, parse_indenter, profile_material
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
@@ -43,7 +43,7 @@ RUBBING_LIMITS = {"max_substep_halvings": 3, "max_friction_lags": 60}
 """Of iterations, on which no result depends."""
 
 
-def compared(physics: PressPhysics) -> PressPhysics:
+def comparison_physics(physics: PressPhysics) -> PressPhysics:
     """The physics whose difference stands for the discretisation error of ``physics``."""
     return PHYSICS[COMPARED[physics.accuracy]]
 
@@ -179,16 +179,31 @@ class GelBench:
     def mesh(self) -> TetMesh:
         return self.gel.mesh(self.tool, self.depth_mm, self.physics)
 
-    def presses(self, candidates: Sequence[Candidate]) -> GelPresses:
+    def recipe(
+        self, what: str, poisson_ratio: float, mooney_ratio: float, **way: Any
+    ) -> dict[str, Any]:
+        """All that a press here depends on: gel, law, tool, physics, and the ``way`` it goes."""
+        return {
+            "what": what,
+            "gel": self.gel.recipe(),
+            "tool": self.tool.description,
+            "at_mm": list(self.tool.at_mm),
+            "nu": poisson_ratio,
+            "ratio": mooney_ratio,
+            "physics": self.physics.record(),
+            **way,
+        }
+
+    def presses(self, plans: Sequence[PressPlan]) -> GelPresses:
         """Gels of 1 MPa at rest."""
-        blocks = [self.gel.unit_material(c.poisson_ratio, c.mooney_ratio) for c in candidates]
-        rubs = any(candidate.friction for candidate in candidates)
+        blocks = [self.gel.unit_material(p.poisson_ratio, p.mooney_ratio) for p in plans]
+        rubs = any(plan.friction for plan in plans)
         return GelPresses(
             self.mesh,
             [profile_material(block, self.mesh) for block in blocks],
             self.tool.indenter(),
             self.tool.at_mm,
-            [candidate.friction for candidate in candidates],
+            [plan.friction for plan in plans],
             physics=self.physics,
             # With much friction a step that does not converge soon will not, see ``tangential``.
             config=self.physics.solver(**(RUBBING_LIMITS if rubs else {})),

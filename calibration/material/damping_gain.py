@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.material.setup import Gel, Tool
-from taccel_lab.calibration.material.store import kept
+from taccel_lab.calibration.material.gel import Gel, Tool
+from taccel_lab.calibration.material.press_cache import kept
 from taccel_lab.envs import profile_material
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.touch import first_touch_m
@@ -32,7 +32,7 @@ EARLIEST = 0.2
 """Part of the depth from which forces count; before, single nodes make contact."""
 
 
-def viscous_gain(
+def damping_gain(
     gel: Gel,
     tool: Tool,
     deepest_mm: float,
@@ -53,17 +53,10 @@ def viscous_gain(
         )
         return {"still_n": still, "moving_n": moving}
 
-    recipe = {
-        "what": "viscous gain",
-        "gel": gel.recipe(),
-        "tool": tool.description,
-        "at_mm": list(tool.at_mm),
-        "deepest_mm": deepest_mm,
-        "nu": poisson_ratio,
-        "ratio": mooney_ratio,
-        "physics": physics.record(),
-        "steps": STEPS,
-    }
+    bench = gel.bench(tool, deepest_mm, physics)
+    recipe = bench.recipe(
+        "viscous gain", poisson_ratio, mooney_ratio, deepest_mm=deepest_mm, steps=STEPS
+    )
     found = kept(recipe, simulate)
     depth = deepest_mm * np.arange(1, STEPS + 1) / STEPS
     # The static curve is smooth; what single nodes do to its slope is not wanted.

@@ -8,18 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.material import (
-    Gel,
+from taccel_lab.calibration.material.bonded_layer import layer_force_n
+from taccel_lab.calibration.material.gel import Gel
+from taccel_lab.calibration.material.indentation_points import (
     IndentationPoints,
+    loading_branch,
     points_of_record,
-    sphere_force_series_n,
+    require_plausible,
 )
-from taccel_lab.calibration.material.points import loading_branch, require_plausible
 from taccel_lab.errors import InputError
 from tests.calibration.material.records import record
 
 DEPTH = np.linspace(0.1, 1.0, 10)
-FORCE = sphere_force_series_n(DEPTH, 4.0, 4.0, 0.48, 3e5)
+FORCE = layer_force_n("sphere", DEPTH, 4.0, 4.0, 0.48, 3e5)
 
 
 def read(gel: Gel, depth: np.ndarray, force: np.ndarray) -> IndentationPoints:

@@ -9,25 +9,25 @@ contact tells Poisson's ratio.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from taccel_lab.calibration.markers.flow import MarkerFlow
-from taccel_lab.calibration.material.flow_table import (
+from taccel_lab.calibration.material.friction import FrictionFit
+from taccel_lab.calibration.material.gel import Gel, Tool
+from taccel_lab.calibration.material.likelihood import Solution
+from taccel_lab.calibration.material.marker_flow_table import (
     FlowTable,
-    ToolPath,
     flow_likelihood,
     flow_table,
 )
-from taccel_lab.calibration.material.friction_fit import FrictionFit
-from taccel_lab.calibration.material.likelihood import Solution
-from taccel_lab.calibration.material.setup import Gel, Tool
+from taccel_lab.calibration.material.tool_path import ToolPath
 from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.registry import sensor_family
 
 MIN_MARKERS = 6
@@ -60,7 +60,7 @@ class FlowFit(FrictionFit):
     @property
     def table_error(self) -> float:
         """Relative error of the simulated table."""
-        return self.table.relative_error
+        return self.table.mu_error
 
     @property
     def nu_estimate(self) -> Estimate:
@@ -78,19 +78,30 @@ class FlowFit(FrictionFit):
         )
 
     @property
-    def nu_told(self) -> bool:
-        """Whether it ends that of Poisson's ratio."""
+    def nu_determined(self) -> bool:
+        """Whether the markers end the interval of Poisson's ratio on both sides."""
         profile = self.solution.profiles.get("nu")
-        return profile is not None and not (profile.open_low or profile.open_high)
+        return profile is not None and profile.closed
+
+    group = "flows"
+
+    def residuals(self) -> dict[str, float]:
+        """Of a component of a displacement [mm]."""
+        return {"flow_rms_mm": self.rms_mm}
+
+    def valid_region(self) -> dict[str, tuple[float, float]]:
+        """The largest depth."""
+        return {"flow_depth_mm": (self.depth_mm, self.depth_mm)}
 
     def figures(self) -> dict[str, Any]:
+        """What was found, ready for JSON."""
         return {
             "name": self.name,
             "friction": self.friction,
             "friction_interval95": self.friction_interval,
-            "friction_told": self.friction_told,
+            "friction_determined": self.friction_determined,
             "poisson_ratio": self.poisson_ratio,
-            "poisson_ratio_told": self.nu_told,
+            "poisson_ratio_determined": self.nu_determined,
             "rms_mm": self.rms_mm,
             "moved_mm": self.moved_mm,
             "table_error_mm": self.table.error_mm,
@@ -108,7 +119,7 @@ def fit_flow(
     fixed_nu: float | None = None,
     mooney_ratio: float = 0.0,
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> FlowFit:
     """Fit friction, and Poisson's ratio unless it is fixed, to the motion of markers.
 
@@ -148,7 +159,7 @@ def fit_flow(
     use = np.broadcast_to(seen[:, inside, None], measured.shape)
     sigma = flow.sigma_mm[frames][:, inside][use]
     target = measured[use]
-    solution = flow_likelihood(table, use, target, sigma, fixed_nu).solve(drawn=True)
+    solution = flow_likelihood(table, use, target, sigma).solve(drawn=True)
     nu = solution.value("nu") if fixed_nu is None else fixed_nu
     fitted = table.displacement_mm(math.exp(solution.value("ln_mu")), nu)
     rms = float(np.sqrt(np.mean((fitted[use] - target) ** 2)))
@@ -164,17 +175,19 @@ def _remarks(name: str, solution: Solution, rms_mm: float, moved_mm: float) -> l
     remarks = []
     for key, title in (("ln_mu", "friction"), ("nu", "Poisson's ratio")):
         profile = solution.profiles.get(key)
-        if profile is None or not (profile.open_low or profile.open_high):
+        if profile is None or profile.closed:
             continue
         low, high = (math.exp(v) if key == "ln_mu" else v for v in profile.interval)
         if profile.open_low and profile.open_high:
-            text = f"does not tell {title}"
+            text = f"does not determine {title}"
         else:
-            text = f"only tells that {title} is " + (
+            text = f"only shows that {title} is " + (
                 f"above {low:.3g}" if profile.open_high else f"below {high:.3g}"
             )
         remarks.append(
-            Remark(Severity.INFO, f"flow_{key}_untold", f"{name} {text}; move the tool farther")
+            Remark(
+                Severity.INFO, f"flow_{key}_undetermined", f"{name} {text}; move the tool farther"
+            )
         )
     if rms_mm > 0.3 * moved_mm:
         remarks.append(

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Smooth functions of two parameters of the gel and of a way of the tool, through simulated values.
+
+Over the parameters they are Chebyshev polynomials, along the way (depth, shift, coefficient of
+friction) cubic splines. Where only values are known at m x n nodes, the polynomials are P_m x P_n
+(of degree below m and n). A slope at each node along one axis doubles the degrees there:
+P_m x P_2n + P_2m x P_n holds exactly as many polynomials as there are values and slopes along both
+axes, and one that is zero in all of them is zero (Hermite along one, Lagrange along the other).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A parameter between two ends, and the function of it in which responses are smooth."""
+
+    low: float
+    high: float
+    """The same where the parameter is held."""
+    smooth_in: Literal["itself", "logarithm", "compressibility"] = "itself"
+    """``compressibility``: sqrt(1 - 2 nu) of Poisson's ratio, in which forces are nearly
+    polynomial up to incompressibility."""
+
+    @property
+    def held(self) -> bool:
+        return self.low == self.high
+
+    def nodes(self, count: int) -> np.ndarray:
+        """Values at the Chebyshev nodes; one where the parameter is held."""
+        if self.held:
+            return np.array([self.low])
+        least, most = self._ends()
+        s = 0.5 * (most + least) + 0.5 * (most - least) * (2 * chebyshev_nodes(count) - 1)
+        if self.smooth_in == "logarithm":
+            return np.exp(s)
+        return s if self.smooth_in == "itself" else 0.5 * (1 - s**2)
+
+    def place(self, value: float) -> tuple[float, float]:
+        """z in -1..1 of the smooth function at a value, and dz by the value."""
+        if self.held:
+            return 0.0, 0.0
+        least, most = self._ends()
+        s, slope = self._smooth(value)
+        return (2 * s - most - least) / (most - least), 2 * slope / (most - least)
+
+    def _ends(self) -> tuple[float, float]:
+        """Least and largest value of the smooth function."""
+        low, high = self._smooth(self.low)[0], self._smooth(self.high)[0]
+        return min(low, high), max(low, high)
+
+    def _smooth(self, value: float) -> tuple[float, float]:
+        """The smooth function, and its derivative."""
+        if self.smooth_in == "logarithm":
+            return math.log(value), 1 / value
+        if self.smooth_in == "itself":
+            return value, 1.0
+        s = math.sqrt(1 - 2 * value)
+        return s, -1 / s
+
+
+class Response(NamedTuple):
+    """Values of a table, [..., item, point], and their derivatives."""
+
+    value: np.ndarray
+    by_first: np.ndarray
+    by_second: np.ndarray
+    by_way: np.ndarray
+
+
+@dataclass(frozen=True)
+class ResponseTable:
+    """Interpolated responses of a simulated gel."""
+
+    first: Axis
+    second: Axis
+    way: np.ndarray
+    """Rising, shape [knot]."""
+    coefficients: np.ndarray
+    """Of Chebyshev polynomials, shape [first, second, ..., knot]."""
+
+    @classmethod
+    def through(
+        cls,
+        first: Axis,
+        second: Axis,
+        way: np.ndarray,
+        values: np.ndarray,
+        slopes: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
+    ) -> ResponseTable:
+        """The table through values at the nodes, shape [first, second, ..., knot].
+
+        ``slopes`` are derivatives of the values by the first and by the second parameter, where
+        they are known.
+        """
+        m, n = values.shape[:2]
+        nodes = [[axis.place(v) for v in axis.nodes(c)] for axis, c in ((first, m), (second, n))]
+        flat = values.reshape(m, n, -1)
+        scaled = []
+        for axis, found in enumerate(slopes):
+            if found is not None:
+                per = np.array([by for _, by in nodes[axis]])
+                per = per[:, None, None] if axis == 0 else per[None, :, None]
+                found = found.reshape(flat.shape) / per
+            scaled.append(found)
+        places = [np.array([z for z, _ in each]) for each in nodes]
+        found = fit_surface(places[0], places[1], flat, *scaled)
+        return cls(first, second, way, found.reshape(*found.shape[:2], *values.shape[2:]))
+
+    def __post_init__(self) -> None:
+        spline = CubicSpline(self.way, self.coefficients, axis=-1)
+        object.__setattr__(self, "_spline", spline)
+        object.__setattr__(self, "_slope", spline.derivative())
+
+    def at(self, first: float, second: float, way: np.ndarray) -> Response:
+        """Responses and derivatives, shape [..., point]; past the ends of the way those there."""
+        x = np.clip(way, self.way[0], self.way[-1])
+        c = self._spline(x)  # type: ignore[attr-defined]
+        along = self._slope(x)  # type: ignore[attr-defined]
+        along[..., x != way] = 0.0
+        rows, columns, *shape = c.shape
+        z, by_first = self.first.place(first)
+        one, one_slope = chebyshev_basis(z, rows)
+        z, by_second = self.second.place(second)
+        two, two_slope = chebyshev_basis(z, columns)
+        terms = np.array([np.outer(one, two), np.outer(by_first * one_slope, two),
+                          np.outer(one, by_second * two_slope)])  # fmt: skip
+        terms = terms.reshape(3, -1)
+        found = (terms @ c.reshape(rows * columns, -1)).reshape(3, *shape)
+        by_way = (terms[0] @ along.reshape(rows * columns, -1)).reshape(shape)
+        return Response(found[0], found[1], found[2], by_way)
+
+
+def chebyshev_nodes(count: int) -> np.ndarray:
+    """Chebyshev nodes in 0..1, falling."""
+    return 0.5 * (1 + np.cos(math.pi * (np.arange(count) + 0.5) / count))
+
+
+def chebyshev_basis(z: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """T_0 .. T_{count-1} at z and their derivatives."""
+    # T_k = cos(k a) and T_k' = k sin(k a) / sin(a), by their recurrences: quicker than numpy's.
+    value, slope = [1.0, z], [0.0, 1.0]
+    for _ in range(2, count):
+        value.append(2 * z * value[-1] - value[-2])
+        slope.append(2 * value[-2] + 2 * z * slope[-1] - slope[-2])
+    return np.array(value[:count]), np.array(slope[:count])
+
+
+def fit_surface(
+    first: np.ndarray,
+    second: np.ndarray,
+    values: np.ndarray,
+    first_slopes: np.ndarray | None = None,
+    second_slopes: np.ndarray | None = None,
+) -> np.ndarray:
+    """Chebyshev coefficients of the polynomial through values, and slopes where they are given.
+
+    Args:
+        first: Nodes of the first parameter in -1..1, shape [m].
+        second: Of the second one, shape [n].
+        values: Shape [m, n, item].
+        first_slopes: Derivatives by the first parameter, shape [m, n, item].
+        second_slopes: By the second one.
+
+    Returns:
+        Shape [m or 2 m, n or 2 n, item]; zero where the polynomial has no term.
+    """
+    m, n = len(first), len(second)
+    rows = m if first_slopes is None else 2 * m
+    columns = n if second_slopes is None else 2 * n
+    terms = [(j, i) for j in range(rows) for i in range(columns) if j < m or i < n]
+    equations, right = [], []
+    for a, x in enumerate(first):
+        for b, y in enumerate(second):
+            at_x, by_x = chebyshev_basis(float(x), rows)
+            at_y, by_y = chebyshev_basis(float(y), columns)
+            equations.append([at_x[j] * at_y[i] for j, i in terms])
+            right.append(values[a, b])
+            if first_slopes is not None:
+                equations.append([by_x[j] * at_y[i] for j, i in terms])
+                right.append(first_slopes[a, b])
+            if second_slopes is not None:
+                equations.append([at_x[j] * by_y[i] for j, i in terms])
+                right.append(second_slopes[a, b])
+    found = np.linalg.solve(np.array(equations), np.array(right))
+    result = np.zeros((rows, columns, values.shape[2]))
+    for term, row in zip(terms, found, strict=True):
+        result[term] = row
+    return result
