@@ -19,8 +19,8 @@ import numpy as np
 from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.background.report import background_page
 from taccel_lab.calibration.base_profile import lost_blocks, on_grid, presses_on_camera
-from taccel_lab.calibration.camera import camera_page
 from taccel_lab.calibration.camera.fit import calibrate_camera
+from taccel_lab.calibration.camera.report import camera_page
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
@@ -28,11 +28,12 @@ from taccel_lab.calibration.check.block_findings import capture_findings, joined
 from taccel_lab.calibration.color.fit import ColorPlan, HeldoutSet, calibrate_color
 from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.color.report import color_page
-from taccel_lab.calibration.contacts import choose_circles, usable_presses
+from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.calibration.depth.fit import calibrate_depth
 from taccel_lab.calibration.depth.rectified import grey_captures
 from taccel_lab.calibration.depth.report import depth_page
-from taccel_lab.calibration.markers import calibrate_markers
+from taccel_lab.calibration.markers.fit import calibrate_markers
 from taccel_lab.calibration.markers.report import marker_page
 from taccel_lab.calibration.material.fit import calibrate_material
 from taccel_lab.calibration.material.report import material_page

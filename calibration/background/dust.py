@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy.stats import median_abs_deviation
 
 from taccel_lab.calibration.light.smoothing import smoothed
+from taccel_lab.calibration.robust_spread import spread_about_median
 
 SPECK_SHARE = 1 / 60
 """Size below which something is a speck rather than a shade, as a part of the shorter side."""
@@ -25,7 +25,7 @@ def dust_mask(image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
     fine = smoothed(image, mask, 0.6) - smoothed(image, mask, sigma)
     strength = np.linalg.norm(fine, axis=-1)
     usable = strength if mask is None else strength[mask]
-    noise = float(median_abs_deviation(usable, axis=None, scale="normal"))
+    noise = spread_about_median(usable)
     specks = strength > max(MIN_LEVELS, float(np.median(usable)) + SIGMAS * noise)
     if mask is not None:
         # Next to masked pixels the surroundings are one-sided.

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.stats import median_abs_deviation
 
 from taccel_lab.calibration.light.fit import fit_light, without_light
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.light.smoothing import smoothed
+from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.geometry import PixelGrid
 
 SMOOTHING_SHARE = 1 / 240
@@ -65,5 +65,5 @@ def color_change(
             near = cv2.resize(near.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     strength = np.linalg.norm(change, axis=-1)
     untouched = strength if near is None else strength[near]
-    noise = float(median_abs_deviation(untouched, axis=None, scale="normal"))
+    noise = spread_about_median(untouched)
     return ColorChange(change, near, ratio, sigma, drift, noise + 1e-6)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.stats import median_abs_deviation
 
 from taccel_lab.calibration.dots import soft_ellipse as model
 from taccel_lab.calibration.dots.blobs import (
@@ -19,6 +18,7 @@ from taccel_lab.calibration.dots.blobs import (
 from taccel_lab.calibration.dots.dot_fit import fit_dots
 from taccel_lab.calibration.dots.dots import DotFit, DotFlag, Dots
 from taccel_lab.calibration.dots.grey_picture import bright_level, grey_levels, reduced
+from taccel_lab.calibration.robust_spread import spread_about_median
 
 _LARGE_PX = 10.0
 """Dots of twice this radius or more are found in a reduced picture: their rim is long enough."""
@@ -215,7 +215,7 @@ def _refit_partial(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
         near = whole[np.argsort(gap)[:_NEIGHBOURS]]
         start[n, model.SHAPE] = np.median(p[near, model.SHAPE], axis=0)
         start[n, model.LOG_BLUR] = np.median(p[near, model.LOG_BLUR])
-        off = median_abs_deviation(radii[near], scale="normal")
+        off = spread_about_median(radii[near])
         spread[n] = max(off, _SAME_SIZE * np.median(radii[near]))
     again = fit_dots(grey, start, free_shape=False, others=p[~cut, :2])
     unknown = spread * np.minimum(1.0, 2.0 * (1.0 - again.seen))

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import median_abs_deviation
 
 from taccel_lab.calibration.dots.blobs import DotScale, scale_candidates
 from taccel_lab.calibration.dots.detection import (
@@ -25,6 +24,7 @@ from taccel_lab.calibration.dots.dots import DotFlag, Dots
 from taccel_lab.calibration.dots.grey_picture import grey_levels
 from taccel_lab.calibration.dots.lattice import Lattice, lattice_index, renumbered
 from taccel_lab.calibration.dots.layout import PITCH_X, PITCH_Y, LayoutFit, fit_layout
+from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 
 MIN_DOTS = 9
@@ -122,7 +122,7 @@ def _accept(dots: Dots, scale: DotScale) -> MarkerPicture | None:
 
 def _alike(dots: Dots) -> bool:
     """Whether dots have one size: the middle two thirds within 20 % of the median; dirt has not."""
-    return bool(median_abs_deviation(np.log(dots.radius_px), scale="normal") < _ONE_SIZE)
+    return bool(spread_about_median(np.log(dots.radius_px)) < _ONE_SIZE)
 
 
 def _numbered(dots: Dots, lattice: Lattice) -> MarkerPicture:

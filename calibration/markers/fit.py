@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.stats import median_abs_deviation
 
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.folder import Frame, Video
@@ -22,6 +21,7 @@ from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVide
 from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -117,7 +117,7 @@ def _radius_mm(dots: Dots, view: GelView) -> tuple[float, float]:
     radius = radius[np.isfinite(radius)]
     if len(radius) == 0:
         raise InputError("no whole dot lies where the camera sees the gel")
-    spread = float(median_abs_deviation(radius, scale="normal"))
+    spread = spread_about_median(radius)
     return float(np.median(radius)), 1.2533 * spread / np.sqrt(len(radius))
 
 

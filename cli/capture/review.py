@@ -36,7 +36,7 @@ class CaptureReview:
         from taccel_lab.calibration.contacts.review import review_contacts
         from taccel_lab.calibration.result import Severity, judge
         from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import count_progress
+        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output import require_replaceable
 
         console = Console(stderr=True)
@@ -44,7 +44,7 @@ class CaptureReview:
         captures = load_captures(self.captures)
         if self.contacts is not None:
             captures = with_overrides(captures, self.contacts)
-        with count_progress(console, "finding the contacts") as progress:
+        with stage_progress(console) as progress:
             review = review_contacts(captures, progress)
         write_review(review, self.out)
         if self.json:
