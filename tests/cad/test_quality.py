@@ -16,12 +16,12 @@ from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import (
     PRESS_GATE,
     QualityGate,
-    bad_tets,
     check_quality,
     measure_quality,
     require_quality,
     surface_distance_mm,
 )
+from taccel_lab.cad.mesh.quality_gate import bad_tets
 from taccel_lab.cad.mesh.quality_measures import EDGE_PAIRS, dihedral_angles_deg, mean_ratios
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed, weld
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
