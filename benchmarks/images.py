@@ -20,7 +20,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_of
-from taccel_lab.benchmarks.results import ResultFile
+from taccel_lab.benchmarks.results import ResultFile, spread
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.block import block_mesh
@@ -153,7 +153,7 @@ def build(
 
 
 def timed(work: Callable[[], Any], device: wp.Device, repeats: int) -> dict[str, float]:
-    """Median, least and greatest time [s] of ``work``, warm; captured once on CUDA."""
+    """Time [s] of ``work``, warm; captured once on CUDA: median and range."""
     work()
     if not device.is_cuda:
         seconds, clock = [], clock_of(device)
@@ -174,11 +174,7 @@ def timed(work: Callable[[], Any], device: wp.Device, repeats: int) -> dict[str,
         wp.synchronize_device(device)
         pairs = itertools.pairwise(events)
         seconds = [wp.get_event_elapsed_time(a, b) * 1e-3 for a, b in pairs]
-    return {
-        "median_s": float(np.median(seconds)),
-        "least_s": float(np.min(seconds)),
-        "greatest_s": float(np.max(seconds)),
-    }
+    return spread(seconds)
 
 
 def errors(signal: SignalTactile, positions: np.ndarray, env_count: int) -> dict[str, Any]:
@@ -289,7 +285,7 @@ def measure(
             signal.read(*reads)
 
         figures = timed(work, wp_device, repeats)
-        return {**figures, "images_per_s": env_count / figures["median_s"]}
+        return {**figures, "images_per_s": env_count / figures["median"]}
 
     for name, reads in READS.items():
         row[name] = speed(signal, on_device, *reads)
@@ -332,8 +328,8 @@ def describe(row: dict[str, Any]) -> str:
     figures_of["RGB, view beyond the pad"] = row["view beyond the pad"]
     lines = [f"{row['size'][0]}x{row['size'][1]}, {row['sensors']} sensors"]
     lines += [
-        f"  {name:34s} {figures['images_per_s']:12,.0f} /s {figures['median_s'] * 1e3:9.3f} ms"
-        f" ({figures['least_s'] * 1e3:.3f} to {figures['greatest_s'] * 1e3:.3f})"
+        f"  {name:34s} {figures['images_per_s']:12,.0f} /s {figures['median'] * 1e3:9.3f} ms"
+        f" ({figures['min'] * 1e3:.3f} to {figures['max'] * 1e3:.3f})"
         for name, figures in figures_of.items()
     ]
     error = row["errors"]
@@ -351,7 +347,7 @@ def describe(row: dict[str, Any]) -> str:
     parts = {name: value for name, value in row["stages"].items() if isinstance(value, dict)}
     lines.append(
         f"  a chunk of {row['stages']['environments']}: "
-        + ", ".join(f"{name} {value['median_s'] * 1e3:.3f} ms" for name, value in parts.items())
+        + ", ".join(f"{name} {value['median'] * 1e3:.3f} ms" for name, value in parts.items())
         + f"; built and first read in {row['build_and_first_read_s']:.2f} s"
     )
     return "\n".join(lines)

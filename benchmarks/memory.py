@@ -24,7 +24,6 @@ class Allocations:
 
     count: int
     """Allocations made, freed ones as well."""
-    live_bytes: float
     peak_bytes: float
 
 
@@ -72,7 +71,6 @@ class MemoryMeter:
         name, none = str(self._device), (0, 0.0)
         return Allocations(
             sections.get("Total allocations", {}).get(name, none)[0],
-            sections.get("Live allocations", {}).get(name, none)[1],
             sections.get("Peak usage", {}).get(name, none)[1],
         )
 

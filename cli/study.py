@@ -15,8 +15,8 @@ from taccel_lab.errors import InputError, SimulationError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.studies.plan import Study as PlannedStudy
     from taccel_lab.studies.runner import Outcome
+    from taccel_lab.studies.study import Study as StudyToRun
 
 
 @dataclass(frozen=True)
@@ -66,18 +66,18 @@ class Study:
         import warp as wp
         from rich.console import Console
 
-        from taccel_lab.studies.plan import default_kit, plan_study
         from taccel_lab.studies.report import write_study_report
-        from taccel_lab.studies.runner import stored_outcome
-        from taccel_lab.studies.spec import load_study
+        from taccel_lab.studies.runner import read_outcome
+        from taccel_lab.studies.spec import load_spec
+        from taccel_lab.studies.study import default_kit, make_study
 
         wp.config.log_level = wp.LOG_WARNING
         console = Console(stderr=True)
-        study = plan_study(load_study(file), default_kit())
+        study = make_study(load_spec(file), default_kit())
         root = self.out or Path("out") / file.stem
         try:
             if self.report_only:
-                outcome = stored_outcome(study, root)
+                outcome = read_outcome(study, root)
             else:
                 outcome = self._evaluate(study, root, file, console)
             with console.status("writing the report"):
@@ -98,7 +98,7 @@ class Study:
                 words += [f"--{name}", str(getattr(self, name))]
         return shlex.join(words)
 
-    def _evaluate(self, study: PlannedStudy, root: Path, file: Path, console: Console) -> Outcome:
+    def _evaluate(self, study: StudyToRun, root: Path, file: Path, console: Console) -> Outcome:
         from taccel_lab.cli.press import require_device
         from taccel_lab.cli.study_progress import StudyProgress
         from taccel_lab.studies.runner import run_study
@@ -149,7 +149,7 @@ class Study:
 def _print_lists(options: Study) -> None:
     from taccel_lab.cli.console import print_json
     from taccel_lab.studies.describe import press_in_words
-    from taccel_lab.studies.plan import default_kit
+    from taccel_lab.studies.study import default_kit
 
     kit = default_kit()
     metrics = {

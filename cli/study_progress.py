@@ -12,8 +12,8 @@ from taccel_lab.studies.runner import Listener
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from taccel_lab.studies.design_row import DesignRow
     from taccel_lab.studies.runner import Outcome
-    from taccel_lab.studies.stored import StoredDesign
 
 
 LINE_EVERY_S = 20.0
@@ -62,17 +62,17 @@ class StudyProgress(Listener):
     ) -> None:
         self._bar.stop()
 
-    def begins(self, total: int, stored: int, to_do: int) -> None:
+    def begins(self, total: int, there: int, to_do: int) -> None:
         from rich.text import Text
 
-        if stored:
+        if there:
             self._bar.console.print(
-                Text(f"{stored} of {total} designs are there already, {to_do} to do")
+                Text(f"{there} of {total} designs are there already, {to_do} to do")
             )
         self._total, self._begun = to_do, time.monotonic()
         self._task = self._bar.add_task("designs", total=to_do, note="")
 
-    def finished(self, design: StoredDesign) -> None:
+    def finished(self, design: DesignRow) -> None:
         from rich.text import Text
 
         if design.status != "done":

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.errors import InputError
+from taccel_lab.studies.design_point import NoFigure
 from taccel_lab.studies.press_record import PressRecord
-from taccel_lab.studies.unavailable import Unavailable
 
 if TYPE_CHECKING:
     from taccel_lab.optics.photometry import Photometry
@@ -25,21 +26,24 @@ def view_model(
     parameters: FamilyParameters,
     record: PressRecord | None = None,
     *,
+    size_px: int = VIEW_PX,
+    enlarged: bool = False,
     markers: bool = True,
     device: str = "cpu",
 ) -> OpticalModel:
     """Optical model of a design, on the mesh of a press or on the even mesh of its pad, with its
-    markers or without.
+    markers or without; pictures of ``size_px`` along the longer side, finer than the camera's own
+    pixels only when ``enlarged``.
 
-    Raises Unavailable for a family without optics.
+    Raises InputError for a family without optics.
     """
     from taccel_lab.cad.mesh.gel_mesh import gel_mesh
     from taccel_lab.optics.render import OpticalModel
 
     design = parameters.optics()
     if design is None:
-        raise Unavailable("the family has no optical model")
-    size = design.camera.size_within(VIEW_PX)
+        raise InputError("the family has no optical model")
+    size = design.camera.size_within(size_px, enlarged=enlarged)
     mesh = gel_mesh(parameters.pad()) if record is None else record.mesh
     dots = parameters.markers() if markers else None
     return OpticalModel(design, mesh, size_px=size, markers=dots, device=device)
@@ -56,7 +60,7 @@ def picture_change(model: OpticalModel, record: PressRecord, steps: list[int]) -
     """Mean change of the grey levels (of 255, mean of the channels) where a press dents the gel.
 
     Over the pixels whose point of the face lies deeper by at least a tenth of the deepest; [step].
-    Raises Unavailable where the camera sees nothing of the dent.
+    Raises NoFigure where the camera sees nothing of the dent.
     """
     rest = model.render(record.rest_m)
     changes = []
@@ -66,7 +70,7 @@ def picture_change(model: OpticalModel, record: PressRecord, steps: list[int]) -
         seen = rest.mask & pressed.mask & np.isfinite(deeper)
         dented = seen & (deeper >= _DENTED * np.max(deeper, where=seen, initial=0.0))
         if not (dented.any() and deeper[dented].max() > 0):
-            raise Unavailable("the camera sees nothing of the press")
+            raise NoFigure("the camera sees nothing of the press")
         levels = np.abs(pressed.rgb[dented].astype(float) - rest.rgb[dented]).mean(axis=-1)
         changes.append(float(levels.mean()))
     return np.array(changes)

@@ -7,11 +7,10 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
+from taccel_lab.report.markdown import markdown_table, with_parts
 from taccel_lab.studies.presses import StandardPress
 
 
@@ -40,37 +39,31 @@ def metrics_table() -> str:
     """All metrics as a Markdown table."""
     from taccel_lab.studies.metrics import METRICS
 
-    lines = ["| metric | unit | better | read from | what it is |", "|---|---|---|---|---|"]
-    for name, metric in METRICS.items():
-        read = ", ".join(metric.presses) or "no press"
-        unit = metric.unit if metric.unit != "1" else "–"
-        better = metric.better if metric.better != "none" else "–"
-        lines.append(f"| `{name}` | {unit} | {better} | {read} | {metric.description} |")
-    return "\n".join(lines)
+    head = ["metric", "unit", "better", "read from", "what it is"]
+    rows = [
+        [
+            f"`{name}`",
+            metric.unit if metric.unit != "1" else "–",
+            metric.better if metric.better != "none" else "–",
+            ", ".join(metric.presses) or "no press",
+            metric.description,
+        ]
+        for name, metric in METRICS.items()
+    ]
+    return markdown_table(head, rows)
 
 
 def presses_table() -> str:
     """All standard presses as a Markdown table."""
     from taccel_lab.studies.presses import STANDARD_PRESSES
 
-    lines = ["| press | what it does |", "|---|---|"]
-    lines += [f"| `{name}` | {press_in_words(p)} |" for name, p in STANDARD_PRESSES.items()]
-    return "\n".join(lines)
-
-
-TABLES: dict[str, Callable[[], str]] = {"metrics": metrics_table, "presses": presses_table}
+    rows = [[f"`{name}`", press_in_words(press)] for name, press in STANDARD_PRESSES.items()]
+    return markdown_table(["press", "what it does"], rows)
 
 
 def with_tables(page: str) -> str:
-    """A Markdown page with the tables between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``."""
-    for name, table in TABLES.items():
-        begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
-        between = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
-        if len(between.findall(page)) != 1:
-            raise ValueError(f"the page needs one {begin} followed by {end}")
-        text = f"{begin}\n{table()}\n{end}"
-        page = between.sub(lambda _, text=text: text, page)
-    return page
+    """docs/studies.md with its tables made anew."""
+    return with_parts(page, {"metrics": metrics_table(), "presses": presses_table()})
 
 
 if __name__ == "__main__":

@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+from taccel_lab.output import to_jsonable
 
 if TYPE_CHECKING:
     from taccel_lab.studies.press_record import PressRecord
@@ -40,3 +44,13 @@ class DesignResult:
     """Steps of each press, ready for JSON: depth [mm], force [N] and so on, by press."""
     records: dict[str, list[PressRecord]] = field(default_factory=dict, repr=False)
     """What the presses left behind, by press, one for each place and indenter."""
+
+
+class NoFigure(Exception):
+    """A metric has no value for a design; the message says why."""
+
+
+def content_id(content: Any) -> str:
+    """Twelve hex digits that stand for ``content``: equal content, equal digits."""
+    text = json.dumps(to_jsonable(content), sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -8,33 +8,21 @@ Two designs share a simulation when the result is the same: those that differ in
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
+from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.design_point import DesignPoint, DesignResult, NoFigure
 from taccel_lab.studies.evidence import LOAD_N, Evidence
-from taccel_lab.studies.metrics import METRICS, Metric, Unavailable
+from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.press_batch import REFERENCE_PA, Simulated, batch_size, simulate
 from taccel_lab.studies.press_job import PressJob, press_jobs
-from taccel_lab.studies.presses import STANDARD_PRESSES, StandardPress
-
-__all__ = [
-    "METRICS",
-    "STANDARD_PRESSES",
-    "DesignPoint",
-    "DesignResult",
-    "Metric",
-    "StandardPress",
-    "evaluate_designs",
-]
-
-Progress = Callable[[str, int, int], None]
-"""Told what was done last, how many of the simulations are done, and how many there are."""
+from taccel_lab.studies.presses import StandardPress
 
 
 @dataclass
@@ -53,7 +41,7 @@ def evaluate_designs(
     metrics: Sequence[Metric],
     *,
     device: str = "cpu",
-    progress: Progress | None = None,
+    progress: Progress = silent,
     folder: Path | None = None,
     load_n: float = LOAD_N,
 ) -> list[DesignResult]:
@@ -67,8 +55,8 @@ def evaluate_designs(
         presses: Standard presses; figures read from presses that are missing here stay None.
         metrics: What to compute.
         device: Warp device of the solver.
-        progress: Called before the first and after each batch of simulations.
-        folder: Where the steps of presses are kept, in a subfolder of each design's id.
+        progress: Told before the first and after each batch how many simulations are done.
+        folder: Where the steps of presses are saved, in a subfolder of each design's id.
         load_n: Load at which figures are read, where they are read at a load.
 
     Returns:
@@ -89,21 +77,19 @@ def evaluate_designs(
                 owners.setdefault(key, design)
         prepared.append(design)
     done: dict[str, Simulated] = {}
-    if progress is not None:
-        progress("meshed", 0, len(jobs))
+    progress("meshed", 0, len(jobs))
     for batch in _batches(jobs, batch_size(device)):
         for job, simulated in zip(batch, simulate(batch, device), strict=True):
             done[job.key] = simulated
             owner = owners[job.key].result
             owner.simulations += 1
             owner.seconds += simulated.seconds
-        if progress is not None:
-            progress(f"press {batch[0].press.name}", len(done), len(jobs))
+        progress(f"press {batch[0].press.name}", len(done), len(jobs))
     for design in prepared:
         started = time.perf_counter()
         _conclude(design, done, metrics, load_n, device)
         if folder is not None:
-            _keep(design.result, folder / design.result.point.id)
+            _save_presses(design.result, folder / design.result.point.id)
         design.result.seconds += time.perf_counter() - started
     return [design.result for design in prepared]
 
@@ -177,12 +163,12 @@ def _conclude(
     for metric in metrics:
         try:
             result.figures[metric.name] = float(metric.compute(evidence))
-        except (Unavailable, InputError) as error:
+        except (NoFigure, InputError) as error:
             result.figures[metric.name] = None
             result.causes[metric.name] = str(error)
 
 
-def _keep(result: DesignResult, folder: Path) -> None:
+def _save_presses(result: DesignResult, folder: Path) -> None:
     """Write the steps of a design's presses."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, made in result.records.items():

@@ -23,8 +23,8 @@ from taccel_lab.signals import (
     SurfaceMode,
 )
 from taccel_lab.studies.camera_view import photometry, picture_change, view_model
+from taccel_lab.studies.design_point import NoFigure
 from taccel_lab.studies.press_record import PressRecord
-from taccel_lab.studies.unavailable import Unavailable
 
 if TYPE_CHECKING:
     from taccel_lab.optics.photometry import Photometry
@@ -51,18 +51,18 @@ class Evidence:
     """Warp device of the pictures."""
 
     def all(self, press: str) -> list[PressRecord]:
-        """Records of a press; raises Unavailable when one did not get to its end."""
+        """Records of a press; raises NoFigure when one did not get to its end."""
         if press in self.causes:
-            raise Unavailable(f"press {press}: {self.causes[press]}")
+            raise NoFigure(f"press {press}: {self.causes[press]}")
         if press not in self.records:
-            raise Unavailable(f"the press {press!r} was not asked for")
+            raise NoFigure(f"the press {press!r} was not asked for")
         for record in self.records[press]:
             if record.cause:
-                raise Unavailable(f"press {press}: {record.cause}")
+                raise NoFigure(f"press {press}: {record.cause}")
         return self.records[press]
 
     def one(self, press: str) -> PressRecord:
-        """The first record of a press; raises Unavailable as ``all``."""
+        """The first record of a press; raises NoFigure as ``all``."""
         return self.all(press)[0]
 
     @property
@@ -73,7 +73,7 @@ class Evidence:
 
     @cached_property
     def photometry(self) -> Photometry:
-        """Photometric figures of the untouched gel; raises Unavailable without optics."""
+        """Photometric figures of the untouched gel; raises InputError without optics."""
         return photometry(self.parameters, self.device)
 
     def picture_change(self, record: PressRecord, steps: list[int]) -> np.ndarray:
@@ -111,17 +111,17 @@ def at_load(record: PressRecord, values: np.ndarray, load_n: float) -> float:
     law of the first two goes on.
 
     Raises:
-        Unavailable: The press ends below the load, or the first step is above ten times the load.
+        NoFigure: The press ends below the load, or the first step is above ten times the load.
     """
     force = record.normal_n
     if not (len(force) >= 2 and (np.diff(force) > 0).all() and force[0] > 0):
-        raise Unavailable(f"press {record.press}: the force does not rise from step to step")
+        raise NoFigure(f"press {record.press}: the force does not rise from step to step")
     if load_n > force[-1] * (1 + 1e-9):
-        raise Unavailable(
+        raise NoFigure(
             f"press {record.press} ends at {force[-1]:.3g} N, below the load of {load_n:g} N"
         )
     if load_n < force[0] / 10:
-        raise Unavailable(
+        raise NoFigure(
             f"the first step of press {record.press} has {force[0]:.3g} N, more than ten times the "
             f"load of {load_n:g} N"
         )

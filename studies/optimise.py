@@ -17,7 +17,7 @@ from typing import Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.studies.axis import Axis
-from taccel_lab.studies.judge import TOLERANCE
+from taccel_lab.studies.ranking import TOLERANCE
 from taccel_lab.studies.spec import Constraint, Objective, Sweep, nearest
 
 CONSTRAINED = ("LN_COBYLA", "GN_ISRES", "GN_ORIG_DIRECT", "GN_ORIG_DIRECT_L")

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.errors import InputError
 from taccel_lab.report.style import BLUE, GREY, LIGHT, in_report_style, new_figure, save_figure
+from taccel_lab.studies.camera_view import view_model
 from taccel_lab.studies.press_record import PressRecord
 
 if TYPE_CHECKING:
@@ -41,20 +43,9 @@ def camera_preview(
     parameters: FamilyParameters, record: PressRecord
 ) -> tuple[np.ndarray | None, str]:
     """What the camera would see at full depth, RGB levels [H, W, 3], or why there is no image."""
-    from taccel_lab.errors import InputError
-    from taccel_lab.optics.render import OpticalModel
-
-    design = parameters.optics()
-    if design is None:
-        return None, "the family has no optical model"
-    size = design.camera.size_within(PREVIEW_PX, enlarged=True)
     try:
-        model = OpticalModel(
-            design,
-            record.mesh,
-            size_px=size,
-            markers=parameters.markers(),
-            device=record.device,
+        model = view_model(
+            parameters, record, size_px=PREVIEW_PX, enlarged=True, device=record.device
         )
         return model.render(record.positions_m(record.down.stop - 1)).rgb, ""
     except InputError as error:

@@ -5,16 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, in_report_style, new_figure, save_figure
-from taccel_lab.studies.camera_view import photometry
+from taccel_lab.studies.camera_view import photometry, view_model
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
-from taccel_lab.studies.evaluate import Progress, evaluate_designs
+from taccel_lab.studies.evaluate import evaluate_designs
 from taccel_lab.studies.metrics import METRICS, Metric
 from taccel_lab.studies.press_record import PressRecord
 from taccel_lab.studies.presses import standard_presses
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
 
     from taccel_lab.optics.frames import LightField, PreviewImage
     from taccel_lab.optics.photometry import Photometry
-    from taccel_lab.optics.render import OpticalModel
     from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 
 _GAIN = 3.0
@@ -77,7 +78,7 @@ def preview_design(
     presses: Sequence[str] = ("sphere",),
     size_px: int = 640,
     device: str = "cpu",
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> DesignPreview:
     """Render a design untouched and pressed, and compute what its presses tell.
 
@@ -92,18 +93,19 @@ def preview_design(
     Raises:
         InputError: Parameters out of bounds, a family without optics, an unknown press.
     """
-    from taccel_lab.cad.mesh.gel_mesh import gel_mesh
-
+    if not 32 <= size_px <= 4096:
+        raise InputError(f"the size of a preview must lie in [32, 4096] px, got {size_px}")
     chosen = standard_presses(list(presses))
     parameters = family.parameters(overrides)
-    model = _model(parameters, gel_mesh(parameters.pad()), size_px, device)
+    look = partial(view_model, parameters, size_px=size_px, enlarged=True, device=device)
+    model = look()
     metrics = tuple(m for m in METRICS.values() if set(m.presses) <= set(presses))
     point = DesignPoint("design", family.name, dict(overrides or {}))
     (result,) = evaluate_designs([point], chosen, metrics, device=device, progress=progress)
     record = next((r for made in result.records.values() for r in made if r.down.stop), None)
     pressed = rest_of_press = None
     if record is not None:
-        on_press = _model(parameters, record.mesh, size_px, device)
+        on_press = look(record)
         rest_of_press = on_press.render(record.rest_m)
         pressed = on_press.render(record.positions_m(record.down.stop - 1))
     return DesignPreview(
@@ -150,19 +152,6 @@ def draw_preview(preview: DesignPreview) -> Figure:
     name = preview.family.name
     figure.suptitle(f"{name}, {changed}: predicted by the optical model, not captured")
     return figure
-
-
-def _model(parameters: FamilyParameters, mesh: Any, size_px: int, device: str) -> OpticalModel:
-    from taccel_lab.optics.render import OpticalModel
-
-    design = parameters.optics()
-    if design is None:
-        raise InputError("the family has no optical model: there is nothing to preview")
-    if not 32 <= size_px <= 4096:
-        raise InputError(f"the size of a preview must lie in [32, 4096] px, got {size_px}")
-    size = design.camera.size_within(size_px, enlarged=True)
-    markers = parameters.markers()
-    return OpticalModel(design, mesh, size_px=size, markers=markers, device=device)
 
 
 def _show(axes: Any, image: np.ndarray, title: str) -> None:

@@ -6,19 +6,20 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.batches import gather
+from taccel_lab.process_pool import Died, Finished, ProcessPool, Underway
+from taccel_lab.studies.design_batch import DesignBatch, gather_batches
 from taccel_lab.studies.design_point import DesignPoint
-from taccel_lab.studies.folder import StudyFolder
+from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.evaluate_batch import Evaluation, broken_row, evaluate_batch
 from taccel_lab.studies.optimise import OptimiserState, optimise
-from taccel_lab.studies.plan import Study
-from taccel_lab.studies.pool import Died, Finished, Pool, Underway
-from taccel_lab.studies.stored import StoredDesign
+from taccel_lab.studies.study import Study
+from taccel_lab.studies.study_folder import StudyFolder
 from taccel_lab.studies.table import write_table
-from taccel_lab.studies.work import Batch, Job, broken_design
 
 TABLE_EVERY_S = 2.0
 """The table is rewritten at most this often while designs come in, and at the end."""
@@ -27,10 +28,10 @@ TABLE_EVERY_S = 2.0
 class Listener:
     """Told how a run goes; does nothing by itself."""
 
-    def begins(self, total: int, stored: int, to_do: int) -> None:
-        """Designs in all (an optimiser's: at most), already stored, and to do now."""
+    def begins(self, total: int, there: int, to_do: int) -> None:
+        """Designs in all (an optimiser's: at most), those with a row already, and to do now."""
 
-    def finished(self, design: StoredDesign) -> None:
+    def finished(self, design: DesignRow) -> None:
         """A design's row has been written."""
 
     def underway(self, worker: int, what: str, done: int, total: int) -> None:
@@ -43,7 +44,7 @@ class Outcome:
 
     study: Study
     folder: StudyFolder
-    rows: list[StoredDesign]
+    rows: list[DesignRow]
     """In the order of the sweep; designs without a row are left out."""
     total: int
     """Designs of the sweep; of an optimiser, those that it tried."""
@@ -56,7 +57,12 @@ class Outcome:
     optimiser: OptimiserState | None = None
     """None for other sweeps, and for an optimiser that was interrupted."""
     others: int = 0
-    """Stored designs that this study file does not ask for."""
+    """Designs with a row that this study file does not ask for."""
+
+    @property
+    def done(self) -> list[DesignRow]:
+        """Designs that have figures."""
+        return [row for row in self.rows if row.status == "done"]
 
     @property
     def complete(self) -> bool:
@@ -64,6 +70,9 @@ class Outcome:
         if self.study.spec.sweep.kind == "optimize":
             return self.optimiser is not None
         return len(self.rows) == self.total
+
+
+Pool = ProcessPool[DesignBatch, None]
 
 
 class _LimitReached(Exception):
@@ -115,7 +124,7 @@ def run_study(
         return outcome
 
 
-def stored_outcome(study: Study, root: Path | str) -> Outcome:
+def read_outcome(study: Study, root: Path | str) -> Outcome:
     """Where a study stands, without evaluating anything. Raises InputError where there is none."""
     folder = StudyFolder(root)
     if not folder.is_study():
@@ -148,11 +157,11 @@ class _Run:
     ) -> None:
         self._study, self._folder, self._listener = study, folder, listener
         self._device, self._processes, self._limit = device, processes, limit
-        self._rows: dict[str, StoredDesign] = {}
+        self._rows: dict[str, DesignRow] = {}
         self._order: list[str] = []
         self._new = 0
         self._table_at = 0.0
-        self._job = Job(
+        self._evaluation = Evaluation(
             folder.root,
             study.presses,
             study.metrics,
@@ -167,7 +176,8 @@ class _Run:
     def go(self) -> Outcome:
         optimiser = None
         try:
-            with Pool(self._job, self._processes) as pool:
+            work = partial(evaluate_batch, self._evaluation)
+            with ProcessPool(work, self._processes) as pool:
                 if self._study.spec.sweep.kind == "optimize":
                     total, optimiser = self._optimise(pool)
                 else:
@@ -189,10 +199,10 @@ class _Run:
     def _sweep(self, pool: Pool) -> int:
         points = self._study.points()
         self._order = [point.id for point in points]
-        to_do = [self._wanted(point) for point in points if not self._take_stored(point)]
+        to_do = [self._wanted(point) for point in points if not self._take_row(point)]
         to_do = to_do[: self._limit]
         self._listener.begins(len(points), len(self._rows), len(to_do))
-        self._evaluate(pool, gather(self._study.family, to_do, self._device))
+        self._evaluate(pool, gather_batches(self._study.family, to_do, self._device))
         return len(points)
 
     def _optimise(self, pool: Pool) -> tuple[int, OptimiserState | None]:
@@ -203,7 +213,7 @@ class _Run:
 
         def attempt(swept: dict[str, Any]) -> dict[str, float | None]:
             point = self._study.point(swept)
-            if not self._take_stored(point):
+            if not self._take_row(point):
                 if self._limit is not None and self._new >= self._limit:
                     raise _LimitReached
                 self._evaluate(pool, [self._wanted(point)])
@@ -226,68 +236,68 @@ class _Run:
             return count, None
         return len(self._order), state
 
-    def _take_stored(self, point: DesignPoint) -> bool:
+    def _take_row(self, point: DesignPoint) -> bool:
         """Whether the design has a row that serves; takes it over."""
         if point.id in self._rows:
             return True
-        stored = self._folder.read(point.id)
-        if stored is None or any(self._missing(stored)):
+        row = self._folder.read(point.id)
+        if row is None or any(self._missing(row)):
             return False
-        self._rows[point.id] = stored
+        self._rows[point.id] = row
         return True
 
-    def _missing(self, stored: StoredDesign) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Metrics and presses that a stored design lacks."""
-        job = self._job
-        return stored.missing(job.figure_keys), stored.missing_presses(job.press_keys)
+    def _missing(self, row: DesignRow) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Metrics and presses that a row lacks."""
+        keys = self._evaluation
+        return row.missing(keys.figure_keys), row.missing_presses(keys.press_keys)
 
-    def _wanted(self, point: DesignPoint) -> Batch:
+    def _wanted(self, point: DesignPoint) -> DesignBatch:
         """What has to be found out about a design."""
-        stored = self._folder.read(point.id)
-        if stored is None:
-            return Batch((point,), tuple(self._study.metrics), tuple(self._study.presses))
-        metrics, presses = self._missing(stored)
+        row = self._folder.read(point.id)
+        if row is None:
+            return DesignBatch((point,), tuple(self._study.metrics), tuple(self._study.presses))
+        metrics, presses = self._missing(row)
         read = {press for name in metrics for press in self._study.metrics[name].presses}
         needed = tuple(n for n in self._study.presses if n in presses or n in read)
-        return Batch((point,), metrics, needed)
+        return DesignBatch((point,), metrics, needed)
 
-    def _evaluate(self, pool: Pool, batches: list[Batch]) -> None:
+    def _evaluate(self, pool: Pool, batches: list[DesignBatch]) -> None:
         """Evaluate batches; those whose process dies again design by design, then given up."""
-        singles: list[Batch] = []
+        singles: list[DesignBatch] = []
         for event in pool.run(batches):
             if isinstance(event, Underway):
                 self._listener.underway(event.worker, event.what, event.done, event.total)
                 continue
-            self._collect(event.batch)
-            lost = [b for b in event.batch.one_by_one() if b.designs[0].id not in self._rows]
-            if isinstance(event, Died) and len(event.batch.designs) > 1:
+            self._collect(event.item)
+            lost = [b for b in event.item.one_by_one() if b.designs[0].id not in self._rows]
+            if isinstance(event, Died) and len(event.item.designs) > 1:
                 singles += lost
             elif isinstance(event, Died) and lost:
-                broken = broken_design(lost[0].designs[0], event.batch.metrics, event.cause)
-                self._folder.add_result(broken)
-                self._collect(event.batch, broken=True)
+                broken = broken_row(lost[0].designs[0], event.item.metrics, event.cause)
+                self._folder.add_row(broken)
+                self._collect(event.item, broken=True)
             elif isinstance(event, Finished) and lost:
-                self._collect(event.batch, broken=True)
+                self._collect(event.item, broken=True)
         if singles:
             self._evaluate(pool, singles)
 
-    def _collect(self, batch: Batch, *, broken: bool = False) -> None:
+    def _collect(self, batch: DesignBatch, *, broken: bool = False) -> None:
         """Take over rows that were written."""
         for point in batch.designs:
             if point.id in self._rows:
                 continue
             if broken:
-                stored = self._folder.read(point.id)
-                if stored is not None:
-                    self._rows[point.id] = stored
-            elif not self._take_stored(point):
+                row = self._folder.read(point.id)
+                if row is not None:
+                    self._rows[point.id] = row
+            elif not self._take_row(point):
                 continue
             self._new += 1
             self._listener.finished(self._rows[point.id])
         if time.monotonic() - self._table_at > TABLE_EVERY_S:
             self._write_table()
 
-    def _in_order(self) -> list[StoredDesign]:
+    def _in_order(self) -> list[DesignRow]:
         """All rows there are, broken ones that were not tried again among them."""
         found = []
         for name in self._order:

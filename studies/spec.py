@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The study file: what is swept, pressed and measured, as read from TOML.
 
-Only the form is checked here; ``taccel_lab.studies.plan`` checks the names and bounds against the
+Only the form is checked here; ``taccel_lab.studies.study`` checks the names and bounds against the
 catalogue.
 """
 
@@ -298,7 +298,7 @@ _TABLES: dict[str, type[BaseModel]] = {
 }
 
 
-def load_study(path: Path | str) -> StudySpec:
+def load_spec(path: Path | str) -> StudySpec:
     """Read a study file. Raises InputError with every wrong key: what is there, what is allowed."""
     path = Path(path)
     if not path.is_file():
@@ -307,10 +307,10 @@ def load_study(path: Path | str) -> StudySpec:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path} is not TOML: {error}") from error
-    return study_of(table, str(path))
+    return spec_of(table, str(path))
 
 
-def study_of(table: dict[str, Any], source: str = "study") -> StudySpec:
+def spec_of(table: dict[str, Any], source: str = "study") -> StudySpec:
     """The study in a table as of TOML; ``source`` names it in messages."""
     try:
         return StudySpec.model_validate(table)

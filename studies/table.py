@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from taccel_lab.output import atomic_file
 
 if TYPE_CHECKING:
-    from taccel_lab.studies.plan import Study
-    from taccel_lab.studies.stored import StoredDesign
+    from taccel_lab.studies.design_row import DesignRow
+    from taccel_lab.studies.study import Study
 
 CSV_NAME = "designs.csv"
 PARQUET_NAME = "designs.parquet"
@@ -28,9 +28,9 @@ def columns(study: Study) -> list[str]:
     return [*names, "status", "cause", "simulations", "seconds"]
 
 
-def table_rows(study: Study, designs: Sequence[StoredDesign]) -> list[dict[str, Any]]:
+def table_rows(study: Study, designs: Sequence[DesignRow]) -> list[dict[str, Any]]:
     """Rows of the table; None where a figure is missing."""
-    from taccel_lab.studies.judge import is_feasible
+    from taccel_lab.studies.ranking import is_feasible
 
     names = columns(study)
     rows = []
@@ -43,7 +43,7 @@ def table_rows(study: Study, designs: Sequence[StoredDesign]) -> list[dict[str, 
     return rows
 
 
-def write_table(root: Path, study: Study, designs: Sequence[StoredDesign]) -> None:
+def write_table(root: Path, study: Study, designs: Sequence[DesignRow]) -> None:
     """Write ``designs.csv`` and, with pyarrow, ``designs.parquet``, each whole or not at all."""
     rows, names = table_rows(study, designs), columns(study)
     text = io.StringIO()

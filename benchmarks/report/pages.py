@@ -8,15 +8,14 @@ is replaced. Only files that follow the schema of ``taccel_lab.benchmarks.result
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, Section
 from taccel_lab.benchmarks.results import FOLDER, SCHEMA
-from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file
+from taccel_lab.report.markdown import with_parts
 
 _ROOT = Path(__file__).resolve().parents[2]
 PAGE, README = _ROOT / "docs" / "benchmarks.md", _ROOT / "README.md"
@@ -38,14 +37,7 @@ def read_results(folder: Path = FOLDER) -> Results:
 
 def render(text: str, sections: dict[str, Section], results: Results) -> str:
     """A page with its generated parts made anew."""
-    for name, section in sections.items():
-        begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
-        if text.count(begin) != 1 or text.count(end) != 1:
-            raise InputError(f"the page must have one {begin} and one {end}")
-        body = section(results)
-        pattern = re.escape(begin) + ".*?" + re.escape(end)
-        text = re.sub(pattern, lambda _, b=begin, e=end, t=body: f"{b}\n{t}\n{e}", text, flags=re.S)
-    return text
+    return with_parts(text, {name: section(results) for name, section in sections.items()})
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ def draw_all(results: Results, folder: Path) -> list[Path]:
     written = []
     if any(row["envs"] > 1 for d in results.get("speed", []) for row in d["rows"]):
         written.append(save(draw_speed(results), folder / "speed.png"))
-    for kind, draw in (("error", draw_error), ("scaling", draw_scaling)):
+    by_suite = {"error": draw_error, "scaling": draw_scaling, "stress": draw_stress}
+    for kind, draw in by_suite.items():
         for document in results.get(kind, []):
             name = Path(document["file"]).stem
             written.append(save(draw(document), folder / f"{kind}_{name}.png"))
@@ -169,4 +170,41 @@ def draw_scaling(document: dict[str, Any]) -> Figure:
                 axis.set_title(f"{label} ~ {name}^{fit[key]:.2f}", fontsize=10)
             axis.set(xlabel=name, ylabel=label)
             make_logarithmic(axis)
+    return figure
+
+
+def draw_stress(document: dict[str, Any]) -> Figure:
+    """Outcomes by family, and Newton iterations of all steps by family."""
+    families = document["summary"]["families"]
+    names = list(families)[::-1]
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(11, 0.3 * len(names) + 1.6), sharey=True, layout="constrained"
+    )
+    colours = {
+        "converged": "#4c9f70",
+        "refused": "#9cc5a1",
+        "failed": "#e0a030",
+        "budget": "#b0b0b0",
+        "silent": "#c0392b",
+        "broken": "#6c3483",
+    }
+    places, start = np.arange(len(names)), np.zeros(len(names))
+    for kind, colour in colours.items():
+        widths = np.array([families[name][kind] for name in names], dtype=float)
+        if widths.any():
+            left.barh(places, widths, left=start, color=colour, label=kind)
+        start += widths
+    left.set_yticks(places, names)
+    left.set_xlabel("cases")
+    left.set_ylim(-0.6, len(names) - 0.4)
+    left.legend(loc="lower left", bbox_to_anchor=(0, 1), ncol=6, frameon=False, fontsize=8)
+    for place, name in zip(places, names, strict=True):
+        mine = [case for case in document["cases"] if case["family"] == name]
+        newton = np.array([n + 1 for case in mine for n in case.get("newton_iterations", [])])
+        spread = np.random.default_rng(0).uniform(-0.3, 0.3, len(newton))
+        right.plot(newton, place + spread, ".", ms=3, alpha=0.4, color="#34495e")
+    right.set_xscale("log")
+    right.set_xlabel("Newton iterations of a step, one more")
+    for axis in (left, right):
+        axis.spines[["top", "right"]].set_visible(False)
     return figure

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from taccel_lab.benchmarks.peers import read_field
+from taccel_lab.report.markdown import markdown_table
 
 Document = dict[str, Any]
 Results = dict[str, list[Document]]
@@ -15,14 +17,6 @@ Section = Callable[[Results], str]
 NOTHING = "No result yet."
 HEADLINES = {("peg", 1), ("peg", 256), ("peg", 4096), ("hand", 1), ("hand", 256), ("press_2005", 1)}
 """Scenes and environments whose speed the README shows."""
-
-
-def table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
-    """A Markdown table."""
-    head = list(head)
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
-    return "\n".join(lines)
 
 
 def origin(document: Document) -> str:
@@ -37,6 +31,12 @@ def origin(document: Document) -> str:
         f"**{device}** ({run['date'][:10]}, commit `{run['commit']}`, {packages}; "
         f"`benchmarks/results/{document['file']}`{state})"
     )
+
+
+def of_each_result(suite: str, parts: Callable[[Document], Iterator[str]], results: Results) -> str:
+    """Where each result of a suite is from, and what it says."""
+    texts = [t for document in results.get(suite, []) for t in (origin(document), *parts(document))]
+    return "\n\n".join(texts) or NOTHING
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -67,73 +67,67 @@ def solved(residual: dict[str, Any]) -> str:
     return text
 
 
-def speed(results: Results) -> str:
+def speed(document: Document) -> Iterator[str]:
     """FPS, memory and time to start."""
-    parts = []
-    for document in results.get("speed", []):
-        rows = [
-            [
-                row["scene"] + (f", lag {row.get('lag', 0)}" if row.get("lag", 0) else ""),
-                f"{row['envs']:,}",
-                row["steps"],
-                spread(row["fps"]),
-                number(row["ms_per_step"]["median"]),
-                number(row["newton_mean"]),
-                solved(row["residual"]),
-                number(row["memory_mib_per_env"]),
-                number(row["launches_per_step"]),
-            ]
-            for row in document["rows"]
+    rows = [
+        [
+            row["scene"] + (f", lag {row.get('lag', 0)}" if row.get("lag", 0) else ""),
+            f"{row['envs']:,}",
+            row["steps"],
+            spread(row["fps"]),
+            number(row["ms_per_step"]["median"]),
+            number(row["newton_mean"]),
+            solved(row["residual"]),
+            number(row["memory_mib_per_env"]),
+            number(row["launches_per_step"]),
         ]
-        head = ["scene", "environments", "steps", "FPS, median (range)", "ms a step"]
-        head += ["Newton a step", "residual over contact force", "MiB an environment"]
-        head += ["launches a step"]
-        parts += [origin(document), table(head, rows)]
-        if document.get("startup"):
-            starts = [
-                [
-                    scene,
-                    number(found["warm"]["import_to_first_step_s"]),
-                    number(found["cold"]["import_to_first_step_s"]),
-                    number(found["compilation_s"]),
-                ]
-                for scene, found in document["startup"].items()
+        for row in document["rows"]
+    ]
+    head = ["scene", "environments", "steps", "FPS, median (range)", "ms a step"]
+    head += ["Newton a step", "residual over contact force", "MiB an environment"]
+    head += ["launches a step"]
+    yield markdown_table(head, rows)
+    if document.get("startup"):
+        starts = [
+            [
+                scene,
+                number(found["warm"]["import_to_first_step_s"]),
+                number(found["cold"]["import_to_first_step_s"]),
+                number(found["compilation_s"]),
             ]
-            head = ["scene", "import to first step, warm [s]", "cold [s]", "compilation [s]"]
-            parts.append(table(head, starts))
-    return "\n\n".join(parts) or NOTHING
+            for scene, found in document["startup"].items()
+        ]
+        head = ["scene", "import to first step, warm [s]", "cold [s]", "compilation [s]"]
+        yield markdown_table(head, starts)
 
 
-def error(results: Results) -> str:
+def error(document: Document) -> Iterator[str]:
     """One setting at a time, and the front."""
-    parts = []
-    for document in results.get("error", []):
-        rows = [row for row in document["rows"] if row["group"] != "front"]
-        lines = []
-        for row in rows:
-            if "failed" in row:
-                lines.append([row["group"], row["value"], "failed", *["-"] * 5])
-                continue
-            total, own = row["error"], row["settings_error"]
-            lines.append(
-                [
-                    row["group"],
-                    row["value"] + (" (default)" if row["is_default"] else ""),
-                    number(row["ms_per_step"]["median"]),
-                    number(total["force_percent"]),
-                    number(own["force_percent"]),
-                    f"{number(total['height_rms_um'])} ({number(total['height_max_um'])})",
-                    f"{number(total['marker_rms_um'])} ({number(total['marker_max_um'])})",
-                    number(own["marker_rms_um"]),
-                ]
-            )
-        head = ["varied", "value", "ms a step", "force error [%]", "of it by settings [%]"]
-        head += ["height rms (max) [um]", "markers rms (max) [um]", "markers by settings [um]"]
-        parts += [origin(document), table(head, lines)]
-        if document.get("front"):
-            parts.append(_front(document["front"]))
-        parts.append(picture(document, "error", "Time a step against error"))
-    return "\n\n".join(parts) or NOTHING
+    rows = [row for row in document["rows"] if row["group"] != "front"]
+    lines = []
+    for row in rows:
+        if "failed" in row:
+            lines.append([row["group"], row["value"], "failed", *["-"] * 5])
+            continue
+        total, own = row["error"], row["settings_error"]
+        lines.append(
+            [
+                row["group"],
+                row["value"] + (" (default)" if row["is_default"] else ""),
+                number(row["ms_per_step"]["median"]),
+                number(total["force_percent"]),
+                number(own["force_percent"]),
+                f"{number(total['height_rms_um'])} ({number(total['height_max_um'])})",
+                f"{number(total['marker_rms_um'])} ({number(total['marker_max_um'])})",
+                number(own["marker_rms_um"]),
+            ]
+        )
+    head = ["varied", "value", "ms a step", "force error [%]", "of it by settings [%]"]
+    head += ["height rms (max) [um]", "markers rms (max) [um]", "markers by settings [um]"]
+    yield markdown_table(head, lines)
+    if document.get("front"):
+        yield _front(document["front"])
+    yield picture(document, "error", "Time a step against error")
 
 
 def _front(verdict: dict[str, Any]) -> str:
@@ -165,44 +159,38 @@ def _front(verdict: dict[str, Any]) -> str:
     return "\n".join([lines[0], "", *lines[1:]])
 
 
-def scaling(results: Results) -> str:
+def scaling(document: Document) -> Iterator[str]:
     """Exponents."""
-    parts = []
-    for document in results.get("scaling", []):
-        rows = [
-            [
-                series,
-                f"{fit['from']:,.0f} to {fit['to']:,.0f}",
-                fit["time"],
-                fit["time_per_newton"],
-                fit["memory"],
-            ]
-            for series, fit in document.get("fits", {}).items()
+    rows = [
+        [
+            series,
+            f"{fit['from']:,.0f} to {fit['to']:,.0f}",
+            fit["time"],
+            fit["time_per_newton"],
+            fit["memory"],
         ]
-        head = ["by", "fitted from", "time a step", "time a Newton iteration", "memory"]
-        parts += [origin(document), table(head, rows)]
-        parts.append(picture(document, "scaling", "Time and memory by size"))
-    return "\n\n".join(parts) or NOTHING
+        for series, fit in document.get("fits", {}).items()
+    ]
+    head = ["by", "fitted from", "time a step", "time a Newton iteration", "memory"]
+    yield markdown_table(head, rows)
+    yield picture(document, "scaling", "Time and memory by size")
 
 
-def skips(results: Results) -> str:
+def skips(document: Document) -> Iterator[str]:
     """With and without."""
-    parts = []
-    for document in results.get("skips", []):
-        rows = [
-            [
-                row["skip"],
-                row["what"],
-                spread(row["on"]["ms_per_step"]),
-                spread(row["off"]["ms_per_step"]),
-                f"{row['saved_percent']:.0f} %",
-                f"{number(row['on']['newton_mean'])} / {number(row['off']['newton_mean'])}",
-            ]
-            for row in document["rows"]
+    rows = [
+        [
+            row["skip"],
+            row["what"],
+            spread(row["on"]["ms_per_step"]),
+            spread(row["off"]["ms_per_step"]),
+            f"{row['saved_percent']:.0f} %",
+            f"{number(row['on']['newton_mean'])} / {number(row['off']['newton_mean'])}",
         ]
-        head = ["skip", "scene", "with [ms a step]", "without", "saved", "Newton with / without"]
-        parts += [origin(document), table(head, rows)]
-    return "\n\n".join(parts) or NOTHING
+        for row in document["rows"]
+    ]
+    head = ["skip", "scene", "with [ms a step]", "without", "saved", "Newton with / without"]
+    yield markdown_table(head, rows)
 
 
 def peers(results: Results) -> str:
@@ -249,14 +237,16 @@ def peers(results: Results) -> str:
         for entry in entries
     ]
     head = ["simulator", "device", "stop", *(f"{count:,}" for count in counts)]
-    others = table(
+    others = markdown_table(
         ["other figures", "device", "figure"],
         [
             [entry["name"], f"{entry['device']}, {entry['kind']}", entry["figure"]]
             for entry in read_field()["others"]
         ],
     )
-    return "\n\n".join(part for part in (table(head, rows), ratios(ours, field), others) if part)
+    return "\n\n".join(
+        part for part in (markdown_table(head, rows), ratios(ours, field), others) if part
+    )
 
 
 def ratios(measured: list[dict[str, Any]], field: list[dict[str, Any]]) -> str:
@@ -276,69 +266,60 @@ def ratios(measured: list[dict[str, Any]], field: list[dict[str, Any]]) -> str:
     return "Ours over theirs on the same kind of GPU:\n\n" + "\n".join(lines) if lines else ""
 
 
-def stress(results: Results) -> str:
+def stress(document: Document) -> Iterator[str]:
     """Random scenes: outcomes by family."""
     from taccel_lab.benchmarks.stress.summary import table as stress_table
 
-    parts = []
-    for document in results.get("stress", []):
-        parts += [origin(document), stress_table(document["summary"]).strip()]
-    return "\n\n".join(parts) or NOTHING
+    yield stress_table(document["summary"]).strip()
+    yield picture(document, "stress", "Outcomes and Newton iterations by family")
 
 
-def study(results: Results) -> str:
+def study(document: Document) -> Iterator[str]:
     """Designs a minute, where the time goes, and forces against another device."""
-    parts = []
-    for document in results.get("study", []):
-        rows = []
-        for row in document["rows"]:
-            stages = row["seconds_by_stage"]
-            presses = sum(value for name, value in stages.items() if name.startswith("press "))
-            difference = row.get("force_difference")
-            rows.append([
-                f"{row['designs']:,}",
-                f"{row['simulations']:,}",
-                f"{row['nodes']:,}",
-                number(row["seconds"]),
-                number(row["designs_per_minute"]),
-                *(number(value) for value in (stages["meshed"], presses, stages["figures"])),
-                number(row["largest_residual_over_force"], 2),
-                row["failures"],
-                f"{100 * max(difference.values()):.2g} %" if difference else "-",
-            ])  # fmt: skip
-        head = ["designs", "presses", "nodes", "seconds", "designs a minute"]
-        head += ["meshing [s]", "pressing [s]", "figures [s]", "residual over force", "failed"]
-        what = document["settings"]
-        parts += [
-            origin(document),
-            f"{what['sensor']}, designs that differ in `{what['vary']}`; the first design, with "
-            f"compilation, took {number(document['first_design_s'])} s.",
-            table([*head, "forces against the CPU's"], rows),
-        ]
-    return "\n\n".join(parts) or NOTHING
+    rows = []
+    for row in document["rows"]:
+        stages = row["seconds_by_stage"]
+        presses = sum(value for name, value in stages.items() if name.startswith("press "))
+        difference = row.get("force_difference")
+        rows.append([
+            f"{row['designs']:,}",
+            f"{row['simulations']:,}",
+            f"{row['nodes']:,}",
+            number(row["seconds"]),
+            number(row["designs_per_minute"]),
+            *(number(value) for value in (stages["meshed"], presses, stages["figures"])),
+            number(row["largest_residual_over_force"], 2),
+            row["failures"],
+            f"{100 * max(difference.values()):.2g} %" if difference else "-",
+        ])  # fmt: skip
+    head = ["designs", "presses", "nodes", "seconds", "designs a minute"]
+    head += ["meshing [s]", "pressing [s]", "figures [s]", "residual over force", "failed"]
+    what = document["settings"]
+    yield (
+        f"{what['sensor']}, designs that differ in `{what['vary']}`; the first design, with "
+        f"compilation, took {number(document['first_design_s'])} s."
+    )
+    yield markdown_table([*head, "forces against the CPU's"], rows)
 
 
-def captures(results: Results) -> str:
+def captures(document: Document) -> Iterator[str]:
     """Calibrations of published captures against their goals."""
-    parts = []
-    for document in results.get("captures", []):
-        rows = [
-            [
-                row["set"],
-                f"`{row['command']}`",
-                row["figure"],
-                number(row["value"]),
-                f"{'at least' if row['at_least'] else 'at most'} {row['goal']:g}",
-                "met" if row["met"] else "**missed**",
-                row["verdict"] or "-",
-                "-" if row["fit_seconds"] is None else number(row["fit_seconds"], 2),
-                number(row["seconds"], 3),
-            ]
-            for row in document["rows"]
+    rows = [
+        [
+            row["set"],
+            f"`{row['command']}`",
+            row["figure"],
+            number(row["value"]),
+            f"{'at least' if row['at_least'] else 'at most'} {row['goal']:g}",
+            "met" if row["met"] else "**missed**",
+            row["verdict"] or "-",
+            "-" if row["fit_seconds"] is None else number(row["fit_seconds"], 2),
+            number(row["seconds"], 3),
         ]
-        head = ["captures", "calibration", "figure", "value", "goal", "", "verdict", "fit [s]"]
-        parts += [origin(document), table([*head, "command [s]"], rows)]
-    return "\n\n".join(parts) or NOTHING
+        for row in document["rows"]
+    ]
+    head = ["captures", "calibration", "figure", "value", "goal", "", "verdict", "fit [s]"]
+    yield markdown_table([*head, "command [s]"], rows)
 
 
 def picture(document: Document, kind: str, title: str) -> str:
@@ -370,7 +351,7 @@ def headline(results: Results) -> str:
         if (row["scene"], row["envs"]) in HEADLINES and not row.get("lag", 0)
     ]
     head = ["scene", "on", "environments", "FPS", "residual over contact force"]
-    return table([*head, "MiB an environment"], rows) if rows else NOTHING
+    return markdown_table([*head, "MiB an environment"], rows) if rows else NOTHING
 
 
 def captures_headline(results: Results) -> str:
@@ -380,19 +361,23 @@ def captures_headline(results: Results) -> str:
         for document in results.get("captures", [])
         for row in document["rows"]
     ]
-    return table(["captures", "calibration", "figure", "value", "goal"], rows) if rows else NOTHING
+    return (
+        markdown_table(["captures", "calibration", "figure", "value", "goal"], rows)
+        if rows
+        else NOTHING
+    )
 
 
 HEADLINE: dict[str, Section] = {"speed": headline, "captures": captures_headline}
 SECTIONS: dict[str, Section] = {
-    "speed": speed,
+    "speed": partial(of_each_result, "speed", speed),
     "speed picture": speed_pictures,
     "peers": peers,
-    "error": error,
-    "scaling": scaling,
-    "skips": skips,
-    "stress": stress,
-    "study": study,
-    "captures": captures,
+    "error": partial(of_each_result, "error", error),
+    "scaling": partial(of_each_result, "scaling", scaling),
+    "skips": partial(of_each_result, "skips", skips),
+    "stress": partial(of_each_result, "stress", stress),
+    "study": partial(of_each_result, "study", study),
+    "captures": partial(of_each_result, "captures", captures),
 }
 """Parts of the page by the name in its markers."""

@@ -7,32 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-
-def quaternion(matrix: np.ndarray) -> np.ndarray:
-    """x, y, z, w of a rotation matrix [3, 3], by the largest of its four squares (Shepperd)."""
-    m = np.asarray(matrix, dtype=np.float64)
-    squares = np.array(
-        [
-            1 + m[0, 0] - m[1, 1] - m[2, 2],
-            1 - m[0, 0] + m[1, 1] - m[2, 2],
-            1 - m[0, 0] - m[1, 1] + m[2, 2],
-            1 + m[0, 0] + m[1, 1] + m[2, 2],
-        ]
-    )
-    x, y, z, w = squares / 4
-    axis, wx, wy, wz = (
-        int(squares.argmax()),
-        *[(m[(i + 2) % 3, (i + 1) % 3] - m[(i + 1) % 3, (i + 2) % 3]) / 4 for i in range(3)],
-    )
-    xy, yz, zx = (m[i, j] + m[j, i] for i, j in ((0, 1), (1, 2), (2, 0)))
-    rows = [
-        (x, xy / 4, zx / 4, wx),
-        (xy / 4, y, yz / 4, wy),
-        (zx / 4, yz / 4, z, wz),
-        (wx, wy, wz, w),
-    ]
-    found = np.array(rows[axis])
-    return found / np.linalg.norm(found)
+from taccel_lab.optics.camera_model import quaternion_from_matrix
 
 
 def facing(outward: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -51,7 +26,7 @@ def turn_about_z(angle: float) -> np.ndarray:
 
 def pose(matrix: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Position and quaternion, [7]."""
-    return np.concatenate([place, quaternion(matrix)])
+    return np.concatenate([place, quaternion_from_matrix(matrix)])
 
 
 def same_side(poses: np.ndarray) -> np.ndarray:

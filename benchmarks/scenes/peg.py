@@ -224,7 +224,7 @@ def build(options: SceneOptions) -> BenchScene:
         "peg",
         "two gels of 139 nodes carry a free peg over the rim of a hole and push it in",
         scene,
-        make_config({"dhat_m": DHAT_M, "friction_speed_m_s": FRICTION_SPEED_M_S}, options.config),
+        peg_config(**options.config),
         np.array([targets(one, step)[0] for step in times]),
         source,
     )

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from taccel_lab.model import Model
-from taccel_lab.scene import Scene
+from taccel_lab.scene import Scene, TimeScheme
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State
 
@@ -32,4 +32,18 @@ class Case:
     possible: bool = True
     """Whether every step has an answer; where not, a step that fails with a cause is right."""
     closed: bool = False
-    """Nothing does work on the bodies: their energy must not rise (implicit Euler)."""
+    """Nothing does work on the bodies: with implicit Euler their energy must not rise."""
+
+    @classmethod
+    def along(
+        cls, path: Sequence[np.ndarray], scene: Scene, config: SolverConfig, possible: bool = True
+    ) -> Case:
+        """Kinematic bodies go along a path of poses [env_count, kinematic_count, 7]: the start, and
+        the target of each step."""
+        steps = len(path) - 1
+        return cls(scene, config, steps, path[0], lambda i: path[i + 1], possible=possible)
+
+    @property
+    def watches_energy(self) -> bool:
+        """Whether a rise of the energy is a fault."""
+        return self.closed and self.scene.time.scheme is TimeScheme.EULER

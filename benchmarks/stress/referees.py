@@ -18,7 +18,6 @@ from taccel_lab.benchmarks.stress.crossings import really_cross
 from taccel_lab.ipc.intersection import IntersectionKind, find_intersections
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
-from taccel_lab.scene import TimeScheme
 from taccel_lab.scene.gaps import SurfacePairs
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.solvers.report import EnvStatus
@@ -179,7 +178,7 @@ class Referees:
 
     def energy(self, taken: Taken, env: int) -> list[Finding]:
         """Energy that nothing has given."""
-        if not (self.case.closed and taken.energies and taken.energies_before):
+        if not (self.case.watches_energy and taken.energies and taken.energies_before):
             return []
         before = sum(float(value[env]) for value in taken.energies_before.values())
         now = sum(float(value[env]) for value in taken.energies.values())
@@ -189,9 +188,7 @@ class Referees:
             - float(taken.energies_before.get("weight", np.zeros(env + 1))[env])
         )
         scale = sum(abs(value) for value in parts.values()) + weight
-        # BDF2 is not monotone: it may overshoot by a part of what is exchanged in a step.
-        bdf2 = self.model.scene.time.scheme is TimeScheme.BDF2
-        slack = (1.0 if bdf2 else ENERGY_SLACK) * scale
+        slack = ENERGY_SLACK * scale
         # What the residual that is allowed may do along the way.
         way = np.linalg.norm(taken.now.positions[env] - taken.before.positions[env])
         slack += self.balance.allowance(_contact_force(taken, env)) * float(way)

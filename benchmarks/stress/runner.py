@@ -141,7 +141,7 @@ class _Run:
             case.prepare(solver, state, step)
         here = state.poses.numpy().reshape(solver.model.env_count, -1, 7)
         target = here.copy() if case.targets is None else np.asarray(case.targets(step))
-        taken = take(solver, outputs, state, target, case.closed, self.last)
+        taken = take(solver, outputs, state, target, case.watches_energy, self.last)
         self.last = taken
         report = taken.report
         found = self.referees.judge(taken, state, step)

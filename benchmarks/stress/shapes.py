@@ -8,6 +8,7 @@ import numpy as np
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh, grid_tets
 from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.ipc.affine.embedding import rotate
 from taccel_lab.scene import TriangleMesh, box_mesh, sphere_mesh
 
 
@@ -30,17 +31,10 @@ def after(second: np.ndarray, first: np.ndarray) -> np.ndarray:
     return np.append(w2 * v1 + w1 * v2 + np.cross(v2, v1), w2 * w1 - v2 @ v1)
 
 
-def turned(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points [n, 3] turned by a quaternion."""
-    v, w = quaternion[:3], quaternion[3]
-    across = 2 * np.cross(v, points)
-    return points + w * across + np.cross(v, across)
-
-
 def reach(mesh: TriangleMesh | TetMesh, turn: np.ndarray) -> tuple[float, float]:
     """Lowest and highest point of a mesh that is turned [m]."""
     nodes = mesh.vertices_m if isinstance(mesh, TriangleMesh) else mesh.nodes_m
-    z = turned(turn, nodes)[:, 2]
+    z = rotate(turn, nodes)[:, 2]
     return float(z.min()), float(z.max())
 
 

@@ -10,15 +10,13 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from taccel_lab.benchmarks.results import ResultFile
+from taccel_lab.benchmarks.results import ResultFile, Ticker, note
 from taccel_lab.benchmarks.stress.families import FAMILIES, make_case
 from taccel_lab.benchmarks.stress.pool import CaseId, run_all
-from taccel_lab.benchmarks.stress.progress import progress
 from taccel_lab.benchmarks.stress.runner import SECONDS, run_case
-from taccel_lab.benchmarks.stress.summary import plot, summarize, table
+from taccel_lab.benchmarks.stress.summary import GOOD, case_id, summarize, table
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_file
 
 SAVE_EVERY_S = 60.0
 
@@ -27,8 +25,7 @@ SAVE_EVERY_S = 60.0
 class Stress(Suite):
     """Hundreds of random scenes over extremes; no failure may be silent (benchmarks/stress).
 
-    Beside the result lie its table (.md) and picture (.png). The exit code is 1 when a case was
-    silent or broken.
+    The exit code is 1 when a case was silent or broken.
     """
 
     name: ClassVar[str] = "stress"
@@ -96,10 +93,13 @@ class Stress(Suite):
         saved = time.perf_counter()
         running = run_all(ids, self.device, self.jobs, self.seconds)
         try:
-            with progress(len(ids)) as advance, closing(running):
+            with closing(running):
+                ticker = Ticker("cases")
                 for case in running:
                     finished.append(case)
-                    advance(case)
+                    if case["outcome"] not in GOOD:
+                        note(f"{case_id(case)}: {case['outcome']}")
+                    ticker(len(finished), len(ids))
                     if time.perf_counter() - saved > SAVE_EVERY_S:
                         _write(result, ids, finished)
                         saved = time.perf_counter()
@@ -117,14 +117,9 @@ def case_ids(count: int, seed: int, names: Sequence[str] = ()) -> list[CaseId]:
 
 
 def _write(result: ResultFile, ids: list[CaseId], finished: list[dict[str, Any]]) -> None:
-    """Result (a row a family), table and picture of the cases so far."""
+    """The cases so far, a row a family."""
     order = {case: number for number, case in enumerate(ids)}
     finished.sort(key=lambda case: order[(case["family"], case["seed"])])
     summary = summarize(finished)
     rows = [{"family": name, **row} for name, row in summary["families"].items()]
     result.replace(rows, summary=summary, cases=finished)
-    with atomic_file(result.path.with_suffix(".md")) as staging:
-        staging.write_text(table(summary) + "\n")
-        staging.chmod(0o644)
-    if finished:
-        plot(summary, finished, result.path.with_suffix(".png"))

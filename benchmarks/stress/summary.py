@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Counts, tables and the picture of many cases."""
+"""Counts and the table of many cases."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -111,46 +110,3 @@ def table(summary: dict[str, Any]) -> str:
             row = f"| `{item['case']}` | {item['outcome']} | {item['newton_iterations']} | {says} |"
             lines.append(row)
     return "\n".join(lines)
-
-
-def plot(summary: dict[str, Any], results: Sequence[dict[str, Any]], out: Path) -> None:
-    """A PNG: outcomes by family, and Newton iterations of all steps by family."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    names = list(summary["families"])[::-1]
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(11, 0.3 * len(names) + 1.6), sharey=True, layout="constrained"
-    )
-    colours = {
-        "converged": "#4c9f70",
-        "refused": "#9cc5a1",
-        "failed": "#e0a030",
-        "budget": "#b0b0b0",
-        "silent": "#c0392b",
-        "broken": "#6c3483",
-    }
-    places, start = np.arange(len(names)), np.zeros(len(names))
-    for kind, colour in colours.items():
-        widths = np.array([summary["families"][name][kind] for name in names], dtype=float)
-        if widths.any():
-            left.barh(places, widths, left=start, color=colour, label=kind)
-        start += widths
-    left.set_yticks(places, names)
-    left.set_xlabel("cases")
-    left.set_ylim(-0.6, len(names) - 0.4)
-    left.legend(loc="lower left", bbox_to_anchor=(0, 1), ncol=6, frameon=False, fontsize=8)
-    for place, name in zip(places, names, strict=True):
-        mine = [result for result in results if result["family"] == name]
-        newton = np.array(_all(mine, "newton_iterations"), dtype=float) + 1
-        spread = np.random.default_rng(0).uniform(-0.3, 0.3, len(newton))
-        right.plot(newton, place + spread, ".", ms=3, alpha=0.4, color="#34495e")
-    right.set_xscale("log")
-    right.set_xlabel("Newton iterations of a step, one more")
-    for axis in (left, right):
-        axis.spines[["top", "right"]].set_visible(False)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out, dpi=130)
-    plt.close(figure)

@@ -14,12 +14,12 @@ from taccel_lab.studies.metrics import (
     two_point,
     uniformity,
 )
-from taccel_lab.studies.metrics.base import METRICS, Metric, Unavailable
+from taccel_lab.studies.metrics.base import METRICS, Metric, NoFigure
 
 __all__ = [
     "METRICS",
     "Metric",
-    "Unavailable",
+    "NoFigure",
     "bond_stress",
     "contact_area",
     "edge_sharpness",

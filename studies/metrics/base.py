@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.unavailable import Unavailable
+from taccel_lab.studies.design_point import NoFigure
 
 if TYPE_CHECKING:
     from taccel_lab.studies.evidence import Evidence
 
-__all__ = ["METRICS", "Better", "Metric", "Unavailable", "metric"]
+__all__ = ["METRICS", "Better", "Metric", "NoFigure", "metric"]
 
 Better = Literal["higher", "lower", "none"]
 
@@ -30,7 +30,7 @@ class Metric:
     presses: tuple[str, ...]
     """Names of the standard presses it is read from; () for what needs none."""
     compute: Callable[[Evidence], float]
-    """The value in ``unit``; raises Unavailable."""
+    """The value in ``unit``; raises NoFigure."""
 
 
 METRICS: dict[str, Metric] = {}

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.studies.evidence import Evidence, profile_mm
-from taccel_lab.studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.metrics.base import NoFigure, metric
 
 _HALF_MM = 8.0
 
@@ -15,7 +15,7 @@ def rise_width(x: np.ndarray, dent: np.ndarray) -> float:
     """Mean distance on both sides over which a dent falls from 90 % to 10 % of its peak.
 
     ``x`` ascending, ``dent`` positive in the dent, NaN beside the face; [n] each. Raises
-    Unavailable when a side does not fall that far.
+    NoFigure when a side does not fall that far.
     """
     seen = np.isfinite(dent)
     x, dent = x[seen], dent[seen]
@@ -27,7 +27,7 @@ def rise_width(x: np.ndarray, dent: np.ndarray) -> float:
         for level in (0.9, 0.1):
             below = np.flatnonzero(share <= level)
             if len(below) == 0:
-                raise Unavailable(
+                raise NoFigure(
                     f"the dent of the edge does not fall below {level:.0%} of its depth on the pad"
                 )
             k = int(below[0])

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from taccel_lab.studies.evidence import Evidence
-from taccel_lab.studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.metrics.base import NoFigure, metric
 
 BOTTOM_STRAIN = 0.4
 """Depth over thickness at which a gel counts as bottomed out. How much stiffer it has become than a
@@ -30,10 +30,10 @@ def force_range(evidence: Evidence) -> float:
     record = evidence.one("sphere")
     depth, force = record.depth_mm[record.down], record.normal_n
     if len(force) < 2:
-        raise Unavailable("press sphere has one step alone; two are needed")
+        raise NoFigure("press sphere has one step alone; two are needed")
     limit = BOTTOM_STRAIN * record.thickness_mm
     if limit > MOST_AHEAD * depth[-1]:
-        raise Unavailable(f"the gel bottoms at {limit:.3g} mm, and press sphere ends at "
+        raise NoFigure(f"the gel bottoms at {limit:.3g} mm, and press sphere ends at "
                           f"{depth[-1]:.3g} mm")  # fmt: skip
     if limit > depth[-1]:
         power = math.log(force[-1] / force[-2]) / math.log(depth[-1] / depth[-2])

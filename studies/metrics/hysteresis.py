@@ -13,21 +13,21 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.studies.evidence import Evidence
-from taccel_lab.studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.metrics.base import NoFigure, metric
 
 
 def lost_part(way: np.ndarray, force: np.ndarray) -> float:
     """Loss of a loop that goes from ``way[0]`` to its farthest point and back, [step] each.
 
-    Raises Unavailable when the loop takes no work or does not come back.
+    Raises NoFigure when the loop takes no work or does not come back.
     """
     turn = int(np.argmax(np.abs(way - way[0])))
     if turn in (0, len(way) - 1):
-        raise Unavailable("the press does not go back, so that there is no loop")
+        raise NoFigure("the press does not go back, so that there is no loop")
     work_in = float(np.trapezoid(force[: turn + 1], way[: turn + 1]))
     work_out = -float(np.trapezoid(force[turn:], way[turn:]))
     if not work_in > 0:
-        raise Unavailable("the loop takes no work")
+        raise NoFigure("the loop takes no work")
     return (work_in - work_out) / work_in
 
 

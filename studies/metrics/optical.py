@@ -9,7 +9,7 @@ import numpy as np
 
 from taccel_lab.studies.camera_view import VIEW_PX
 from taccel_lab.studies.evidence import Evidence
-from taccel_lab.studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.metrics.base import NoFigure, metric
 
 
 @metric(
@@ -31,7 +31,7 @@ def optical_condition(evidence: Evidence) -> float:
     """None for lights that do not span space."""
     figures = evidence.photometry
     if figures.condition_number is None:
-        raise Unavailable(
+        raise NoFigure(
             f"the lights span {figures.light_rank} of 3 directions: there is no condition number"
         )
     return figures.condition_number.median
@@ -78,10 +78,10 @@ def depth_of_field(evidence: Evidence) -> float:
 
     design = evidence.parameters.optics()
     if design is None:
-        raise Unavailable("the family has no optical model")
+        raise NoFigure("the family has no optical model")
     camera = design.camera
     if not (camera.aperture_mm > 0 and camera.focus_mm > 0):
-        raise Unavailable("the camera's aperture or focus is unknown")
+        raise NoFigure("the camera's aperture or focus is unknown")
     focal = 0.5 * (camera.fx_px + camera.fy_px)
     near, far = sharp_range_mm(focal, camera.aperture_mm, camera.focus_mm)
     return (far - near) * design.gel_refractive_index

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from taccel_lab.studies.evidence import Evidence, marker_motion_mm
-from taccel_lab.studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.metrics.base import NoFigure, metric
 from taccel_lab.studies.press_record import PressRecord
 
 
@@ -16,12 +16,12 @@ def _stuck_shear(record: PressRecord) -> tuple[int, int, float]:
     """Last step down, the step of most shear, and the tangential force gained between them [N]."""
     start, end = record.down.stop - 1, int(np.argmax(np.abs(record.shear_mm)))
     if end <= start:
-        raise Unavailable(f"press {record.press} has no shear")
+        raise NoFigure(f"press {record.press} has no shear")
     gained = record.force_n[end, :2] - record.force_n[start, :2]
     # The gel pulls back against the motion.
     force = -float(gained[0]) * math.copysign(1.0, record.shear_mm[end])
     if not force > 0:
-        raise Unavailable(f"press {record.press}: shear of {record.shear_mm[end]:.3g} mm met no "
+        raise NoFigure(f"press {record.press}: shear of {record.shear_mm[end]:.3g} mm met no "
                           "resistance (no friction)")  # fmt: skip
     return start, end, force
 
@@ -75,6 +75,6 @@ def twist_stiffness(evidence: Evidence) -> float:
     record = evidence.one("shear")
     turned = np.flatnonzero(record.twist_deg != 0)
     if len(turned) == 0:
-        raise Unavailable(f"press {record.press} has no twist")
+        raise NoFigure(f"press {record.press} has no twist")
     gained = record.torque_nm[turned[-1]] - record.torque_nm[turned[0] - 1]
     return -float(gained / record.twist_deg[turned[-1]]) * 1e3

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.studies.evidence import Evidence, at_load
-from taccel_lab.studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.metrics.base import NoFigure, metric
 
 
 @metric(
@@ -21,7 +21,7 @@ def stiffness_punch(evidence: Evidence) -> float:
     record = evidence.one("punch")
     depth, force = record.depth_mm[record.down], record.normal_n
     if len(depth) < 3:
-        raise Unavailable(f"press punch has {len(depth)} steps; three are needed for a slope")
+        raise NoFigure(f"press punch has {len(depth)} steps; three are needed for a slope")
     return float(np.polynomial.Polynomial.fit(depth, force, 2).convert().coef[1])
 
 

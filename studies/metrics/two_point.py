@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from taccel_lab.studies.evidence import Evidence, profile_mm
-from taccel_lab.studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.metrics.base import NoFigure, metric
 
 RESOLVED = 0.2
 """Contrast from which two pins count as two; Rayleigh's criterion in optics has 0.265 [Born and
@@ -46,7 +46,7 @@ def two_point_resolution(evidence: Evidence) -> float:
         found.append(contrast(x, -change, radius + gap / 2))
     rising = np.maximum.accumulate(found)
     if rising[-1] < RESOLVED:
-        raise Unavailable(
+        raise NoFigure(
             f"pins {apart[-1]:g} mm apart are not resolved: contrast {rising[-1]:.3g} of {RESOLVED}"
         )
     k = int(np.flatnonzero(rising >= RESOLVED)[0])
@@ -65,7 +65,7 @@ def grating_modulation(evidence: Evidence) -> float:
     pitch = sizes(record.indenter)[0]
     x, change = profile_mm(record, pitch)
     if not np.isfinite(change).all():
-        raise Unavailable("the grating reaches beyond the contact face")
+        raise NoFigure("the grating reaches beyond the contact face")
     # Two whole pitches in the middle; the mean dent, which is wider, bends as a parabola.
     trend = np.polynomial.Polynomial.fit(x, change, 2)(x)
     turns = 2 * math.pi * x / pitch

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.studies.evidence import Evidence, at_load, contact_radius_mm
-from taccel_lab.studies.metrics.base import Unavailable, metric
+from taccel_lab.studies.metrics.base import NoFigure, metric
 
 
 def variation(values: list[float]) -> float:
@@ -23,7 +23,7 @@ def uniformity_force(evidence: Evidence) -> float:
     """At the greatest depth that all places reach."""
     records = evidence.all("places")
     if len(records) < 3:
-        raise Unavailable(f"press places has {len(records)} places; three are needed")
+        raise NoFigure(f"press places has {len(records)} places; three are needed")
     depth = min(float(record.depth_mm[record.down][-1]) for record in records)
     forces = [
         float(np.exp(np.interp(np.log(depth), np.log(r.depth_mm[r.down]), np.log(r.normal_n))))
@@ -41,7 +41,7 @@ def uniformity_contact(evidence: Evidence) -> float:
     """At half of the least force that the places end with."""
     records = evidence.all("places")
     if len(records) < 3:
-        raise Unavailable(f"press places has {len(records)} places; three are needed")
+        raise NoFigure(f"press places has {len(records)} places; three are needed")
     load = 0.5 * min(float(record.normal_n[-1]) for record in records)
     return 100 * variation([at_load(r, contact_radius_mm(r), load) for r in records])
 
@@ -55,7 +55,7 @@ def uniformity_image(evidence: Evidence) -> float:
     """At the greatest depth of each place: grey levels in the dent over the force."""
     records = evidence.all("places")
     if len(records) < 3:
-        raise Unavailable(f"press places has {len(records)} places; three are needed")
+        raise NoFigure(f"press places has {len(records)} places; three are needed")
     response = [
         float(evidence.picture_change(r, [r.down.stop - 1])[0] / r.normal_n[-1]) for r in records
     ]

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 from taccel_lab.output import write_json
 from taccel_lab.report.build import data_url, report_environment
 from taccel_lab.report.style import save_figure
+from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.report import figures, figures_designs, figures_effects
 from taccel_lab.studies.report.values import report_values, sensitivities
 from taccel_lab.studies.report.verdict import study_verdict
 from taccel_lab.studies.runner import Outcome
-from taccel_lab.studies.stored import StoredDesign
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,7 +66,7 @@ def _figures(
     outcome: Outcome, values: dict[str, Any]
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
     """File name and drawing of every figure that there is something to show in."""
-    designs = figures.done_designs(outcome)
+    designs = outcome.done
     if len(designs) < 2:
         return
     pareto = values["pareto"]
@@ -86,7 +86,7 @@ def _figures(
         yield "curves", lambda: figures_designs.draw_curves(outcome, *ends)
 
 
-def _chosen(outcome: Outcome, ids: list[str]) -> list[StoredDesign]:
+def _chosen(outcome: Outcome, ids: list[str]) -> list[DesignRow]:
     rows = {row.id: row for row in outcome.rows}
     return [rows[design_id] for design_id in ids]
 

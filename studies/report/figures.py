@@ -9,11 +9,11 @@ import numpy as np
 
 from taccel_lab.report.build import format_number
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, in_report_style, new_figure
-from taccel_lab.studies.judge import is_feasible
+from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.ranking import is_feasible
 from taccel_lab.studies.report.pareto import pareto_front
-from taccel_lab.studies.report.values import costs_of, directed
+from taccel_lab.studies.report.values import compared, costs_of
 from taccel_lab.studies.runner import Outcome
-from taccel_lab.studies.stored import StoredDesign
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,26 +39,10 @@ def parameter_label(outcome: Outcome, name: str) -> str:
     return with_unit(name, outcome.study.parameters[name].unit)
 
 
-def done_designs(outcome: Outcome) -> list[StoredDesign]:
-    """Designs that have figures."""
-    return [row for row in outcome.rows if row.status == "done"]
-
-
-def column(designs: list[StoredDesign], name: str) -> np.ndarray:
+def column(designs: list[DesignRow], name: str) -> np.ndarray:
     """A metric or a numeric parameter of designs, NaN where there is none."""
     cells = ({**row.parameters, **row.figures}.get(name) for row in designs)
     return np.array([np.nan if value is None else value for value in cells], dtype=np.float64)
-
-
-def paired_metrics(outcome: Outcome) -> dict[str, float]:
-    """Metrics with a better side that differ between designs, with their signs, the goal first."""
-    designs = done_designs(outcome)
-    return {
-        name: sign
-        for name, sign in directed(outcome).items()
-        if np.unique(v := column(designs, name)[np.isfinite(column(designs, name))]).size > 1
-        and np.ptp(v) > 0
-    }
 
 
 def _axis_text(outcome: Outcome, name: str, sign: float) -> str:
@@ -71,8 +55,8 @@ def draw_pareto(outcome: Outcome, front: list[str], best: list[str], worst: list
 
     Designs that break the constraints are small.
     """
-    designs = done_designs(outcome)
-    names = dict(list(paired_metrics(outcome).items())[:2])
+    designs = outcome.done
+    names = dict(list(compared(outcome).items())[:2])
     (x_name, x_sign), (y_name, y_sign) = names.items()
     x, y = column(designs, x_name), column(designs, y_name)
     figure, axes = new_figure(7.4, 5.0)
@@ -145,8 +129,8 @@ def color_norm(values: np.ndarray, log: bool) -> Any:
 @in_report_style
 def draw_pairs(outcome: Outcome) -> Figure:
     """Every pair of the first metrics, with the front of each pair."""
-    designs = done_designs(outcome)
-    signs = dict(list(paired_metrics(outcome).items())[:MOST_PAIRED])
+    designs = outcome.done
+    signs = dict(list(compared(outcome).items())[:MOST_PAIRED])
     names = list(signs)
     count = len(names) - 1
     figure, panels = new_figure(2.3 * count + 0.9, 2.1 * count + 0.7, count, count, squeeze=False)
@@ -183,8 +167,8 @@ def _two_lines(label: str) -> str:
 @in_report_style
 def draw_parallel(outcome: Outcome, front: list[str], best: list[str]) -> Figure:
     """Every design as a line over parameters and metrics; better is up for metrics."""
-    designs = done_designs(outcome)
-    signs = paired_metrics(outcome)
+    designs = outcome.done
+    signs = compared(outcome)
     parameters = [axis.name for axis in outcome.study.axes if axis.numeric]
     parameters = [n for n in parameters if np.nanmax(v := column(designs, n)) > np.nanmin(v)]
     names = [*parameters, *signs][: max(MOST_AXES, len(parameters) + 1)]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.report.style import GREEN, ORANGE, in_report_style, new_figure
+from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.runner import Outcome
-from taccel_lab.studies.stored import StoredDesign
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,18 +18,18 @@ SHADES = ("-", "--", ":")
 """Line of the first, second and third best or worst design."""
 
 
-def curves_of(design: StoredDesign, press: str) -> list[dict[str, Any]]:
+def curves_of(design: DesignRow, press: str) -> list[dict[str, Any]]:
     """Records of a press with at least two steps."""
     return [c for c in design.curves.get(press) or [] if len(c["depth_mm"]) > 1]
 
 
-def drawn_presses(outcome: Outcome, designs: list[StoredDesign]) -> list[str]:
+def drawn_presses(outcome: Outcome, designs: list[DesignRow]) -> list[str]:
     """Presses of the study that any of the designs has curves of."""
     return [name for name in outcome.study.presses if any(curves_of(d, name) for d in designs)]
 
 
 @in_report_style
-def draw_curves(outcome: Outcome, best: list[StoredDesign], worst: list[StoredDesign]) -> Figure:
+def draw_curves(outcome: Outcome, best: list[DesignRow], worst: list[DesignRow]) -> Figure:
     """Force over depth, or over the sideways motion, in the first record of every press."""
     presses = drawn_presses(outcome, [*best, *worst])
     columns = min(3, len(presses))

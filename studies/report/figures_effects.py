@@ -11,7 +11,6 @@ from taccel_lab.report.style import BLUE, INK, LIGHT, ORANGE, in_report_style, n
 from taccel_lab.studies.report.figures import (
     color_norm,
     column,
-    done_designs,
     metric_label,
     parameter_label,
     plain_log_ticks,
@@ -81,7 +80,7 @@ def cell_text(effect: Effect) -> str:
 @in_report_style
 def draw_effects(outcome: Outcome) -> Figure:
     """A panel for each metric and parameter: all designs, and the means over levels of a grid."""
-    designs = done_designs(outcome)
+    designs = outcome.done
     metrics = list(outcome.study.metrics)[:MOST_METRICS]
     axes_list = outcome.study.axes
     grid = outcome.study.spec.sweep.kind == "grid"
@@ -129,7 +128,7 @@ def draw_effects(outcome: Outcome) -> Figure:
 def draw_maps(outcome: Outcome) -> Figure:
     """Each metric over the plane of a grid's two numeric parameters."""
     first, second = outcome.study.axes
-    designs = done_designs(outcome)
+    designs = outcome.done
     metrics = [m for m in list(outcome.study.metrics)[:MOST_METRICS] if _known(outcome, m)]
     columns = min(3, len(metrics))
     rows = -(-len(metrics) // columns)
@@ -164,7 +163,7 @@ def draw_maps(outcome: Outcome) -> Figure:
 
 
 def _known(outcome: Outcome, metric: str) -> bool:
-    return bool(np.isfinite(column(done_designs(outcome), metric)).any())
+    return bool(np.isfinite(column(outcome.done, metric)).any())
 
 
 def has_maps(outcome: Outcome) -> bool:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 import taccel_lab
-from taccel_lab.studies.judge import (
-    goal_of,
+from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.ranking import (
+    directed,
     is_feasible,
     least_violating,
     ranked,
@@ -20,7 +21,6 @@ from taccel_lab.studies.judge import (
 from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.report.sensitivity import Sensitivity, sensitivity
 from taccel_lab.studies.runner import Outcome
-from taccel_lab.studies.stored import StoredDesign
 from taccel_lab.studies.table import table_rows
 
 COMPARED = 3
@@ -31,8 +31,8 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
     """Everything that the report says."""
     study, rows = outcome.study, outcome.rows
     spec = study.spec
-    done = [row for row in rows if row.status == "done"]
-    goal = goal_of(spec.objective, study.metrics)
+    done = outcome.done
+    goal = next(iter(directed(spec.objective, study.metrics)), None)
     order = ranked(rows, goal, spec.constraints) if goal else []
     nearest = None
     if spec.constraints and not any(is_feasible(row, spec.constraints) for row in rows):
@@ -66,7 +66,7 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
         "optimiser": None if outcome.optimiser is None else outcome.optimiser.stopped,
         "parameters": {axis.name: _parameter(outcome, axis.name) for axis in study.axes},
         "metrics": _metrics(outcome, done),
-        "pareto": _pareto(outcome, done),
+        "pareto": _pareto(outcome),
         "sensitivities": {name: asdict(s) for name, s in sensitivities(outcome).items()},
         "failures": [
             {"design": row.id, "status": row.status, "cause": row.cause, **row.parameters}
@@ -79,7 +79,7 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _ends(order: list[StoredDesign]) -> tuple[list[StoredDesign], list[StoredDesign]]:
+def _ends(order: list[DesignRow]) -> tuple[list[DesignRow], list[DesignRow]]:
     """The best and the worst designs, no design in both."""
     count = min(COMPARED, (len(order) + 1) // 2)
     return order[:count], order[max(count, len(order) - count) :][::-1]
@@ -99,7 +99,7 @@ def _parameter(outcome: Outcome, name: str) -> dict[str, Any]:
     }
 
 
-def _metrics(outcome: Outcome, done: list[StoredDesign]) -> dict[str, dict[str, Any]]:
+def _metrics(outcome: Outcome, done: list[DesignRow]) -> dict[str, dict[str, Any]]:
     found = {}
     for name, metric in outcome.study.metrics.items():
         values = [v for row in done if (v := row.figures.get(name)) is not None]
@@ -116,19 +116,17 @@ def _metrics(outcome: Outcome, done: list[StoredDesign]) -> dict[str, dict[str, 
     return found
 
 
-def directed(outcome: Outcome) -> dict[str, float]:
-    """Metrics with a better side, the goal first: 1 where less is better, -1 where more is."""
-    spec = outcome.study.spec
-    signs = {}
-    if spec.objective is not None:
-        signs[spec.objective.metric] = spec.objective.sign
-    for name, metric in outcome.study.metrics.items():
-        if metric.better != "none":
-            signs.setdefault(name, 1.0 if metric.better == "lower" else -1.0)
-    return signs
+def compared(outcome: Outcome) -> dict[str, float]:
+    """Metrics with a better side that differ between designs, the goal first: 1 where less is
+    better, -1 where more is."""
+    return {
+        goal.metric: goal.sign
+        for goal in directed(outcome.study.spec.objective, outcome.study.metrics)
+        if len({row.figures.get(goal.metric) for row in outcome.done} - {None}) > 1
+    }
 
 
-def costs_of(designs: list[StoredDesign], signs: dict[str, float]) -> np.ndarray:
+def costs_of(designs: list[DesignRow], signs: dict[str, float]) -> np.ndarray:
     """Less is better, NaN where a figure is missing, shape [design, metric]."""
     table = [
         [
@@ -140,19 +138,15 @@ def costs_of(designs: list[StoredDesign], signs: dict[str, float]) -> np.ndarray
     return np.array(table, dtype=np.float64).reshape(len(designs), len(signs))
 
 
-def _pareto(outcome: Outcome, done: list[StoredDesign]) -> dict[str, Any] | None:
+def _pareto(outcome: Outcome) -> dict[str, Any] | None:
     """Designs that no feasible one beats: in the first two metrics with a better side, and in all.
 
     With many metrics most designs are on the front of all of them.
     """
-    spread = {
-        name: sign
-        for name, sign in directed(outcome).items()
-        if len({row.figures.get(name) for row in done} - {None}) > 1
-    }
+    spread = compared(outcome)
     if len(spread) < 2:
         return None
-    feasible = [row for row in done if is_feasible(row, outcome.study.spec.constraints)]
+    feasible = [row for row in outcome.done if is_feasible(row, outcome.study.spec.constraints)]
     first = dict(list(spread.items())[:2])
 
     def front(signs: dict[str, float]) -> list[str]:
@@ -169,7 +163,7 @@ def _pareto(outcome: Outcome, done: list[StoredDesign]) -> dict[str, Any] | None
 
 def sensitivities(outcome: Outcome) -> dict[str, Sensitivity]:
     """By metric."""
-    rows = [row for row in outcome.rows if row.status == "done"]
+    rows = outcome.done
     columns = {a.name: [row.parameters[a.name] for row in rows] for a in outcome.study.axes}
     grid = outcome.study.spec.sweep.kind == "grid"
     return {
@@ -178,7 +172,7 @@ def sensitivities(outcome: Outcome) -> dict[str, Sensitivity]:
     }
 
 
-def _gaps(done: list[StoredDesign]) -> list[dict[str, Any]]:
+def _gaps(done: list[DesignRow]) -> list[dict[str, Any]]:
     """Causes of figures that designs lack, with the designs."""
     found: dict[tuple[str, str], list[str]] = {}
     for row in done:

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.benchmarks import error, scaling, skips
-from taccel_lab.benchmarks.report import sections
 from taccel_lab.benchmarks.report.plots import draw_error, draw_scaling
-from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.benchmarks.report.sections import SECTIONS
 from taccel_lab.benchmarks.shear_press import DEPTH_M
 from taccel_lab.scene import Element
 
@@ -97,7 +96,9 @@ def test_the_judge_says_whether_the_default_pays() -> None:
     rows[3] = front_row(8, 25, 2, layers=2, markers=9)
     assert error.judge(rows)["all_meshes"]["default_is_on_it"]
     assert error.judge([]) == {}
-    text = sections._front(verdict)
+    run = {"device": "cuda", "date": "", "commit": "", "packages": {}}
+    document = {"rows": [], "front": verdict, "run": run, "file": "error.json", "complete": True}
+    text = SECTIONS["error"]({"error": [document]})
     assert "own mesh: the default is on the front" in text
     assert "**not** on the front; faster and better are: linear, 2 layers" in text
 
@@ -144,10 +145,11 @@ def test_a_skip_row() -> None:
 
 
 def test_only_one_environment_moves_when_the_others_are_settled() -> None:
-    bench = build_scene("press_239", SceneOptions(source="generated"))
-    targets = skips._settled(bench, 3).targets(9)
+    found = {skip.name: skip for skip in skips.all_skips("generated")}
+    bench = found["settled environments"].off.bench
+    targets = bench.targets(9)
     np.testing.assert_array_equal(targets[0], bench.path[9])
-    np.testing.assert_array_equal(targets[1:], bench.targets(0)[[0, 0]])
+    np.testing.assert_array_equal(targets[1:], np.repeat(bench.path[:1], 15, axis=0))
 
 
 def test_errors_are_drawn() -> None:

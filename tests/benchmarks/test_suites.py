@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.benchmarks import quick
+from taccel_lab.benchmarks import design_study, quick
 from taccel_lab.benchmarks.command_line import COMMANDS, field_help, main, options_of, parse
 from taccel_lab.benchmarks.compare import compare
 from taccel_lab.benchmarks.front import is_on_front, power_law
@@ -25,6 +25,7 @@ from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, ratios
 from taccel_lab.benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
 from taccel_lab.benchmarks.speed import Speed, parse_settings
 from taccel_lab.errors import InputError, SimulationError
+from tests.studies.coarse_presses import coarse
 
 
 @pytest.fixture(scope="module")
@@ -285,27 +286,24 @@ def test_ratios_are_of_equal_devices_and_counts() -> None:
 
 
 def test_study_rows_hold_stages_and_forces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from taccel_lab.benchmarks import design_study
-    from taccel_lab.studies.presses import STANDARD_PRESSES
-
-    ball = dataclasses.replace(STANDARD_PRESSES["sphere"], depth_fraction=0.1, steps=3)
+    ball = coarse("sphere", depth_fraction=0.1, steps=3)
     monkeypatch.setattr(design_study, "standard_presses", lambda: [ball])
-    out = tmp_path / "study.json"
+    reference, out = tmp_path / "elsewhere.json", tmp_path / "study.json"
+    elsewhere = ResultFile("study", "", reference, "cpu", {})
+    elsewhere.add({"designs": 2, "force_n": {"sphere": [[0.0, 0.0, 1.0], None]}})
     arguments = ["study", "--sensor", "gelsight", "--designs", "2", "--out", str(out)]
-    assert main(arguments) == 0
+    assert main([*arguments, "--reference", str(reference)]) == 0
     (row,) = read_result(out)["rows"]
     assert row["designs"] == row["simulations"] == 2 and row["failures"] == 0
     assert {"meshed", "press sphere", "figures"} <= set(row["seconds_by_stage"])
     assert 0 < row["largest_residual_over_force"] < 1e-2
-    thin, thick = (force[2] for force in row["force_n"]["sphere"])
+    thin, thick = (np.array(force) for force in row["force_n"]["sphere"])
     # The depth follows the thickness, and the contact grows with the depth.
-    assert 0 < thin < thick
-
-    assert main([*arguments, "--reference", str(out)]) == 0
-    (again,) = read_result(out)["rows"]
-    assert again["force_difference"] == {"sphere": 0.0}
+    assert 0 < thin[2] < thick[2]
+    off = float(np.linalg.norm(thin - [0, 0, 1]))
+    assert row["force_difference"] == {"sphere": pytest.approx(off)}
     page = SECTIONS["study"]({"study": [read_result(out) | {"file": "study.json"}]})
-    assert "| 2 | 2 |" in page and "0 %" in page
+    assert "| 2 | 2 |" in page and f"{100 * off:.2g} %" in page
 
 
 def test_study_names_the_parameters_of_a_sensor(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.cli import app
-from taccel_lab.studies.plan import Kit, default_kit
+from taccel_lab.studies.study import Kit, default_kit
 from tests.studies.fake_kit import METRICS, PRESSES, evaluate, logged
 
 STUDY = """
@@ -53,7 +53,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def use(monkeypatch: pytest.MonkeyPatch, how) -> None:
-    monkeypatch.setattr("taccel_lab.studies.plan.default_kit", lambda: Kit(PRESSES, METRICS, how))
+    monkeypatch.setattr("taccel_lab.studies.study.default_kit", lambda: Kit(PRESSES, METRICS, how))
 
 
 def test_a_study_runs_and_says_where_to_look(

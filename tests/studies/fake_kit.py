@@ -14,8 +14,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
 from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.plan import Kit, Study, plan_study
-from taccel_lab.studies.spec import study_of
+from taccel_lab.studies.spec import spec_of
+from taccel_lab.studies.study import Kit, Study, make_study
 
 LOG = "evaluated.log"
 
@@ -122,7 +122,7 @@ def table(**changes: Any) -> dict[str, Any]:
 
 def study(evaluate_with: Any = evaluate, **changes: Any) -> Study:
     """The study of ``table`` on the fake kit."""
-    return plan_study(study_of(table(**changes)), Kit(PRESSES, METRICS, evaluate_with))
+    return make_study(spec_of(table(**changes)), Kit(PRESSES, METRICS, evaluate_with))
 
 
 def logged(root: Path) -> list[str]:

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from taccel_lab.errors import InputError
 from taccel_lab.studies.describe import press_in_words, with_tables
-from taccel_lab.studies.plan import default_kit, plan_study
 from taccel_lab.studies.presses import STANDARD_PRESSES
-from taccel_lab.studies.spec import StudySpec, study_of
+from taccel_lab.studies.spec import StudySpec, spec_of
+from taccel_lab.studies.study import default_kit, make_study
 
 PAGE = Path(__file__).parents[2] / "docs" / "studies.md"
 
@@ -23,13 +24,13 @@ def test_tables_are_up_to_date() -> None:
 
 
 def test_pages_without_places_for_tables_are_refused() -> None:
-    with pytest.raises(ValueError, match="begin metrics"):
+    with pytest.raises(InputError, match="begin metrics"):
         with_tables("# empty\n")
 
 
 def test_the_study_file_of_the_page_is_sound() -> None:
     (block,) = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert len(plan_study(study_of(tomllib.loads(block)), default_kit()).points()) == 32
+    assert len(make_study(spec_of(tomllib.loads(block)), default_kit()).points()) == 32
 
 
 def test_every_key_is_described() -> None:

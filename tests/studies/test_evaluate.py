@@ -15,8 +15,11 @@ from taccel_lab.errors import InputError
 from taccel_lab.output import to_jsonable
 from taccel_lab.solvers import EnvStatus, StepReport
 from taccel_lab.studies import press_batch
-from taccel_lab.studies.evaluate import METRICS, STANDARD_PRESSES, DesignPoint, evaluate_designs
-from tests.studies.quick import coarse
+from taccel_lab.studies.design_point import DesignPoint
+from taccel_lab.studies.evaluate import evaluate_designs
+from taccel_lab.studies.metrics import METRICS
+from taccel_lab.studies.presses import STANDARD_PRESSES
+from tests.studies.coarse_presses import coarse
 
 SPHERE = coarse("sphere", steps=3)
 SIMPLE = [METRICS[name] for name in ("stiffness_secant", "bond_stress", "sensitivity_um")]

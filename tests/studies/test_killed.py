@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.studies.folder import RESULT, StudyFolder
+from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.runner import run_study
-from taccel_lab.studies.stored import StoredDesign
+from taccel_lab.studies.study_folder import RESULT, StudyFolder
 from tests.studies.fake_kit import logged, study
 from tests.studies.run_fake import CHANGES
 
@@ -75,11 +75,11 @@ def test_leftovers_of_a_killed_write_are_removed(tmp_path: Path) -> None:
 
 
 def test_a_merged_row_keeps_what_only_one_knows() -> None:
-    old = StoredDesign(
+    old = DesignRow(
         "x", "gelsight", {}, "done", {"a": 1.0, "b": None}, {"b": "no edge", "press ball": "stuck"},
         2.0, 3, {"ball": [1]}, {"a": "k", "b": "k"}, {"ball": "k"}, {"mesh": "mesh.vtu"},
     )  # fmt: skip
-    new = StoredDesign(
+    new = DesignRow(
         "x", "gelsight", {}, "failed", {"c": None}, {"c": "why"}, 1.0, 1, {}, {"c": "k"},
         {"ball": "k2"},
     )  # fmt: skip

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 
 from taccel_lab.sensors.gelsight.family import GelSightParameters
 from taccel_lab.studies.evidence import Evidence, at_load, contact_radius_mm, dent_mm
-from taccel_lab.studies.metrics import METRICS, Unavailable
+from taccel_lab.studies.metrics import METRICS, NoFigure
 from taccel_lab.studies.metrics.edge_sharpness import rise_width
 from taccel_lab.studies.metrics.hysteresis import lost_part
 from taccel_lab.studies.metrics.two_point import contrast, sizes
 from taccel_lab.studies.metrics.uniformity import variation
 from taccel_lab.studies.press_record import PressRecord
 from taccel_lab.studies.presses import STANDARD_PRESSES
-from tests.studies.quick import down_record, sphere_on_gelsight
+from tests.studies.coarse_presses import down_record, sphere_on_gelsight
 
 GELSIGHT = GelSightParameters()
 
@@ -50,11 +50,11 @@ def test_power_laws_are_read_exactly(power: float, factor: float, load: float) -
 
 def test_loads_out_of_reach() -> None:
     record = down_record([0.1, 0.2], [0.3, 0.4])
-    with pytest.raises(Unavailable, match=r"press sphere ends at 0\.4 N, below the load of 0\.5 N"):
+    with pytest.raises(NoFigure, match=r"press sphere ends at 0\.4 N, below the load of 0\.5 N"):
         at_load(record, np.ones(2), 0.5)
-    with pytest.raises(Unavailable, match=r"first step of press sphere has 0\.3 N"):
+    with pytest.raises(NoFigure, match=r"first step of press sphere has 0\.3 N"):
         at_load(record, np.ones(2), 0.02)
-    with pytest.raises(Unavailable, match="does not rise"):
+    with pytest.raises(NoFigure, match="does not rise"):
         at_load(down_record([0.1, 0.2], [0.3, 0.3]), np.ones(2), 0.2)
 
 
@@ -71,7 +71,7 @@ def test_stiffness_of_a_punch_starts_at_no_depth() -> None:
     depth = np.array([0.1, 0.2, 0.3, 0.4])
     record = down_record(depth.tolist(), (0.05 + 1.3 * depth + 0.4 * depth**2).tolist())
     assert figure("stiffness_punch", record) == pytest.approx(1.3)
-    with pytest.raises(Unavailable, match="three are needed"):
+    with pytest.raises(NoFigure, match="three are needed"):
         figure("stiffness_punch", down_record([0.1, 0.2], [0.1, 0.2]))
 
 
@@ -85,7 +85,7 @@ def test_force_range() -> None:
     # A thick gel was not pressed that deep.
     thick = dataclasses.replace(record, thickness_mm=9.0)
     assert figure("force_range", thick) == pytest.approx(hertz[-1] * (3.6 / 2.5) ** 1.5)
-    with pytest.raises(Unavailable, match=r"bottoms at 8 mm, .* ends at 2\.5 mm"):
+    with pytest.raises(NoFigure, match=r"bottoms at 8 mm, .* ends at 2\.5 mm"):
         figure("force_range", dataclasses.replace(record, thickness_mm=20.0))
 
 
@@ -108,12 +108,12 @@ def test_readings_of_a_real_press() -> None:
 
 def test_presses_that_failed_or_are_missing_say_why() -> None:
     lost = dataclasses.replace(sphere_on_gelsight(), cause="step 2 of 6: no luck")
-    with pytest.raises(Unavailable, match="press sphere: step 2 of 6: no luck"):
+    with pytest.raises(NoFigure, match="press sphere: step 2 of 6: no luck"):
         figure("contact_area", lost)
-    with pytest.raises(Unavailable, match="'sphere' was not asked for"):
+    with pytest.raises(NoFigure, match="'sphere' was not asked for"):
         METRICS["contact_area"].compute(Evidence(GELSIGHT, {}))
     unmade = Evidence(GELSIGHT, {}, {"sphere": "too near to the edge"})
-    with pytest.raises(Unavailable, match="press sphere: too near to the edge"):
+    with pytest.raises(NoFigure, match="press sphere: too near to the edge"):
         METRICS["contact_area"].compute(unmade)
 
 
@@ -132,7 +132,7 @@ def test_rise_of_an_exponential_dent(width: float, peak: float) -> None:
 
 
 def test_a_dent_as_wide_as_the_pad_has_no_width() -> None:
-    with pytest.raises(Unavailable, match="does not fall below 10%"):
+    with pytest.raises(NoFigure, match="does not fall below 10%"):
         rise_width(np.linspace(-1, 1, 101), 1 - 0.5 * np.abs(np.linspace(-1, 1, 101)))
 
 
@@ -152,9 +152,9 @@ def test_lost_work() -> None:
     # Coulomb's force turns round with the motion; the trapezoid at the turn has half a step of it.
     assert lost_part(way, np.array([1.0, 1.0, 1.0, -1.0, -1.0])) == pytest.approx(1.5)
     assert lost_part(-way, -np.array([0.0, 2.0, 4.0, 1.0, 0.0])) == pytest.approx(0.25)
-    with pytest.raises(Unavailable, match="no loop"):
+    with pytest.raises(NoFigure, match="no loop"):
         lost_part(np.array([0.0, 1.0, 2.0]), np.ones(3))
-    with pytest.raises(Unavailable, match="takes no work"):
+    with pytest.raises(NoFigure, match="takes no work"):
         lost_part(way, np.zeros(5))
 
 
@@ -165,5 +165,5 @@ def test_variation() -> None:
 
 def test_the_force_range_needs_two_steps() -> None:
     record = down_record([0.3], [0.4])
-    with pytest.raises(Unavailable, match="one step alone"):
+    with pytest.raises(NoFigure, match="one step alone"):
         figure("force_range", record)

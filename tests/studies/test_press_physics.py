@@ -17,7 +17,7 @@ from taccel_lab.studies.metrics.edge_sharpness import rise_width
 from taccel_lab.studies.metrics.two_point import contrast
 from taccel_lab.studies.press_batch import REFERENCE_PA, simulate
 from taccel_lab.studies.presses import STANDARD_PRESSES
-from tests.studies.quick import THICK, coarse, jobs, pressed
+from tests.studies.coarse_presses import THICK, coarse, jobs, pressed
 
 NU = 0.46
 DEFAULT = PHYSICS[Accuracy.DEFAULT].mesh

@@ -22,7 +22,7 @@ from taccel_lab.studies.presses import (
     StandardPress,
     standard_presses,
 )
-from tests.studies.quick import COARSE, coarse, jobs
+from tests.studies.coarse_presses import COARSE, coarse, jobs
 
 
 def test_the_standard_six() -> None:

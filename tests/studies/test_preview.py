@@ -15,7 +15,7 @@ from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.studies import preview as previews
 from taccel_lab.studies.camera_view import photometry
 from taccel_lab.studies.preview import preview_design, write_preview
-from tests.studies.quick import coarse
+from tests.studies.coarse_presses import coarse
 
 
 def test_dots_are_no_dark_spots_of_the_light() -> None:

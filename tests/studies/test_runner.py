@@ -12,8 +12,8 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.output import require_replaceable
-from taccel_lab.studies.folder import STUDY_MARKER, StudyFolder
-from taccel_lab.studies.runner import Listener, run_study, stored_outcome
+from taccel_lab.studies.runner import Listener, read_outcome, run_study
+from taccel_lab.studies.study_folder import STUDY_MARKER, StudyFolder
 from taccel_lab.studies.table import write_table
 from tests.studies.fake_kit import evaluate, evaluate_and_crash, figures_of, logged, study, table
 
@@ -22,8 +22,8 @@ class Recorder(Listener):
     def __init__(self) -> None:
         self.told: list[tuple[Any, ...]] = []
 
-    def begins(self, total: int, stored: int, to_do: int) -> None:
-        self.told.append((total, stored, to_do))
+    def begins(self, total: int, there: int, to_do: int) -> None:
+        self.told.append((total, there, to_do))
 
     def finished(self, design: Any) -> None:
         self.told.append((design.id, design.status))
@@ -136,9 +136,9 @@ def test_one_fault_and_one_dead_process_cost_one_row_each(tmp_path: Path) -> Non
 
 def test_stored_outcome_evaluates_nothing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no study"):
-        stored_outcome(study(), tmp_path)
+        read_outcome(study(), tmp_path)
     run_study(study(), tmp_path, processes=0, limit=3)
-    outcome = stored_outcome(study(), tmp_path)
+    outcome = read_outcome(study(), tmp_path)
     assert len(outcome.rows) == 3 and not outcome.complete
     assert len(logged(tmp_path)) == 3
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.spec import Constraint, load_study, study_of
+from taccel_lab.studies.spec import Constraint, load_spec, spec_of
 from tests.studies.fake_kit import table
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "studies" / "examples").glob("*.toml"))
@@ -71,7 +71,7 @@ BAD = [
 @pytest.mark.parametrize(("path", "value", "texts"), [(p, v, t) for p, v, *t in BAD])
 def test_bad_studies_are_refused_with_what_is_allowed(path: str, value: Any, texts: list[str]):
     with pytest.raises(InputError) as caught:
-        study_of(changed(path, value), "my.toml")
+        spec_of(changed(path, value), "my.toml")
     assert all(line.startswith("my.toml: ") for line in str(caught.value).splitlines())
     for text in texts:
         assert text in str(caught.value)
@@ -81,7 +81,7 @@ def test_every_fault_has_a_line() -> None:
     bad = changed("study/seed", -1)
     bad["sweep"] = {"kind": "gird"}
     with pytest.raises(InputError) as caught:
-        study_of(bad)
+        spec_of(bad)
     assert len(str(caught.value).splitlines()) == 2
 
 
@@ -90,17 +90,17 @@ def test_optimiser_wants_ranges_without_counts(ranges: dict[str, Any]) -> None:
     bad = table(parameters={"thickness_mm": ranges}, sweep={"kind": "optimize", "count": 5})
     bad["objective"] = {"minimize": "blur"}
     with pytest.raises(InputError, match=r"an optimiser needs min and max|count belongs to a grid"):
-        study_of(bad)
+        spec_of(bad)
 
 
 def test_optimiser_needs_an_objective() -> None:
     parameters = {"thickness_mm": {"min": 2, "max": 3}}
     with pytest.raises(InputError, match=r"needs \[objective\]"):
-        study_of(table(parameters=parameters, sweep={"kind": "optimize", "count": 5}))
+        spec_of(table(parameters=parameters, sweep={"kind": "optimize", "count": 5}))
 
 
 def test_objective_and_constraints_are_measured_too() -> None:
-    spec = study_of(
+    spec = spec_of(
         table(
             study={"name": "a", "sensor": "gelsight"},
             objective={"maximize": "range"},
@@ -118,18 +118,18 @@ def test_violation_is_the_distance_to_the_nearer_bound() -> None:
 
 def test_files_are_named_in_errors(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such study file"):
-        load_study(tmp_path / "none.toml")
+        load_spec(tmp_path / "none.toml")
     path = tmp_path / "bad.toml"
     path.write_text("[study\n")
     with pytest.raises(InputError, match=r"bad\.toml is not TOML"):
-        load_study(path)
+        load_spec(path)
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_are_sound(path: Path) -> None:
-    from taccel_lab.studies.plan import default_kit, plan_study
+    from taccel_lab.studies.study import default_kit, make_study
 
-    study = plan_study(load_study(path), default_kit())
+    study = make_study(load_spec(path), default_kit())
     if study.spec.sweep.kind != "optimize":
         for point in study.points():
             study.family.parameters(point.parameters)

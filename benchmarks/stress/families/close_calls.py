@@ -17,7 +17,7 @@ from taccel_lab.benchmarks.stress.families.common import (
     settings,
 )
 from taccel_lab.benchmarks.stress.shapes import about, after, pose, soft_box, stiff_shape, wedge
-from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody, TimeScheme
+from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody
 
 SMALLEST_GAP = 1e-9
 
@@ -75,7 +75,7 @@ def thin_gap(draw: Draw) -> Case:
             )
         )
     scene = Scene(soft, kinematic, affine_bodies=stiff, planes=planes, time=stepping)
-    return Case(scene, config, 4, start, closed=stepping.scheme is TimeScheme.EULER)
+    return Case(scene, config, 4, start, closed=True)
 
 
 def parallel_edges(draw: Draw) -> Case:
@@ -103,8 +103,7 @@ def parallel_edges(draw: Draw) -> Case:
     rest = KinematicBody(lower, 0.5, name="lower")
     start = pose((0, 0, 0), over)[None, None]
     scene = Scene((), rest, affine_bodies=body, time=stepping)
-    closed = stepping.scheme is TimeScheme.EULER
-    return Case(scene, config, 6, start, closed=closed)
+    return Case(scene, config, 6, start, closed=True)
 
 
 def soft_edges(draw: Draw) -> Case:
@@ -133,4 +132,4 @@ def soft_edges(draw: Draw) -> Case:
             )
         )
     scene = Scene(bodies, time=stepping)
-    return Case(scene, config, 5, closed=stepping.scheme is TimeScheme.EULER)
+    return Case(scene, config, 5, closed=True)

@@ -107,8 +107,3 @@ def _maybe_slivers(draw: Draw, name: str, mesh: TetMesh) -> TetMesh:
         return mesh
     left = draw.decades(f"{name} volume left in slivers", 1e-5, 1e-1)
     return with_slivers(mesh, left, 0.3, draw.seed(f"{name} sliver seed"))
-
-
-def speed_over(time: TimeStepping, speed: float, most_m: float) -> float:
-    """Distance of a step at that speed, at most ``most_m``."""
-    return min(speed * time.dt_s, most_m)

@@ -24,9 +24,9 @@ from taccel_lab.benchmarks.stress.shapes import (
     pose,
     reach,
     stiff_shape,
-    turned,
 )
-from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody, TimeScheme
+from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody
 
 GEL = (6e-3, 6e-3, 2e-3)
 
@@ -57,7 +57,7 @@ def _fingers(draw: Draw, young_pa: tuple[float, float]) -> list[SoftBody]:
 
 
 def _half_width(shape_nodes: np.ndarray, turn: np.ndarray) -> float:
-    return float(np.abs(turned(turn, shape_nodes)[:, 0]).max())
+    return float(np.abs(rotate(turn, shape_nodes)[:, 0]).max())
 
 
 def throw_and_catch(draw: Draw) -> Case:
@@ -94,7 +94,7 @@ def throw_and_catch(draw: Draw) -> Case:
         _jaws(opened + 1e-3, 0.5 * lift, 0.0),
     ]
     scene = Scene(fingers, jaws, affine_bodies=body, time=stepping)
-    return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
+    return Case.along(path, scene, config)
 
 
 def ratios(draw: Draw) -> Case:
@@ -121,7 +121,7 @@ def ratios(draw: Draw) -> Case:
         initial_pose=pose((0, 0, draw.decades("gap", 1e-7, 1e-4) - low), turn),
     )
     scene = Scene(gel, affine_bodies=body, time=stepping)
-    return Case(scene, config, 8, closed=stepping.scheme is TimeScheme.EULER)
+    return Case(scene, config, 8, closed=True)
 
 
 def pile(draw: Draw) -> Case:
@@ -160,4 +160,4 @@ def pile(draw: Draw) -> Case:
         ]
         floor = replace(floor, point_m=(0.0, 0.0, -2.5e-3))
     scene = Scene(gels, affine_bodies=bodies, planes=floor, time=stepping)
-    return Case(scene, config, 8, closed=stepping.scheme is TimeScheme.EULER)
+    return Case(scene, config, 8, closed=True)

@@ -36,7 +36,6 @@ from taccel_lab.scene import (
     Plane,
     Scene,
     SoftBody,
-    TimeScheme,
     TriangleMesh,
 )
 from taccel_lab.state import State
@@ -85,16 +84,15 @@ def soft_impact(draw: Draw) -> Case:
     )
     onto = draw.choose("onto", ("floor", "ridge", "point"))
     steps = _steps(draw, gap, -velocity[2], stepping.dt_s)
-    closed = stepping.scheme is TimeScheme.EULER
     if onto == "floor":
         scene = Scene(body, planes=Plane(), time=stepping)
-        return Case(scene, config, steps, closed=closed)
+        return Case(scene, config, steps, closed=True)
     shape = wedge(2e-3, 4e-3, 8e-3) if onto == "ridge" else stiff_shape("needle", 4e-3)
     upside = after(about((1, 0, 0), np.pi), about((0, 0, 1), draw.between("heading", 0, np.pi)))
     _, high = reach(shape, upside)
     rest = KinematicBody(shape, 0.5, name="rest")
     start = pose((0, 0, -high), upside)[None, None]
-    return Case(Scene(body, rest, time=stepping), config, steps, start, closed=closed)
+    return Case(Scene(body, rest, time=stepping), config, steps, start, closed=True)
 
 
 def _stiff(draw: Draw, size: float, low_density: float = 100.0) -> AffineBody:
@@ -122,7 +120,7 @@ def stiff_on_plane(draw: Draw) -> Case:
     body = _placed(_stiff(draw, 4e-3), gap, draw.rotation("turn"))
     steps = _steps(draw, gap, -body.initial_velocity_m_s[2], stepping.dt_s)
     scene = Scene(affine_bodies=body, planes=Plane(friction_coefficient=0.5), time=stepping)
-    return Case(scene, config, steps, closed=stepping.scheme is TimeScheme.EULER)
+    return Case(scene, config, steps, closed=True)
 
 
 def stiff_on_gel(draw: Draw) -> Case:
@@ -139,7 +137,7 @@ def stiff_on_gel(draw: Draw) -> Case:
     body = _placed(_stiff(draw, 3e-3, 10.0), gap, draw.rotation("turn"))
     steps = _steps(draw, gap, -body.initial_velocity_m_s[2], stepping.dt_s)
     scene = Scene(gel, affine_bodies=body, time=stepping)
-    return Case(scene, config, steps, closed=stepping.scheme is TimeScheme.EULER)
+    return Case(scene, config, steps, closed=True)
 
 
 def soft_on_soft(draw: Draw) -> Case:
@@ -167,7 +165,7 @@ def soft_on_soft(draw: Draw) -> Case:
         )
     steps = _steps(draw, gap, speed, stepping.dt_s)
     scene = Scene(bodies, time=stepping)
-    return Case(scene, config, steps, closed=stepping.scheme is TimeScheme.EULER)
+    return Case(scene, config, steps, closed=True)
 
 
 def bullet_at_sheet(draw: Draw) -> Case:
@@ -190,5 +188,4 @@ def bullet_at_sheet(draw: Draw) -> Case:
         return None if z > 0 else f"it is {-z:.3g} m beyond the sheet after step {step}"
 
     start = WORLD[None, None]
-    closed = stepping.scheme is TimeScheme.EULER
-    return Case(scene, config, 4, start, expect=expect, closed=closed)
+    return Case(scene, config, 4, start, expect=expect, closed=True)

@@ -32,7 +32,6 @@ from taccel_lab.scene import (
     RevoluteJoint,
     Scene,
     SoftBody,
-    TimeScheme,
     TimeStepping,
     VelocityDrive,
     box_mesh,
@@ -189,7 +188,7 @@ def jump(draw: Draw) -> Case:
             hand[2] = z - low
         path.append(np.stack([hand, fixed])[None])
     scene = Scene(gel, [KinematicBody(None, name="hand"), rest], time=stepping)
-    return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
+    return Case.along(path, scene, config)
 
 
 def no_way(draw: Draw) -> Case:
@@ -212,7 +211,7 @@ def no_way(draw: Draw) -> Case:
         scene = Scene((), pusher, affine_bodies=cube, planes=Plane(), time=time)
         # The pusher itself passes the plane: both are prescribed.
         path = [pose((0, 0, z), turn)[None, None] for z in (1.3e-3 - low, -5e-3 - high)]
-    return Case(scene, config, 1, path[0], lambda step: path[step + 1], possible=False)
+    return Case.along(path, scene, config, possible=False)
 
 
 def batch(draw: Draw) -> Case:
@@ -257,5 +256,4 @@ def resting(draw: Draw) -> Case:
         element=draw.choose("element", ELEMENTS),
     )
     plane = Plane((0.0, 0.0, -1.2e-2))
-    closed = stepping.scheme is TimeScheme.EULER
-    return Case(Scene(gel, planes=plane, time=stepping), config, 6, closed=closed)
+    return Case(Scene(gel, planes=plane, time=stepping), config, 6, closed=True)

@@ -72,7 +72,7 @@ def press(draw: Draw) -> Case:
         [turn] * (steps + 1),
     )
     scene = Scene(_gel(draw), KinematicBody(shape, friction(draw)), time=time)
-    return Case(scene, config, steps, path[0], lambda step: path[step + 1])
+    return Case.along(path, scene, config)
 
 
 def _sharp(draw: Draw) -> TriangleMesh:
@@ -107,7 +107,7 @@ def stab(draw: Draw) -> Case:
         for z, part in zip(heights, parts, strict=True)
     ]
     scene = Scene(_gel(draw), KinematicBody(shape, mu), time=maybe_in_time(draw))
-    return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
+    return Case.along(path, scene, config)
 
 
 def gel_on_gel(draw: Draw) -> Case:
@@ -131,4 +131,4 @@ def gel_on_gel(draw: Draw) -> Case:
     ]
     hand = KinematicBody(None, name="hand")
     scene = Scene([lower, upper], hand, time=maybe_in_time(draw))
-    return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
+    return Case.along(path, scene, config)

@@ -52,7 +52,7 @@ def twist(draw: Draw) -> Case:
     path = [gripped(1.5 * config.dhat_m, 0), gripped(grip / 2, 0), gripped(grip, 0)]
     path += [gripped(grip, deg) for deg in np.arange(turns, TWIST_DEG + 1e-6, turns)]
     scene = Scene(strip, jaws, time=maybe_in_time(draw))
-    return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
+    return Case.along(path, scene, config)
 
 
 def swing(draw: Draw) -> Case:
@@ -79,7 +79,7 @@ def swing(draw: Draw) -> Case:
         for part in np.linspace(0, 1, steps + 1)
     ]
     scene = Scene(bar, KinematicBody(None, name="mount"), time=stepping)
-    return Case(scene, config, steps, path[0], lambda step: path[step + 1])
+    return Case.along(path, scene, config)
 
 
 def squeeze(draw: Draw) -> Case:
@@ -104,7 +104,7 @@ def squeeze(draw: Draw) -> Case:
     heights += [heights[-1], top, top]
     path = [pose((0, 0, z))[None, None] for z in heights]
     scene = Scene(block, plate, planes=Plane(friction_coefficient=0.5), time=stepping)
-    return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
+    return Case.along(path, scene, config)
 
 
 def fold(draw: Draw) -> Case:
@@ -133,7 +133,7 @@ def fold(draw: Draw) -> Case:
         place = hinge + np.array([c * arm - s * down, 0, s * arm + c * down])
         path.append(pose(place, turn)[None, None])
     scene = Scene(strip, bar, time=maybe_in_time(draw))
-    return Case(scene, config, steps, path[0], lambda step: path[step + 1])
+    return Case.along(path, scene, config)
 
 
 def pull(draw: Draw) -> Case:
@@ -187,4 +187,4 @@ def roll_over(draw: Draw) -> Case:
     ]
     floor = Plane(friction_coefficient=draw.between("friction of floor", 0, 2))
     scene = Scene(block, plate, planes=floor, time=in_time(draw))
-    return Case(scene, config, len(path) - 1, path[0], lambda step: path[step + 1])
+    return Case.along(path, scene, config)

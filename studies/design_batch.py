@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Designs gathered into batches: those that can share simulations go together."""
+"""Batches of designs that are evaluated together: those that can share simulations."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.studies.design_point import DesignPoint
-from taccel_lab.studies.work import Batch
 
 Needs = tuple[tuple[str, ...], tuple[str, ...]]
 """Metrics and presses."""
@@ -18,6 +17,19 @@ MAX_BATCH = 32
 GROUPS_ON_GPU = 16
 """Groups of designs in a batch on a GPU, which wants many environments at once. On a CPU each
 group goes alone, so that rows appear early and cores share the work evenly."""
+
+
+@dataclass(frozen=True)
+class DesignBatch:
+    """Designs that are evaluated together, all for the same metrics."""
+
+    designs: tuple[DesignPoint, ...]
+    metrics: tuple[str, ...]
+    presses: tuple[str, ...]
+
+    def one_by_one(self) -> list[DesignBatch]:
+        """A batch of each design."""
+        return [replace(self, designs=(design,)) for design in self.designs]
 
 
 def sharing_key(family: SensorFamily, design: DesignPoint) -> str:
@@ -44,7 +56,9 @@ def sharing_key(family: SensorFamily, design: DesignPoint) -> str:
     )
 
 
-def gather(family: SensorFamily, wanted: Sequence[Batch], device: str) -> list[Batch]:
+def gather_batches(
+    family: SensorFamily, wanted: Sequence[DesignBatch], device: str
+) -> list[DesignBatch]:
     """Batches made of others, in the order of each one's first design."""
     groups: dict[tuple[str, Needs], list[DesignPoint]] = {}
     for batch in wanted:
@@ -52,11 +66,11 @@ def gather(family: SensorFamily, wanted: Sequence[Batch], device: str) -> list[B
             key = sharing_key(family, design)
             groups.setdefault((key, (batch.metrics, batch.presses)), []).append(design)
     merged = GROUPS_ON_GPU if device.startswith("cuda") else 1
-    batches: list[Batch] = []
+    batches: list[DesignBatch] = []
     room = 0
     for (_, needs), group in groups.items():
         for start in range(0, len(group), MAX_BATCH):
-            part = Batch(tuple(group[start : start + MAX_BATCH]), *needs)
+            part = DesignBatch(tuple(group[start : start + MAX_BATCH]), *needs)
             if room and (batches[-1].metrics, batches[-1].presses) == needs:
                 batches[-1] = replace(part, designs=batches[-1].designs + part.designs)
                 room -= 1

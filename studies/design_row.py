@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is kept of one design: the content of its ``result.json``."""
+"""The row of one design: the content of its ``result.json``."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -21,7 +20,7 @@ be built). broken: the process died or a fault of the program; tried again by th
 
 
 @dataclass(frozen=True)
-class StoredDesign:
+class DesignRow:
     """One design and its figures, as they stand in a file."""
 
     id: str
@@ -73,7 +72,7 @@ class StoredDesign:
             return ()
         return tuple(n for n, key in press_keys.items() if self.press_keys.get(n) != key)
 
-    def merged(self, newer: StoredDesign) -> StoredDesign:
+    def merged(self, newer: DesignRow) -> DesignRow:
         """``newer``, with what is only known here."""
         again = {"design", *newer.figures, *(f"press {name}" for name in newer.press_keys)}
         causes = {name: cause for name, cause in self.causes.items() if name not in again}
@@ -96,28 +95,28 @@ class StoredDesign:
         return to_jsonable(asdict(self))
 
 
-def stored_from_json(text: str, source: str) -> StoredDesign:
+def row_from_json(text: str, source: str) -> DesignRow:
     """Read a ``result.json``; raises InputError for one that is damaged."""
     try:
         values = json.loads(text)
-        known = {item.name for item in fields(StoredDesign)}
+        known = {item.name for item in fields(DesignRow)}
         if set(values) != known:
             raise ValueError(f"keys {sorted(set(values) ^ known)} are missing or unknown")
         if values["status"] not in ("done", "failed", "broken"):
             raise ValueError(f"status {values['status']!r}")
-        return StoredDesign(**values)
+        return DesignRow(**values)
     except (ValueError, TypeError, AttributeError) as error:
         raise InputError(f"{source} is damaged: {error}") from error
 
 
-def stored_of(
+def row_of(
     result: DesignResult,
     figure_keys: Mapping[str, str],
     press_keys: Mapping[str, str],
     tool_version: str,
     finished: str,
-) -> StoredDesign:
-    """What is kept of an evaluated design; the keys name its metrics and presses."""
+) -> DesignRow:
+    """The row of an evaluated design; the keys name its metrics and presses."""
     figures = {name: result.figures.get(name) for name in figure_keys}
     causes = dict(result.causes)
     if whole := causes.get("design"):
@@ -125,7 +124,7 @@ def stored_of(
     for name, value in figures.items():
         if value is None and not whole and name not in causes:
             causes[name] = "no value, and no cause was given"
-    return StoredDesign(
+    return DesignRow(
         id=result.point.id,
         family=result.point.family,
         parameters=to_jsonable(result.point.parameters),
@@ -140,9 +139,3 @@ def stored_of(
         tool_version=tool_version,
         finished=finished,
     )
-
-
-def identity(content: Any) -> str:
-    """Twelve hex digits that stand for ``content``: equal content, equal digits."""
-    text = json.dumps(to_jsonable(content), sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is kept of designs: meshes and STEP files by pad, pictures of real presses."""
+"""Files of designs: meshes and STEP files by pad, pictures of real presses."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ import pytest
 
 from taccel_lab.geometry.vtu import read_vtu
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.studies import keep
+from taccel_lab.studies.design_files import write_design_files
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
-from taccel_lab.studies.folder import StudyFolder
-from taccel_lab.studies.plan import default_kit, plan_study
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.runner import run_study
-from taccel_lab.studies.spec import Output, study_of
+from taccel_lab.studies.spec import Output, spec_of
+from taccel_lab.studies.study import default_kit, make_study
+from taccel_lab.studies.study_folder import StudyFolder
 
 
-def kept(folder: StudyFolder, output: Output, **parameters: float) -> tuple[dict, dict]:
+def files_of(folder: StudyFolder, output: Output, **parameters: float) -> tuple[dict, dict]:
     point = DesignPoint("x", "gelsight_r15", parameters)
-    return keep.keep_files(folder, DesignResult(point), output)
+    return write_design_files(folder, DesignResult(point), output)
 
 
 def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:
     folder, output = StudyFolder(tmp_path), Output(step=True)
-    soft, causes = kept(folder, output, young_modulus_mpa=0.1)
+    soft, causes = files_of(folder, output, young_modulus_mpa=0.1)
     assert set(soft) == {"mesh", "step"} and not causes
     written = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/*")}
     assert len(written) == 2
-    assert kept(folder, output, young_modulus_mpa=0.4)[0] == soft
+    assert files_of(folder, output, young_modulus_mpa=0.4)[0] == soft
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/*")} == written
-    thick, _ = kept(folder, output, thickness_mm=5.0)
+    thick, _ = files_of(folder, output, thickness_mm=5.0)
     assert thick["mesh"] != soft["mesh"]
     for files, thickness in ((soft, sensor_family("gelsight_r15").pad().thickness_mm), (thick, 5)):
         z = read_vtu(tmp_path / files["mesh"]).nodes_m[:, 2]
@@ -42,7 +42,7 @@ def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:
 
 
 def test_only_what_is_asked_for_is_kept(tmp_path: Path) -> None:
-    files, causes = kept(StudyFolder(tmp_path), Output(meshes=False, pictures=False))
+    files, causes = files_of(StudyFolder(tmp_path), Output(meshes=False, pictures=False))
     assert not files and not causes and not list(tmp_path.iterdir())
 
 
@@ -58,7 +58,7 @@ def test_a_real_study_from_file_to_report(tmp_path: Path) -> None:
         "parameters": {"young_modulus_mpa": {"values": [0.2, 0.4]}},
         "sweep": {"kind": "grid"},
     }
-    planned = plan_study(study_of(table), default_kit())
+    planned = make_study(spec_of(table), default_kit())
     outcome = run_study(planned, tmp_path, processes=1)
     soft, hard = outcome.rows
     assert soft.status == hard.status == "done", (soft.cause, hard.cause)

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from taccel_lab.studies.judge import (
+from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.ranking import (
     Goal,
-    goal_of,
+    directed,
     is_feasible,
     least_violating,
     ranked,
@@ -19,12 +20,11 @@ from taccel_lab.studies.judge import (
 )
 from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.spec import Constraint, Objective
-from taccel_lab.studies.stored import StoredDesign
 from tests.studies.fake_kit import METRICS
 
 
-def design(name: str, status: str = "done", **figures: float | None) -> StoredDesign:
-    return StoredDesign(name, "gelsight", {}, status, figures)  # type: ignore[arg-type]
+def design(name: str, status: str = "done", **figures: float | None) -> DesignRow:
+    return DesignRow(name, "gelsight", {}, status, figures)  # type: ignore[arg-type]
 
 
 BOUNDS = [Constraint(metric="a", min=10), Constraint(metric="b", max=1)]
@@ -54,9 +54,10 @@ def test_ranking_follows_the_goal() -> None:
 
 
 def test_without_an_objective_the_first_metric_with_a_better_side_counts() -> None:
-    assert goal_of(None, METRICS) == Goal("stiffness", 1.0)
-    assert goal_of(None, {"lamps": METRICS["lamps"]}) is None
-    assert goal_of(Objective(maximize="blur"), METRICS) == Goal("blur", -1.0)
+    assert directed(None, METRICS) == [Goal("stiffness", 1), Goal("range", -1), Goal("blur", 1)]
+    assert directed(None, {"lamps": METRICS["lamps"]}) == []
+    found = directed(Objective(maximize="blur"), METRICS)
+    assert found == [Goal("blur", -1), Goal("stiffness", 1), Goal("range", -1)]
 
 
 def test_front_of_known_points() -> None:

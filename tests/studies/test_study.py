@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
 from taccel_lab.studies.axis import Axis, axis_of
-from taccel_lab.studies.batches import MAX_BATCH, gather
+from taccel_lab.studies.design_batch import MAX_BATCH, DesignBatch, gather_batches
 from taccel_lab.studies.spec import ParameterRange
 from taccel_lab.studies.sweep import random_points
-from taccel_lab.studies.work import Batch
 from tests.studies.fake_kit import study, table
 
 WIDE = {"min": 300, "max": 900}
@@ -155,12 +154,12 @@ def test_designs_that_share_simulations_go_together() -> None:
             "poisson_ratio": {"values": [0.4, 0.45]},
         }
     )
-    wanted = [Batch((p,), ("blur",), ("edge",)) for p in planned.points()]
-    batches = gather(planned.family, wanted, "cpu")
+    wanted = [DesignBatch((p,), ("blur",), ("edge",)) for p in planned.points()]
+    batches = gather_batches(planned.family, wanted, "cpu")
     assert sum(len(batch.designs) for batch in batches) == 160
     for batch in batches:
         assert len(batch.designs) <= MAX_BATCH
         for name in ("thickness_mm", "poisson_ratio"):
             assert len({design.parameters[name] for design in batch.designs}) == 1
     assert len(batches) == 4 * 2
-    assert len(gather(planned.family, wanted, "cuda:0")) == 1
+    assert len(gather_batches(planned.family, wanted, "cuda:0")) == 1

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A batch of designs evaluated and written down: what one process of a study does."""
+"""A batch of designs evaluated and their rows written: what one process of a study does."""
 
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,33 +11,19 @@ from typing import Any
 
 import taccel_lab
 from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.progress import Progress, silent
+from taccel_lab.studies.design_batch import DesignBatch
+from taccel_lab.studies.design_files import write_design_files
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
-from taccel_lab.studies.folder import StudyFolder
-from taccel_lab.studies.keep import keep_files
+from taccel_lab.studies.design_row import DesignRow, row_of
 from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.plan import Evaluate
 from taccel_lab.studies.spec import Output
-from taccel_lab.studies.stored import StoredDesign, stored_of
-
-Tell = Callable[[str, int, int], None]
-"""Told what is being done, how many of the batch's simulations are over, and how many there are."""
+from taccel_lab.studies.study import Evaluate
+from taccel_lab.studies.study_folder import StudyFolder
 
 
 @dataclass(frozen=True)
-class Batch:
-    """Designs that are evaluated together, all for the same metrics."""
-
-    designs: tuple[DesignPoint, ...]
-    metrics: tuple[str, ...]
-    presses: tuple[str, ...]
-
-    def one_by_one(self) -> list[Batch]:
-        """A batch of each design."""
-        return [replace(self, designs=(design,)) for design in self.designs]
-
-
-@dataclass(frozen=True)
-class Job:
+class Evaluation:
     """What is done with the designs of a study; goes to other processes."""
 
     root: Path
@@ -52,25 +37,25 @@ class Job:
     evaluate: Evaluate
 
 
-def work_off(job: Job, batch: Batch, tell: Tell | None = None) -> None:
+def evaluate_batch(evaluation: Evaluation, batch: DesignBatch, progress: Progress = silent) -> None:
     """Evaluate designs as one batch and write each one's result.
 
     When a batch raises, its designs go one by one, so that only the one to blame is lost: an
     ``InputError`` or ``SimulationError`` makes a failed row, any other error a broken one with its
     traceback beside it.
     """
-    folder = StudyFolder(job.root)
+    folder = StudyFolder(evaluation.root)
     for design in batch.designs:
         folder.design(design.id).mkdir(parents=True, exist_ok=True)
     try:
-        results = job.evaluate(
+        results = evaluation.evaluate(
             batch.designs,
-            [job.presses[name] for name in batch.presses],
-            [job.metrics[name] for name in batch.metrics],
-            device=job.device,
-            progress=tell,
-            folder=folder.designs if job.output.records else None,
-            load_n=job.load_n,
+            [evaluation.presses[name] for name in batch.presses],
+            [evaluation.metrics[name] for name in batch.metrics],
+            device=evaluation.device,
+            progress=progress,
+            folder=folder.designs if evaluation.output.records else None,
+            load_n=evaluation.load_n,
         )
         found = {result.point.id: result for result in results}
         if missing := [design.id for design in batch.designs if design.id not in found]:
@@ -78,36 +63,38 @@ def work_off(job: Job, batch: Batch, tell: Tell | None = None) -> None:
     except Exception as error:
         if len(batch.designs) > 1:
             for single in batch.one_by_one():
-                work_off(job, single, tell)
+                evaluate_batch(evaluation, single, progress)
         else:
-            folder.add_result(_lost(folder, batch, error))
+            folder.add_row(_lost_row(folder, batch, error))
         return
     for design in batch.designs:
-        folder.add_result(_kept(folder, job, batch, found[design.id]))
+        folder.add_row(_row(folder, evaluation, batch, found[design.id]))
 
 
-def _kept(folder: StudyFolder, job: Job, batch: Batch, result: DesignResult) -> StoredDesign:
-    stored = stored_of(
+def _row(
+    folder: StudyFolder, evaluation: Evaluation, batch: DesignBatch, result: DesignResult
+) -> DesignRow:
+    row = row_of(
         result,
-        {name: job.figure_keys[name] for name in batch.metrics},
-        {name: job.press_keys[name] for name in batch.presses},
+        {name: evaluation.figure_keys[name] for name in batch.metrics},
+        {name: evaluation.press_keys[name] for name in batch.presses},
         taccel_lab.__version__,
         now(),
     )
-    if stored.unbuildable:
-        return stored
+    if row.unbuildable:
+        return row
     try:
-        files, causes = keep_files(folder, result, job.output)
+        files, causes = write_design_files(folder, result, evaluation.output)
     except Exception as error:
-        files, causes = {}, {"files": _note(folder, stored.id, error)}
-    return replace(stored, files=files, causes={**stored.causes, **causes})
+        files, causes = {}, {"files": _note(folder, row.id, error)}
+    return replace(row, files=files, causes={**row.causes, **causes})
 
 
-def _lost(folder: StudyFolder, batch: Batch, error: Exception) -> StoredDesign:
+def _lost_row(folder: StudyFolder, batch: DesignBatch, error: Exception) -> DesignRow:
     design = batch.designs[0]
     ours = isinstance(error, (InputError, SimulationError))
     cause = str(error) if ours else _note(folder, design.id, error)
-    lost = broken_design(design, batch.metrics, cause)
+    lost = broken_row(design, batch.metrics, cause)
     return replace(lost, status="failed") if ours else lost
 
 
@@ -119,9 +106,9 @@ def _note(folder: StudyFolder, design_id: str, error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def broken_design(design: DesignPoint, metrics: tuple[str, ...], cause: str) -> StoredDesign:
+def broken_row(design: DesignPoint, metrics: tuple[str, ...], cause: str) -> DesignRow:
     """The row of a design that was lost through no fault of its own."""
-    return StoredDesign(
+    return DesignRow(
         id=design.id,
         family=design.family,
         parameters=dict(design.parameters),

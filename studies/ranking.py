@@ -6,16 +6,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.spec import Constraint, Objective
-from taccel_lab.studies.stored import StoredDesign
 
 TOLERANCE = 1e-3
 """Part of a bound by which it may be missed: far below what a simulation can tell apart, and what
 an optimiser that walks along the bound needs."""
 
 
-def violations(design: StoredDesign, constraints: Sequence[Constraint]) -> dict[str, float | None]:
+def violations(design: DesignRow, constraints: Sequence[Constraint]) -> dict[str, float | None]:
     """Constraints that a design breaks: by how much [unit of the metric], None without a figure."""
     broken: dict[str, float | None] = {}
     for constraint in constraints:
@@ -29,7 +29,7 @@ def violations(design: StoredDesign, constraints: Sequence[Constraint]) -> dict[
     return broken
 
 
-def is_feasible(design: StoredDesign, constraints: Sequence[Constraint]) -> bool:
+def is_feasible(design: DesignRow, constraints: Sequence[Constraint]) -> bool:
     """Whether a design has figures and keeps every constraint to within ``TOLERANCE``."""
     return design.status == "done" and not violations(design, constraints)
 
@@ -41,7 +41,7 @@ def _size(constraint: Constraint, value: float) -> float:
     return abs(bound or 0.0)
 
 
-def total_violation(design: StoredDesign, constraints: Sequence[Constraint]) -> float:
+def total_violation(design: DesignRow, constraints: Sequence[Constraint]) -> float:
     """Sum of the violations as parts of their bounds; infinite without the figures."""
     total = 0.0
     for constraint in constraints:
@@ -54,8 +54,8 @@ def total_violation(design: StoredDesign, constraints: Sequence[Constraint]) -> 
 
 
 def least_violating(
-    designs: Sequence[StoredDesign], constraints: Sequence[Constraint]
-) -> StoredDesign | None:
+    designs: Sequence[DesignRow], constraints: Sequence[Constraint]
+) -> DesignRow | None:
     """The design that comes nearest to keeping the constraints."""
     found = [d for d in designs if total_violation(d, constraints) < float("inf")]
     return min(found, key=lambda d: total_violation(d, constraints), default=None)
@@ -69,7 +69,7 @@ class Goal:
     sign: float
     """1 where less is better, -1 where more is."""
 
-    def cost(self, design: StoredDesign) -> float:
+    def cost(self, design: DesignRow) -> float:
         """Less is better; infinite without a figure."""
         value = design.figures.get(self.metric)
         return float("inf") if value is None else self.sign * value
@@ -78,19 +78,18 @@ class Goal:
         return ("least " if self.sign > 0 else "greatest ") + self.metric
 
 
-def goal_of(objective: Objective | None, metrics: Mapping[str, Metric]) -> Goal | None:
-    """The objective, or else the first metric that has a better side."""
-    if objective is not None:
-        return Goal(objective.metric, objective.sign)
+def directed(objective: Objective | None, metrics: Mapping[str, Metric]) -> list[Goal]:
+    """What designs could be ranked by: the objective, then the metrics that have a better side."""
+    goals = [] if objective is None else [Goal(objective.metric, objective.sign)]
     for name, metric in metrics.items():
-        if metric.better != "none":
-            return Goal(name, 1.0 if metric.better == "lower" else -1.0)
-    return None
+        if metric.better != "none" and name not in [goal.metric for goal in goals]:
+            goals.append(Goal(name, 1.0 if metric.better == "lower" else -1.0))
+    return goals
 
 
 def ranked(
-    designs: Sequence[StoredDesign], goal: Goal, constraints: Sequence[Constraint]
-) -> list[StoredDesign]:
+    designs: Sequence[DesignRow], goal: Goal, constraints: Sequence[Constraint]
+) -> list[DesignRow]:
     """Feasible designs with a figure, the best first."""
     found = [d for d in designs if is_feasible(d, constraints)]
     return sorted((d for d in found if goal.cost(d) < float("inf")), key=goal.cost)

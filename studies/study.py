@@ -4,20 +4,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant
-from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.design_point import DesignPoint, DesignResult, content_id
 from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.spec import StudySpec, Tie, require_known
-from taccel_lab.studies.stored import identity
 from taccel_lab.studies.sweep import grid_points, random_points
 
 EVALUATION_VERSION = 2
@@ -36,7 +36,7 @@ class Evaluate(Protocol):
         metrics: Sequence[Metric],
         *,
         device: str = "cpu",
-        progress: Callable[[str, int, int], None] | None = None,
+        progress: Progress = silent,
         folder: Path | None = None,
         load_n: float = 0.5,
     ) -> list[DesignResult]: ...
@@ -90,23 +90,23 @@ class Study:
     @property
     def press_keys(self) -> dict[str, str]:
         """Stands for the settings of each press."""
-        return {name: identity(dataclasses.asdict(press)) for name, press in self.presses.items()}
+        return {name: content_id(dataclasses.asdict(press)) for name, press in self.presses.items()}
 
     @property
     def figure_keys(self) -> dict[str, str]:
         """Stands for the settings of the presses that each metric is read from, and the load."""
         keys, load_n = self.press_keys, self.spec.study.load_n
         return {
-            name: identity([*(keys[press] for press in metric.presses), load_n])
+            name: content_id([*(keys[press] for press in metric.presses), load_n])
             if metric.presses
-            else identity([])
+            else content_id([])
             for name, metric in self.metrics.items()
         }
 
     def design_id(self, parameters: Mapping[str, Any]) -> str:
         """Hash of all that decides what a design is: the family and every parameter."""
         defaults = {name: spec.default for name, spec in self.parameters.items()}
-        return identity(
+        return content_id(
             {
                 "family": self.family.name,
                 "parameters": {**defaults, **parameters},
@@ -129,7 +129,7 @@ def default_kit() -> Kit:
     return Kit(STANDARD_PRESSES, METRICS, evaluate_designs)
 
 
-def plan_study(
+def make_study(
     spec: StudySpec, kit: Kit, families: Mapping[str, SensorFamily] | None = None
 ) -> Study:
     """Check a study file's names and bounds.

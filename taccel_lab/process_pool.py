@@ -1,36 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Batches of designs in processes of their own: one that dies takes only its own batch along."""
+"""Processes that work off items: one that dies or hangs takes only its own item along."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import threading
-from collections.abc import Generator, Iterable, Iterator
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Self
+from typing import Generic, Self, TypeVar
 
-from taccel_lab.studies.work import Batch, Job, work_off
+from taccel_lab.progress import Progress, silent
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Work = Callable[[Item, Progress], Result]
+"""What is done with an item; a function of a module, or a ``partial`` of one, so that other
+processes find it. It has the main thread of its process."""
 THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """One thread each: the processes share the cores already."""
 
 
 @dataclass(frozen=True)
-class Finished:
-    """A batch whose results stand in the study's folder."""
+class Finished(Generic[Item, Result]):
+    """An item that was worked off."""
 
-    batch: Batch
+    item: Item
+    result: Result
 
 
 @dataclass(frozen=True)
-class Died:
-    """A batch whose process ended before its results stood there."""
+class Died(Generic[Item]):
+    """An item whose process ended, or was ended, before it was done."""
 
-    batch: Batch
+    item: Item
     cause: str
 
 
@@ -44,19 +51,19 @@ class Underway:
     total: int
 
 
-Event = Finished | Died | Underway
+class ProcessPool(Generic[Item, Result]):
+    """Processes that work off items; they stay until the pool is closed.
 
-
-class Pool:
-    """Processes that work off batches; they stay until the pool is closed.
-
-    With ``processes`` = 0 this process does the work itself.
+    With ``processes`` = 0 this process does the work itself. A process that takes longer than
+    ``limit_s`` over an item is ended.
     """
 
-    def __init__(self, job: Job, processes: int) -> None:
-        self._job, self._processes = job, processes
-        self._idle: list[_Worker] = []
-        self._busy: list[_Worker] = []
+    def __init__(
+        self, work: Work[Item, Result], processes: int, limit_s: float | None = None
+    ) -> None:
+        self._work, self._processes, self._limit_s = work, processes, limit_s
+        self._idle: list[_Worker[Item, Result]] = []
+        self._busy: list[_Worker[Item, Result]] = []
 
     def __enter__(self) -> Self:
         return self
@@ -66,20 +73,21 @@ class Pool:
             worker.end()
         self._idle, self._busy = [], []
 
-    def run(self, batches: Iterable[Batch]) -> Generator[Event, None, None]:
-        """Work off batches in order; yields what happens. Results are in the study's folder."""
+    def run(
+        self, items: Iterable[Item]
+    ) -> Generator[Finished[Item, Result] | Died[Item] | Underway, None, None]:
+        """Work off items in order; yields what happens, as it happens."""
         if not self._processes:
-            for batch in batches:
-                work_off(self._job, batch)
-                yield Finished(batch)
+            for item in items:
+                yield Finished(item, self._work(item, silent))
             return
-        waiting = list(reversed(list(batches)))
+        waiting = list(reversed(list(items)))
         while waiting or self._busy:
             while waiting and len(self._busy) < self._processes:
                 self._start(waiting.pop())
-            wait([worker.pipe for worker in self._busy])
+            wait([worker.pipe for worker in self._busy], None if self._limit_s is None else 1.0)
             for worker in list(self._busy):
-                event = worker.event()
+                event = worker.event(self._limit_s)
                 if event is None:
                     continue
                 if not isinstance(event, Underway):
@@ -90,58 +98,62 @@ class Pool:
                         self._idle.append(worker)
                 yield event
 
-    def _start(self, batch: Batch) -> None:
-        worker = self._idle.pop() if self._idle else self._new_worker(batch)
-        worker.batch = batch
+    def _start(self, item: Item) -> None:
+        worker = self._idle.pop() if self._idle else self._new_worker(item)
+        worker.item, worker.since = item, time.monotonic()
         self._busy.append(worker)
         try:
-            worker.pipe.send(batch)
+            worker.pipe.send(item)
         except (BrokenPipeError, ConnectionResetError):
             pass  # Died while it was idle or starting: its pipe says so at once.
 
-    def _new_worker(self, batch: Batch) -> _Worker:
+    def _new_worker(self, item: Item) -> _Worker[Item, Result]:
         context = multiprocessing.get_context("spawn")
         mine, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, self._job), daemon=True)
+        process = context.Process(target=_serve, args=(theirs, self._work), daemon=True)
         with _single_threaded():
             process.start()
         theirs.close()
         taken = {worker.number for worker in self._busy}
         number = next(n for n in range(self._processes) if n not in taken)
-        return _Worker(number, process, mine, batch)
+        return _Worker(number, process, mine, item, time.monotonic())
 
 
 @dataclass
-class _Worker:
+class _Worker(Generic[Item, Result]):
     number: int
     process: BaseProcess
     pipe: Connection
-    batch: Batch
+    item: Item
+    since: float
 
     def end(self) -> None:
         self.pipe.close()
         self.process.kill()
         self.process.join()
 
-    def event(self) -> Event | None:
+    def event(self, limit_s: float | None) -> Finished[Item, Result] | Died[Item] | Underway | None:
         """News, if there are any."""
         try:
             if not self.pipe.poll():
+                spent = time.monotonic() - self.since
+                if limit_s is not None and spent > limit_s:
+                    return Died(self.item, f"no answer after {spent:.0f} s")
                 return None
-            message = self.pipe.recv()
+            kind, content = self.pipe.recv()
         except (EOFError, ConnectionResetError):
             self.process.join()
             code = self.process.exitcode or 0
             how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
             hint = "; signal 9 often means that memory ran out" if code == -9 else ""
-            return Died(self.batch, f"the process {how}{hint}")
-        if message is None:
-            return Finished(self.batch)
-        return Underway(self.number, *message)
+            return Died(self.item, f"the process {how}{hint}")
+        if kind == "result":
+            return Finished(self.item, content)
+        return Underway(self.number, *content)
 
 
-def _serve(pipe: Connection, job: Job) -> None:
-    """Work off the batches that come, for as long as the parent lives."""
+def _serve(pipe: Connection, work: Work) -> None:
+    """Work off the items that come, for as long as the parent lives."""
     import signal
 
     import warp as wp
@@ -154,18 +166,17 @@ def _serve(pipe: Connection, job: Job) -> None:
 
     def tell(what: str, done: int, total: int) -> None:
         try:
-            pipe.send((what, done, total))
+            pipe.send(("underway", (what, done, total)))
         except OSError:
-            # The parent is gone: not a fault of the designs, which stay without a row.
+            # The parent is gone: not a fault of the item, which stays undone.
             os._exit(1)
 
     while True:
         try:
-            batch = pipe.recv()
+            item = pipe.recv()
         except EOFError:
             return
-        work_off(job, batch, tell)
-        pipe.send(None)
+        pipe.send(("result", work(item, tell)))
 
 
 def _end_with_parent() -> None:

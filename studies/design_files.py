@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files kept of a design besides its figures: mesh, STEP, pictures."""
+"""Files of a design besides its figures: mesh, STEP, pictures."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.design_point import DesignResult
-from taccel_lab.studies.folder import StudyFolder
+from taccel_lab.studies.design_point import DesignResult, content_id
 from taccel_lab.studies.spec import Output
-from taccel_lab.studies.stored import identity
+from taccel_lab.studies.study_folder import StudyFolder
 
 if TYPE_CHECKING:
     from taccel_lab.cad.parts.pad import Pad
@@ -19,7 +18,7 @@ MESHES, STEPS, PICTURE = "meshes", "steps", "picture.png"
 """Designs with the same pad share one mesh and one STEP file, named by a hash of the pad."""
 
 
-def keep_files(
+def write_design_files(
     folder: StudyFolder, result: DesignResult, output: Output
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Write what ``output`` asks for.
@@ -35,9 +34,9 @@ def keep_files(
     files: dict[str, str] = {}
     causes: dict[str, str] = {}
     if output.meshes:
-        files["mesh"] = f"{MESHES}/{identity(repr(pad))}.vtu"
+        files["mesh"] = f"{MESHES}/{content_id(repr(pad))}.vtu"
     if output.step:
-        files["step"] = f"{STEPS}/{identity(repr(pad))}.step"
+        files["step"] = f"{STEPS}/{content_id(repr(pad))}.step"
     for kind, write in (("mesh", _write_mesh), ("step", _write_step)):
         path = folder.root / files.get(kind, ".")
         if kind not in files or path.is_file():

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, write_json
-from taccel_lab.studies.stored import StoredDesign, stored_from_json
+from taccel_lab.studies.design_row import DesignRow, row_from_json
 
 STUDY_MARKER = ".taccel_lab_study"
 """A marker of its own: no other command takes the folder for an output that it may replace."""
@@ -91,27 +91,27 @@ class StudyFolder:
                 if path.is_file():
                     path.unlink()
 
-    def add_result(self, stored: StoredDesign) -> None:
-        """Write the result of a design, its last file: with it the design counts as evaluated.
+    def add_row(self, row: DesignRow) -> None:
+        """Write the row of a design, its last file: with it the design counts as evaluated.
 
-        What an earlier result knows besides is kept.
+        What an earlier row knows besides stays.
         """
-        earlier = self.read(stored.id)
-        stored = stored if earlier is None else earlier.merged(stored)
-        write_json(self.design(stored.id) / RESULT, stored.to_json())
+        earlier = self.read(row.id)
+        row = row if earlier is None else earlier.merged(row)
+        write_json(self.design(row.id) / RESULT, row.to_json())
 
-    def read(self, design_id: str) -> StoredDesign | None:
-        """What is kept of a design; None for one that has not been evaluated."""
+    def read(self, design_id: str) -> DesignRow | None:
+        """The row of a design; None for one that has not been evaluated."""
         path = self.design(design_id) / RESULT
         if not path.is_file():
             return None
-        stored = stored_from_json(path.read_text(encoding="utf-8"), str(path))
-        if stored.id != design_id:
-            raise InputError(f"{path} is that of another design, {stored.id}")
-        return stored
+        row = row_from_json(path.read_text(encoding="utf-8"), str(path))
+        if row.id != design_id:
+            raise InputError(f"{path} is that of another design, {row.id}")
+        return row
 
     def ids(self) -> list[str]:
-        """Of all designs that are kept, sorted."""
+        """Of all designs that have a row, sorted."""
         if not self.designs.is_dir():
             return []
         return sorted(path.parent.name for path in self.designs.glob(f"[!.]*/{RESULT}"))
