@@ -215,7 +215,7 @@ def _refit_partial(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
         near = whole[np.argsort(gap)[:_NEIGHBOURS]]
         start[n, model.SHAPE] = np.median(p[near, model.SHAPE], axis=0)
         start[n, model.LOG_BLUR] = np.median(p[near, model.LOG_BLUR])
-        off = median_abs_deviation(radii[near], scale="normal")
+        off = median_abs_deviation(radii[near], scale="normal")  # type: ignore[arg-type]
         spread[n] = max(off, _SAME_SIZE * np.median(radii[near]))
     again = fit_dots(grey, start, free_shape=False, others=p[~cut, :2])
     unknown = spread * np.minimum(1.0, 2.0 * (1.0 - again.seen))

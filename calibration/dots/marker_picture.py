@@ -122,7 +122,7 @@ def _accept(dots: Dots, scale: DotScale) -> MarkerPicture | None:
 
 def _alike(dots: Dots) -> bool:
     """Whether dots have one size: the middle two thirds within 20 % of the median; dirt has not."""
-    return bool(median_abs_deviation(np.log(dots.radius_px), scale="normal") < _ONE_SIZE)
+    return bool(median_abs_deviation(np.log(dots.radius_px), scale="normal") < _ONE_SIZE)  # type: ignore[arg-type]
 
 
 def _numbered(dots: Dots, lattice: Lattice) -> MarkerPicture:

@@ -117,7 +117,7 @@ def _radius_mm(dots: Dots, view: GelView) -> tuple[float, float]:
     radius = radius[np.isfinite(radius)]
     if len(radius) == 0:
         raise InputError("no whole dot lies where the camera sees the gel")
-    spread = float(median_abs_deviation(radius, scale="normal"))
+    spread = float(median_abs_deviation(radius, scale="normal"))  # type: ignore[arg-type]
     return float(np.median(radius)), 1.2533 * spread / np.sqrt(len(radius))
 
 
