@@ -62,9 +62,9 @@ def fit_bundle(
     lens: Lens,
     start: np.ndarray,
     poses: np.ndarray | None = None,
-    steps: int = _STEPS,
 ) -> BundleFit:
-    """Fit a lens to views from the ``start`` parameters [p], in at most so many steps.
+    """Fit a lens to views from the ``start`` parameters [p] and ``poses`` [view, 6], looked for
+    without.
 
     Raises:
         InputError: Too few points for the unknowns.
@@ -79,7 +79,7 @@ def fit_bundle(
     if poses is None:
         poses = np.stack([initial_pose(view, lens, start) for view in views])
     state = _State(list(views), lens, np.array(start, dtype=np.float64), np.array(poses))
-    converged = state.solve(steps)
+    converged = state.solve()
     return state.result(converged)
 
 
@@ -143,10 +143,10 @@ class _State:
         scale = robust_scale(np.concatenate([r for r, _, _ in terms]))
         return [huber_weights(r, scale) for r, _, _ in terms]
 
-    def solve(self, steps: int) -> bool:
+    def solve(self) -> bool:
         terms = self.evaluate(self.parameters, self.poses)
         damping = 1e-3
-        for _ in range(steps):
+        for _ in range(_STEPS):
             weights = self.weights(terms)
             before = sum(_cost(r, w) for (r, _, _), w in zip(terms, weights, strict=True))
             step, moves = self._step(terms, weights, damping)
