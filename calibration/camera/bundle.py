@@ -62,9 +62,9 @@ def fit_bundle(
     lens: Lens,
     start: np.ndarray,
     poses: np.ndarray | None = None,
-    steps: int = _STEPS,
 ) -> BundleFit:
-    """Fit a lens to views from the ``start`` parameters [p], in at most so many steps.
+    """Fit a lens to views from the ``start`` parameters [p] and ``poses`` [view, 6], looked for
+    without.
 
     Raises:
         InputError: Too few points for the unknowns.
@@ -79,7 +79,7 @@ def fit_bundle(
     if poses is None:
         poses = np.stack([initial_pose(view, lens, start) for view in views])
     state = _State(list(views), lens, np.array(start, dtype=np.float64), np.array(poses))
-    converged = state.solve(steps)
+    converged = state.solve()
     return state.result(converged)
 
 
@@ -143,10 +143,10 @@ class _State:
         scale = robust_scale(np.concatenate([r for r, _, _ in terms]))
         return [huber_weights(r, scale) for r, _, _ in terms]
 
-    def solve(self, steps: int) -> bool:
+    def solve(self) -> bool:
         terms = self.evaluate(self.parameters, self.poses)
         damping = 1e-3
-        for _ in range(steps):
+        for _ in range(_STEPS):
             weights = self.weights(terms)
             before = sum(_cost(r, w) for (r, _, _), w in zip(terms, weights, strict=True))
             step, moves = self._step(terms, weights, damping)
@@ -191,7 +191,7 @@ class _State:
 
     def _step(self, terms, weights, damping: float) -> tuple[np.ndarray, np.ndarray]:
         total, right, parts, _ = self._normal(terms, weights, damping)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-100))
         step = (
             scale * np.linalg.lstsq(total * np.outer(scale, scale), right * scale, rcond=1e-15)[0]
         )
@@ -204,7 +204,7 @@ class _State:
         total, _, _, scores = self._normal(terms, weights, 0.0)
         freedom = sum(r.size for r, _, _ in terms) - total.shape[0] - 6 * len(terms)
         spread = sum(_cost(r, w) for (r, _, _), w in zip(terms, weights, strict=True)) / freedom
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-100))
         inverse = np.linalg.pinv(total * np.outer(scale, scale), rcond=1e-14) * np.outer(
             scale, scale
         )
@@ -215,7 +215,8 @@ class _State:
         meat = sum(np.outer(s, s) for s in scores) * views / max(views - 1, 1)
         clustered = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0))
         plain = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        wider = np.maximum(clustered / np.maximum(plain, 1e-300), 1.0)
+        ratio = np.divide(clustered, plain, out=np.ones_like(plain), where=plain > 1e-100)
+        wider = np.maximum(ratio, 1.0)
         return BundleFit(
             self.lens,
             self.parameters,

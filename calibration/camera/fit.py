@@ -8,7 +8,6 @@ from typing import Literal
 
 from taccel_lab.calibration.camera.board import hashes_by_name
 from taccel_lab.calibration.camera.board_on_gel import OnGel, fit_on_gel
-from taccel_lab.calibration.camera.bundle_search import MIN_VIEWS
 from taccel_lab.calibration.camera.find_boards import Detections, detect_views
 from taccel_lab.calibration.camera.intrinsics import (
     Intrinsics,
@@ -16,6 +15,7 @@ from taccel_lab.calibration.camera.intrinsics import (
     require_choices,
 )
 from taccel_lab.calibration.camera.lens import LENSES
+from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS
 from taccel_lab.calibration.camera.pixel_grid import (
     origin_px,
     stated_scale_remarks,

@@ -2,8 +2,8 @@
 """How well a lens predicts views that had no part in its fit.
 
 The views are dealt into k parts by their place in the manifest, before any image is read. Without
-one part, everything is done anew from the rest alone: views that do not fit are left out, focal
-lengths are tried, the lens is fitted. Of a held-out view only the pose of the board is fitted, and
+one part, everything is done anew from the rest alone: views that do not fit are left out, a start
+is looked for, the lens is fitted. Of a held-out view only the pose of the board is fitted, and
 all of its points count, however far off they are: an outlier among the views that are fitted is
 none among those that are predicted. Two protocols: ``all`` fits that pose to all points of the view
 and scores all of them, as is usual; ``half`` fits it to every other point and scores the others,
@@ -19,8 +19,8 @@ import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.bundle import BundleFit, fit_pose, initial_pose
-from taccel_lab.calibration.camera.bundle_search import LensFits, fit_lenses
 from taccel_lab.calibration.camera.lens import Lens
+from taccel_lab.calibration.camera.lens_fits import LensFits, fit_lenses
 from taccel_lab.calibration.camera.robust import rms, robust_scale
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent

@@ -16,9 +16,9 @@ from scipy.spatial import ConvexHull
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.bundle import BundleFit
-from taccel_lab.calibration.camera.bundle_search import MIN_VIEWS, fit_lenses
 from taccel_lab.calibration.camera.heldout import LensScore, compare_lenses, score_lenses
 from taccel_lab.calibration.camera.lens import LENSES, Lens, chosen_lenses
+from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS, fit_lenses
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent

@@ -171,7 +171,11 @@ def _jumps(
 def _best_line(
     points: np.ndarray, strength: np.ndarray, normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Point and direction of the line with the most jump along it, by random pairs of pixels."""
+    """Point and direction of the line with the most jump along it, by random pairs of pixels.
+
+    Not the line with the most pixels near it, which a plain RANSAC finds: jumps count by their
+    strength, and once for each pixel along the line.
+    """
     rng = np.random.default_rng(0)
     chances = strength / strength.sum()
     best = (points[0], np.array([1.0, 0.0]), -1.0)
