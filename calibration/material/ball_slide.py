@@ -20,7 +20,6 @@ from taccel_lab.calibration.material.bonded_layer import layer_force_n
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.press_plans import simulate_each
 from taccel_lab.calibration.material.tangential_table import FULL_SLIP_DEPTHS, GRID, motion_plan
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.progress import Progress, silent
 
 STEPS = 6
@@ -66,23 +65,20 @@ def simulate_ball_slide(
     load_n: float,
     ratio: float,
     young_pa: float,
-    poisson_ratio: float,
-    mooney_ratio: float = 0.0,
-    *,
-    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     progress: Progress = silent,
 ) -> BallSlide | None:
     """Simulate slides at coefficients about ``ratio``; None where they do not converge."""
     if tool.kind != "sphere" or ratio > LARGEST_RATIO:
         return None
-    depth = depth_of_load_mm(tool, load_n, young_pa, poisson_ratio, gel.thickness_mm)
+    nu = gel.material.poisson_ratio
+    depth = depth_of_load_mm(tool, load_n, young_pa, nu, gel.thickness_mm)
     # A coarse grid of depths: the ratio hardly depends on it, and presses are shared.
     depth = round(GRID ** round(math.log(depth, GRID)), 4)
     first, last = math.floor(math.log(0.8 * ratio, GRID)), math.ceil(math.log(ratio, GRID))
     mus, ratios = [GRID**k for k in range(first, last + 1)], []
     scaled = FULL_SLIP_DEPTHS * depth * np.linspace(0, 1, STEPS + 1)
-    bench = gel.bench(tool, depth, physics)
-    plans = [motion_plan(bench, "shear", scaled, mu, poisson_ratio, mooney_ratio) for mu in mus]
+    bench = gel.bench(tool, depth)
+    plans = [motion_plan(bench, "shear", scaled, mu) for mu in mus]
     for found in simulate_each(bench, plans, progress, f"slides of {tool.description}"):
         value = float(found["tangential"][-1] / found["normal_n"][-1])
         if not math.isfinite(value):

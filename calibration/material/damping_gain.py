@@ -14,7 +14,6 @@ import numpy as np
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.press_cache import kept
 from taccel_lab.envs import profile_material
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.touch import first_touch_m
 from taccel_lab.errors import SimulationError
 from taccel_lab.geometry import Region
@@ -36,9 +35,6 @@ def damping_gain(
     gel: Gel,
     tool: Tool,
     deepest_mm: float,
-    poisson_ratio: float,
-    mooney_ratio: float = 0.0,
-    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
 ) -> tuple[float, float]:
     """Part of tau f'(d) v that the solver's damping adds: its value at 0 and slope over d [1/mm].
 
@@ -47,16 +43,13 @@ def damping_gain(
     """
 
     def simulate() -> dict[str, np.ndarray]:
-        still = damped_forces(gel, tool, deepest_mm, poisson_ratio, mooney_ratio, 0.0, physics)
-        moving = damped_forces(
-            gel, tool, deepest_mm, poisson_ratio, mooney_ratio, DAMPING_S, physics
-        )
-        return {"still_n": still, "moving_n": moving}
+        return {
+            "still_n": damped_forces(gel, tool, deepest_mm, 0.0),
+            "moving_n": damped_forces(gel, tool, deepest_mm, DAMPING_S),
+        }
 
-    bench = gel.bench(tool, deepest_mm, physics)
-    recipe = bench.recipe(
-        "viscous gain", poisson_ratio, mooney_ratio, deepest_mm=deepest_mm, steps=STEPS
-    )
+    bench = gel.bench(tool, deepest_mm)
+    recipe = bench.recipe("viscous gain", gel, {"deepest_mm": deepest_mm, "steps": STEPS})
     found = kept(recipe, simulate)
     depth = deepest_mm * np.arange(1, STEPS + 1) / STEPS
     # The static curve is smooth; what single nodes do to its slope is not wanted.
@@ -71,19 +64,10 @@ def damping_gain(
     return float(gain[0]), float(gain[1])
 
 
-def damped_forces(
-    gel: Gel,
-    tool: Tool,
-    deepest_mm: float,
-    poisson_ratio: float,
-    mooney_ratio: float,
-    damping_s: float,
-    physics: PressPhysics,
-) -> np.ndarray:
+def damped_forces(gel: Gel, tool: Tool, deepest_mm: float, damping_s: float) -> np.ndarray:
     """Normal force of a gel of 1 MPa in each step of a steady press [N]."""
-    mesh = gel.mesh(tool, deepest_mm, physics)
-    block = gel.unit_material(poisson_ratio, mooney_ratio)
-    block = block.replace(damping_time_s=damping_s, density_kg_m3=LIGHT_KG_M3)
+    mesh, physics = gel.mesh(tool, deepest_mm), gel.physics
+    block = gel.unit_material().replace(damping_time_s=damping_s, density_kg_m3=LIGHT_KG_M3)
     soft = SoftBody(mesh, profile_material(block, mesh), element=physics.element)
     body = KinematicBody(tool.indenter().shape, 0.0, name="tool")
     time = TimeStepping(quasi_static=damping_s == 0, dt_s=STEP_S)

@@ -73,10 +73,10 @@ class _Known:
         """Poisson's ratio, where the captures determine it."""
         return (None if self.stiffness is None else self.stiffness.nu) or self.flow_nu
 
-    @property
-    def shared_nu(self) -> float:
-        """Poisson's ratio of other presses, rounded so that equal fits share them."""
-        return round(self.poisson_ratio, 3)
+    def gel(self, captures: _Captures) -> Gel:
+        """The gel of presses beside indentations; Poisson's ratio is rounded, so that equal fits
+        share them."""
+        return captures.gel.with_law(round(self.poisson_ratio, 3), self.mooney_ratio)
 
 
 def calibrate_material(
@@ -91,7 +91,7 @@ def calibrate_material(
         InputError: No record of forces, or one that cannot be used, with what is allowed.
         SimulationError: A press that did not converge.
     """
-    gel = Gel.of_profile(base, options.model, options.device)
+    gel = Gel.of_profile(base, options.model, options.device, options.physics)
     if gel.material.model != "mooney_rivlin" and "mooney_ratio" in options.fixed:
         raise InputError("mooney_ratio belongs to the law mooney_rivlin: add --model mooney_rivlin")
     records = {kind: [r for r in folder.records if r.entry.kind == kind] for kind in _KINDS}
@@ -189,16 +189,16 @@ def _with_stiffness(captures: _Captures, known: _Known, frictions: Sequence[floa
 
 
 def _force_tables(captures: _Captures, mu: float, law: KnownLaw) -> list[ForceTable]:
-    options = captures.options
+    free_nu = "nu" not in captures.options.fixed
+    gel = captures.gel.with_law(law.poisson_ratio, law.mooney_ratio)
     return [
         force_table(
-            captures.gel,
+            gel,
             item.tool,
             (float(item.depth_mm.min()), item.deepest_mm),
-            fixed_nu=options.fixed.get("nu"),
-            fixed_ratio=None if law.free_ratio else law.mooney_ratio,
+            free_nu=free_nu,
+            free_ratio=law.free_ratio,
             friction=mu,
-            physics=options.physics,
             progress=captures.progress,
         )
         for item in captures.points
@@ -238,10 +238,10 @@ def _with_friction(captures: _Captures, known: _Known) -> _Known:
             center_mm=video.path.place_mm,
         )
         held = known.nu is not None or "nu" in options.fixed
+        tool = captures.gel.tool(entry)
         fit = fit_flow(
-            video.flow, video.path, captures.gel, captures.gel.tool(entry), name=video.name,
-            sha256=video.sha256, fixed_nu=known.shared_nu if held else None,
-            mooney_ratio=known.mooney_ratio, physics=options.physics, progress=captures.progress,
+            video.flow, video.path, known.gel(captures), tool, name=video.name,
+            sha256=video.sha256, free_nu=not held, progress=captures.progress,
         )  # fmt: skip
         flows.append(fit)
         remarks += fit.remarks
@@ -251,8 +251,8 @@ def _with_friction(captures: _Captures, known: _Known) -> _Known:
     if "friction" not in options.fixed:
         young = captures.gel.material.young_modulus_pa if known.young is None else known.young.value
         friction, said = friction_of_records(
-            captures.gel, captures.folder, captures.slides, [*tangential, *flows], young,
-            known.shared_nu, known.mooney_ratio, options.physics, captures.progress,
+            known.gel(captures), captures.folder, captures.slides, [*tangential, *flows], young,
+            captures.progress,
         )  # fmt: skip
         remarks += said
     return replace(
@@ -272,12 +272,9 @@ def _tangential(captures: _Captures, known: _Known, record: ForceRecord) -> Tang
         young = (known.young.value, known.young.sigma / known.young.value)
     return fit_tangential(
         record,
-        captures.gel,
+        known.gel(captures),
         captures.gel.tool(record.entry.tool, captures.folder.ball_radius_mm),
-        poisson_ratio=known.shared_nu,
-        mooney_ratio=known.mooney_ratio,
         young_pa=young,
-        physics=captures.options.physics,
         progress=captures.progress,
     )
 
@@ -286,15 +283,14 @@ def _damping(captures: _Captures, known: _Known, record: ForceRecord) -> Damping
     tool = captures.gel.tool(record.entry.tool, captures.folder.ball_radius_mm)
     depth = record.columns["depth_mm"]
     deepest = float(depth.max())
-    nu, ratio, physics = known.shared_nu, known.mooney_ratio, captures.options.physics
+    gel = known.gel(captures)
     table = force_table(
-        captures.gel, tool, (max(0.1 * deepest, float(depth.min())), deepest), fixed_nu=nu,
-        fixed_ratio=ratio, friction=_used_friction(captures, known), physics=physics,
-        progress=captures.progress,
+        gel, tool, (max(0.1 * deepest, float(depth.min())), deepest), free_nu=False,
+        free_ratio=False, friction=_used_friction(captures, known), progress=captures.progress,
     )  # fmt: skip
     # Two digits of the depth, so that similar records share presses.
-    gain = damping_gain(captures.gel, tool, float(f"{deepest:.2g}"), nu, ratio, physics)
-    fit = fit_damping(record, tool, table, nu, ratio, gain)
+    gain = damping_gain(gel, tool, float(f"{deepest:.2g}"))
+    fit = fit_damping(record, tool, table, gain)
     if known.young is None or 0.8 < fit.young_modulus_pa / known.young.value < 1.25:
         return fit
     remark = Remark(

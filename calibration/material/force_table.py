@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,6 @@ from taccel_lab.calibration.material.gel_presses import GelPresses, MaterialStep
 from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
 from taccel_lab.calibration.material.press_plans import PressPlan, simulate_each
 from taccel_lab.envs import PressPath, profile_material
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 
@@ -88,6 +88,11 @@ class ForceTable:
         """Poisson's ratios of the table; equal where it is held."""
         return self.responses.second.low, self.responses.second.high
 
+    @property
+    def held_law(self) -> tuple[float, float]:
+        """Poisson's ratio and Mooney ratio of a table that holds them."""
+        return self.responses.second.low, self.responses.first.low
+
     def log_force(
         self, depth_mm: np.ndarray, poisson_ratio: float, mooney_ratio: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -121,13 +126,12 @@ class ForceTable:
         return force
 
 
-def free_nu_range(held_ratio: float | None) -> tuple[float, float]:
-    """Poisson's ratios that a fit may take beside a Mooney ratio, of any when None.
+def free_nu_range(largest_ratio: float) -> tuple[float, float]:
+    """Poisson's ratios that a fit may take beside Mooney ratios up to the largest.
 
     Mooney and Rivlin's law needs nu >= r / (1 + 2 r) (``ipc.elasticity.mooney_rivlin``).
     """
-    ratio = 1.0 if held_ratio is None else held_ratio
-    least = math.ceil(1e3 * (ratio / (1 + 2 * ratio) + 0.001)) * 1e-3
+    least = math.ceil(1e3 * (largest_ratio / (1 + 2 * largest_ratio) + 0.001)) * 1e-3
     return max(NU_RANGE[0], least), NU_RANGE[1]
 
 
@@ -136,23 +140,21 @@ def force_table(
     tool: Tool,
     depth_range_mm: tuple[float, float],
     *,
-    fixed_nu: float | None = None,
-    fixed_ratio: float | None = None,
+    free_nu: bool = True,
+    free_ratio: bool = True,
     friction: float = 0.0,
-    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     progress: Progress = silent,
 ) -> ForceTable:
     """Simulate the presses of a table, or take it from the cache.
 
     Args:
-        gel: The pad and the law.
+        gel: The pad, and what of its law is not to be fitted.
         tool: What comes down, and where.
         depth_range_mm: Depths of the record; the table reaches a little deeper.
-        fixed_nu: Poisson's ratio where it is not to be fitted; one press suffices then.
-        fixed_ratio: Mooney ratio, likewise; 0 of other laws.
+        free_nu: Whether Poisson's ratio is to be fitted; else one press suffices.
+        free_ratio: Whether the Mooney ratio is, of the law that has one.
         friction: Between tool and gel.
-        physics: Of the presses.
-        progress: Told how many presses of a depth are done, and of how many.
+        progress: Told how many presses are done, and of how many.
 
     Raises:
         InputError: A depth past the gel.
@@ -160,22 +162,21 @@ def force_table(
     """
     depths = _depths(depth_range_mm)
     _require_depth(gel, depths[-1], depth_range_mm[1])
-    if gel.material.model != "mooney_rivlin":
-        fixed_ratio = 0.0
-    axes = _axes(fixed_nu, fixed_ratio)
+    axes = _axes(gel, free_nu, free_ratio and gel.material.model == "mooney_rivlin")
     # Over an edge nodes slip by jumps: slopes at one nu are not those of the curve.
     smooth = friction == 0 and tool.kind == "sphere"
     for sloped in (True, False) if smooth else (False,):
-        table = _table(gel, tool, depths, axes, sloped, friction, physics, progress)
+        table = _table(gel, tool, depths, axes, sloped, friction, progress)
         if table is not None:
             return table
     raise AssertionError("a table of values needs no slopes")
 
 
-def _axes(fixed_nu: float | None, fixed_ratio: float | None) -> tuple[Axis, Axis]:
+def _axes(gel: Gel, free_nu: bool, free_ratio: bool) -> tuple[Axis, Axis]:
     """Of the Mooney ratio and of Poisson's ratio."""
-    ratios = (0.0, 1.0) if fixed_ratio is None else (fixed_ratio, fixed_ratio)
-    nus = free_nu_range(fixed_ratio) if fixed_nu is None else (fixed_nu, fixed_nu)
+    nu, ratio = gel.material.poisson_ratio, gel.material.mooney_ratio
+    ratios = (0.0, 1.0) if free_ratio else (ratio, ratio)
+    nus = free_nu_range(ratios[1]) if free_nu else (nu, nu)
     return Axis(*ratios), Axis(*nus, "compressibility")
 
 
@@ -186,7 +187,6 @@ def _table(
     axes: tuple[Axis, Axis],
     sloped: bool,
     friction: float,
-    physics: PressPhysics,
     progress: Progress,
 ) -> ForceTable | None:
     """The table at the nodes of both axes; None where slopes are wanted that a press does not
@@ -196,12 +196,12 @@ def _table(
     )
     counts = (RATIO_NODES, NU_NODES) if sloped else (RATIO_VALUES, NU_VALUES)
     ratios, nus = (axis.nodes(count) for axis, count in zip(axes, counts, strict=True))
-    gels = [(float(nu), float(ratio), names) for ratio in ratios for nu in nus]
+    gels = [(gel.with_law(float(nu), float(ratio)), names) for ratio in ratios for nu in nus]
     free = not all(axis.held for axis in axes)
     check_ratio = axes[0].low if axes[0].held else _CHECK_RATIO
     check_nu = axes[1].low if axes[1].held else _CHECK_NU
     if free:
-        gels.append((check_nu, check_ratio, ()))
+        gels.append((gel.with_law(check_nu, check_ratio), ()))
     task = f"presses of {tool.description}" + (f", friction {friction:g}" if friction else "")
     rows: list[list[dict[str, np.ndarray]]] = []
 
@@ -209,11 +209,11 @@ def _table(
         progress(task, len(rows) * each + done, len(depths) * each)
 
     for depth in depths.tolist():
-        bench = gel.bench(tool, depth, physics)
-        plans = [press_plan(bench, nu, ratio, friction, wanted) for nu, ratio, wanted in gels]
+        bench = gel.bench(tool, depth)
+        plans = [press_plan(bench, each, friction, wanted) for each, wanted in gels]
         row = list(simulate_each(bench, plans, told))
         rows.append(row)
-        slopes = [row[k][f"by_{name}_n"] for k, item in enumerate(gels) for name in item[2]]
+        slopes = [row[k][f"by_{name}_n"] for k, (_, wanted) in enumerate(gels) for name in wanted]
         if not np.isfinite(slopes).all():
             return None
 
@@ -246,19 +246,20 @@ def _table(
 
 def press_plan(
     bench: GelBench,
-    poisson_ratio: float,
-    mooney_ratio: float = 0.0,
+    gel: Gel,
     friction: float = 0.0,
     slopes: Sequence[str] = (),
 ) -> PressPlan:
-    """A press to the depth of the bench, which may also give the slopes of its force over "nu" and
-    the Mooney "ratio" [N], as ``by_nu_n`` and ``by_ratio_n``; ``error_n`` is its estimated
-    error."""
-    way = {"slopes": list(slopes)} if slopes else {}
+    """A press of a gel to the depth of the bench: ``force_n`` and its estimated error ``error_n``.
+
+    It may also give the slopes of its force over "nu" and the Mooney "ratio" [N], as ``by_nu_n``
+    and ``by_ratio_n``.
+    """
+    way: dict[str, Any] = {"slopes": list(slopes)} if slopes else {}
 
     def read(env: GelPresses, together: Sequence[PressPlan]) -> np.ndarray:
         both = np.column_stack([env.press_force[:, 2], env.error_estimate().force_n])
-        steps = [_material_step(bench.gel, env, together, name) for name in slopes]
+        steps = [_material_step(gel, env, together, name) for name in slopes]
         return np.hstack([both, env.force_slopes(steps)]) if steps else both
 
     def arrays(rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -267,18 +268,9 @@ def press_plan(
         )
 
     goal = bench.depth_mm
-    return PressPlan(
-        bench.recipe(
-            "press", poisson_ratio, mooney_ratio, depth_mm=goal, friction=friction, **way
-        ),
-        poisson_ratio,
-        mooney_ratio,
-        friction,
-        [Stop(depth, read=depth == goal) for depth, _, _ in PressPath(goal).waypoints()],
-        read,
-        arrays,
-        must_reach=1,
-    )  # fmt: skip
+    stops = [Stop(depth, read=depth == goal) for depth, _, _ in PressPath(goal).waypoints()]
+    way |= {"depth_mm": goal, "friction": friction}
+    return bench.plan("press", gel, friction, way, stops, read, arrays, must_reach=1)
 
 
 def _material_step(
@@ -296,7 +288,7 @@ def _material_step(
             else (plan.poisson_ratio, plan.mooney_ratio + sign * step)
             for plan, step in zip(together, half, strict=True)
         ]
-        sides.append([profile_material(gel.unit_material(*each), soft.mesh) for each in gels])
+        sides.append([profile_material(gel.with_law(*g).unit_material(), soft.mesh) for g in gels])
     return MaterialStep(sides[0], sides[1], [2 * step for step in half])
 
 

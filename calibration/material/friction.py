@@ -15,7 +15,6 @@ from taccel_lab.calibration.material.likelihood import Solution
 from taccel_lab.calibration.material.robust_statistics import combined, scatter
 from taccel_lab.calibration.material.sliding import SlideFit, friction_of_slides
 from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
-from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.progress import Progress
 
 LEANING_ERROR = 0.02
@@ -68,9 +67,6 @@ def friction_of_records(
     slides: Sequence[SlideFit],
     others: Sequence[FrictionFit],
     young_pa: float,
-    poisson_ratio: float,
-    mooney_ratio: float,
-    physics: PressPhysics,
     progress: Progress,
 ) -> tuple[Estimate | None, list[Remark]]:
     """One coefficient from slides and from shear, twist and marker flow; None where none
@@ -81,9 +77,7 @@ def friction_of_records(
     if slid:
         ratio, said = friction_of_slides(slid)
         remarks += said
-        found["slides"], said = _without_leaning(
-            gel, folder, slid, ratio, young_pa, poisson_ratio, mooney_ratio, physics, progress
-        )
+        found["slides"], said = _without_leaning(gel, folder, slid, ratio, young_pa, progress)
         remarks += said
     for fit in others:
         if fit.friction_determined:
@@ -103,10 +97,11 @@ def friction_of_records(
                 "may differ. Their weighted mean is used, its error widened",
             )
         )
-    low, high = mean.interval95
+    half = NORMAL_95 * mean.sigma
     # Two digits: presses with it are simulated, and the profile says what they had.
     stated = float(f"{mean.value:.2g}")
-    return Estimate(stated, mean.sigma, "", (max(low, 0.0), high)), remarks
+    ends = max(mean.value - half, 0.0), mean.value + half
+    return Estimate(stated, mean.sigma, "", ends), remarks
 
 
 def _without_leaning(
@@ -115,9 +110,6 @@ def _without_leaning(
     slides: Sequence[SlideFit],
     ratio: Estimate,
     young_pa: float,
-    poisson_ratio: float,
-    mooney_ratio: float,
-    physics: PressPhysics,
     progress: Progress,
 ) -> tuple[Estimate, list[Remark]]:
     """The coefficient that makes the ratio of the forces of slides: a ball leans on the gel."""
@@ -129,10 +121,7 @@ def _without_leaning(
     else:
         tool = gel.tool(entry, folder.ball_radius_mm)
         load = float(np.mean([np.mean(fit.normal_range_n) for fit in slides]))
-        slide = simulate_ball_slide(
-            gel, tool, load, ratio.value, young_pa, poisson_ratio, mooney_ratio, physics=physics,
-            progress=progress,
-        )  # fmt: skip
+        slide = simulate_ball_slide(gel, tool, load, ratio.value, young_pa, progress)
         if slide is not None:
             mu = slide.friction(ratio.value)
             sigma = math.hypot(ratio.sigma * mu / ratio.value, LEANING_ERROR * mu)

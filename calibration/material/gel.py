@@ -11,8 +11,8 @@ there.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.bonded_layer import ToolKind
-from taccel_lab.calibration.material.gel_presses import GelPresses
+from taccel_lab.calibration.material.gel_presses import GelPresses, Stop
 from taccel_lab.calibration.material.press_plans import PressPlan
 from taccel_lab.envs import Indenter, parse_indenter, profile_material
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
@@ -41,11 +41,6 @@ COMPARED = {
 
 RUBBING_LIMITS = {"max_substep_halvings": 3, "max_friction_lags": 60}
 """Of iterations, on which no result depends."""
-
-
-def comparison_physics(physics: PressPhysics) -> PressPhysics:
-    """The physics whose difference stands for the discretisation error of ``physics``."""
-    return PHYSICS[COMPARED[physics.accuracy]]
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,8 @@ class Tool:
 
 @dataclass(frozen=True)
 class Gel:
-    """The gel of a profile: its pad by family and parameters, and its material but for scale."""
+    """The gel of a profile: its pad by family and parameters, its material but for scale, and how
+    its presses are simulated."""
 
     family: str
     parameters: dict[str, Any]
@@ -79,10 +75,15 @@ class Gel:
     thickness_mm: float
     device: str = "cpu"
     """Warp device of its simulations."""
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT]
 
     @classmethod
     def of_profile(
-        cls, profile: SensorProfile, model: str | None = None, device: str = "cpu"
+        cls,
+        profile: SensorProfile,
+        model: str | None = None,
+        device: str = "cpu",
+        physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     ) -> Gel:
         """The gel of ``profile``, with another law where one is asked for."""
         material = profile.material
@@ -97,9 +98,23 @@ class Gel:
             material,
             profile.gel.thickness_mm,
             device,
+            physics,
         )
 
-    def unit_material(self, poisson_ratio: float, mooney_ratio: float) -> MaterialBlock:
+    def with_law(self, poisson_ratio: float, mooney_ratio: float = 0.0) -> Gel:
+        """The same pad of another Poisson's ratio and Mooney ratio."""
+        material = self.material.replace(poisson_ratio=poisson_ratio, mooney_ratio=mooney_ratio)
+        return replace(self, material=material)
+
+    def with_physics(self, physics: PressPhysics) -> Gel:
+        """The same gel, simulated otherwise."""
+        return replace(self, physics=physics)
+
+    def for_comparison(self) -> Gel:
+        """The same gel, simulated so that the difference stands for the discretisation error."""
+        return self.with_physics(PHYSICS[COMPARED[self.physics.accuracy]])
+
+    def unit_material(self) -> MaterialBlock:
         """The material at 1 MPa, its layers in proportion, without damping."""
         scale = UNIT_MODULUS_PA / self.material.young_modulus_pa
         layers = tuple(
@@ -107,16 +122,12 @@ class Gel:
             for layer in self.material.layers
         )
         return self.material.replace(
-            young_modulus_pa=UNIT_MODULUS_PA,
-            poisson_ratio=poisson_ratio,
-            mooney_ratio=mooney_ratio,
-            damping_time_s=0.0,
-            layers=layers,
+            young_modulus_pa=UNIT_MODULUS_PA, damping_time_s=0.0, layers=layers
         )
 
     def recipe(self) -> dict[str, Any]:
-        """Everything about the gel that forces of 1 MPa depend on, for a cache key."""
-        unit = self.unit_material(self.material.poisson_ratio, self.material.mooney_ratio)
+        """All of the gel but its law's ratios that forces of 1 MPa depend on, for a cache key."""
+        unit = self.unit_material()
         return {
             "family": self.family,
             "parameters": self.parameters,
@@ -152,14 +163,14 @@ class Gel:
             )
         return Tool(entry.kind, radius_mm, (x, y), f"{entry.kind}:{radius_mm:.9g}")
 
-    def mesh(self, tool: Tool, depth_mm: float, physics: PressPhysics) -> TetMesh:
+    def mesh(self, tool: Tool, depth_mm: float) -> TetMesh:
         """The pad as ``taccel-lab press`` meshes it for this tool and depth."""
         contact = tool.indenter().contact(depth_mm)
-        return press_mesh(self.family, self.parameters, tool.at_mm, contact, physics.mesh)
+        return press_mesh(self.family, self.parameters, tool.at_mm, contact, self.physics.mesh)
 
-    def bench(self, tool: Tool, depth_mm: float, physics: PressPhysics) -> GelBench:
+    def bench(self, tool: Tool, depth_mm: float) -> GelBench:
         """Where presses of ``tool`` down to ``depth_mm`` are simulated."""
-        return GelBench(self, tool, depth_mm, physics)
+        return GelBench(self, tool, depth_mm)
 
 
 @dataclass(frozen=True)
@@ -169,7 +180,6 @@ class GelBench:
     gel: Gel
     tool: Tool
     depth_mm: float
-    physics: PressPhysics
 
     @property
     def device(self) -> str:
@@ -177,35 +187,57 @@ class GelBench:
 
     @cached_property
     def mesh(self) -> TetMesh:
-        return self.gel.mesh(self.tool, self.depth_mm, self.physics)
+        return self.gel.mesh(self.tool, self.depth_mm)
 
-    def recipe(
-        self, what: str, poisson_ratio: float, mooney_ratio: float, **way: Any
-    ) -> dict[str, Any]:
-        """All that a press here depends on: gel, law, tool, physics, and the ``way`` it goes."""
+    def plan(
+        self,
+        what: str,
+        gel: Gel,
+        friction: float,
+        way: Mapping[str, Any],
+        stops: Sequence[Stop],
+        read: Callable[[GelPresses, Sequence[PressPlan]], np.ndarray],
+        arrays: Callable[[np.ndarray], dict[str, np.ndarray]],
+        must_reach: int = 0,
+    ) -> PressPlan:
+        """A press of ``gel``, which differs from that of the bench in its law at most; its key is
+        made of gel, tool, physics and the ``way`` that the tool goes."""
+        return PressPlan(
+            self.recipe(what, gel, way),
+            gel.material.poisson_ratio,
+            gel.material.mooney_ratio,
+            friction,
+            stops,
+            read,
+            arrays,
+            must_reach,
+        )
+
+    def recipe(self, what: str, gel: Gel, way: Mapping[str, Any]) -> dict[str, Any]:
+        """All that a press of ``gel`` here depends on."""
         return {
             "what": what,
-            "gel": self.gel.recipe(),
+            "gel": gel.recipe(),
             "tool": self.tool.description,
             "at_mm": list(self.tool.at_mm),
-            "nu": poisson_ratio,
-            "ratio": mooney_ratio,
-            "physics": self.physics.record(),
+            "nu": gel.material.poisson_ratio,
+            "ratio": gel.material.mooney_ratio,
+            "physics": gel.physics.record(),
             **way,
         }
 
     def presses(self, plans: Sequence[PressPlan]) -> GelPresses:
         """Gels of 1 MPa at rest."""
-        blocks = [self.gel.unit_material(p.poisson_ratio, p.mooney_ratio) for p in plans]
+        gels = [self.gel.with_law(plan.poisson_ratio, plan.mooney_ratio) for plan in plans]
         rubs = any(plan.friction for plan in plans)
         return GelPresses(
             self.mesh,
-            [profile_material(block, self.mesh) for block in blocks],
+            [profile_material(gel.unit_material(), self.mesh) for gel in gels],
             self.tool.indenter(),
             self.tool.at_mm,
             [plan.friction for plan in plans],
-            physics=self.physics,
+            physics=self.gel.physics,
             # With much friction a step that does not converge soon will not, see ``tangential``.
-            config=self.physics.solver(**(RUBBING_LIMITS if rubs else {})),
+            config=self.gel.physics.solver(**(RUBBING_LIMITS if rubs else {})),
             device=self.gel.device,
         )

@@ -39,8 +39,61 @@ MIN_FOR_NOISE = 8
 CLEARLY = 3.84
 """By how much Q has to speak for a constant noise: taken wrongly, it is too small at the largest
 forces, where it matters."""
+NO_DEPTH_MM = 1e-4
+"""A tool that has not touched yet is taken to be this deep."""
 GEL_NU = (0.40, 0.499)
 """Poisson's ratios that gels may have: one that records leave open lies here."""
+
+
+@dataclass(frozen=True)
+class ForceModel:
+    """Forces of all presses over the free parameters of a fit."""
+
+    tables: Sequence[ForceTable]
+    names: Sequence[str]
+    """Of the parameters: ``ln_e``, ``nu``, ``mooney_ratio``, ``touch_<i>``."""
+    poisson_ratio: float
+    """Where it is not free."""
+    mooney_ratio: float
+
+    def log_force(
+        self, theta: np.ndarray, index: int, depth_mm: np.ndarray, recorded: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """ln force of a gel of 1 Pa, shape [point], and its derivatives by the parameters, [point,
+        parameter], at depths as a press's record counts them, or from first touch."""
+        place = {name: i for i, name in enumerate(self.names)}
+        nu = theta[place["nu"]] if "nu" in place else self.poisson_ratio
+        ratio = theta[place["mooney_ratio"]] if "mooney_ratio" in place else self.mooney_ratio
+        touch = place.get(f"touch_{index}") if recorded else None
+        depth = depth_mm if touch is None else depth_mm - theta[touch]
+        log, by_depth, by_nu, by_ratio = self.tables[index].log_force(
+            np.maximum(depth, NO_DEPTH_MM), nu, ratio
+        )
+        slopes = np.zeros((len(log), len(theta)))
+        if "nu" in place:
+            slopes[:, place["nu"]] = by_nu
+        if "mooney_ratio" in place:
+            slopes[:, place["mooney_ratio"]] = by_ratio
+        if touch is not None:
+            slopes[:, touch] = np.where(depth > NO_DEPTH_MM, -by_depth, 0.0)
+        return log, slopes
+
+    def residuals(
+        self,
+        theta: np.ndarray,
+        points: Sequence[IndentationPoints],
+        weights: Sequence[np.ndarray],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Force less measured force over weight, of all points, and the derivatives."""
+        e = self.names.index("ln_e")
+        residuals, rows = [], []
+        for i, (item, weight) in enumerate(zip(points, weights, strict=True)):
+            log, slopes = self.log_force(theta, i, item.depth_mm)
+            slopes[:, e] = 1.0
+            force = np.exp(theta[e] + log)
+            residuals.append((force - item.force_n) / weight)
+            rows.append(slopes * (force / weight)[:, None])
+        return np.concatenate(residuals), np.concatenate(rows)
 
 
 @dataclass(frozen=True)
@@ -53,6 +106,7 @@ class IndentationFit:
     mooney_ratio: float
     points: tuple[IndentationPoints, ...]
     tables: tuple[ForceTable, ...]
+    model: ForceModel
     noise: str
     """``given``, ``constant`` or ``proportional``."""
     misfit: float
@@ -185,7 +239,7 @@ def fit_indentation(
                 )
             )
     names = [p.name for p in parameters]
-    model = _Model(points, tables, names, poisson_ratio, mooney_ratio)
+    model = ForceModel(tables, names, poisson_ratio, mooney_ratio)
     count = sum(len(item.depth_mm) for item in points)
     kinds = _noise_kinds(points)
     largest = max(float(np.abs(item.force_n).max()) for item in points)
@@ -207,7 +261,7 @@ def fit_indentation(
         likelihood = Likelihood(
             parameters,
             groups,
-            lambda theta, weights=weights: model.residuals(theta, weights),
+            lambda theta, weights=weights: model.residuals(theta, points, weights),
         )
         value = likelihood.q(likelihood.solve(profiled=()).values) + penalty
         if best is None or value < lowest:
@@ -222,52 +276,12 @@ def fit_indentation(
         ratio,
         tuple(points),
         tuple(tables),
+        model,
         best[0],
         lowest,
         best[1],
         max(table.error.scale for table in tables),
     )
-
-
-@dataclass(frozen=True)
-class _Model:
-    """Residuals of all presses and their derivatives."""
-
-    points: Sequence[IndentationPoints]
-    tables: Sequence[ForceTable]
-    names: Sequence[str]
-    poisson_ratio: float
-    mooney_ratio: float
-
-    def residuals(
-        self, theta: np.ndarray, weights: Sequence[np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        at = dict(zip(self.names, theta, strict=True))
-        place = {name: i for i, name in enumerate(self.names)}
-        e = math.exp(at["ln_e"])
-        nu = at.get("nu", self.poisson_ratio)
-        ratio = at.get("mooney_ratio", self.mooney_ratio)
-        residuals, rows = [], []
-        for i, (item, table, weight) in enumerate(
-            zip(self.points, self.tables, weights, strict=True)
-        ):
-            depth = item.depth_mm - at.get(f"touch_{i}", 0.0)
-            inside = depth > 0
-            model = np.zeros(len(depth))
-            slopes = np.zeros((len(depth), len(self.names)))
-            if inside.any():
-                log, by_depth, by_nu, by_ratio = table.log_force(depth[inside], nu, ratio)
-                model[inside] = force = e * np.exp(log)
-                slopes[inside, place["ln_e"]] = force
-                if "nu" in place:
-                    slopes[inside, place["nu"]] = force * by_nu
-                if "mooney_ratio" in place:
-                    slopes[inside, place["mooney_ratio"]] = force * by_ratio
-                if f"touch_{i}" in place:
-                    slopes[inside, place[f"touch_{i}"]] = -force * by_depth
-            residuals.append((model - item.force_n) / weight)
-            rows.append(slopes / weight[:, None])
-        return np.concatenate(residuals), np.concatenate(rows)
 
 
 def touch_sigma(item: IndentationPoints, given_mm: float | None) -> float:

@@ -25,7 +25,6 @@ from taccel_lab.calibration.material.marker_flow_table import (
 )
 from taccel_lab.calibration.material.tool_path import ToolPath
 from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.registry import sensor_family
@@ -116,12 +115,10 @@ def fit_flow(
     *,
     name: str = "marker flow",
     sha256: str = "0" * 64,
-    fixed_nu: float | None = None,
-    mooney_ratio: float = 0.0,
-    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
+    free_nu: bool = True,
     progress: Progress = silent,
 ) -> FlowFit:
-    """Fit friction, and Poisson's ratio unless it is fixed, to the motion of markers.
+    """Fit friction, and Poisson's ratio where it is free, to the motion of markers.
 
     Args:
         flow: Places at rest and displacements, gel frame.
@@ -130,9 +127,7 @@ def fit_flow(
         tool: What touches.
         name: For remarks.
         sha256: Of the video.
-        fixed_nu: Poisson's ratio where it is known.
-        mooney_ratio: Of the gel.
-        physics: Of the presses.
+        free_nu: Whether Poisson's ratio is fitted; else it is that of the gel.
         progress: Told how many presses are done, and of how many.
 
     Raises:
@@ -151,16 +146,13 @@ def fit_flow(
             f"{MIN_MARKERS} are needed"
         )
     points, inside = _on_pad(gel, flow.points_mm)
-    table = flow_table(
-        gel, tool, path, frames, points, fixed_nu=fixed_nu, mooney_ratio=mooney_ratio,
-        physics=physics, progress=progress,
-    )  # fmt: skip
+    table = flow_table(gel, tool, path, frames, points, free_nu=free_nu, progress=progress)
     measured = flow.displacement_mm[frames][:, inside]
     use = np.broadcast_to(seen[:, inside, None], measured.shape)
     sigma = flow.sigma_mm[frames][:, inside][use]
     target = measured[use]
     solution = flow_likelihood(table, use, target, sigma).solve(drawn=True)
-    nu = solution.value("nu") if fixed_nu is None else fixed_nu
+    nu = solution.value("nu") if free_nu else gel.material.poisson_ratio
     fitted = table.displacement_mm(math.exp(solution.value("ln_mu")), nu)
     rms = float(np.sqrt(np.mean((fitted[use] - target) ** 2)))
     moved = float(np.sqrt(np.mean(target**2)))

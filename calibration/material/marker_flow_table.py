@@ -14,14 +14,13 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from taccel_lab.calibration.material.force_table import NU_RANGE
-from taccel_lab.calibration.material.gel import Gel, GelBench, Tool, comparison_physics
+from taccel_lab.calibration.material.gel import Gel, GelBench, Tool
 from taccel_lab.calibration.material.gel_presses import GelPresses
 from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
 from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter
 from taccel_lab.calibration.material.press_plans import PressPlan, prepare, simulate, simulate_each
 from taccel_lab.calibration.material.tool_path import ToolPath, path_stops
 from taccel_lab.envs import PressEnv
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region
 from taccel_lab.progress import Progress, silent
@@ -79,9 +78,7 @@ def flow_table(
     frames: np.ndarray,
     points_mm: np.ndarray,
     *,
-    fixed_nu: float | None = None,
-    mooney_ratio: float = 0.0,
-    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
+    free_nu: bool = True,
     progress: Progress = silent,
 ) -> FlowTable:
     """Simulate the tool's path at several coefficients and Poisson's ratios.
@@ -89,14 +86,16 @@ def flow_table(
     Raises:
         SimulationError: Presses that do not converge even with little friction.
     """
-    axis = Axis(*(NU_RANGE if fixed_nu is None else (fixed_nu, fixed_nu)), "compressibility")
+    held_nu, ratio = gel.material.poisson_ratio, gel.material.mooney_ratio
+    axis = Axis(*(NU_RANGE if free_nu else (held_nu, held_nu)), "compressibility")
     depth = float(path.depth_mm[frames].max())
     task = f"path of {tool.description}"
 
     def plans(bench: GelBench, nu: float, mus: Sequence[float]) -> list[PressPlan]:
-        return [path_plan(bench, path, frames, points_mm, mu, nu, mooney_ratio) for mu in mus]
+        own = bench.gel.with_law(nu, ratio)
+        return [path_plan(bench, own, path, frames, points_mm, mu) for mu in mus]
 
-    bench = gel.bench(tool, depth, physics)
+    bench = gel.bench(tool, depth)
     mus, rows, nus = MU_NODES, [], axis.nodes(NU_NODES).tolist()
     prepare(bench, [plan for nu in nus for plan in plans(bench, nu, mus)], progress, task)
     for nu in nus:
@@ -118,14 +117,14 @@ def flow_table(
             Axis(0.0, 0.0), axis, np.log(mus), np.moveaxis(values, 1, -1)[None]
         )
     )  # fmt: skip
-    check_nu = _CHECK_NU if fixed_nu is None else fixed_nu
+    check_nu = _CHECK_NU if free_nu else held_nu
     check_mu = _CHECK_MU if mus[-1] > _CHECK_MU else _CHECK_MU_OF_FEW
-    other = gel.bench(tool, depth, comparison_physics(physics))
+    other = gel.for_comparison().bench(tool, depth)
     check = simulate(other, plans(other, check_nu, [check_mu])[0])["displacement_mm"]
     if not np.isfinite(check).all():
         raise SimulationError(
             f"the path of {tool.description} does not converge with friction of {check_mu:g} and "
-            f"accuracy {other.physics.accuracy}; use a shorter or shallower path"
+            f"accuracy {other.gel.physics.accuracy}; use a shorter or shallower path"
         )
     # What the mesh does to the estimates: those of the other press, whose parameters are known.
     everywhere = np.ones(check.shape, dtype=bool)
@@ -136,20 +135,19 @@ def flow_table(
         table.responses,
         float(np.sqrt(np.mean(miss**2))),
         abs(seen.value("ln_mu") - math.log(check_mu)),
-        abs(seen.value("nu") - check_nu) if fixed_nu is None else 0.0,
+        abs(seen.value("nu") - check_nu) if free_nu else 0.0,
     )
 
 
 def path_plan(
     bench: GelBench,
+    gel: Gel,
     path: ToolPath,
     frames: np.ndarray,
     points_mm: np.ndarray,
     mu: float,
-    poisson_ratio: float,
-    mooney_ratio: float = 0.0,
 ) -> PressPlan:
-    """A press along the path.
+    """A press of a gel along the path.
 
     Gives ``displacement_mm`` of points of the contact face, [frame, point, 2]; NaN from where it
     does not converge.
@@ -161,17 +159,15 @@ def path_plan(
         change = (env.positions[:, nodes, :2] - env.mesh.nodes_m[nodes, :2]) * 1e3
         return np.einsum("pc,epcx->epx", weights, change[:, corners])
 
-    return PressPlan(
-        bench.recipe(
-            "flow", poisson_ratio, mooney_ratio, path=way, points_mm=points_mm, mu=mu
-        ),
-        poisson_ratio,
-        mooney_ratio,
+    return bench.plan(
+        "flow",
+        gel,
         mu,
+        {"path": way, "points_mm": points_mm, "mu": mu},
         path_stops(way),
         read,
         arrays=lambda rows: {"displacement_mm": rows},
-    )  # fmt: skip
+    )
 
 
 def face_weights(env: PressEnv, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,8 +19,6 @@ from taccel_lab.calibration.material.indentation import IndentationFit
 from taccel_lab.calibration.material.likelihood import Likelihood, Parameter
 from taccel_lab.calibration.result import NORMAL_95
 
-NO_DEPTH_MM = 1e-4
-"""A tool that has not touched yet is taken to be this deep."""
 FOLDS = 12
 """Points are held out one by one, or in so many interleaved groups."""
 
@@ -43,43 +41,24 @@ def force_interval_n(
             uncertain; else from first touch itself, as in a simulated press.
         reading: Whether the interval is of one reading, with its noise, or of the force itself.
     """
-    old, table = fit.likelihood, fit.tables[index]
-    names = [p.name for p in old.parameters]
-    place = {name: i for i, name in enumerate(names)}
-    touch = place.get(f"touch_{index}") if recorded else None
-
-    def log_unit(theta: np.ndarray) -> tuple[float, np.ndarray]:
-        """ln force of a gel of 1 Pa at the depth, and its derivatives by the parameters."""
-        nu = theta[place["nu"]] if "nu" in place else fit.poisson_ratio
-        ratio = theta[place["mooney_ratio"]] if "mooney_ratio" in place else fit.mooney_ratio
-        depth = max(depth_mm - (theta[touch] if touch is not None else 0.0), NO_DEPTH_MM)
-        log, by_depth, by_nu, by_ratio = table.log_force(np.array([depth]), nu, ratio)
-        slopes = np.zeros(len(theta))
-        if "nu" in place:
-            slopes[place["nu"]] = by_nu[0]
-        if "mooney_ratio" in place:
-            slopes[place["mooney_ratio"]] = by_ratio[0]
-        if touch is not None and depth > NO_DEPTH_MM:
-            slopes[touch] = -by_depth[0]
-        return float(log[0]), slopes
-
-    e = place["ln_e"]
+    old, at = fit.likelihood, np.array(fit.solution.values)
+    e = fit.model.names.index("ln_e")
+    depth = np.array([depth_mm])
 
     def residuals(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        log, slopes = log_unit(theta)
+        (log,), (slopes,) = fit.model.log_force(theta, index, depth, recorded)
         inner = theta.copy()
         inner[e] = theta[e] - log
         r, jacobian = old.residuals(inner)
         return r, jacobian - np.outer(jacobian[:, e], slopes)
 
-    at = np.array(fit.solution.values)
-    middle = float(at[e] + log_unit(at)[0])
+    middle = float(at[e] + fit.model.log_force(at, index, depth, recorded)[0][0])
     parameters = [p if p.prior_sigma is not None else replace(p, start=float(at[i]))
                   for i, p in enumerate(old.parameters)]  # fmt: skip
     parameters[e] = Parameter("ln_f", middle, middle - 4, middle + 4, 0.05)
     found = Likelihood(parameters, old.groups, residuals).solve(["ln_f"])
     low, high = found.profiles["ln_f"].interval
-    extra = NORMAL_95 * table.error.interpolation
+    extra = NORMAL_95 * fit.tables[index].error.interpolation
     if reading:
         force = math.exp(middle)
         extra = math.hypot(extra, old.quantile * fit.noise_n(index, force, found.noise) / force)

@@ -105,13 +105,12 @@ def fit_damping(
     record: ForceRecord,
     tool: Tool,
     table: ForceTable,
-    poisson_ratio: float,
-    mooney_ratio: float,
     gain: tuple[float, float] = (1.0, 0.0),
 ) -> DampingFit:
     """Damping time and relaxation of a record, columns time_s, depth_mm and force_n.
 
-    ``gain``: of the solver's damping, at depth 0 and its slope over the depth [1/mm].
+    ``table``: of the gel's law, which is held. ``gain``: of the solver's damping, at depth 0 and
+    its slope over the depth [1/mm].
     """
     check_relaxation(record)
     time, depth, force = (record.columns[key] for key in ("time_s", "depth_mm", "force_n"))
@@ -120,7 +119,7 @@ def fit_damping(
     fastest = float(np.abs(rate).max())
     elastic, slope = np.zeros(len(depth)), np.zeros(len(depth))
     inside = depth > 0
-    log, by_depth, _, _ = table.log_force(depth[inside], poisson_ratio, mooney_ratio)
+    log, by_depth, _, _ = table.log_force(depth[inside], *table.held_law)
     elastic[inside] = np.exp(log)
     slope[inside] = elastic[inside] * by_depth
     hold = _longest_hold(rate, fastest, depth)

@@ -70,7 +70,6 @@ class SlideFit:
     """Mean coefficient while sliding; of a record that never slides the least that it can be."""
     offset_n: float
     """Tangential force at no load."""
-    offset_determined: bool
     static_friction: float | None
     """Mean coefficient just before slips, where the tool sticks and slips."""
     slip_mm: float | None
@@ -240,7 +239,7 @@ def _never_slid(
         f"freely; friction is at least {least:.3g}. Move the tool farther sideways",
     )
     return SlideFit(
-        name, record.source, record.sha256, Estimate(least, math.inf), 0.0, False, None, None,
+        name, record.source, record.sha256, Estimate(least, math.inf), 0.0, None, None,
         False, load, tuple(strokes), math.nan, (remark,),
     )  # fmt: skip
 
@@ -313,7 +312,6 @@ def _slid(
         record.sha256,
         fit.estimate(value, np.eye(columns.shape[1])[0]),
         offset,
-        bool(two_unknowns),
         static,
         slip,
         True,

@@ -23,7 +23,6 @@ from taccel_lab.calibration.material.tangential_table import (
     tangential_table,
 )
 from taccel_lab.calibration.result import Remark, Severity
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 
@@ -93,10 +92,7 @@ def fit_tangential(
     gel: Gel,
     tool: Tool,
     *,
-    poisson_ratio: float,
-    mooney_ratio: float = 0.0,
     young_pa: tuple[float, float] | None = None,
-    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     progress: Progress = silent,
 ) -> TangentialFit:
     """Fit the coefficient of friction to a shear or twist record.
@@ -104,13 +100,10 @@ def fit_tangential(
     Args:
         record: Columns depth_mm, shift_mm, normal_n, tangential_n; or depth_mm, angle_deg,
             torque_nmm.
-        gel: The pad and the law.
+        gel: The pad and the law, on which the ratio of the forces hardly depends.
         tool: A ball or punch.
-        poisson_ratio: Of the gel; the ratio of tangential to normal force hardly depends on it.
-        mooney_ratio: Of the gel.
         young_pa: Young's modulus [Pa] and its relative standard deviation from elsewhere; a
             twist record without it tells nothing.
-        physics: Of the presses.
         progress: Told how many presses are done, and of how many.
 
     Raises:
@@ -133,8 +126,8 @@ def fit_tangential(
 
     def simulate(mu: float) -> TangentialTable:
         return tangential_table(
-            gel, tool, motion, round(depth, 2), mu, float(moved.max()), poisson_ratio,
-            mooney_ratio, slipped=slipped, physics=physics, progress=progress,
+            gel, tool, motion, round(depth, 2), mu, float(moved.max()), slipped=slipped,
+            progress=progress,
         )  # fmt: skip
 
     table = simulate(least)

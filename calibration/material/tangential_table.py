@@ -22,13 +22,11 @@ from taccel_lab.calibration.material.gel import (
     Gel,
     GelBench,
     Tool,
-    comparison_physics,
 )
 from taccel_lab.calibration.material.gel_presses import Stop
 from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
 from taccel_lab.calibration.material.press_plans import PressPlan, simulate, simulate_each
 from taccel_lab.envs import PressEnv
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import SimulationError
 from taccel_lab.progress import Progress, silent
 
@@ -91,11 +89,8 @@ def tangential_table(
     depth_mm: float,
     least_mu: float,
     reach: float,
-    poisson_ratio: float,
-    mooney_ratio: float = 0.0,
     *,
     slipped: bool = False,
-    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     progress: Progress = silent,
 ) -> TangentialTable:
     """Simulate shear [mm] or twist [deg] up to ``reach`` at coefficients about ``least_mu``.
@@ -119,11 +114,8 @@ def tangential_table(
     longest = min(full, GRID ** math.ceil(math.log(1.02 * reach / axis.low, GRID)))
     scaled = longest * np.linspace(0, 1, STEPS + 1) ** 1.3
     mus = [*axis.nodes(NODES).tolist(), check_mu]
-    benches = [gel.bench(tool, depth_mm, each) for each in (physics, comparison_physics(physics))]
-    plans = [
-        motion_plan(bench, motion, scaled, mu, poisson_ratio, mooney_ratio)
-        for mu, bench in zip(mus, [benches[0]] * NODES + [benches[1]], strict=True)
-    ]
+    benches = [gel.bench(tool, depth_mm), gel.for_comparison().bench(tool, depth_mm)]
+    plans = [motion_plan(benches[i >= NODES], motion, scaled, mu) for i, mu in enumerate(mus)]
     task = f"{motion} of {tool.description}"
     found = [
         *simulate_each(benches[0], plans[:NODES], progress, task),
@@ -151,21 +143,17 @@ def motion_plan(
     motion: Motion,
     scaled: np.ndarray,
     mu: float,
-    poisson_ratio: float,
-    mooney_ratio: float = 0.0,
 ) -> PressPlan:
     """A press to the depth of the bench that is sheared or turned in steps, ``scaled`` times mu.
 
     Gives ``tangential``, the resistance to the motion less that at its start, and ``normal_n``.
     With much friction the gel folds up behind the tool; what follows is NaN.
     """
-    return PressPlan(
-        bench.recipe(
-            motion, poisson_ratio, mooney_ratio, depth_mm=bench.depth_mm, scaled=scaled, mu=mu
-        ),
-        poisson_ratio,
-        mooney_ratio,
+    return bench.plan(
+        motion,
+        bench.gel,
         mu,
+        {"depth_mm": bench.depth_mm, "scaled": scaled, "mu": mu},
         _motion_stops(bench.tool, motion, bench.depth_mm, scaled * mu),
         read=lambda env, _: tangential_and_normal(env, motion),
         arrays=lambda rows: {"tangential": rows[:, 0] - rows[0, 0], "normal_n": rows[:, 1]},

@@ -23,7 +23,7 @@ from taccel_lab.envs import (
 )
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
 from taccel_lab.sensors.press_mesh import press_mesh
-from tests.calibration.material.physics import COARSE_FAST as FAST
+from tests.calibration.material.physics import COARSE_FAST, FAST
 
 MODULUS, NOISE = 3.1e5, 0.01
 
@@ -46,14 +46,19 @@ def pressed_n(
 
 
 def recorded(
-    folder: Path, base: SensorProfile, indenter: str, depths: np.ndarray, rubs: float
+    folder: Path,
+    base: SensorProfile,
+    indenter: str,
+    depths: np.ndarray,
+    rubs: float,
+    physics: PressPhysics,
 ) -> np.ndarray:
     """A capture folder of presses of ``base`` with friction ``rubs`` and another modulus; what was
     read."""
     material = base.material.replace(young_modulus_pa=MODULUS, friction_coefficient=rubs)
     true = base.with_block(material)
     rng = np.random.default_rng(5)
-    force = np.array([pressed_n(true, indenter, depth, FAST) for depth in depths.tolist()])
+    force = np.array([pressed_n(true, indenter, depth, physics) for depth in depths.tolist()])
     read = force * (1 + NOISE * rng.standard_normal(len(depths)))
     rows = zip(depths, read, strict=True)
     (folder / "press.csv").write_text(
@@ -77,14 +82,19 @@ def calibrated(
 
 @pytest.mark.parametrize("indenter", ["sphere:6", "cylinder:3"])
 def test_presses_of_the_profile_reproduce_the_record(
-    mini: SensorProfile, press_cache: Path, tmp_path: Path, indenter: str
+    mini: SensorProfile,
+    press_cache: Path,
+    tmp_path: Path,
+    indenter: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 5)
     depths = np.array([0.2, 0.4, 0.6, 0.8])
     rubs = 0.4
     base = mini.with_block(mini.material.replace(friction_coefficient=rubs))
-    read = recorded(tmp_path, base, indenter, depths, rubs)
+    read = recorded(tmp_path, base, indenter, depths, rubs, COARSE_FAST)
     nu = base.material.poisson_ratio
-    options = MaterialOptions(physics=FAST, fixed={"nu": nu, "friction": rubs})
+    options = MaterialOptions(physics=COARSE_FAST, fixed={"nu": nu, "friction": rubs})
     found, profile = calibrated(tmp_path, base, options)
     block = profile.material
     assert block.young_modulus_pa == pytest.approx(MODULUS, rel=0.03)
@@ -94,13 +104,13 @@ def test_presses_of_the_profile_reproduce_the_record(
     assert fitted is not None and fitted.indenters == (indenter,)
     assert fitted.physics == {**fitted.physics, "accuracy": "fast", "element": "quadratic"}
     assert fitted.friction_coefficient == block.friction_coefficient == rubs
-    assert physics_difference(block, FAST, block.friction_coefficient) is None
+    assert physics_difference(block, COARSE_FAST, block.friction_coefficient) is None
     assert found.stiffness is not None
     shift = fitted.touch_shift_mm["press.csv"]
     low, high = block.provenance.interval["touch_shift_mm of press.csv"]
     assert low < 0.0 < high
     for depth, force in zip(depths[1::2].tolist(), read[1::2].tolist(), strict=True):
-        again = pressed_n(profile, indenter, depth - shift, FAST)
+        again = pressed_n(profile, indenter, depth - shift, COARSE_FAST)
         assert again == pytest.approx(force, rel=3 * NOISE)
         low, high = found.stiffness.force_interval_n(0, depth - shift)
         assert low < again < high
@@ -115,7 +125,7 @@ def test_a_press_with_other_friction_is_not_that_of_the_fit(
     """Of records that friction was not measured with, the coefficient that fits is what the profile
     says and a press takes; the other one is a tenth off."""
     depths = np.linspace(0.2, 1.4, 9)
-    read = recorded(tmp_path, mini, "sphere:7.5", depths, 0.0)
+    read = recorded(tmp_path, mini, "sphere:7.5", depths, 0.0, FAST)
     options = MaterialOptions(physics=FAST, fixed={"nu": mini.material.poisson_ratio})
     found, profile = calibrated(tmp_path, mini, options)
     assert mini.material.friction_coefficient == 1.0

@@ -40,7 +40,7 @@ def table() -> ForceTable:
 
 @pytest.fixture(scope="module")
 def simulated(gel: Gel, tool: Tool, press_cache: Path) -> ForceTable:
-    return force_table(gel, tool, (0.2, 1.2), physics=COARSE)
+    return force_table(gel.with_physics(COARSE), tool, (0.2, 1.2))
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +52,9 @@ def pressed_n(
     gel: Gel, tool: Tool, depths_mm: np.ndarray, nu: float, ratio: float, physics: PressPhysics
 ) -> np.ndarray:
     """Forces [N] of presses of 1 MPa to each depth."""
-    benches = [gel.bench(tool, depth, physics) for depth in depths_mm.tolist()]
-    return np.array([simulate(b, press_plan(b, nu, ratio))["force_n"][0] for b in benches])
+    own = gel.with_law(nu, ratio).with_physics(physics)
+    benches = [own.bench(tool, depth) for depth in depths_mm.tolist()]
+    return np.array([simulate(b, press_plan(b, own))["force_n"][0] for b in benches])
 
 
 def points(
@@ -87,8 +88,8 @@ def test_both_parameters_of_mooney_and_rivlin(
 ) -> None:
     """Six presses with slopes over both at each of three depths, against presses elsewhere."""
     monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 3)
-    gel = Gel.of_profile(mini, "mooney_rivlin")
-    table = force_table(gel, tool, (0.2, 0.6), physics=COARSER)
+    gel = Gel.of_profile(mini, "mooney_rivlin", physics=COARSER)
+    table = force_table(gel, tool, (0.2, 0.6))
     assert table.press_count == 7 * 3
     assert table.error.interpolation < 2e-3
     assert table.nu_range[0] > 1 / 3  # softer volumes do not go with a ratio of 1
@@ -154,10 +155,10 @@ def test_forces_scale_with_the_modulus(gel: Gel, tool: Tool) -> None:
     """What spares simulations of other moduli: it holds to the solver's tolerance."""
     from taccel_lab.envs import PressEnv, profile_material
 
-    mesh = gel.mesh(tool, 1.4, COARSE)
+    mesh = gel.with_physics(COARSE).mesh(tool, 1.4)
     forces = []
     for modulus in (1e6, 5e4):
-        block = gel.unit_material(0.47, 0.0).replace(young_modulus_pa=modulus)
+        block = gel.unit_material().replace(young_modulus_pa=modulus)
         env = PressEnv(
             mesh, profile_material(block, mesh), tool.indenter(), np.zeros((1, 2)),
             physics=COARSE,
@@ -215,7 +216,7 @@ def test_two_balls_tell_poisson_ratio(
 ) -> None:
     small = gel.tool(ToolEntry(kind="sphere", radius_mm=2.0))
     depth = np.linspace(0.15, 0.9, 8)
-    second = force_table(gel, small, (0.15, 0.9), physics=COARSE)
+    second = force_table(gel.with_physics(COARSE), small, (0.15, 0.9))
     force = pressed_n(gel, small, depth, POISSON, 0.0, FAST) * MODULUS / 1e6
     wide = np.linspace(0.2, 1.2, 8)
     truth = pressed_n(gel, tool, wide, POISSON, 0.0, DEFAULT) * MODULUS / 1e6
@@ -243,7 +244,7 @@ def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
     """2 % where one ball leaves 5 to 15 %; the truth is of a finer mesh than the tables."""
     depth = np.linspace(0.1, 1.0, 8)
     tools = [gel.tool(ToolEntry(kind="sphere", radius_mm=radius)) for radius in (2.0, 15.0)]
-    tables = [force_table(gel, tool, (0.1, 1.0), physics=FAST) for tool in tools]
+    tables = [force_table(gel.with_physics(FAST), tool, (0.1, 1.0)) for tool in tools]
     truth = [pressed_n(gel, tool, depth, POISSON, 0.0, DEFAULT) * MODULUS / 1e6 for tool in tools]
     rng = np.random.default_rng(5)
     errors, hits = [], 0
@@ -314,4 +315,4 @@ def test_stated_noise_that_is_too_small_is_noticed(
 
 def test_a_press_past_the_gel_is_refused(gel: Gel, tool: Tool) -> None:
     with pytest.raises(InputError, match="4 mm thick"):
-        force_table(gel, tool, (0.5, 3.5), physics=COARSE)
+        force_table(gel, tool, (0.5, 3.5))

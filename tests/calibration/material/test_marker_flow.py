@@ -37,8 +37,9 @@ def flow_of(
     gel: Gel, tool: Tool, way: ToolPath, sigma_mm: float, physics: PressPhysics, seed: int = 0
 ) -> MarkerFlow:
     frames = way.chosen()
-    bench = gel.bench(tool, float(way.depth_mm.max()), physics)
-    plan = path_plan(bench, way, frames, POINTS, FRICTION, POISSON)
+    own = gel.with_law(POISSON).with_physics(physics)
+    bench = own.bench(tool, float(way.depth_mm.max()))
+    plan = path_plan(bench, own, way, frames, POINTS, FRICTION)
     moved = simulate(bench, plan)["displacement_mm"]
     everywhere = np.zeros((len(way.depth_mm), len(POINTS), 2))
     everywhere[frames] = moved
@@ -67,7 +68,8 @@ def test_friction_from_the_slip_of_markers(
 ) -> None:
     way = path() if motion == "shear" else path(0.0, 20.0)
     flow = flow_of(gel, tool, way, 0.004, FAST)
-    fit = fit_flow(flow, way, gel, tool, fixed_nu=POISSON, physics=COARSE)
+    coarse = gel.with_law(POISSON).with_physics(COARSE)
+    fit = fit_flow(flow, way, coarse, tool, free_nu=False)
     assert fit.friction_determined
     assert fit.friction == pytest.approx(FRICTION, rel=0.05)
     low, high = fit.friction_interval
@@ -78,7 +80,8 @@ def test_friction_from_the_slip_of_markers(
 def test_a_press_alone_leaves_friction_open(gel: Gel, tool: Tool, press_cache: Path) -> None:
     way = path(0.0)
     flow = flow_of(gel, tool, way, 0.05, COARSE)
-    fit = fit_flow(flow, way, gel, tool, fixed_nu=POISSON, physics=COARSE)
+    coarse = gel.with_law(POISSON).with_physics(COARSE)
+    fit = fit_flow(flow, way, coarse, tool, free_nu=False)
     assert not fit.friction_determined
     assert any(remark.code == "flow_ln_mu_undetermined" for remark in fit.remarks)
 
@@ -87,7 +90,8 @@ def test_a_press_alone_leaves_friction_open(gel: Gel, tool: Tool, press_cache: P
 def test_poisson_ratio_from_how_the_gel_swells(gel: Gel, tool: Tool, press_cache: Path) -> None:
     way = path()
     flow = flow_of(gel, tool, way, 0.003, DEFAULT)
-    fit = fit_flow(flow, way, gel, tool, physics=COARSE)
+    coarse = gel.with_law(POISSON).with_physics(COARSE)
+    fit = fit_flow(flow, way, coarse, tool)
     assert fit.nu_determined
     assert fit.poisson_ratio == pytest.approx(POISSON, abs=0.02)
     assert fit.friction == pytest.approx(FRICTION, rel=0.08)

@@ -35,7 +35,7 @@ def hertz() -> ForceTable:
 
 
 def fit(force: np.ndarray, depth: np.ndarray = DEPTH) -> DampingFit:
-    return fit_damping(ramp(force, depth), TOOL, hertz(), 0.5, 0.0)
+    return fit_damping(ramp(force, depth), TOOL, hertz())
 
 
 def ramp(force: np.ndarray, depth: np.ndarray = DEPTH) -> ForceRecord:
@@ -105,22 +105,23 @@ def test_unfit_records_are_refused(changes: dict, words: str) -> None:
     bad = ramp(elastic())
     bad.columns.update(changes)
     with pytest.raises(InputError, match=words):
-        fit_damping(bad, TOOL, hertz(), 0.5, 0.0)
+        fit_damping(bad, TOOL, hertz())
 
 
 @pytest.mark.slow
 def test_the_solver_damps_as_the_fit_assumes(gel: Gel, press_cache: Path) -> None:
     """A dynamic press, faster and more damped than the one that gives the gain, is met by it."""
     tool = gel.tool(ToolEntry(kind="sphere", radius_mm=5.0))
-    shallow = damping_gain(gel, tool, 0.2, 0.45, physics=FAST)
+    gel = gel.with_law(0.45).with_physics(COARSE)
+    shallow = damping_gain(gel.with_physics(FAST), tool, 0.2)
     assert shallow[0] + 0.1 * shallow[1] == pytest.approx(1.0, abs=0.15)
-    gain = damping_gain(gel, tool, 0.8, 0.45, physics=COARSE)
+    gain = damping_gain(gel, tool, 0.8)
     assert 0.55 < gain[0] + 0.8 * gain[1] < 0.8
-    table = force_table(gel, tool, (0.1, 0.8), fixed_nu=0.45, physics=COARSE)
-    force = damped_forces(gel, tool, 0.8, 0.45, 0.0, 0.06, COARSE) * MODULUS / 1e6
+    table = force_table(gel, tool, (0.1, 0.8), free_nu=False)
+    force = damped_forces(gel, tool, 0.8, 0.06) * MODULUS / 1e6
     time = 0.01 * np.arange(1, 31)
     given = record("relaxation", 5.0, time_s=time, depth_mm=0.8 * time / 0.3, force_n=force)
-    found = fit_damping(given, tool, table, 0.45, 0.0, gain)
+    found = fit_damping(given, tool, table, gain)
     assert found.damping_time_s is not None
     assert found.damping_time_s.value == pytest.approx(0.06, rel=0.1)
     # A ramp without a hold hardly tells stiff from viscous.

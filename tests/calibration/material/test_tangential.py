@@ -17,11 +17,25 @@ from taccel_lab.calibration.material.press_plans import simulate
 from taccel_lab.calibration.material.tangential import fit_tangential
 from taccel_lab.calibration.material.tangential_table import Motion, motion_plan
 from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
 from tests.calibration.material.physics import COARSE, FAST
 from tests.calibration.material.records import record
 
 FRICTION, POISSON, MODULUS, DEPTH = 0.45, 0.47, 2.4e5, 0.6
 STEPS = np.array([0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.9, 2.4]) * DEPTH
+
+
+@pytest.fixture(autouse=True)
+def small_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three coefficients and six steps instead of four and ten."""
+    module = "taccel_lab.calibration.material.tangential_table"
+    monkeypatch.setattr(f"{module}.NODES", 3)
+    monkeypatch.setattr(f"{module}.STEPS", 6)
+
+
+@pytest.fixture(scope="module")
+def gel(mini: SensorProfile) -> Gel:
+    return Gel.of_profile(mini, physics=COARSE).with_law(POISSON)
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +45,8 @@ def tool(gel: Gel) -> Tool:
 
 def moved(gel: Gel, tool: Tool, motion: Motion, scaled: np.ndarray) -> dict[str, np.ndarray]:
     """Forces of the true gel, at 1 MPa."""
-    bench = gel.bench(tool, DEPTH, FAST)
-    return simulate(bench, motion_plan(bench, motion, scaled, FRICTION, POISSON))
+    bench = gel.with_physics(FAST).bench(tool, DEPTH)
+    return simulate(bench, motion_plan(bench, motion, scaled, FRICTION))
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +78,7 @@ def test_a_shear_tells_friction_and_stiffness(gel: Gel, tool: Tool, sheared: dic
     hits, moduli = 0, []
     for seed in range(12):
         given = shear_record(sheared, 1.0, 0.01, seed)
-        fit = fit_tangential(given, gel, tool, poisson_ratio=POISSON, physics=COARSE)
+        fit = fit_tangential(given, gel, tool)
         assert fit.friction_determined
         assert fit.friction == pytest.approx(FRICTION, rel=0.05)
         low, high = fit.friction_interval
@@ -76,7 +90,7 @@ def test_a_shear_tells_friction_and_stiffness(gel: Gel, tool: Tool, sheared: dic
 
 def test_a_shear_that_sticks_gives_a_lower_bound(gel: Gel, tool: Tool, sheared: dict) -> None:
     given = shear_record(sheared, 0.08, 0.03)
-    fit = fit_tangential(given, gel, tool, poisson_ratio=POISSON, physics=COARSE)
+    fit = fit_tangential(given, gel, tool)
     assert not fit.friction_determined
     assert [remark.code for remark in fit.remarks] == ["friction_undetermined"]
 
@@ -88,23 +102,21 @@ def test_a_twist_tells_friction_with_the_modulus(gel: Gel, tool: Tool, press_cac
     angle = np.linspace(0, scaled[-1] * FRICTION, 20)
     torque = PchipInterpolator(scaled * FRICTION, found["tangential"] * MODULUS / 1e6)(angle)
     given = record("twist", depth_mm=np.full(20, DEPTH), angle_deg=angle, torque_nmm=torque)
-    fit = fit_tangential(
-        given, gel, tool, poisson_ratio=POISSON, young_pa=(MODULUS, 0.01), physics=COARSE
-    )
+    fit = fit_tangential(given, gel, tool, young_pa=(MODULUS, 0.01))
     assert fit.friction == pytest.approx(FRICTION, rel=0.05)
     with pytest.raises(InputError, match="needs Young's modulus"):
-        fit_tangential(given, gel, tool, poisson_ratio=POISSON, physics=COARSE)
+        fit_tangential(given, gel, tool)
 
 
 def test_a_sliding_ball_leans_on_the_gel(gel: Gel, tool: Tool, sheared: dict) -> None:
     ratio = float(sheared["tangential_n"][-1] / sheared["normal_n"][-1])
     assert ratio > 1.03 * FRICTION
     load = float(sheared["normal_n"][-1])
-    slide = simulate_ball_slide(gel, tool, load, ratio, MODULUS, POISSON, physics=COARSE)
+    slide = simulate_ball_slide(gel, tool, load, ratio, MODULUS)
     assert slide is not None
     assert slide.friction(ratio) == pytest.approx(FRICTION, rel=0.03)
     punch = gel.tool(ToolEntry(kind="cylinder", radius_mm=2.0))
-    assert simulate_ball_slide(gel, punch, load, ratio, MODULUS, POISSON) is None
+    assert simulate_ball_slide(gel, punch, load, ratio, MODULUS) is None
 
 
 @pytest.mark.parametrize(
@@ -122,4 +134,4 @@ def test_unfit_shears_are_refused(
     bad = shear_record(sheared, 1.0, 0.0)
     bad.columns.update(change)
     with pytest.raises(InputError, match=words):
-        fit_tangential(bad, gel, tool, poisson_ratio=POISSON, physics=COARSE)
+        fit_tangential(bad, gel, tool)
