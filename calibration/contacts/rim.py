@@ -54,17 +54,14 @@ def fit_circle(
 
     start = np.array([*center, radius])
     found = least_squares(off, start, loss="cauchy", f_scale=0.5 * tolerance).x
+    inliers = np.abs(off(found)) < tolerance
     for _ in range(2):
+        kept = inliers if inliers.sum() >= 3 else np.ones(len(points), dtype=bool)
+        found = least_squares(lambda circle, kept=kept: off(circle)[kept], found).x
         inliers = np.abs(off(found)) < tolerance
-        chosen = inliers if inliers.sum() >= 3 else np.ones(len(points), dtype=bool)
-        found = least_squares(lambda circle, chosen=chosen: off(circle)[chosen], found).x
     left = off(found)
-    return CircleFit(
-        found[:2],
-        float(found[2]),
-        np.abs(left) < tolerance,
-        float(np.sqrt(np.mean(left[chosen] ** 2))),
-    )
+    left = left[inliers] if inliers.any() else left
+    return CircleFit(found[:2], float(found[2]), inliers, float(np.sqrt(np.mean(left**2))))
 
 
 def circle_on_rays(

@@ -12,7 +12,9 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.refit.fit import calibrate_refit
 from taccel_lab.calibration.refit.frames import NewFrames, refit_frames
+from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from tests.calibration.refit.test_refit import old_profile
 from tests.calibration.synthetic import BALL_RADIUS_MM, synthetic_captures
@@ -97,3 +99,13 @@ def test_a_held_out_press_without_a_label_is_found_in_its_own_image(
     assert circle is not None and frame.disc is not None
     truth = circle.distance_px(captures.grid) <= circle.radius_px
     assert (frame.disc & truth).sum() > 0.85 * (frame.disc | truth).sum()
+
+
+def test_captures_of_another_sensor_and_profiles_without_a_background_are_refused(
+    captures: CaptureSet, profile: SensorProfile
+) -> None:
+    folder = folder_of(captures)
+    with pytest.raises(InputError, match="captures are of a digit, the profile is of a"):
+        calibrate_refit(replace(folder, sensor="digit"), profile)
+    with pytest.raises(InputError, match="nothing to refit"):
+        calibrate_refit(folder, profile.without("background"))
