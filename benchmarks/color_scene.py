@@ -20,9 +20,9 @@ from taccel_lab.calibration.capture import CaptureSet, load_captures
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.drift_choice import choose_drift
 from taccel_lab.calibration.color.evaluate import crop_slices, psnr_db
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame, draw_samples, frame_drift
 from taccel_lab.calibration.color.network_fit import rest_background
-from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.color.registration import RegistrationOptions, register_presses
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.calibration.color.training import train

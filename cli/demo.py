@@ -6,8 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,13 +15,14 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.surfaces.between import SharedLaw
-    from taccel_lab.cli.demo_report import DemoResults
+    from taccel_lab.calibration.demo_report import DemoResults
 
 DEMO_SENSOR = "gelsight"
 DEMO_INDENTER = "sphere:2.0"
 DEMO_AT_MM = (1.0, -0.5)
 """A place where no capture was taken."""
+BATCH_PIXELS = 4096
+"""Pixels of a step of the colour fit."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Demo:
         import warp as wp
         from rich.console import Console
 
-        from taccel_lab.cli.demo_report import build_report
+        from taccel_lab.calibration.demo_report import build_report
         from taccel_lab.output import atomic_directory, require_replaceable
         from taccel_lab.report import write_report
 
@@ -67,23 +67,25 @@ class Demo:
         console.print(f"report: {self.out / 'report.html'}", highlight=False)
 
     def _work(self, folder: Path, console: Console, clock: StageClock) -> DemoResults:
+        from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
+        from taccel_lab.calibration.base_profile import on_grid
         from taccel_lab.calibration.capture import find_taxim_pack, load_captures
         from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
-        from taccel_lab.calibration.color.fit import HeldoutSet, calibrate_color
-        from taccel_lab.calibration.color.options import ColorFitOptions
+        from taccel_lab.calibration.color.fit import fit_color
+        from taccel_lab.calibration.color.fit_options import ColorFitOptions
+        from taccel_lab.calibration.color.heldout import HeldoutSet
         from taccel_lab.calibration.contacts import choose_circles, resolve_contacts
-        from taccel_lab.calibration.simulate import simulate_presses
-        from taccel_lab.cli.calibrate.base import on_grid
-        from taccel_lab.cli.demo_report import DemoResults
+        from taccel_lab.calibration.demo_report import DemoResults
+        from taccel_lab.calibration.simulate import PressSurfaces
         from taccel_lab.cli.press import check_depth, load_sensor
-        from taccel_lab.cli.progress import count_progress, fit_progress
+        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.envs import PressPath
         from taccel_lab.profile import save_profile
         from taccel_lab.sensors.design import design_sensor
         from taccel_lab.sensors.registry import sensor_family
 
         # What can be refused is refused before minutes of work.
-        options = ColorFitOptions(steps=self.steps, seed=self.seed)
+        options = ColorFitOptions(steps=self.steps, batch_pixels=BATCH_PIXELS, seed=self.seed)
         PressPath(self.depth_mm)
         check_depth(self.depth_mm, load_sensor(DEMO_SENSOR))
         with clock.stage("loading the captures"):
@@ -101,25 +103,21 @@ class Demo:
         with clock.stage("finding the contact circles"):
             contacts = resolve_contacts(training)
             circles = choose_circles(training, contacts)
-        with (
-            clock.stage("simulating the presses", spinner=False),
-            count_progress(console, "simulating the presses") as progress,
-        ):
+        with clock.stage("simulating the presses", spinner=False), stage_progress(console) as bars:
             # As calibrate color does: one law serves the others, the held-out presses too.
-            laws: dict[float, SharedLaw] = {}
-            simulated = partial(simulate_presses, profile=base, share=True, laws=laws)
-            surfaces = simulated(training, circles, progress=progress)
+            make = PressSurfaces("simulated", base, cache=False, progress=bars)
+            surfaces = make(training, circles)
         with (
             clock.stage("fitting the colour model and scoring it", spinner=False),
-            fit_progress(console, "fitting the colour model") as fit_bar,
+            stage_progress(console) as bars,
         ):
-            calibration = calibrate_color(
+            calibration = fit_color(
                 training,
                 circles,
                 surfaces,
-                HeldoutSet.of(captures, split, simulated),
+                HeldoutSet.of(captures, split, replace(make, progress=bars)),
                 options=options,
-                progress=fit_bar,
+                progress=bars,
             )
         profile = calibration.apply_to(base)
         with clock.stage("exporting the profile"):
@@ -129,6 +127,7 @@ class Demo:
         return DemoResults(
             captures=training,
             design=design,
+            dihedral_deg=dihedral_angles_deg(design.mesh.nodes_m, design.mesh.tets),
             contacts=contacts,
             circles=circles,
             surfaces=surfaces,

@@ -112,15 +112,16 @@ axes[1].legend()
 # beside the figures, because whole-image figures flatter.
 
 # %%
-from taccel_lab.calibration.color.fit import HeldoutSet, calibrate_color
-from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.color.fit import fit_color
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
+from taccel_lab.calibration.color.heldout import HeldoutSet
 
 
 def simulated(presses, places):
     return simulate_presses(presses, places, base, processes=2)
 
 
-result = calibrate_color(
+result = fit_color(
     training,
     circles,
     surfaces,

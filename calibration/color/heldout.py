@@ -17,7 +17,7 @@ A press that cannot be placed or simulated, or that is gone, counts as the bare 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -33,6 +33,7 @@ from taccel_lab.calibration.color.registration import place_press
 from taccel_lab.calibration.contacts import detect_contact
 from taccel_lab.calibration.contacts.label_placement import LabelPlacement
 from taccel_lab.calibration.contacts.tiles import even_tiles, filled_from
+from taccel_lab.calibration.simulate import SurfaceMaker
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.calibration.surfaces.types import PressSurface
 from taccel_lab.calibration.surfaces.variation import moved_surfaces
@@ -41,9 +42,6 @@ from taccel_lab.geometry import PixelGrid
 
 Placement = Literal["label", "tiles", "self"]
 PLACEMENTS: tuple[Placement, ...] = ("label", "tiles", "self")
-SurfaceMaker = Callable[[CaptureSet, Sequence[ContactCircle]], list[PressSurface]]
-"""Surfaces of presses in circles, in order; InputError for a circle that the ball cannot leave,
-SimulationError for one that does not converge."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +138,7 @@ def score_heldout(
 
     ``shift`` and ``library`` come from the training presses.
     """
-    job = _Job(held, fit, shift, library)
-    return job.run()
+    return _HeldoutScoring(held, fit, shift, library).run()
 
 
 def mean_heldout(
@@ -167,7 +164,7 @@ def _bare(presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]) -
     return [item.background_only or worst for item in failures]
 
 
-class _Job:
+class _HeldoutScoring:
     def __init__(
         self, held: HeldoutSet, fit: ColorFit, shift: LabelPlacement, library: RadialSurfaces
     ) -> None:

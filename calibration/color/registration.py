@@ -17,6 +17,7 @@ import numpy as np
 
 from taccel_lab.calibration.background.drift import Drift
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.color.fit_options import SHORT_FIT, ColorFitOptions
 from taccel_lab.calibration.color.frames import (
     ColorFrame,
     Samples,
@@ -26,7 +27,6 @@ from taccel_lab.calibration.color.frames import (
     samples_at,
 )
 from taccel_lab.calibration.color.network_fit import rest_background
-from taccel_lab.calibration.color.options import SHORT_FIT, ColorFitOptions
 from taccel_lab.calibration.color.training import train
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.calibration.surfaces.variation import MovedPress

@@ -80,10 +80,12 @@ class CalibrateAll:
         import warp as wp
         from rich.console import Console
 
+        from taccel_lab.calibration.base_profile import base_profile
         from taccel_lab.calibration.capture import load_capture_folder
-        from taccel_lab.cli.calibrate.base import base_profile, report_folder, require_outputs
-        from taccel_lab.cli.calibrate.findings import capture_check, shared_checks
+        from taccel_lab.calibration.check.block_findings import capture_check, shared_checks
+        from taccel_lab.cli.calibrate.base import report_folder, require_outputs
         from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output import atomic_directory
         from taccel_lab.profile import load_profile, save_profile
 
@@ -101,7 +103,9 @@ class CalibrateAll:
         outcomes: list[StageOutcome] = []
         captures = self.captures
         with tempfile.TemporaryDirectory(prefix="taccel_lab_") as scratch, shared_checks():
-            states = stage_states(capture_check(folder, console))
+            with stage_progress(console) as progress:
+                checked = capture_check(folder, progress)
+            states = stage_states(checked)
             work = Path(scratch)
             current = work / "base"
             save_profile(profile, current)

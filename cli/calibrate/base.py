@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -16,74 +16,10 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.capture import CaptureFolder, CaptureSet
+    from taccel_lab.calibration.capture import CaptureFolder
     from taccel_lab.calibration.report import Page
     from taccel_lab.calibration.result import CalibrationResult
-    from taccel_lab.geometry import PixelGrid
     from taccel_lab.profile import SensorProfile
-
-
-MEASURED = ("calibrated", "measured")
-"""Kinds of blocks that say something about the unit at hand."""
-
-
-def base_profile(base: Path | None, folder: CaptureFolder) -> SensorProfile:
-    """The profile in the folder ``base``, or the catalogue's design that fits the captures."""
-    from taccel_lab.calibration.surfaces.design import fitted_design
-    from taccel_lab.profile import load_profile
-    from taccel_lab.sensors.profile import catalogue_profile
-
-    if base is None:
-        if folder.mm_per_px is not None and folder.background is not None:
-            grid = folder.grid()
-            return on_grid(fitted_design(folder.sensor, grid).profile, grid, folder.provenance)
-        return catalogue_profile(folder.sensor)
-    profile = load_profile(base)
-    if profile.sensor.family != folder.sensor:
-        raise InputError(
-            f"the captures are of a {folder.sensor}, the profile {base} is of a "
-            f"{profile.sensor.family}"
-        )
-    return profile
-
-
-def presses_on_camera(
-    folder: CaptureFolder, base: SensorProfile
-) -> tuple[CaptureSet, SensorProfile]:
-    """Ball presses and profile on one pixel grid.
-
-    The grid is the profile's where its camera was measured on this unit and shows images of this
-    size; else the one that the captures state.
-    """
-    from dataclasses import replace
-
-    if base.camera.provenance.kind in MEASURED:
-        grid = base.camera.grid()
-        captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
-        if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
-            return replace(captures, grid=grid), base
-    captures = folder.ball_presses()
-    return captures, on_grid(base, captures.grid, captures.provenance)
-
-
-def on_grid(
-    profile: SensorProfile, grid: PixelGrid, provenance: Mapping[str, str]
-) -> SensorProfile:
-    """The profile with the captures' image size and scale; as it is where it has them."""
-    from taccel_lab.profile import CameraBlock, Provenance
-
-    if profile.camera.grid() == grid:
-        return profile
-    return profile.without("background", "color", "normals").with_block(
-        CameraBlock.from_grid(
-            grid,
-            Provenance(
-                kind="published",
-                method="image size and scale of the captures; the image centre lies over the apex",
-                source=provenance.get("source", "captures.toml"),
-            ),
-        )
-    )
 
 
 def report_folder(out: Path, report: Path | None) -> Path:
@@ -150,6 +86,7 @@ def open_job(captures: Path, out: Path, base: Path | None, report: Path | None) 
     """Refuse unusable outputs, then load the captures and the profile to extend."""
     from rich.console import Console
 
+    from taccel_lab.calibration.base_profile import base_profile
     from taccel_lab.calibration.capture import load_capture_folder
 
     report = report_folder(out, report)

@@ -94,6 +94,8 @@ def _simulated(profile: SensorProfile, console: Console) -> Surfaces:
         from taccel_lab.cli.progress import count_progress
 
         with count_progress(console, "simulating the presses") as progress:
-            return simulate_presses(captures, circles, profile, progress=progress)
+            return simulate_presses(
+                captures, circles, profile, progress=lambda _, done, count: progress(done, count)
+            )
 
     return make

@@ -12,7 +12,7 @@ import pytest
 from taccel_lab.benchmarks.color_scene import NETWORK, TABLE, circles, network, table
 from taccel_lab.benchmarks.color_settings import SETTINGS
 from taccel_lab.benchmarks.left_out import beats_default, choose_left_out
-from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.registration import RegistrationOptions
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table
 

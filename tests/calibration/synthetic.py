@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.color.fit import HeldoutSet, calibrate_color
+from taccel_lab.calibration.color.fit import fit_color
+from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.geometry import PixelGrid, TetMesh
@@ -100,12 +101,12 @@ def calibrated(
     heldout_names: tuple[str, ...] | None = None,
     **more: Any,
 ) -> ColorCalibration:
-    """``calibrate_color`` with the labels as circles, the rest of the presses held out."""
+    """``fit_color`` with the labels as circles, the rest of the presses held out."""
     if heldout_names is not None:
         captures = replace(captures, heldout=heldout_names)
     split = captures.split(holdout_every)
     training = captures.only(split.train)
-    return calibrate_color(
+    return fit_color(
         training,
         [press.circle for press in training.presses if press.circle is not None],
         [surfaces[i] for i in split.train],

@@ -15,11 +15,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
-from taccel_lab.calibration.normals.score import angle_between_deg
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.calibration.color.evaluate import psnr_db
+from taccel_lab.calibration.normals.read_surface import SurfaceReader
+from taccel_lab.calibration.normals.score import angle_between_deg
 from taccel_lab.cli.app import main
 from taccel_lab.envs import PressOutcome, PressPath, parse_indenter, simulate_press
 from taccel_lab.envs.physics import PHYSICS, Accuracy

@@ -14,13 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import taccel_lab.calibration.simulate as simulate
+from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces import PressSurface, press_batch
 from taccel_lab.calibration.surfaces.between import SPANNING, spanning_presses
 from taccel_lab.calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
 from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
-from taccel_lab.cli.calibrate.base import on_grid
 from taccel_lab.envs.physics import PHYSICS, SURFACE_PHYSICS, Accuracy
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
@@ -249,7 +249,7 @@ def test_order_and_progress_with_several_processes(
             base,
             physics=DEFAULT,
             processes=processes,
-            progress=lambda done, total, told=told: told.append((done, total)),
+            progress=lambda _, done, total, told=told: told.append((done, total)),
         )
         assert told[-1] == (3, 3) and len(told) == 2
         assert [done for done, _ in told] == sorted(done for done, _ in told)
@@ -363,7 +363,7 @@ def test_presses_that_are_spanned_are_not_simulated(
     told: list[tuple[int, int]] = []
     shared = simulate_presses(
         many, circles, base, physics=DEFAULT, processes=1, share=True,
-        progress=lambda done, total: told.append((done, total)),
+        progress=lambda _, done, total: told.append((done, total)),
     )  # fmt: skip
     assert sorted(simulated) == spanning_presses(circles) and len(simulated) == SPANNING
     assert told == [(3, 10), (6, 10), (10, 10)]

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import torch
 
+from taccel_lab.calibration.base_profile import lost_blocks, on_grid
 from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.check.block_findings import joined, refusing_with
 from taccel_lab.calibration.check.findings import error, info, warning
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.cli.app import main
-from taccel_lab.cli.calibrate.base import on_grid
-from taccel_lab.cli.calibrate.findings import joined, lost_blocks, refusing_with
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, load_profile, save_profile
 from tests.calibration.synthetic import (

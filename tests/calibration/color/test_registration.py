@@ -11,9 +11,9 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.color import registration
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame, Samples
 from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.color.registration import (
     RegistrationOptions,
     place_press,

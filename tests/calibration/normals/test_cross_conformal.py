@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from taccel_lab.calibration.normals.cross_conformal import radius_factor
 
+from taccel_lab.calibration.normals.cross_conformal import radius_factor
 from taccel_lab.signals.normal_model import RAYLEIGH_95
 
 

@@ -8,11 +8,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.color.evaluate import ImageScore
+from taccel_lab.calibration.color.heldout import mean_bare
+from taccel_lab.calibration.color.report import PLACED_BY
+from taccel_lab.calibration.color.result import ColorCalibration
+from taccel_lab.calibration.contacts import DetectedContact
+from taccel_lab.calibration.report.color_discs import color_discs
+from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.envs import PressOutcome
 from taccel_lab.geometry import Region
+from taccel_lab.profile import SensorProfile
 from taccel_lab.report.model import (
     ColorScore,
     ColorSection,
@@ -29,16 +38,7 @@ from taccel_lab.report.model import (
     Stage,
     Target,
 )
-
-if TYPE_CHECKING:
-    from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-    from taccel_lab.calibration.color.evaluate import ImageScore
-    from taccel_lab.calibration.color.fit import ColorCalibration
-    from taccel_lab.calibration.contacts import DetectedContact
-    from taccel_lab.calibration.surfaces import PressSurface
-    from taccel_lab.envs import PressOutcome
-    from taccel_lab.profile import SensorProfile
-    from taccel_lab.sensors.design import DesignResult
+from taccel_lab.sensors.design import DesignResult
 
 GOALS = (
     ("crop_psnr_db", "PSNR in the 1.6 r crop", 34.0, True, "dB", 2),
@@ -55,6 +55,8 @@ class DemoResults:
     captures: CaptureSet
     """The presses that were fitted."""
     design: DesignResult
+    dihedral_deg: np.ndarray
+    """Dihedral angles of the design's tets [deg]."""
     contacts: list[DetectedContact]
     circles: list[ContactCircle]
     surfaces: list[PressSurface]
@@ -111,9 +113,6 @@ def _cause(results: DemoResults) -> str:
 
 
 def _color(results: DemoResults) -> ColorSection:
-    from taccel_lab.calibration.color.heldout import mean_bare
-    from taccel_lab.calibration.color.report import PLACED_BY
-
     calibration = results.calibration
     way = calibration.placement
     frames = tuple(
@@ -153,8 +152,6 @@ def _color(results: DemoResults) -> ColorSection:
 
 def _discs(results: DemoResults) -> tuple[NormalDisc, ...]:
     """Colour change over the hemisphere of normals at the middle and near the corners."""
-    from taccel_lab.calibration.report.color_discs import color_discs
-
     training = set(results.calibration.train_names)
     surfaces = [
         surface
@@ -240,8 +237,6 @@ def _press(results: DemoResults) -> PressSection:
 
 
 def _mesh(results: DemoResults) -> MeshSection:
-    from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
-
     mesh, quality = results.design.mesh, results.design.quality
     return MeshSection(
         node_count=mesh.node_count,
@@ -250,7 +245,7 @@ def _mesh(results: DemoResults) -> MeshSection:
         nodes_m=mesh.nodes_m,
         faces=mesh.faces,
         face_regions=mesh.face_regions,
-        dihedral_deg=dihedral_angles_deg(mesh.nodes_m, mesh.tets),
+        dihedral_deg=results.dihedral_deg,
         facts={
             "mesher": results.design.mesher,
             "volume error [%]": round(quality.volume_error_percent or 0.0, 3),

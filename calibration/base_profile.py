@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The profile that a calibration starts from, and its pixel grid against that of the captures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.surfaces.design import fitted_design
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
+from taccel_lab.sensors.profile import catalogue_profile
+
+MEASURED = ("calibrated", "measured")
+"""Kinds of blocks that say something about the unit at hand."""
+
+
+def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder) -> SensorProfile:
+    """The profile to extend: given, in a profile folder, or the catalogue's design of the sensor.
+
+    A design takes the image size and scale of the captures where these state a scale.
+
+    Raises:
+        InputError: The profile is of another family than the captures.
+    """
+    if base is None:
+        if folder.mm_per_px is not None and folder.background is not None:
+            grid = folder.grid()
+            return on_grid(fitted_design(folder.sensor, grid).profile, grid, folder.provenance)
+        return catalogue_profile(folder.sensor)
+    profile = base if isinstance(base, SensorProfile) else load_profile(base)
+    if profile.sensor.family != folder.sensor:
+        name = "to extend" if isinstance(base, SensorProfile) else base
+        raise InputError(
+            f"the captures are of a {folder.sensor}, the profile {name} is of a "
+            f"{profile.sensor.family}"
+        )
+    return profile
+
+
+def presses_on_camera(
+    folder: CaptureFolder, base: SensorProfile
+) -> tuple[CaptureSet, SensorProfile]:
+    """Ball presses and profile on one pixel grid.
+
+    The grid is the profile's where its camera was measured on this unit and shows images of this
+    size; else the one that the captures state.
+    """
+    if base.camera.provenance.kind in MEASURED:
+        grid = base.camera.grid()
+        captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
+        if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
+            return replace(captures, grid=grid), base
+    captures = folder.ball_presses()
+    return captures, on_grid(base, captures.grid, captures.provenance)
+
+
+def on_grid(
+    profile: SensorProfile, grid: PixelGrid, provenance: Mapping[str, str]
+) -> SensorProfile:
+    """The profile with the captures' image size and scale; as it is where it has them."""
+    if profile.camera.grid() == grid:
+        return profile
+    return profile.without("background", "color", "normals").with_block(
+        CameraBlock.from_grid(
+            grid,
+            Provenance(
+                kind="published",
+                method="image size and scale of the captures; the image centre lies over the apex",
+                source=provenance.get("source", "captures.toml"),
+            ),
+        )
+    )
+
+
+def lost_blocks(before: SensorProfile, after: SensorProfile) -> list[Remark]:
+    """Says which blocks of the profile do not fit the captures' image size and scale."""
+    lost = [key for key in before.blocks() if key not in after.blocks()]
+    if not lost:
+        return []
+    old, new = before.grid(), after.grid()
+    return [
+        Remark(
+            Severity.WARNING,
+            "blocks_dropped",
+            f"the base profile's {', '.join(lost)} went: they are of {old.width_px}x{old.height_px}"
+            f" px at {old.mm_per_px_x:.4g} x {old.mm_per_px_y:.4g} mm/px, these captures of "
+            f"{new.width_px}x{new.height_px} px at {new.mm_per_px_x:.4g} x {new.mm_per_px_y:.4g}. "
+            "State the same scale, or calibrate these blocks again",
+        )
+    ]
