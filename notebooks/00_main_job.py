@@ -126,7 +126,7 @@ result = fit_color(
     circles,
     surfaces,
     HeldoutSet.of(captures, split, simulated),
-    options=ColorFitOptions(steps=800),
+    options=ColorFitOptions(steps=800, batch_pixels=4096),
 )
 figures = result.figures()
 for key in ("crop_psnr_db", "crop_ssim", "disc_l1"):

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.color.fit import fit_color
@@ -113,6 +114,11 @@ def calibrated(
         HeldoutSet.of(captures, split, true_surfaces),
         **more,
     )
+
+
+def without_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits go without the check of the captures, whose findings other tests look at."""
+    monkeypatch.setattr("taccel_lab.calibration.ball_presses.capture_findings", lambda *_: [])
 
 
 def tiny_profile(grid: PixelGrid) -> SensorProfile:
