@@ -7,11 +7,34 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from taccel_lab.calibration import block_adapters as adapters
+from taccel_lab.calibration.background.fit import calibrate_background
+from taccel_lab.calibration.background.report import background_page
+from taccel_lab.calibration.camera.fit import CameraOptions, calibrate_camera
+from taccel_lab.calibration.camera.report import camera_page
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.color.fit import calibrate_color
+from taccel_lab.calibration.color.options import ColorOptions
+from taccel_lab.calibration.color.report import color_page
+from taccel_lab.calibration.depth.fit import calibrate_depth
+from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.calibration.depth.report import depth_page
+from taccel_lab.calibration.markers.fit import calibrate_markers
+from taccel_lab.calibration.markers.report import marker_page
+from taccel_lab.calibration.material.fit import calibrate_material
+from taccel_lab.calibration.material.options import MaterialOptions
+from taccel_lab.calibration.material.report import material_page
+from taccel_lab.calibration.normals.fit import calibrate_normals
+from taccel_lab.calibration.normals.options import NormalOptions
+from taccel_lab.calibration.normals.report import normals_page
 from taccel_lab.calibration.report.page import Page
 from taccel_lab.calibration.result import CalibrationResult
+from taccel_lab.calibration.scale.fit import calibrate_scale
+from taccel_lab.calibration.scale.report import scale_page
 from taccel_lab.calibration.spread.fit import SpreadOptions, calibrate_spread
 from taccel_lab.calibration.spread.report import spread_page
+from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
 
 
 @dataclass(frozen=True)
@@ -20,27 +43,52 @@ class CalibrationBlock:
 
     name: str
     """As in ``taccel-lab calibrate NAME``."""
-    fit: Callable[..., CalibrationResult]
-    """(folder, base, options, progress) -> result; InputError for captures it cannot use."""
-    page: Callable[[Any], Page]
-    """The result as a page."""
-    options: Callable[[], Any]
-    """Makes the options that the fit takes where none are given."""
+    verb: Callable[..., CalibrationResult]
+    """(folder, base, options, progress) -> result; no options for a block that has none."""
+    describe: Callable[..., Page]
+    """(result) -> page, or (result, folder) where the page reads images of the folder."""
+    options: type | None = None
+    """Of the fit; None where there is nothing to choose."""
+    reads_folder: bool = False
+    """Whether the page takes the folder."""
 
+    def fit(
+        self,
+        folder: CaptureFolder,
+        base: SensorProfile,
+        options: Any = None,
+        progress: Progress = silent,
+    ) -> CalibrationResult:
+        """The block's calibration, with its defaults where no options are given.
 
-def _none() -> None:
-    """Options of a block that is fitted through an adapter."""
+        Raises:
+            InputError: Captures that it cannot use, or options for a block that has none.
+        """
+        if self.options is None:
+            if options is not None:
+                raise InputError(f"the calibration of {self.name} has no options")
+            return self.verb(folder, base, progress)
+        if options is not None and not isinstance(options, self.options):
+            raise InputError(
+                f"the calibration of {self.name} takes {self.options.__name__}, "
+                f"got {type(options).__name__}"
+            )
+        return self.verb(folder, base, self.options() if options is None else options, progress)
+
+    def page(self, result: CalibrationResult, folder: CaptureFolder) -> Page:
+        """The result as a page; pictures are drawn when it is written."""
+        return self.describe(result, folder) if self.reads_folder else self.describe(result)
 
 
 BLOCKS = (
-    CalibrationBlock("camera", adapters.fit_camera, adapters.shown_page, _none),
-    CalibrationBlock("scale", adapters.fit_scale, adapters.shown_page, _none),
-    CalibrationBlock("background", adapters.fit_background, adapters.shown_page, _none),
-    CalibrationBlock("color", adapters.fit_color, adapters.shown_page, _none),
-    CalibrationBlock("normals", adapters.fit_normals, adapters.shown_page, _none),
-    CalibrationBlock("depth", adapters.fit_depth, adapters.shown_page, _none),
-    CalibrationBlock("markers", adapters.fit_markers, adapters.shown_page, _none),
-    CalibrationBlock("material", adapters.fit_material, adapters.shown_page, _none),
+    CalibrationBlock("camera", calibrate_camera, camera_page, CameraOptions, reads_folder=True),
+    CalibrationBlock("scale", calibrate_scale, scale_page, reads_folder=True),
+    CalibrationBlock("background", calibrate_background, background_page),
+    CalibrationBlock("color", calibrate_color, color_page, ColorOptions),
+    CalibrationBlock("normals", calibrate_normals, normals_page, NormalOptions),
+    CalibrationBlock("depth", calibrate_depth, depth_page, DepthOptions),
+    CalibrationBlock("markers", calibrate_markers, marker_page),
+    CalibrationBlock("material", calibrate_material, material_page, MaterialOptions),
     CalibrationBlock("spread", calibrate_spread, spread_page, SpreadOptions),
 )
 """What each needs of a capture folder, ``calibration/check/content.py`` says."""

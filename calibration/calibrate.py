@@ -216,11 +216,10 @@ def _fit(
     def told(task: str, done: int, total: int) -> None:
         progress(f"{block.name}: {task}", done, total)
 
-    chosen = options.get(block.name)
     started = time.perf_counter()
     try:
-        result = block.fit(folder, base, block.options() if chosen is None else chosen, told)
-        profile, page = result.apply_to(base), block.page(result)
+        result = block.fit(folder, base, options.get(block.name), told)
+        profile, page = result.apply_to(base), block.page(result, folder)
     except InputError as error:
         seconds = time.perf_counter() - started
         return BlockOutcome(block.name, State.REFUSED, str(error), seconds), None, base

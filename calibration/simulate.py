@@ -9,15 +9,19 @@ which no closed form gives for a layer of finite thickness, comes out of the sim
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
 from multiprocessing import get_context
+from typing import Literal
 
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.captures import check_radius
+from taccel_lab.calibration.surfaces.analytic import analytic_surface
 from taccel_lab.calibration.surfaces.depth_search import EQUATOR_SHARE
 from taccel_lab.calibration.surfaces.outcome_cache import keep_outcome, kept_outcome
 from taccel_lab.calibration.surfaces.press_batch import (
@@ -37,6 +41,7 @@ from taccel_lab.calibration.surfaces.shared_law import (
 from taccel_lab.envs.physics import SURFACE_PHYSICS, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.rest_surface import rest_surface
 
@@ -44,6 +49,52 @@ BATCH = 6
 """Presses simulated together in one process."""
 SPANNING_BATCH = 3
 """The same for those that span others: two processes then share the work."""
+TASK = "simulating the presses"
+
+SurfaceMaker = Callable[[CaptureSet, Sequence[ContactCircle]], list[PressSurface]]
+"""Surfaces of presses in circles, in order; InputError for a circle that the ball cannot leave,
+SimulationError for one that does not converge."""
+
+
+@dataclass(frozen=True)
+class PressSurfaces:
+    """Makes the surfaces of presses in circles; one law of simulated presses serves later ones."""
+
+    kind: Literal["simulated", "each", "cap", "hertz"]
+    """The simulation of the presses that span all others, from which the others are read where one
+    law holds; the simulation of each; or a closed form (``surfaces.analytic``)."""
+    profile: SensorProfile
+    """The designed sensor, on the grid of the captures."""
+    cache: bool = True
+    """Keep simulated presses in the user's cache folder, and take what is there."""
+    decay_mm: float = math.inf
+    """Length over which the skirt of ``hertz`` is damped [mm]."""
+    progress: Progress = silent
+    laws: dict[float, SharedLaw] = field(default_factory=dict)
+
+    def __call__(
+        self, captures: CaptureSet, circles: Sequence[ContactCircle]
+    ) -> list[PressSurface]:
+        if self.kind in ("simulated", "each"):
+            return simulate_presses(
+                captures,
+                circles,
+                self.profile,
+                cache=self.cache,
+                share=self.kind == "simulated",
+                laws=self.laws,
+                progress=self.progress,
+            )
+        return [
+            analytic_surface(
+                circle,
+                captures.grid,
+                press.radius_mm or captures.ball_radius_mm,
+                skirt="cap" if self.kind == "cap" else "hertz",
+                decay_mm=self.decay_mm,
+            )
+            for press, circle in zip(captures.presses, circles, strict=True)
+        ]
 
 
 def simulate_presses(
@@ -57,7 +108,7 @@ def simulate_presses(
     cache: bool = False,
     share: bool = False,
     laws: dict[float, SharedLaw] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> list[PressSurface]:
     """Simulate the presses of ``captures`` and return their surfaces in order.
 
@@ -72,10 +123,10 @@ def simulate_presses(
         processes: Worker processes; the number of cores, at most 8, when None.
         cache: Keep the outcomes in the user's cache folder, and take what is there.
         share: Simulate the presses of a ball that span the others only, and read the others off
-            them, where one law explains those that were simulated (``surfaces.shared_law``).
+            them, where one law explains those that were simulated (``surfaces.between``).
         laws: With ``share``, the laws of earlier presses of this sensor by the radius of the ball
             [mm]: they serve these presses too, and new ones are added.
-        progress: Told how many presses are done, and of how many.
+        progress: Told how many presses are done.
 
     Raises:
         InputError: A circle that the ball cannot make.
@@ -87,36 +138,33 @@ def simulate_presses(
         ball_mm = press.radius_mm or captures.ball_radius_mm
         check_radius(circle, captures.grid, ball_mm, f"{captures.source}: {press.name}")
     _require_view_on_pad(captures, profile)
-    job = _Job(
+    known = _KnownSurfaces(
         captures, circles, profile, physics, friction_coefficient, processes, cache, progress
     )
     if share:
         laws = {} if laws is None else laws
         for ball_mm, chosen in _of_ball(captures).items():
-            job.share(ball_mm, chosen, laws)
-    job.simulate(range(len(circles)))
-    return [surface for surface in job.surfaces if surface is not None]
+            known.share(ball_mm, chosen, laws)
+    known.simulate(range(len(circles)))
+    return [surface for surface in known.surfaces if surface is not None]
 
 
-class _Job:
+@dataclass
+class _KnownSurfaces:
     """Surfaces of the presses, as far as they are known."""
 
-    def __init__(
-        self,
-        captures: CaptureSet,
-        circles: Sequence[ContactCircle],
-        profile: SensorProfile,
-        physics: PressPhysics,
-        friction_coefficient: float,
-        processes: int | None,
-        cache: bool,
-        progress: Callable[[int, int], None] | None,
-    ) -> None:
-        self.captures, self.circles, self.profile = captures, circles, profile
-        self.physics, self.friction_coefficient = physics, friction_coefficient
-        self.rest = rest_surface(profile.mesh, captures.grid)
-        self.processes, self.cache, self.progress = processes, cache, progress
-        self.surfaces: list[PressSurface | None] = [None] * len(circles)
+    captures: CaptureSet
+    circles: Sequence[ContactCircle]
+    profile: SensorProfile
+    physics: PressPhysics
+    friction_coefficient: float
+    processes: int | None
+    cache: bool
+    progress: Progress
+
+    def __post_init__(self) -> None:
+        self.rest = rest_surface(self.profile.mesh, self.captures.grid)
+        self.surfaces: list[PressSurface | None] = [None] * len(self.circles)
 
     def share(self, ball_mm: float, presses: Sequence[int], laws: dict[float, SharedLaw]) -> None:
         """Read presses of one ball off the law where it holds; without one, simulate those that
@@ -179,8 +227,7 @@ class _Job:
         self._tell()
 
     def _tell(self) -> None:
-        if self.progress is not None:
-            self.progress(sum(s is not None for s in self.surfaces), len(self.surfaces))
+        self.progress(TASK, sum(s is not None for s in self.surfaces), len(self.surfaces))
 
 
 def _of_ball(captures: CaptureSet) -> dict[float, list[int]]:

@@ -45,27 +45,6 @@ def _beats(console: Console, title: str) -> Iterator[dict[str, str]]:
 
 
 @contextmanager
-def fit_progress(console: Console, title: str) -> Iterator[Callable[[int, int, float], None]]:
-    """Yield a callback (steps done, steps in all, loss) that draws a bar with the loss beside."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total} loss {task.fields[loss]:.2f}"),
-        TimeElapsedColumn(),
-    )
-    with _beats(console, title) as said, Progress(*columns, console=console) as bar:
-        task = bar.add_task(title, total=None, loss=float("nan"))
-
-        def update(done: int, total: int, loss: float) -> None:
-            said[title] = f"{done}/{total} loss {loss:.2f}"
-            bar.update(task, completed=done, total=total, loss=loss)
-
-        yield update
-
-
-@contextmanager
 def count_progress(console: Console, title: str) -> Iterator[Callable[[int, int], None]]:
     """Yield a callback (done, in all) that draws a bar."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn

@@ -114,20 +114,21 @@ axes[1].legend()
 # beside the figures, because whole-image figures flatter.
 
 # %%
-from taccel_lab.calibration.color.fit import HeldoutSet, calibrate_color
-from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.color.fit import fit_color
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
+from taccel_lab.calibration.color.heldout import HeldoutSet
 
 
 def simulated(presses, places):
     return simulate_presses(presses, places, base, processes=2)
 
 
-result = calibrate_color(
+result = fit_color(
     training,
     circles,
     surfaces,
     HeldoutSet.of(captures, split, simulated),
-    options=ColorFitOptions(steps=800),
+    options=ColorFitOptions(steps=800, batch_pixels=4096),
 )
 figures = result.figures()
 for key in ("crop_psnr_db", "crop_ssim", "disc_l1"):

@@ -23,6 +23,7 @@ from taccel_lab.calibration.light.untouched import (
 )
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 
 CLIPPED_SHARE = 0.01
@@ -33,14 +34,15 @@ MIN_SEEN_FRAMES = 3
 
 
 def calibrate_background(
-    folder: CaptureFolder, progress: Progress = silent
+    folder: CaptureFolder, base: SensorProfile, progress: Progress = silent
 ) -> BackgroundCalibration:
     """The untouched sensor from all the frames of ``folder``, in the light of its background.
 
     The background image, the other untouched images and the untouched parts of the presses are
     brought to one light and averaged; without any untouched image the background is the median of
-    the presses. Each frame is then compared with the mean of the others. Raises InputError when
-    there is nothing to make a background of.
+    the presses. Each frame is then compared with the mean of the others. ``base`` is what the
+    result extends; nothing of it is used. Raises InputError when there is nothing to make a
+    background of.
     """
     sources = _sources(folder)
     mask = folder.mask
@@ -84,6 +86,7 @@ def calibrate_background(
         noise=running.noise(),
         dust=dust,
         new_dust=new_dust,
+        mask=mask,
         remarks=(
             *_remarks(sources, frames, drifts, reference, new_dust, from_presses),
             *_against_presses(folder),

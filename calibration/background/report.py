@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from taccel_lab.calibration.background.dust import speck_count
@@ -57,7 +59,14 @@ def background_page(result: BackgroundCalibration) -> Page:
             Picture("drift", lambda: _draw_drift(result), _DRIFT_CAPTION),
         ),
         figures=figures,
+        files={"dust.png": lambda path: _write_mask(path, result.clean)},
     )
+
+
+def _write_mask(path: Path, mask: np.ndarray) -> None:
+    """As an image that serves as the captures' mask: 255 where the gel is clean."""
+    if not cv2.imwrite(str(path), mask.astype(np.uint8) * 255):
+        raise OSError(f"{path} could not be written")
 
 
 _IMAGES_CAPTION = (

@@ -48,11 +48,19 @@ class BackgroundCalibration:
     """Specks of the background, bool, shape [height_px, width_px]."""
     new_dust: np.ndarray
     """Specks that the presses show and the background image does not, likewise."""
+    mask: np.ndarray | None
+    """Pixels that the captures say show gel, likewise; None for all."""
     remarks: tuple[Remark, ...]
     inputs: dict[str, str]
     source: str
     mm_per_px: tuple[float, float] | None
     method: str
+
+    @property
+    def clean(self) -> np.ndarray:
+        """Pixels of the captures' mask without specks, bool, shape [height_px, width_px]."""
+        clean = ~(self.dust | self.new_dust)
+        return clean if self.mask is None else clean & self.mask
 
     @property
     def noise_levels(self) -> float | None:

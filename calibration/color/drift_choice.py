@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from taccel_lab.calibration.color.fit_options import SHORT_FIT
 from taccel_lab.calibration.color.folds import fold_fits
 from taccel_lab.calibration.color.frames import ColorFrame, frame_drift
 from taccel_lab.calibration.color.network_fit import disc_l1
-from taccel_lab.calibration.color.options import SHORT_FIT
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

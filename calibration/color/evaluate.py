@@ -12,8 +12,8 @@ mean over channels and over the pixels whose window lies inside the image; compu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -133,9 +133,3 @@ def mean_score(scores: Sequence[ImageScore]) -> dict[str, float]:
         key: float(np.mean([getattr(score, key) for score in scores]))
         for key in ImageScore.__dataclass_fields__
     }
-
-
-def score_table(scores: Mapping[str, ImageScore]) -> list[dict[str, float | str]]:
-    """One row per image, the worst crop PSNR first."""
-    order = sorted(scores, key=lambda name: scores[name].crop_psnr_db)
-    return [{"name": name, **asdict(scores[name])} for name in order]

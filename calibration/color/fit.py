@@ -8,15 +8,18 @@ held-out presses are read, placed and scored (``taccel_lab.calibration.color.hel
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
 
+from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.color.drift_choice import DriftChoice, choose_drift
 from taccel_lab.calibration.color.evaluate import ImageScore, noise_floor_l1, score_image
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.folds import FoldResult, fold_fits
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.heldout import (
@@ -27,52 +30,91 @@ from taccel_lab.calibration.color.heldout import (
     without_light,
 )
 from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
-from taccel_lab.calibration.color.options import ColorFitOptions, Progress
+from taccel_lab.calibration.color.options import ColorOptions, ColorTraining
 from taccel_lab.calibration.color.registration import MIN_PRESSES, Registration, register_presses
+from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore, Spread
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.fit import fit_light_beside
 from taccel_lab.calibration.result import Remark
+from taccel_lab.calibration.simulate import PressSurfaces
 from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
+from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
 
-__all__ = ["ColorCalibration", "ColorPlan", "HeldoutSet", "calibrate_color"]
-
-Stage = Callable[[str], None]
-"""Told what is being done."""
 SPREAD_PIXELS = 2000
 """Pixels of each press at which the fits' disagreement is taken."""
-
-
-@dataclass(frozen=True)
-class ColorPlan:
-    """What is done besides the fit itself; the defaults fit, and score what is held out."""
-
-    drift: Literal["auto", "on", "off"] | None = None
-    """Whether drift is taken off; ``auto`` compares; None leaves it to the fit's options."""
-    register: bool = False
-    """Read the training circles again with the colours of the other training presses."""
-    folds: int = 0
-    """Fits that leave training presses out: their spread; 0 for none."""
-    table: bool = False
-    """Fit Taxim's table too, as a baseline and for export."""
+COMPARING = "comparing fits with and without drift"
+REGISTERING = "reading the circles again with the colours"
+SCORING = "scoring the held-out presses"
+ASKED_ELSEWHERE = frozenset({"sensor_unknown"})
+"""Findings of the check that the calibration says in its own words."""
 
 
 def calibrate_color(
+    folder: CaptureFolder,
+    base: SensorProfile,
+    options: ColorOptions = ColorOptions(),
+    progress: Progress = silent,
+    *,
+    assumed: Sequence[Remark] = (),
+) -> ColorCalibration:
+    """Fit the colour model to the ball presses of ``folder``.
+
+    Args:
+        folder: Its background and presses are used.
+        base: Profile that the result extends: its gel is what presses are simulated on.
+        options: Which presses are fitted, and how.
+        progress: Told what is done.
+        assumed: What was assumed of ``base``, for the record.
+
+    Raises:
+        InputError: Captures that no model can be fitted to, with what their check found.
+        SimulationError: A simulated press that did not converge.
+    """
+    if options.ensemble == 1 or options.ensemble < 0:
+        raise InputError(f"ensemble must be 0 or at least 2, got {options.ensemble}")
+    settings = ColorFitOptions(
+        **{item.name: getattr(options, item.name) for item in fields(ColorTraining)}
+    )
+    presses = ball_presses(folder, base, "color", options, progress, cache=options.cache)
+    findings = [item for item in presses.findings if item.code not in ASKED_ELSEWHERE]
+    surfaces = PressSurfaces(
+        options.surface, presses.profile, cache=options.cache, progress=progress
+    )
+    return fit_color(
+        presses.training,
+        presses.circles,
+        surfaces(presses.training, presses.circles),
+        HeldoutSet.of(presses.captures, presses.split, surfaces),
+        options=settings,
+        drift=options.drift,
+        register=options.register,
+        folds=min(options.ensemble, len(presses.training.presses)),
+        table=options.table,
+        remarks=(*presses.lost, *findings, *assumed, *presses.remarks),
+        progress=progress,
+    )
+
+
+def fit_color(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],
     surfaces: Sequence[PressSurface],
     heldout: HeldoutSet | None = None,
     *,
-    options: ColorFitOptions | None = None,
-    plan: ColorPlan | None = None,
+    options: ColorFitOptions = ColorFitOptions(),
+    drift: Literal["auto", "on", "off"] | None = None,
+    register: bool = False,
+    folds: int = 0,
+    table: bool = False,
     remarks: Sequence[Remark] = (),
-    progress: Progress | None = None,
-    stage: Stage | None = None,
+    progress: Progress = silent,
 ) -> ColorCalibration:
     """Fit the colour model to ``captures`` and score it on ``heldout``.
 
@@ -82,10 +124,12 @@ def calibrate_color(
         surfaces: Their surfaces, in order.
         heldout: Presses that are read when the model is frozen; None leaves figures out.
         options: Settings of the fit.
-        plan: What is done besides it.
+        drift: Whether drift is taken off; ``auto`` compares; None leaves it to ``options``.
+        register: Read the training circles again with the colours of the other training presses.
+        folds: Fits that leave training presses out: their spread; 0 for none.
+        table: Fit Taxim's table too, as a baseline and for export.
         remarks: What is known of the captures already.
-        progress: Told of the fits' steps.
-        stage: Told what is being done.
+        progress: Told what is done.
 
     Raises:
         InputError: Numbers that do not match, a press on both sides, or captures no fit can take.
@@ -103,101 +147,96 @@ def calibrate_color(
         ColorFrame(press.name, press.image(), circle, surface, press.sha256)
         for press, circle, surface in zip(captures.presses, circles, surfaces, strict=True)
     ]
-    job = _Job(
-        captures, frames, plan or ColorPlan(), options or ColorFitOptions(),
-        stage or (lambda _: None),
-    )  # fmt: skip
-    return job.run(surfaces, heldout, tuple(remarks), progress)
+    found = _Fitting(captures, frames, options, progress, drift, register, folds, table)
+    result = found.run(surfaces, heldout)
+    return replace(result, remarks=(*remarks, *color_remarks(result)))
 
 
 @dataclass
-class _Job:
+class _Fitting:
+    """One fit on its way: what was chosen of light and circles so far."""
+
     captures: CaptureSet
     frames: list[ColorFrame]
-    plan: ColorPlan
     options: ColorFitOptions
-    tell: Stage
-    drift: DriftChoice | None = None
+    progress: Progress
+    drift: Literal["auto", "on", "off"] | None
+    register: bool
+    folds: int
+    table: bool
+    drift_choice: DriftChoice | None = None
     registration: Registration | None = None
 
     def run(
         self,
         surfaces: Sequence[PressSurface],
         heldout: HeldoutSet | None,
-        remarks: tuple[Remark, ...],
-        progress: Progress | None,
     ) -> ColorCalibration:
         captures, grid, mask = self.captures, self.captures.grid, self.captures.mask
         self._choose_drift()
         dark = {} if heldout is None else without_light(heldout.captures, self.options.remove_drift)
         for name, reason in dark.items():
-            self.tell(f"{name} will count as a failure: {reason}")
+            self.progress(f"{name} will count as a failure: {reason}", 1, 1)
         start = [frame.circle for frame in self.frames]
         library = RadialSurfaces.of([f.surface for f in self.frames], start, grid)
-        if self.plan.register and len(self.frames) >= MIN_PRESSES:
+        if self.register and len(self.frames) >= MIN_PRESSES:
             self._register(library)
-        self.tell("fitting the colour model")
         fit = fit_color_model(
-            self.frames, captures.background, grid, self.options, mask=mask, progress=progress
+            self.frames, captures.background, grid, self.options, mask=mask, progress=self.progress
         )
         found: FoldResult | None = None
-        if self.plan.folds > 1:
-            self.tell("fitting without some of the presses")
+        if self.folds > 1:
             found = fold_fits(
-                self.frames, captures.background, grid, self.options, folds=self.plan.folds,
-                mask=mask, progress=progress,
+                self.frames, captures.background, grid, self.options, folds=self.folds,
+                mask=mask, progress=self.progress,
             )  # fmt: skip
         table = None
-        if self.plan.table:
+        if self.table:
             table = fit_taxim_table(self.frames, fit.background, fit.drifts, grid, mask=mask)
         shift = LabelPlacement.of(captures.presses, [frame.circle for frame in self.frames])
         held: list[HeldoutPress] = []
         failures: list[HeldoutFailure] = []
         if heldout is not None:
-            self.tell("scoring the held-out presses")
+            self.progress(SCORING, 0, 1)
             held, failures = score_heldout(heldout, fit, shift, library)
+            self.progress(SCORING, 1, 1)
         return ColorCalibration(
             fit=fit,
             heldout=held,
             failures=failures,
             split=None if heldout is None else heldout.split,
             label_shift=shift,
-            train_names=[frame.name for frame in self.frames],
             noise_floor_l1=self._noise_floor(),
             validated=[] if found is None else self._validated(found),
-            source=captures.source,
-            provenance=captures.provenance,
-            background_sha256=captures.background_sha256,
+            captures=captures,
             surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
             valid_region=_valid_region(self.frames),
             circles=tuple(frame.circle for frame in self.frames),
             start_circles=tuple(start),
-            grid=grid,
-            drift_choice=self.drift,
+            drift_choice=self.drift_choice,
             registration=self.registration,
             spread=None if found is None else self._spread(found),
             table=table,
             table_scores=[] if table is None else self._table_scores(table, fit, held),
-            capture_remarks=remarks,
         )
 
     def _choose_drift(self) -> None:
-        wanted = self.plan.drift
-        if wanted is None:
+        if self.drift is None:
             return
-        if wanted == "auto":
-            self.tell("comparing fits with and without drift")
+        if self.drift == "auto":
+            self.progress(COMPARING, 0, 1)
             captures = self.captures
-            self.drift = choose_drift(
+            choice = choose_drift(
                 self.frames, captures.background, captures.grid, mask=captures.mask,
                 seed=self.options.seed,
             )  # fmt: skip
+            self.progress(COMPARING, 1, 1)
         else:
-            self.drift = DriftChoice(wanted == "on", reason="as asked")
-        self.options = replace(self.options, remove_drift=self.drift.remove)
+            choice = DriftChoice(self.drift == "on", reason="as asked")
+        self.drift_choice = choice
+        self.options = replace(self.options, remove_drift=choice.remove)
 
     def _register(self, library: RadialSurfaces) -> None:
-        self.tell("reading the circles again with the colours")
         captures, frames = self.captures, self.frames
         self.registration = register_presses(
             frames,
@@ -206,6 +245,7 @@ class _Job:
             mask=captures.mask,
             remove_drift=self.options.remove_drift,
             seed=self.options.seed,
+            progress=lambda done, total: self.progress(REGISTERING, done, total),
         )
         circles = self.registration.circles
         surfaces = moved_surfaces(

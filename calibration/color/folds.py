@@ -4,15 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.color.frames import ColorFrame, frame_drift
-from taccel_lab.calibration.color.network_fit import ColorFit, disc_l1, fit_color_model
-from taccel_lab.calibration.color.options import ColorFitOptions, Progress
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
+from taccel_lab.calibration.color.frames import ColorFrame
+from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.progress import Progress, silent
+
+TASK = "fitting without some of the presses"
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ def fold_fits(
     *,
     folds: int,
     mask: np.ndarray | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> FoldResult:
     """``folds`` fits; fit k leaves out every press whose index modulo ``folds`` is k."""
     if not 2 <= folds <= len(frames):
@@ -66,34 +69,9 @@ def fold_fits(
     for k in range(folds):
         kept = [frame for i, frame in enumerate(frames) if i % folds != k]
 
-        def tell(step: int, steps: int, loss: float, k: int = k) -> None:
-            if progress is not None:
-                progress(k * steps + step, folds * steps, loss)
+        def tell(_: str, step: int, steps: int, k: int = k) -> None:
+            progress(TASK, k * steps + step, folds * steps)
 
         fits.append(fit_color_model(kept, background, grid, options, mask=mask, progress=tell))
         left_out.append(list(range(k, len(frames), folds)))
     return FoldResult(fits, left_out)
-
-
-def cross_validate(
-    frames: Sequence[ColorFrame],
-    background: np.ndarray,
-    grid: PixelGrid,
-    options: ColorFitOptions | None = None,
-    *,
-    folds: int = 3,
-    mask: np.ndarray | None = None,
-) -> dict[str, float]:
-    """L1 in the contact disc [levels] of each press, by a model that was fitted without it.
-
-    ``folds`` shorter fits, of a third of the steps.
-    """
-    options = options or ColorFitOptions()
-    options = replace(options, steps=max(1, options.steps // 3))
-    result = fold_fits(frames, background, grid, options, folds=folds, mask=mask)
-    scores = {}
-    for i, frame in enumerate(frames):
-        fit = result.fit_without(i)
-        drift = frame_drift(frame, background, grid, mask, options)
-        scores[frame.name] = disc_l1(fit.model, frame, fit.background, drift, grid, mask)
-    return scores

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.light.fit import fit_light_beside
 from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.pixel_draw import draw_regions
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
-from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModelConfig, pixel_uv
 
@@ -109,14 +109,12 @@ def draw_pixels(
     """Indices of the pixels that the options ask for, counted along rows."""
     distance = frame.circle.distance_px(grid) / frame.circle.radius_px
     usable = np.ones_like(distance, dtype=bool) if mask is None else mask
-    picked = []
-    for low, high, count in (
-        (0.0, 1.3, options.disc_pixels),
-        (1.3, 2.5, options.ring_pixels),
-        (2.5, np.inf, options.far_pixels),
-    ):
-        region = np.flatnonzero(usable & (distance >= low) & (distance < high))
-        picked.append(rng.permutation(region)[:count])
-    if len(picked[0]) == 0:
-        raise InputError(f"{frame.name}: every pixel of the contact is masked")
-    return np.concatenate(picked)
+    regions = [
+        (usable & (distance >= low) & (distance < high), count)
+        for low, high, count in (
+            (0.0, 1.3, options.disc_pixels),
+            (1.3, 2.5, options.ring_pixels),
+            (2.5, np.inf, options.far_pixels),
+        )
+    ]
+    return np.concatenate(draw_regions(frame.name, regions, rng))

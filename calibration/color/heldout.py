@@ -17,7 +17,7 @@ A press that cannot be placed or simulated, or that is gone, counts as the bare 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -25,15 +25,16 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.color.evaluate import ImageScore, mean_score, score_image
+from taccel_lab.calibration.color.evaluate import FAR_RADII, ImageScore, mean_score, score_image
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.registration import place_press
 from taccel_lab.calibration.color.tiles import even_tiles, filled_from
 from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.fit import FAR_RADII, MIN_FAR_PIXELS, fit_light_beside
+from taccel_lab.calibration.light.fit import MIN_FAR_PIXELS, fit_light_beside
 from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.simulate import SurfaceMaker
 from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
@@ -42,9 +43,6 @@ from taccel_lab.geometry import PixelGrid
 
 Placement = Literal["label", "tiles", "self"]
 PLACEMENTS: tuple[Placement, ...] = ("label", "tiles", "self")
-SurfaceMaker = Callable[[CaptureSet, Sequence[ContactCircle]], list[PressSurface]]
-"""Surfaces of presses in circles, in order; InputError for a circle that the ball cannot leave,
-SimulationError for one that does not converge."""
 
 
 @dataclass(frozen=True)
@@ -141,8 +139,7 @@ def score_heldout(
 
     ``shift`` and ``library`` come from the training presses.
     """
-    job = _Job(held, fit, shift, library)
-    return job.run()
+    return _HeldoutScoring(held, fit, shift, library).run()
 
 
 def mean_heldout(
@@ -168,7 +165,7 @@ def _bare(presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]) -
     return [item.background_only or worst for item in failures]
 
 
-class _Job:
+class _HeldoutScoring:
     def __init__(
         self, held: HeldoutSet, fit: ColorFit, shift: LabelPlacement, library: RadialSurfaces
     ) -> None:

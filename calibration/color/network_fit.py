@@ -10,18 +10,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from taccel_lab.calibration.color.evaluate import crop_slices
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import (
     ColorFrame,
     draw_samples,
     frame_drift,
     samples_at,
 )
-from taccel_lab.calibration.color.options import ColorFitOptions, Progress
 from taccel_lab.calibration.color.training import SSIM_WINDOW_PX, Crop, train
 from taccel_lab.calibration.light.average import average_background
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.color_model import ColorModel
 
 CROP_PX = 64
@@ -54,17 +55,16 @@ def fit_color_model(
     frames: Sequence[ColorFrame],
     background: np.ndarray,
     grid: PixelGrid,
-    options: ColorFitOptions | None = None,
+    options: ColorFitOptions = ColorFitOptions(),
     *,
     mask: np.ndarray | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> ColorFit:
     """Fit the colour model to ``frames``.
 
     ``background`` is the untouched sensor, RGB levels, shape [height_px, width_px, 3]; pixels
     where ``mask`` is false are never used. Deterministic for a seed on one thread.
     """
-    options = options or ColorFitOptions()
     started = time.perf_counter()
     if not frames:
         raise InputError("the colour fit needs at least one press")

@@ -1,84 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the colour fit."""
+"""What can be chosen of a colour calibration."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from taccel_lab.errors import InputError
-from taccel_lab.signals.color_model import INPUT_NAMES
-from taccel_lab.signals.position_encoding import require_bands
-
-Progress = Callable[[int, int, float], None]
-"""Called with (steps done, steps in all, loss)."""
-Loss = Literal["huber", "l1", "ssim"]
-"""``huber``: nearly L1, which images are scored by, and smooth at zero; ``l1``: mean absolute
-error; ``ssim``: Huber's, and the structural dissimilarity of crops around the contacts."""
+from taccel_lab.calibration.press_options import BallPressOptions
 
 
-@dataclass(frozen=True)
-class ColorFitOptions:
-    """Settings of the fit; the defaults take under a minute on one CPU thread."""
+@dataclass(frozen=True, kw_only=True)
+class ColorTraining:
+    """What can be chosen of the fit of a network."""
 
-    inputs: tuple[str, ...] = INPUT_NAMES
-    hidden: tuple[int, ...] = (64, 64, 64)
+    loss: Literal["huber", "l1", "ssim"] = "huber"
+    """Loss of the fit: nearly L1, which images are scored by, and smooth at zero; L1; or the first
+    with the structural dissimilarity of crops around the contacts."""
     position_bands: int = 0
-    """Bands of the positional encoding; 0 gives the network u and v alone."""
+    """Bands of the positional encoding: sines and cosines of the pixel's place for light that
+    changes within parts of the image. 0 to 8; 0 gives the network the place alone."""
     steps: int = 2000
-    batch_pixels: int = 4096
-    learning_rate: float = 4e-3
-    loss: Loss = "huber"
-    huber_levels: float = 2.0
-    ssim_weight: float = 10.0
-    """Levels that a structural dissimilarity of one weighs, with loss ``ssim``."""
-    disc_pixels: int = 6000
-    """Pixels drawn per frame within 1.3 contact radii."""
-    ring_pixels: int = 4000
-    """Pixels drawn per frame between 1.3 and 2.5 contact radii."""
-    far_pixels: int = 1500
-    """Pixels drawn per frame beyond 2.5 contact radii."""
-    remove_drift: bool = False
-    """Fit and remove an affine drift of the background in each training frame. Off, the background
-    and the model settle on the mean light of the captures; on, they keep to the light of the one
-    background image. Off scores better on Taxim's GelSight presses: L1 in the disc of left-out
-    presses 2.2 against 3.2 levels when they alternate, 2.2 to 2.8 against 3.3 to 3.8 when a block
-    of 12 neighbours is left out. On a camera with automatic white balance it has to be on."""
-    average_background: bool = True
-    """Average the background with the untouched parts of the training frames."""
+    """Optimiser steps of the fit."""
+    batch_pixels: int = 1024
+    """Pixels of a step, whose number the time of a fit goes with."""
     validation_every: int = 0
-    """Every how-manieth training press is kept from the fit to stop it early: the weights with the
-    least loss on these presses are taken. 0 fits to all and takes the last weights."""
-    patience: int = 6
-    """Checks, one every 100 steps, without a better loss after which the fit stops."""
+    """Every how-manieth fitted press is kept back to stop the fit early: the weights with the least
+    loss on these presses are taken. 0 fits to all and takes the last weights."""
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in (
-            "steps",
-            "batch_pixels",
-            "disc_pixels",
-            "ring_pixels",
-            "far_pixels",
-            "patience",
-        ):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("learning_rate", "huber_levels", "ssim_weight"):
-            if not 0 < getattr(self, name) < 1e3:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
-        require_bands("color model", self.position_bands)
-        if self.loss not in ("huber", "l1", "ssim"):
-            raise InputError(f"loss {self.loss!r} is not allowed; use huber, l1 or ssim")
-        if self.validation_every < 0 or self.validation_every == 1:
-            raise InputError(
-                f"validation_every must be 0 or at least 2, got {self.validation_every}"
-            )
+    """Seed of the pixel draw, the initial weights and the batches."""
 
 
-SHORT_FIT = ColorFitOptions(
-    hidden=(48, 48), steps=400, batch_pixels=1024, disc_pixels=1500, ring_pixels=900,
-    far_pixels=200, learning_rate=8e-3,
-)  # fmt: skip
-"""Fits that settle questions, such as where a press is: half a second each."""
+@dataclass(frozen=True, kw_only=True)
+class ColorOptions(ColorTraining, BallPressOptions):
+    """Settings of ``calibrate_color``."""
+
+    register: bool = True
+    """Read the circles again with the colours of the other fitted presses; needs 8 of them."""
+    surface: Literal["simulated", "each", "cap", "hertz"] = "simulated"
+    """Gel surface under a press: the simulation of the presses that span all others, from which the
+    others are read where one law holds; the simulation of each; or a closed form."""
+    cache: bool = True
+    """Keep contacts and simulated presses in the user's cache folder, and take what is there."""
+    drift: Literal["auto", "on", "off"] = "auto"
+    """Take the drift of the light off each frame: on for cameras with automatic white balance;
+    auto compares both on left-out presses."""
+    ensemble: int = 3
+    """Fits that each leave some of the fitted presses out: they name captures that are off, and
+    their spread says how sure the model is; 0 skips them."""
+    table: bool = True
+    """Fit Taxim's table too: its figures stand in the report, and the table itself beside it, as
+    polycalib.npz, for `taccel-lab export --to taxim --table`."""

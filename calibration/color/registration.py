@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.color.fit_options import SHORT_FIT, ColorFitOptions
 from taccel_lab.calibration.color.frames import (
     ColorFrame,
     Samples,
@@ -25,7 +26,6 @@ from taccel_lab.calibration.color.frames import (
     samples_at,
 )
 from taccel_lab.calibration.color.network_fit import rest_background
-from taccel_lab.calibration.color.options import SHORT_FIT, ColorFitOptions
 from taccel_lab.calibration.color.training import train
 from taccel_lab.calibration.contacts.refine import refine_circle
 from taccel_lab.calibration.light.light import Light

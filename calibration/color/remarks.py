@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from taccel_lab.calibration.color.heldout import mean_bare
+from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.result import Remark, Severity
-
-if TYPE_CHECKING:
-    from taccel_lab.calibration.color.result import ColorCalibration
 
 LEAST_PRESSES = 4
 """With fewer presses a model knows a few places and depths, and nothing tells of the others."""

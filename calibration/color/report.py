@@ -78,7 +78,7 @@ def _files(result: ColorCalibration) -> dict[str, Callable[[Path], None]]:
         scores = mean_score([item.score for item in result.table_scores])
         figures = {f"heldout_{key}": scores[key] for key, _ in FIGURES}
         figures["heldout_presses"] = float(len(result.table_scores))
-    size = (result.grid.width_px, result.grid.height_px)
+    size = (result.captures.grid.width_px, result.captures.grid.height_px)
     return {TABLE_FILE: partial(write_table, TableFile(result.table, size, figures))}
 
 
@@ -210,7 +210,7 @@ def draw_heldout(result: ColorCalibration) -> Figure:
     figure, axes = new_figure(1.9 * len(items) + 1.2, 6.4, 3, len(items), squeeze=False)
     shown = None
     for column, (item, score) in enumerate(items):
-        rows, columns = crop_slices(item.circle, result.grid)
+        rows, columns = crop_slices(item.circle, result.captures.grid)
         render = _quoted(result, item).shown
         error = np.abs(item.captured.astype(float) - render).mean(axis=-1)
         for axis, image in zip(axes[:2, column], (item.captured, render), strict=True):
@@ -253,7 +253,7 @@ def draw_coverage(result: ColorCalibration) -> Figure:
     from matplotlib.colors import Normalize
     from matplotlib.patches import Ellipse
 
-    grid = result.grid
+    grid = result.captures.grid
     errors = {**result.left_out_l1, **result.heldout_l1()}
     contacts = dict(zip(result.train_names, result.circles, strict=True))
     contacts |= {item.name: _quoted(result, item).circle for item in result.heldout}

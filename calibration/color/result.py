@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.base_profile import on_grid
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.color.drift_choice import DriftChoice
 from taccel_lab.calibration.color.evaluate import ImageScore, mean_score
@@ -22,10 +23,8 @@ from taccel_lab.calibration.color.heldout import (
 )
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.registration import Registration
-from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.result import Remark, judge
-from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 
@@ -61,13 +60,11 @@ class ColorCalibration:
     split: PressSplit | None
     """How the held-out presses were chosen; None where there are none."""
     label_shift: LabelPlacement
-    train_names: list[str]
     noise_floor_l1: float
     """Mean difference of captures to the background beyond 3 contact radii [levels]; NaN when no
     capture shows that much."""
-    source: str
-    provenance: dict[str, str]
-    background_sha256: str
+    captures: CaptureSet
+    """The training presses."""
     surface_provider: str
     """What made the surfaces."""
     valid_region: dict[str, tuple[float, float]]
@@ -76,7 +73,6 @@ class ColorCalibration:
     """Circles that the surfaces belong to, of the training presses in order."""
     start_circles: tuple[ContactCircle, ...]
     """Circles of theirs that were simulated."""
-    grid: PixelGrid
     validated: list[PressScore] = field(default_factory=list)
     """Training presses by fits without them, in the circles that the colours gave them: which are
     worst, no score. Empty if not asked."""
@@ -89,8 +85,13 @@ class ColorCalibration:
     """Taxim's table, fitted to the training presses; None if not asked."""
     table_scores: list[PressScore] = field(default_factory=list)
     """Held-out presses rendered by the table."""
-    capture_remarks: tuple[Remark, ...] = ()
-    """What was known of the captures before the fit."""
+    remarks: tuple[Remark, ...] = ()
+    """What a person has to know before the model is used."""
+
+    @property
+    def train_names(self) -> list[str]:
+        """Names of the training presses in order."""
+        return [press.name for press in self.captures.presses]
 
     @property
     def drift_corrected(self) -> bool:
@@ -125,11 +126,6 @@ class ColorCalibration:
     def heldout_l1(self) -> dict[str, float]:
         """L1 in the disc of each held-out press, as quoted [levels]."""
         return {item.name: item.placed[self.placement].score.disc_l1 for item in self.heldout}
-
-    @property
-    def remarks(self) -> tuple[Remark, ...]:
-        """What a person has to know before the model is used."""
-        return (*self.capture_remarks, *color_remarks(self))
 
     def figures(self) -> dict[str, Any]:
         """Means over the held-out presses and the table of presses, worst crop PSNR first."""
@@ -207,7 +203,8 @@ class ColorCalibration:
         }
 
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
-        """``profile`` with the blocks background and color of this calibration."""
+        """``profile`` on the captures' grid, with the blocks background and color."""
+        profile = on_grid(profile, self.captures.grid, self.captures.provenance)
         # An old background or model may be of another image size; both are replaced.
         profile = profile.without("background", "color")
         return profile.with_block(
@@ -220,10 +217,10 @@ class ColorCalibration:
         )
 
     def _inputs(self) -> dict[str, str]:
-        return {"background": self.background_sha256} | self.fit.inputs
+        return {"background": self.captures.background_sha256} | self.fit.inputs
 
     def _source(self) -> str:
-        return self.provenance.get("source", self.source)
+        return self.captures.provenance.get("source", self.captures.source)
 
     def _background_provenance(self) -> Provenance:
         averaged = "; averaged with the untouched parts of the training presses"

@@ -91,7 +91,7 @@ def fit_taxim_table(
     damped = gram[filled] + count[filled, None, None] * np.diag(pull)
     solved = np.linalg.solve(damped, moment[filled])
     coefficients = np.einsum("ij,bjc->bic", _to_pixels(half), solved)
-    nearest = _nearest_filled(count.reshape(bins, bins) > 0)
+    nearest = nearest_filled(count.reshape(bins, bins) > 0)
     slot = np.full(bins * bins, -1)
     slot[filled] = np.arange(len(filled))
     table = coefficients[slot[nearest]].reshape(bins, bins, TERMS, 3)
@@ -130,7 +130,7 @@ def _to_pixels(half: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def _nearest_filled(filled: np.ndarray) -> np.ndarray:
+def nearest_filled(filled: np.ndarray) -> np.ndarray:
     """Flat index of the nearest filled bin for every bin; directions close around."""
     from scipy.ndimage import distance_transform_edt
 

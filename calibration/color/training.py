@@ -5,14 +5,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import Samples
-from taccel_lab.calibration.color.options import ColorFitOptions, Progress
-from taccel_lab.calibration.one_thread import one_thread
+from taccel_lab.calibration.training import (
+    CHECK_EVERY,
+    arrays_of,
+    descend,
+    initial_weights,
+    one_thread,
+    trainable,
+)
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.color_model import (
     ColorModel,
     ColorModelConfig,
@@ -22,12 +30,10 @@ from taccel_lab.signals.color_model import (
     stack_inputs,
 )
 
-if TYPE_CHECKING:
-    import torch
-
+TASK = "fitting the colour model"
 CURVE_EVERY = 25
-CHECK_EVERY = 100
-"""Steps between looks at the validation presses."""
+WARM_UP = 0.1
+"""Share of the steps in which the learning rate rises."""
 SSIM_WINDOW_PX = 11
 
 
@@ -61,7 +67,7 @@ def train(
     validation: Samples | None = None,
     crops: Sequence[Crop] = (),
     start: ColorModel | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Trained:
     """Fit the network to ``samples``; with ``validation``, take the weights that are best there.
 
@@ -82,57 +88,45 @@ class _Trainer:
         crops: Sequence[Crop],
         start: ColorModel | None,
     ) -> None:
-        import torch
-
         self.options = options
         self.config = _scaled_config(samples, grid, options) if start is None else start.config
         self._pixels = _tensors(self.config, samples)
         self._validation = None if validation is None else _tensors(self.config, validation)
         self._crops = [(_tensors(self.config, crop.samples), crop.shape) for crop in crops]
         self._generator = torch.Generator().manual_seed(options.seed)
-        weights = _initial_weights(self.config, self._generator)
+        self._shapes = expected_shapes(self.config)
+        weights = initial_weights(self._shapes, self._generator)
         if start is not None:
             weights = {name: value.copy() for name, value in start.weights.items()}
-        self._layers = [
-            (weight.requires_grad_(), bias.requires_grad_())
-            for weight, bias in layer_tensors(self.config, weights)
-        ]
+        self._layers = trainable(layer_tensors(self.config, weights))
 
-    def run(self, progress: Progress | None) -> Trained:
-        import torch
-
+    def run(self, progress: Progress) -> Trained:
         options = self.options
-        tensors = [tensor for layer in self._layers for tensor in layer]
-        optimizer = torch.optim.Adam(tensors, lr=options.learning_rate, fused=True)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimizer, options.learning_rate, total_steps=options.steps + 1, pct_start=0.1
-        )
         curve: list[tuple[int, float]] = []
         checks: list[tuple[int, float]] = []
         best, best_step = self._weights(), 0
-        for step in range(1, options.steps + 1):
-            loss = self._loss()
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            schedule.step()
+
+        def after_step(step: int, loss: torch.Tensor) -> bool:
+            nonlocal best, best_step
             if step % CURVE_EVERY == 0 or step == options.steps:
                 curve.append((step, float(loss.detach())))
-                if progress is not None:
-                    progress(step, options.steps, curve[-1][1])
+                progress(TASK, step, options.steps)
             if self._validation is not None and (step % CHECK_EVERY == 0 or step == options.steps):
                 checks.append((step, self._validation_loss()))
                 if checks[-1][1] <= min(value for _, value in checks):
                     best, best_step = self._weights(), step
-                elif step - best_step >= options.patience * CHECK_EVERY:
-                    break
+                return step - best_step < options.patience * CHECK_EVERY
+            return True
+
+        descend(
+            self._layers, self._loss, after_step,
+            steps=options.steps, learning_rate=options.learning_rate, warm_up=WARM_UP,
+        )  # fmt: skip
         if self._validation is None:
             best, best_step = self._weights(), options.steps
         return Trained(ColorModel(self.config, best), curve, checks, best_step)
 
     def _loss(self) -> torch.Tensor:
-        import torch
-
         pressed, at_rest, wanted = self._pixels
         batch = torch.randint(len(wanted), (self.options.batch_pixels,), generator=self._generator)
         change = color_change(self.config, self._layers, pressed[batch], at_rest[batch])
@@ -142,8 +136,6 @@ class _Trainer:
         return loss
 
     def _pixel_loss(self, change: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-        import torch
-
         if self.options.loss == "l1":
             return torch.nn.functional.l1_loss(change, wanted)
         delta = self.options.huber_levels
@@ -153,7 +145,6 @@ class _Trainer:
     def _dissimilarity(self) -> torch.Tensor:
         """(1 - SSIM) / 2 of one crop, drawn at random."""
         import kornia.losses
-        import torch
 
         which = int(torch.randint(len(self._crops), (1,), generator=self._generator))
         (pressed, at_rest, wanted), shape = self._crops[which]
@@ -165,8 +156,6 @@ class _Trainer:
         )
 
     def _validation_loss(self) -> float:
-        import torch
-
         assert self._validation is not None
         pressed, at_rest, wanted = self._validation
         with torch.no_grad():
@@ -174,13 +163,7 @@ class _Trainer:
             return float(self._pixel_loss(change, wanted))
 
     def _weights(self) -> dict[str, np.ndarray]:
-        return {
-            name: tensor.detach().numpy().copy()
-            for name, tensor in zip(
-                expected_shapes(self.config), (t for layer in self._layers for t in layer),
-                strict=True,
-            )
-        }  # fmt: skip
+        return arrays_of(self._shapes, self._layers)
 
 
 def _scaled_config(samples: Samples, grid: PixelGrid, options: ColorFitOptions) -> ColorModelConfig:
@@ -205,23 +188,9 @@ def _tensors(
     config: ColorModelConfig, samples: Samples
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Inputs under the press and at rest, and the change that is wanted [levels]."""
-    import torch
-
     uv = samples.uv
     return (
         torch.from_numpy(stack_inputs(config, uv, samples.normals, samples.displacement_mm)),
         torch.from_numpy(stack_inputs(config, uv, samples.rest_normals, np.zeros(len(uv)))),
         torch.from_numpy(samples.change.astype(np.float32)),
     )
-
-
-def _initial_weights(config: ColorModelConfig, generator: torch.Generator) -> dict[str, np.ndarray]:
-    """Uniform in +-1/sqrt(inputs), as torch.nn.Linear draws them."""
-    import torch
-
-    weights = {}
-    for name, shape in expected_shapes(config).items():
-        fan_in = shape[1] if len(shape) == 2 else weights[name.replace("bias", "weight")].shape[1]
-        bound = 1.0 / np.sqrt(fan_in)
-        weights[name] = ((torch.rand(shape, generator=generator) * 2 - 1) * bound).numpy()
-    return weights

@@ -11,15 +11,17 @@ curve starts at zero without a step; ``rim`` from the rim of the contact; ``hert
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from taccel_lab.calibration.base_profile import lost_blocks, on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.depth.contradictions import error_remarks, label_remarks, repeat_remarks
-from taccel_lab.calibration.depth.depth_fit import (
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.check.block_findings import capture_findings, joined, refusing_with
+from taccel_lab.calibration.depth.captures import grey_captures
+from taccel_lab.calibration.depth.curve import (
     ContactPixels,
     contact_pixels,
     curve_spread_mm,
@@ -28,157 +30,82 @@ from taccel_lab.calibration.depth.depth_fit import (
     left_out_errors,
 )
 from taccel_lab.calibration.depth.grey_contact import find_grey_contact
-from taccel_lab.calibration.result import Remark, Severity, judge
+from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.calibration.depth.remarks import (
+    curve_remarks,
+    error_remarks,
+    label_remarks,
+    repeat_remarks,
+)
+from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
+from taccel_lab.calibration.result import Remark
+from taccel_lab.calibration.simulate import PressSurfaces, SurfaceMaker
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
-from taccel_lab.profile import BackgroundBlock, DepthResponseBlock, Provenance, SensorProfile
-from taccel_lab.signals.depth_response import Channel, DepthResponse, channel_of
+from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.depth_response import DepthResponse, channel_of
 
-Zero = Literal["untouched", "rim", "hertz", "simulated"]
 BOOTSTRAPS = 40
-COLOR_LEVELS = 8.0
-SATURATED_LEVEL = 3.0
-CLEAR_R2 = 0.25
-
-
-@dataclass(frozen=True)
-class PressFigures:
-    """One press against the curve."""
-
-    name: str
-    u_px: float
-    v_px: float
-    radius_px: float
-    radius_sigma_px: float
-    given: bool
-    """Whether the circle was given with the press."""
-    rim_depth_mm: float
-    """Depth of the contact's rim below the zero; negative where the zero lies deeper."""
-    depth_mm: float
-    """Of the ball's lowest point below the untouched face."""
-    mae_mm: float
-    bias_mm: float
-    plane_mm: float
-    """Rise of the residuals' plane across the contact: a wrong centre, a tilt, or uneven light."""
-
-
-@dataclass(frozen=True)
-class DepthCalibration:
-    """Result of ``calibrate_depth``."""
-
-    response: DepthResponse
-    spread_mm: np.ndarray
-    """Standard deviation of the curve at its drops."""
-    offset_sigma_mm: float
-    """Standard deviation of its zero: what the uncertain rim makes of it."""
-    left_out_mm: np.ndarray
-    left_out: str
-    presses: tuple[PressFigures, ...]
-    parts: tuple[ContactPixels, ...]
-    light_r2: float
-    """Share of the residuals' variance that the level of the untouched pixel explains."""
-    normalised_mae_mm: float
-    """Left-out error when drops are divided by the untouched level first."""
-    zero: Zero
-    background: np.ndarray
-    inputs: dict[str, str]
-    source: str
-    remarks: tuple[Remark, ...] = ()
-
-    def figures(self) -> dict[str, Any]:
-        """Everything measured, ready for JSON."""
-        return {
-            "verdict": judge(self.remarks),
-            "remarks": [str(remark) for remark in self.remarks],
-            "channel": self.response.channel,
-            "zero": self.zero,
-            "left_out_mae_mm": float(self.left_out_mm.mean()),
-            "left_out_p90_mm": float(np.percentile(self.left_out_mm, 90)),
-            "left_out": self.left_out,
-            "normalised_mae_mm": self.normalised_mae_mm,
-            "light_r2": self.light_r2,
-            "curve_sigma_mm": float(self.spread_mm[1:].mean()),
-            "offset_sigma_mm": self.offset_sigma_mm,
-            "presses": [asdict(p) for p in sorted(self.presses, key=lambda p: -p.mae_mm)],
-            "drop_levels": self.response.drop_levels.tolist(),
-            "depth_mm": self.response.depth_mm.tolist(),
-        }
-
-    def apply_to(self, profile: SensorProfile) -> SensorProfile:
-        """``profile`` with the block depth_response, and a background where it has none."""
-        if profile.background is None:
-            measured = Provenance(
-                kind="measured",
-                method="captured background",
-                source=self.source,
-                inputs={"background": self.inputs["background"]},
-            )
-            profile = profile.with_block(BackgroundBlock(provenance=measured), self.background)
-        response = self.response
-        return profile.with_block(
-            DepthResponseBlock(
-                channel=response.channel,
-                drop_levels=tuple(float(x) for x in response.drop_levels),
-                depth_mm=tuple(float(x) for x in response.depth_mm),
-                provenance=Provenance(
-                    kind="calibrated",
-                    method=(
-                        f"isotonic regression of depth on grey drop inside {len(self.presses)} "
-                        f"ball contacts; depth zero: {self.zero}"
-                    ),
-                    source=self.source,
-                    inputs=self.inputs,
-                    residuals={
-                        "left_out_depth_mm": float(self.left_out_mm.mean()),
-                        "left_out_p90_depth_mm": float(np.percentile(self.left_out_mm, 90)),
-                    },
-                    spread={
-                        "curve_mm": float(self.spread_mm[1:].mean()),
-                        "zero_mm": self.offset_sigma_mm,
-                    },
-                    valid_region={
-                        "drop_levels": (
-                            float(response.drop_levels[1]),
-                            float(response.drop_levels[-1]),
-                        ),
-                        "depth_mm": (float(response.depth_mm[1]), float(response.depth_mm[-1])),
-                    },
-                    verdict=judge(self.remarks).value,
-                    remarks=tuple(str(remark) for remark in self.remarks),
-                ),
-            )
-        )
+TASK = "finding contacts and fitting the curve"
 
 
 def calibrate_depth(
-    captures: CaptureSet,
-    *,
-    channel: Channel = "grey",
-    zero: Zero = "untouched",
-    surface_of: Callable[[Sequence[ContactCircle]], Sequence[PressSurface]] | None = None,
-    circles: Literal["auto", "detected"] = "auto",
-    seed: int = 0,
-    remarks: Sequence[Remark] = (),
+    folder: CaptureFolder,
+    base: SensorProfile,
+    options: DepthOptions = DepthOptions(),
+    progress: Progress = silent,
 ) -> DepthCalibration:
-    """Fit the depth of a grey sensor to ball presses.
+    """Fit the depth of a grey sensor to the ball presses of ``folder``.
 
     Args:
-        channel: Channel whose drop is read.
-        zero: What depths are counted from, see the module.
-        surface_of: Gives the surfaces of the presses for ``hertz`` and ``simulated``.
-        circles: ``auto`` takes the circles that are given, and finds the others.
-        seed: Of the resampling.
+        folder: Its background and presses are used.
+        base: Profile that the result extends: its camera gives the scale where neither maps nor
+            captures do, its gel the sunk rim of ``hertz`` and ``simulated``.
+        options: What is read, and what depths are counted from.
+        progress: Told what is done.
+
+    Raises:
+        InputError: Captures that no curve can be fitted to, with what their check found.
+    """
+    captures, assumed = grey_captures(folder, base, options.maps)
+    on_captures = on_grid(base, captures.grid, captures.provenance)
+    findings = capture_findings(folder, "depth", progress)
+    progress(TASK, 0, 1)
+    kind = "each" if options.zero == "simulated" else "hertz"
+    surfaces = PressSurfaces(
+        kind, on_captures, decay_mm=on_captures.gel.thickness_mm, progress=progress
+    )
+    with refusing_with(findings):
+        found = fit_depth(captures, options, surfaces, assumed)
+    progress(TASK, 1, 1)
+    lost = lost_blocks(base, on_captures)
+    return replace(found, remarks=(*lost, *joined(findings, found.remarks)))
+
+
+def fit_depth(
+    captures: CaptureSet,
+    options: DepthOptions = DepthOptions(),
+    surfaces: SurfaceMaker | None = None,
+    remarks: Sequence[Remark] = (),
+) -> DepthCalibration:
+    """Fit the curve to ball presses at a known scale.
+
+    Args:
+        captures: Background and presses.
+        options: What is read, and what depths are counted from.
+        surfaces: Gives the surfaces of the presses for ``hertz`` and ``simulated``.
         remarks: What is known already of the captures.
     """
-    background = channel_of(captures.background, channel)
+    background = channel_of(captures.background, options.channel)
     mask = None if captures.mask.all() else captures.mask
     drops, contacts, given, seen = [], [], [], []
     for press in captures.presses:
-        drop = background - channel_of(press.image(), channel)
+        drop = background - channel_of(press.image(), options.channel)
         found = find_grey_contact(drop, captures.grid, mask=mask, name=press.source)
         drops.append(drop)
         seen.append(found.circle)
-        given.append(press.circle is not None and circles == "auto")
+        given.append(press.circle is not None and options.circles == "auto")
         contacts.append((press.circle if given[-1] else found.circle, found.radius_sigma_px))
     chosen = [circle for circle, _ in contacts if circle is not None]
     labels = [
@@ -194,12 +121,12 @@ def calibrate_depth(
                 f"{radius:g} mm; check the scale and the ball"
             )
     sunk = [0.0] * len(chosen)
-    if zero in ("hertz", "simulated"):
-        if surface_of is None:
-            raise InputError(f"zero {zero!r} needs the surfaces of the presses")
+    if options.zero in ("hertz", "simulated"):
+        if surfaces is None:
+            raise InputError(f"zero {options.zero!r} needs the surfaces of the presses")
         sunk = [
             _rim_depth_mm(surface, circle, captures)
-            for surface, circle in zip(surface_of(chosen), chosen, strict=True)
+            for surface, circle in zip(surfaces(captures, chosen), chosen, strict=True)
         ]
 
     def pixels() -> tuple[ContactPixels, ...]:
@@ -211,16 +138,16 @@ def calibrate_depth(
         )
 
     parts = pixels()
-    if zero == "untouched":
+    if options.zero == "untouched":
         # Each press by itself: its rim is known no better than that of the others.
         sunk = [-depth_at_no_drop(part) for part in parts]
         parts = pixels()
     try:
-        response = fit_response(parts, channel)
+        response = fit_response(parts, options.channel)
     except InputError as fault:
         raise InputError("\n".join([str(fault), *(remark.message for remark in off)])) from None
     errors, left_out = left_out_errors(parts)
-    spread = curve_spread_mm(parts, response, np.random.default_rng(seed), BOOTSTRAPS)
+    spread = curve_spread_mm(parts, response, np.random.default_rng(options.seed), BOOTSTRAPS)
     level = float(np.median(background))
     normalised, _ = left_out_errors([_normalised(part, level) for part in parts])
     sigma_px = [sigma for _, sigma in contacts]
@@ -240,19 +167,17 @@ def calibrate_depth(
         parts=parts,
         light_r2=_light_r2(parts, response),
         normalised_mae_mm=float(normalised.mean()),
-        zero=zero,
-        background=captures.background,
-        inputs=captures.hashes(),
-        source=captures.provenance.get("source", captures.source),
+        zero=options.zero,
+        captures=captures,
     )
     found_remarks = (
         *remarks,
         *off,
         *repeat_remarks(captures, chosen),
         *error_remarks(errors, np.concatenate([part.depth_mm for part in parts]), left_out),
-        *_remarks(result, captures, drops),
+        *curve_remarks(result, drops),
     )
-    return DepthCalibration(**{**vars(result), "remarks": found_remarks})
+    return replace(result, remarks=found_remarks)
 
 
 def _rim_depth_mm(surface: PressSurface, circle: ContactCircle, captures: CaptureSet) -> float:
@@ -316,86 +241,3 @@ def _light_r2(parts: Sequence[ContactPixels], response: DepthResponse) -> float:
     if level.std() < 1e-9 or left.std() < 1e-12:
         return 0.0
     return float(np.corrcoef(left, level)[0, 1] ** 2)
-
-
-def _remarks(
-    result: DepthCalibration, captures: CaptureSet, drops: Sequence[np.ndarray]
-) -> list[Remark]:
-    found: list[Remark] = []
-    if len(result.presses) < 3:
-        found.append(
-            Remark(
-                Severity.WARNING,
-                "few_presses",
-                f"{len(result.presses)} press; nothing says how the curve holds elsewhere on the "
-                "gel. Give three or more, one in the middle and others near the borders",
-            )
-        )
-    if result.zero == "untouched":
-        rims = [press.rim_depth_mm for press in result.presses]
-        found.append(
-            Remark(
-                Severity.INFO,
-                "zero_at_no_drop",
-                "depths are counted from where the grey is that of untouched gel, "
-                f"{-np.mean(rims):.2f} mm below the rim that is seen; counted from the rim they "
-                f"would be that much larger, and the rim is known to {result.offset_sigma_mm:.2f} "
-                "mm. A press of known travel would settle it",
-            )
-        )
-    if result.zero == "rim":
-        found.append(
-            Remark(
-                Severity.INFO,
-                "zero_at_rim",
-                "depths are counted from the contact's rim; the rim itself lies deeper than the "
-                f"untouched face. The rim is known to {result.offset_sigma_mm:.2f} mm of depth",
-            )
-        )
-    worst = max(result.presses, key=lambda p: p.plane_mm)
-    if worst.plane_mm > max(0.15 * worst.depth_mm, 0.05):
-        found.append(
-            Remark(
-                Severity.WARNING,
-                "tilted_residual",
-                f"{worst.name}: depths by grey tilt against the ball by {worst.plane_mm:.2f} mm "
-                "across the contact: its centre is off, or the light is uneven",
-            )
-        )
-    share = np.mean([np.mean(d < -SATURATED_LEVEL) for d in drops])
-    if share > 0.05:
-        deepest = -min(float(np.percentile(d, 0.5)) for d in drops)
-        found.append(
-            Remark(
-                Severity.INFO,
-                "brightens",
-                f"{share:.0%} of the pixels brighten, by up to {deepest:.0f} levels, beside the "
-                "contacts: the slope of the gel throws light back. Such pixels read as untouched, "
-                "and the rim of a contact reads too shallow",
-            )
-        )
-    if result.light_r2 > CLEAR_R2 and result.normalised_mae_mm < 0.9 * result.left_out_mm.mean():
-        found.append(
-            Remark(
-                Severity.WARNING,
-                "uneven_light",
-                f"the light explains {result.light_r2:.0%} of what the curve leaves over; dividing "
-                f"by the background would leave {result.normalised_mae_mm:.3f} mm instead of "
-                f"{result.left_out_mm.mean():.3f} mm",
-            )
-        )
-    colors = [
-        np.abs(np.ptp(captures.background - p.image().astype(np.float64), axis=-1))[d > d.max() / 2]
-        for p, d in zip(captures.presses, drops, strict=True)
-    ]
-    spread = float(np.mean([c.mean() for c in colors]))
-    if spread > COLOR_LEVELS + 0.25 * max(float(d.max()) for d in drops):
-        found.append(
-            Remark(
-                Severity.ERROR,
-                "coloured",
-                f"the channels differ by {spread:.0f} levels inside the contacts: this looks like "
-                "a colour sensor, whose colours tell slopes; use taccel-lab calibrate normals",
-            )
-        )
-    return found

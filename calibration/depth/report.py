@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet
-from taccel_lab.calibration.depth.fit import DepthCalibration
+from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 SHOWN_PIXELS = 3000
 
 
-def depth_page(result: DepthCalibration, captures: CaptureSet) -> Page:
+def depth_page(result: DepthCalibration) -> Page:
     """Curve, residuals and presses of one calibration."""
     error = result.left_out_mm
     return Page(
@@ -41,7 +40,7 @@ def depth_page(result: DepthCalibration, captures: CaptureSet) -> Page:
             ),
             Picture(
                 "depths",
-                partial(draw_depths, result, captures),
+                partial(draw_depths, result),
                 "Depth read from the worst press, its difference from the ball inside the contact, "
                 "and both along the row through the centre.",
             ),
@@ -114,9 +113,10 @@ def draw_curve(result: DepthCalibration) -> Figure:
 
 
 @in_report_style
-def draw_depths(result: DepthCalibration, captures: CaptureSet) -> Figure:
+def draw_depths(result: DepthCalibration) -> Figure:
     """The worst press: depth map, error map, and a section."""
     worst = max(range(len(result.presses)), key=lambda i: result.presses[i].mae_mm)
+    captures = result.captures
     press, part, grid = result.presses[worst], result.parts[worst], captures.grid
     found = result.response.read(
         captures.presses[worst].image(), captures.background, captures.mask

@@ -8,36 +8,32 @@ is frozen: in the circles given with them, and in those as the training presses 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from dataclasses import fields, replace
+from typing import Literal
 
 import numpy as np
 
+from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
+from taccel_lab.calibration.check.block_findings import joined
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.normals.network_fit import (
-    InverseFit,
-    InverseFitOptions,
-    Progress,
-    fit_normal_model,
-)
+from taccel_lab.calibration.normals.network_fit import InverseFitOptions, fit_normal_model
+from taccel_lab.calibration.normals.options import NormalOptions, NormalTraining
 from taccel_lab.calibration.normals.remarks import remarks_of
+from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import FLAT_RADII, InverseFrame, Scene, usable_pixels
-from taccel_lab.calibration.normals.score import (
-    HeldoutNormals,
-    Reliability,
-    flat_guess,
-    mean_of,
-    reliability_of,
-    score_heldout,
-)
-from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.calibration.normals.score import HeldoutNormals, reliability_of, score_heldout
+from taccel_lab.calibration.normals.skirt import hertz_skirts
+from taccel_lab.calibration.simulate import PressSurfaces
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
-from taccel_lab.profile import BackgroundBlock, NormalsBlock, Provenance, SensorProfile
+from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.rest_surface import rest_surface
 
 DriftMode = Literal["auto", "on", "off"]
 DRIFT_GAIN = 0.75
@@ -47,131 +43,52 @@ PIXEL_BASELINE = InverseFitOptions(scales_px=(0.0,), slopes=False, members=1, st
 """The colour change and position of a pixel alone, as in gs_sdk with its background subtracted."""
 
 
-@dataclass(frozen=True)
-class NormalCalibration:
-    """Result of ``calibrate_normals``."""
-
-    fit: InverseFit
-    background: np.ndarray
-    """RGB levels, uint8, shape [height_px, width_px, 3]."""
-    heldout: tuple[HeldoutNormals, ...]
-    failures: dict[str, str]
-    """Held-out presses that could not be read, and why: they count as a flat guess."""
-    split: PressSplit | None
-    """How the held-out presses were chosen; None where there are none."""
-    baseline_deg: float | None
-    """Mean held-out error of the single-pixel baseline in the circles as used [degrees]."""
-    reliability: Reliability | None
-    flat_noise_levels: tuple[float, float]
-    """Mean difference of frames to the background where the gel is at rest, as captured and with
-    the light's drift taken off [levels]."""
-    train_names: tuple[str, ...]
-    inputs: dict[str, str]
-    source: str
-    circles: str
-    """How the circles were chosen."""
-    surfaces: str
-    """What gave the normals of the skirt."""
-    valid_region: dict[str, tuple[float, float]]
-    remarks: tuple[Remark, ...] = ()
-
-    def heldout_means(self, circles: Literal["given", "used"]) -> dict[str, float]:
-        """Mean figures of the held-out presses, failures as flat guesses."""
-        scores = [getattr(item, circles) for item in self.heldout]
-        return mean_of(scores + [flat_guess(scores)] * len(self.failures))
-
-    def figures(self) -> dict[str, Any]:
-        """Means over the held-out presses and the table of presses, worst first."""
-        rows = [
-            {"name": item.name, "given": asdict(item.given), "used": asdict(item.used)}
-            for item in sorted(self.heldout, key=lambda item: -item.used.mean_deg)
-        ]
-        held: dict[str, Any] | None = None
-        if self.heldout:
-            held = {
-                "in_given_circles": self.heldout_means("given"),
-                "in_used_circles": self.heldout_means("used"),
-            }
-        return {
-            "verdict": judge(self.remarks),
-            "remarks": [str(remark) for remark in self.remarks],
-            "heldout": held,
-            "split": None if self.split is None else self.split.figures(),
-            "failures": self.failures,
-            "pixel_baseline_deg": self.baseline_deg,
-            "reliability": None if self.reliability is None else asdict(self.reliability),
-            "presses": rows,
-            "left_out_deg": self.fit.left_out_deg,
-            "label_shift_px": {k: v.length_px for k, v in self.fit.label_shifts.items()},
-            "flat_noise_levels": self.flat_noise_levels,
-            "light_drift": self.fit.model.config.light_drift,
-            "circles": self.circles,
-            "surfaces": self.surfaces,
-            "curve": self.fit.curve,
-            "stopped_at": self.fit.stopped_at,
-            "fit_seconds": self.fit.seconds,
-        }
-
-    def apply_to(self, profile: SensorProfile) -> SensorProfile:
-        """``profile`` with the block normals, and a background where it has none."""
-        if profile.background is None:
-            profile = profile.with_block(
-                BackgroundBlock(
-                    provenance=Provenance(
-                        kind="measured",
-                        method="captured background",
-                        source=self.source,
-                        inputs={"background": self.inputs["background"]},
-                    )
-                ),
-                self.background,
-            )
-        return profile.with_block(
-            NormalsBlock(
-                architecture=self.fit.model.config.to_dict(), provenance=self._provenance()
-            ),
-            self.fit.model.weights,
-        )
-
-    def _provenance(self) -> Provenance:
-        left_out = list(self.fit.left_out_deg.values())
-        residuals, spread = {}, {}
-        if left_out:
-            residuals["left_out_angle_deg"] = float(np.mean(left_out))
-            spread["left_out_angle_deg"] = float(np.std(left_out))
-        if self.heldout:
-            for key, value in self.heldout_means("used").items():
-                residuals[f"heldout_{key}"] = value
-            residuals["heldout_in_given_circles_deg"] = self.heldout_means("given")["mean_deg"]
-            residuals["heldout_failures"] = float(len(self.failures))
-            spread["heldout_angle_deg"] = float(np.std([i.used.mean_deg for i in self.heldout]))
-        if not residuals:
-            residuals["train_angle_deg"] = self.fit.curve[-1][1]
-        if self.reliability is not None:
-            residuals["observed_over_expected"] = self.reliability.ratio()
-        config, options = self.fit.model.config, self.fit.options
-        return Provenance(
-            kind="calibrated",
-            method=(
-                f"{config.members} networks {list(config.hidden)} on colour change over windows "
-                f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position"
-                + f" in {config.position_bands} bands"
-                * (config.position_bands > 0)
-                + f"; {options.steps} Adam steps, stopped on left-out presses; circles: "
-                f"{self.circles}; skirt: {self.surfaces}; light drift "
-                + ("taken off" if config.light_drift else "left in")
-            ),
-            source=self.source,
-            inputs=self.inputs,
-            residuals=residuals,
-            spread=spread,
-            valid_region=self.valid_region,
-            verdict=judge(self.remarks).value,
-            remarks=tuple(str(remark) for remark in self.remarks),
-        )
-
-
 def calibrate_normals(
+    folder: CaptureFolder,
+    base: SensorProfile,
+    options: NormalOptions = NormalOptions(),
+    progress: Progress = silent,
+) -> NormalCalibration:
+    """Fit the model from colour to surface normal to the ball presses of ``folder``.
+
+    Args:
+        folder: Its background and presses are used.
+        base: Profile that the result extends; its face at rest is what normals lean against.
+        options: Which presses are fitted, and how.
+        progress: Told what is done.
+
+    Raises:
+        InputError: Captures that no model can be fitted to, with what their check found.
+        SimulationError: A simulated press that did not converge.
+    """
+    settings = InverseFitOptions(
+        **{field.name: getattr(options, field.name) for field in fields(NormalTraining)}
+    )
+    presses = ball_presses(folder, base, "normals", options, progress)
+    training, circles = presses.training, presses.circles
+    surfaces = None
+    if options.skirt == "simulated":
+        surfaces = PressSurfaces("each", presses.profile, progress=progress)(training, circles)
+    elif options.skirt == "hertz":
+        surfaces = hertz_skirts(training, circles)
+    rest = rest_surface(presses.profile.mesh, training.grid)
+    found = fit_normals(
+        training,
+        circles,
+        surfaces,
+        presses.heldout,
+        split=presses.split,
+        rest_normals=None if rest.is_flat else rest.normals,
+        options=settings,
+        drift=options.drift,
+        circle_source=options.circles,
+        progress=progress,
+    )
+    remarks = joined(presses.findings, (*presses.remarks, *found.remarks))
+    return replace(found, remarks=(*presses.lost, *remarks))
+
+
+def fit_normals(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],
     surfaces: Sequence[PressSurface] | None = None,
@@ -179,11 +96,11 @@ def calibrate_normals(
     *,
     split: PressSplit | None = None,
     rest_normals: np.ndarray | None = None,
-    options: InverseFitOptions | None = None,
+    options: InverseFitOptions = InverseFitOptions(),
     drift: DriftMode = "auto",
     baseline: bool = True,
     circle_source: str = "given",
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> NormalCalibration:
     """Fit the inverse model to ``captures`` and score it on ``heldout``.
 
@@ -194,9 +111,11 @@ def calibrate_normals(
         heldout: Presses that are read when the model is frozen; None leaves figures out.
         split: How these were chosen, for the record.
         rest_normals: Normals of the undeformed face, shape [height_px, width_px, 3]; flat if None.
+        options: Settings of the networks and their fit.
         drift: Whether each frame is brought to the background's light; ``auto`` looks at the noise.
         baseline: Also fit the single-pixel baseline for comparison.
         circle_source: How the circles were chosen, for the record.
+        progress: Told of the fit's steps.
     """
     if len(circles) != len(captures.presses) or (
         surfaces is not None and len(surfaces) != len(circles)
@@ -213,9 +132,8 @@ def calibrate_normals(
         mask,
         rest_normals,
     )
-    frames, noise, with_drift = _frames(captures, circles, surfaces, scene, drift)
-    options = replace(options or InverseFitOptions(), light_drift=with_drift)
-    training = frames
+    training, noise, with_drift = _frames(captures, circles, surfaces, scene, drift)
+    options = replace(options, light_drift=with_drift)
     fit = fit_normal_model(training, scene, options, progress=progress)
     failures = {} if split is None else dict.fromkeys(split.gone, "it was left out of the captures")
     items: list[HeldoutNormals] = []
@@ -238,7 +156,7 @@ def calibrate_normals(
         baseline_deg = float(np.mean([item.used.mean_deg for item in scores]))
     result = NormalCalibration(
         fit=fit,
-        background=captures.background,
+        scene=replace(scene, background=captures.background, mask=captures.mask),
         heldout=tuple(items),
         failures=failures,
         split=split,
@@ -248,6 +166,7 @@ def calibrate_normals(
         train_names=tuple(frame.name for frame in training),
         inputs={"background": captures.background_sha256} | {f.name: f.sha256 for f in training},
         source=captures.provenance.get("source", captures.source),
+        provenance=captures.provenance,
         circles=circle_source,
         surfaces="left out" if surfaces is None else surfaces[0].provider,
         valid_region=_valid_region(training, scene),

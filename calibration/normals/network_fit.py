@@ -12,7 +12,7 @@ radians nearly up to its sign: least absolute errors, so that wrong labels pull 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ import torch
 
 from taccel_lab.calibration.normals.cross_conformal import radius_factor
 from taccel_lab.calibration.normals.label_shift import MIN_PRESSES, LabelShift, label_shifts
+from taccel_lab.calibration.normals.options import NormalTraining
 from taccel_lab.calibration.normals.samples import (
     InverseFrame,
     SampleOptions,
@@ -28,8 +29,16 @@ from taccel_lab.calibration.normals.samples import (
     draw_samples,
     join,
 )
-from taccel_lab.calibration.one_thread import one_thread
+from taccel_lab.calibration.training import (
+    CHECK_EVERY,
+    arrays_of,
+    descend,
+    initial_weights,
+    one_thread,
+    trainable,
+)
 from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.normal_model import (
     MAX_TILT_RAD,
     RAYLEIGH_95,
@@ -42,21 +51,20 @@ from taccel_lab.signals.normal_model import (
 )
 from taccel_lab.signals.position_encoding import require_bands
 
-Progress = Callable[[int, int, float], None]
-"""Called with (steps done, steps in all, loss in degrees)."""
-
-CHECK_EVERY = 100
+TASK = "fitting the inverse model"
 CHECK_PIXELS = 1500
 """Pixels of each left-out press that decide when to stop."""
 SMOOTH_RAD = 0.01
 """Below this error the loss is quadratic."""
+WARM_UP = 0.15
+"""Share of the steps in which the learning rate rises."""
 ERROR_SHARE = 0.05
 """Share of the expected error's own loss in the whole."""
 
 
-@dataclass(frozen=True)
-class InverseFitOptions:
-    """Settings of the fit."""
+@dataclass(frozen=True, kw_only=True)
+class InverseFitOptions(NormalTraining):
+    """Settings of the networks and their fit."""
 
     samples: SampleOptions = field(default_factory=SampleOptions)
     scales_px: tuple[float, ...] | None = None
@@ -65,17 +73,13 @@ class InverseFitOptions:
     """Whether the variation of the change across the two wider windows is a feature."""
     background: bool = False
     """Whether the colour of the untouched pixel is a feature."""
-    position_bands: int = 0
-    """Bands of the positional encoding among the features; 0 for u and v alone."""
     members: int = 4
     hidden: tuple[int, ...] = (32, 32, 32)
-    steps: int = 1000
     batch_pixels: int = 1024
     """Pixels a member sees in a step."""
     learning_rate: float = 6e-3
     light_drift: bool = False
     """Whether the frames were brought to the background's light; the model then asks for it too."""
-    seed: int = 0
 
     def __post_init__(self) -> None:
         for name in ("members", "steps", "batch_pixels"):
@@ -124,12 +128,11 @@ def fold_of(index: int, members: int, frame_count: int) -> int | None:
 def fit_normal_model(
     frames: Sequence[InverseFrame],
     scene: Scene,
-    options: InverseFitOptions | None = None,
+    options: InverseFitOptions = InverseFitOptions(),
     *,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> InverseFit:
     """Fit the ensemble to ``frames``. Deterministic for a seed on one thread."""
-    options = options or InverseFitOptions()
     started = time.perf_counter()
     if not frames:
         raise InputError("the fit of the inverse model needs at least one press")
@@ -156,7 +159,7 @@ def _train(
     frames: Sequence[InverseFrame],
     scene: Scene,
     options: InverseFitOptions,
-    progress: Progress | None,
+    progress: Progress,
 ) -> _Training:
     scales = options.scales_px or default_scales_px(frames)
     config = NormalModelConfig(
@@ -223,46 +226,42 @@ class _Training:
             for k in range(members)
         ]
         self.generator = torch.Generator().manual_seed(options.seed)
-        weights = _initial_weights(config, self.generator)
-        self.layers = [
-            (weight.requires_grad_(), bias.requires_grad_())
-            for weight, bias in layer_tensors(config, weights)
-        ]
+        self.shapes = expected_shapes(config)
+        weights = initial_weights(self.shapes, self.generator)
+        self.layers = trainable(layer_tensors(config, weights))
         self.curve: list[tuple[int, float, float]] = []
         self.best_error = np.full(members, np.inf)
         self.best_step = np.zeros(members, dtype=int)
-        self.best = [[t.detach().clone() for t in layer] for layer in self.layers]
+        self.best = [(w.detach().clone(), b.detach().clone()) for w, b in self.layers]
 
-    def run(self, progress: Progress | None) -> None:
-        options = self.options
-        tensors = [tensor for layer in self.layers for tensor in layer]
-        optimizer = torch.optim.Adam(tensors, lr=options.learning_rate)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimizer, options.learning_rate, total_steps=options.steps + 1, pct_start=0.15
-        )
-        for step in range(1, options.steps + 1):
-            batch = torch.stack(
-                [
-                    pool[
-                        torch.randint(len(pool), (options.batch_pixels,), generator=self.generator)
-                    ]
-                    for pool in self.pools
-                ]
-            )
+    def run(self, progress: Progress) -> None:
+        options, chord = self.options, torch.empty(0)
+
+        def loss() -> torch.Tensor:
+            nonlocal chord
+            batch = torch.stack([self._draw(pool) for pool in self.pools])
             tilt, error = tilt_and_error(self.layers, self.inputs[batch], self.still[batch])
             chord = chord_of(tilt, self.normals[batch])
             angle = (chord.square() + SMOOTH_RAD**2).sqrt() - SMOOTH_RAD
             expected = error.log() + (chord.detach() + SMOOTH_RAD) / error
-            loss = angle.mean() + ERROR_SHARE * expected.mean()
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            schedule.step()
+            return angle.mean() + ERROR_SHARE * expected.mean()
+
+        def after_step(step: int, _: torch.Tensor) -> bool:
             if step % CHECK_EVERY == 0 or step == options.steps:
                 train_deg = float(np.degrees(chord.detach().mean().item()))
                 self.curve.append((step, train_deg, self._keep_best(step)))
-                if progress is not None:
-                    progress(step, options.steps, train_deg)
+                progress(TASK, step, options.steps)
+            return True
+
+        descend(
+            self.layers, loss, after_step,
+            steps=options.steps, learning_rate=options.learning_rate, warm_up=WARM_UP,
+        )  # fmt: skip
+
+    def _draw(self, pool: torch.Tensor) -> torch.Tensor:
+        """Indices of a member's next pixels."""
+        count = self.options.batch_pixels
+        return pool[torch.randint(len(pool), (count,), generator=self.generator)]
 
     def _keep_best(self, step: int) -> float:
         """Keep the weights of each member that does better than ever on what it leaves out; the
@@ -303,12 +302,7 @@ class _Training:
     def member(self, fold: int | None) -> NormalModel:
         """The network that leaves a share of the presses out, as a model of its own."""
         k = 0 if fold is None else fold
-        arrays = {
-            name: tensor[k : k + 1].detach().numpy()
-            for name, tensor in zip(
-                expected_shapes(self.config), (t for layer in self.best for t in layer), strict=True
-            )
-        }
+        arrays = arrays_of(self.shapes, self.best, k)
         return NormalModel(replace(self.config, members=1), arrays)
 
     def finish(self, names: Sequence[str]) -> tuple[NormalModel, dict[str, float]]:
@@ -335,14 +329,7 @@ class _Training:
                 for angle, own, spread2 in zip(seen, expected, spreads, strict=True)
             ]
             radius = radius_factor(scores, 0.95, RAYLEIGH_95)
-        arrays = {
-            name: tensor.detach().numpy()
-            for name, tensor in zip(
-                expected_shapes(self.config),
-                (t for layer in self.layers for t in layer),
-                strict=True,
-            )
-        }
+        arrays = arrays_of(self.shapes, self.layers)
         config = replace(self.config, error_factor=factor, radius95_sigmas=radius)
         return NormalModel(config, arrays), left_out
 
@@ -365,15 +352,3 @@ def chord_of(tilt: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
     cut = angle.clamp_max(MAX_TILT_RAD)
     given = torch.cat([tilt / angle * cut.sin(), cut.cos()], dim=-1)
     return ((given - normals).square().sum(dim=-1) + 1e-16).sqrt()
-
-
-def _initial_weights(
-    config: NormalModelConfig, generator: torch.Generator
-) -> dict[str, np.ndarray]:
-    """Uniform in +-1/sqrt(inputs), as torch.nn.Linear draws them."""
-    weights = {}
-    inputs = dict(enumerate(size for _, size in config.layer_sizes()))
-    for name, shape in expected_shapes(config).items():
-        bound = 1.0 / np.sqrt(inputs[int(name.removeprefix("layer").split(".")[0])])
-        weights[name] = ((torch.rand(shape, generator=generator) * 2 - 1) * bound).numpy()
-    return weights

@@ -9,7 +9,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.evaluate import crop_slices
-from taccel_lab.calibration.normals.fit import NormalCalibration
+from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import Scene
 from taccel_lab.calibration.normals.score import HeldoutNormals, ball_depth_mm
 from taccel_lab.geometry import PixelGrid
@@ -26,13 +26,13 @@ DRAWN_CIRCLE = 361
 
 
 @in_report_style
-def draw_errors(result: NormalCalibration, scene: Scene) -> Figure:
+def draw_errors(result: NormalCalibration) -> Figure:
     """The worst, the middle and the best held-out press: image, error, expected error, profile."""
     order = sorted(result.heldout, key=lambda item: -item.used.mean_deg)
     shown = [order[i] for i in sorted({0, len(order) // 2, len(order) - 1})][:ROWS]
     figure, axes = new_figure(10.5, 2.75 * len(shown) + 0.3, len(shown), 4, squeeze=False)
     top = max(5.0, float(np.nanpercentile([np.nanmax(i.error_deg) for i in shown], 60)) * 0.7)
-    drawn = [_draw_row(row, item, scene, top) for row, item in zip(axes, shown, strict=True)]
+    drawn = [_draw_row(row, item, result.scene, top) for row, item in zip(axes, shown, strict=True)]
     for ax, title in zip(
         axes[0], ("captured", "error of the normals", "expected error", "depth, row"), strict=True
     ):

@@ -4,15 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import InverseFrame, Scene
 from taccel_lab.calibration.result import Remark, Severity
-
-if TYPE_CHECKING:
-    from taccel_lab.calibration.normals.fit import NormalCalibration
 
 FEW_PRESSES, LEAST_PRESSES = 8, 4
 """Fitted presses below which a model is only usable, or weak: it knows a few places and slopes."""

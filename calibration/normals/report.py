@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from functools import partial
 
-from taccel_lab.calibration.normals.fit import NormalCalibration
 from taccel_lab.calibration.normals.pictures import draw_errors, draw_reliability, draw_training
-from taccel_lab.calibration.normals.samples import Scene
+from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.report import Page, Picture, Table
 
 
-def normals_page(result: NormalCalibration, scene: Scene) -> Page:
+def normals_page(result: NormalCalibration) -> Page:
     """Tables worst first, error maps, reliability and training of one calibration."""
     tables, pictures = [], []
     if result.heldout:
@@ -19,7 +18,7 @@ def normals_page(result: NormalCalibration, scene: Scene) -> Page:
         pictures = [
             Picture(
                 "errors",
-                partial(draw_errors, result, scene),
+                partial(draw_errors, result),
                 "The worst, the middle and the best held-out press. Errors are angles to the "
                 "ball's normal in the dotted circle; depths are integrated from the normals over "
                 "the whole image and stand on the resting gel, the ball is aligned at its rim.",

@@ -15,6 +15,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.normals.ball_normals import ball_normals
+from taccel_lab.calibration.pixel_draw import draw_regions
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -105,14 +106,12 @@ def draw_samples(
     reach = np.log(options.max_zoom)
     zooms += [float(np.exp(rng.uniform(-reach, reach))) for _ in range(options.zooms - 1)]
     regions = [
-        (distance <= RIM_RADII, options.disc_pixels),
-        (distance > FLAT_RADII, options.flat_pixels),
+        (usable & (distance <= RIM_RADII), options.disc_pixels),
+        (usable & (distance > FLAT_RADII), options.flat_pixels),
     ]
     if frame.surface is not None:
-        skirt = (distance > SKIRT_RADII) & (distance <= FLAT_RADII)
+        skirt = usable & (distance > SKIRT_RADII) & (distance <= FLAT_RADII)
         regions.insert(1, (skirt, options.skirt_pixels))
-    if not (regions[0][0] & usable).any():
-        raise InputError(f"{frame.name}: every pixel of the contact is masked")
     window = _window(frame.circle, scene.grid, FLAT_RADII if frame.surface is not None else 1.0)
     features, normals = [], []
     for zoom in zooms:
@@ -122,9 +121,9 @@ def draw_samples(
         maps = config.image_features(
             change, scene.background, mask=scene.mask, zoom=zoom, window=part
         )
-        for region, count in regions if zoom == 1.0 else regions[:-1]:
-            found = np.flatnonzero((region & usable)[part])
-            picked = rng.permutation(found)[: max(1, count // len(zooms))]
+        wide = regions if zoom == 1.0 else regions[:-1]
+        chosen = [(region[part], max(1, count // len(zooms))) for region, count in wide]
+        for picked in draw_regions(frame.name, chosen, rng):
             features.append(maps.reshape(-1, config.input_count)[picked])
             normals.append(wanted[part].reshape(-1, 3)[picked])
     return Samples(np.concatenate(features), np.concatenate(normals).astype(np.float32))

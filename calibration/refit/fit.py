@@ -82,11 +82,8 @@ def calibrate_refit(
 
 
 def _simulated(profile: SensorProfile, progress: Progress) -> Surfaces:
-    def tell(done: int, total: int) -> None:
-        progress("simulating the presses", done, total)
-
     def make(captures: CaptureSet, circles: list[ContactCircle]) -> list[PressSurface]:
-        return simulate_presses(captures, circles, profile, progress=tell)
+        return simulate_presses(captures, circles, profile, progress=progress)
 
     return make
 

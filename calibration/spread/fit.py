@@ -45,7 +45,7 @@ def calibrate_spread(
         InputError: Fewer than two frames and no profiles, or profiles that cannot be compared.
     """
     units = spread_of_units(options.units) if options.units else None
-    light = calibrate_background(folder, progress)
+    light = calibrate_background(folder, base, progress)
     return fit_spread(
         [frame.drift for frame in _compared_frames(light)],
         units,

@@ -31,9 +31,6 @@ class CalibrateBackground:
     """Print the figures as JSON."""
 
     def run(self) -> None:
-        import cv2
-        import numpy as np
-
         from taccel_lab.calibration.background.fit import calibrate_background
         from taccel_lab.calibration.background.report import background_page
         from taccel_lab.cli.calibrate.base import open_job
@@ -41,14 +38,8 @@ class CalibrateBackground:
         from taccel_lab.cli.progress import stage_progress
 
         job = open_job(self.captures, self.out, self.base, self.report)
-        folder = job.folder
         with stage_progress(job.console) as progress:
-            result = calibrate_background(folder, progress)
+            result = calibrate_background(job.folder, job.base, progress)
         job.write(result, background_page(result))
-        usable = ~(result.dust | result.new_dust)
-        if folder.mask is not None:
-            usable &= folder.mask
-        if not cv2.imwrite(str(job.report / "dust.png"), usable.astype(np.uint8) * 255):
-            raise OSError(f"{job.report / 'dust.png'} could not be written")
         if self.json:
             print_json({"profile": str(self.out), "background": result.figures()})

@@ -5,21 +5,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
+
+from taccel_lab.calibration.normals.options import NormalOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-    from taccel_lab.calibration.normals.fit import NormalCalibration
-    from taccel_lab.calibration.surfaces import PressSurface
-    from taccel_lab.profile import SensorProfile
+    from taccel_lab.calibration.normals.result import NormalCalibration
 
 
 @dataclass(frozen=True)
-class CalibrateNormals:
+class CalibrateNormals(NormalOptions):
     """Fit the model from colour to surface normal to captured ball presses and write a profile.
 
     Inside a contact the ball gives the normal of every pixel; a small ensemble of networks learns
@@ -36,113 +35,28 @@ class CalibrateNormals:
     """Profile to extend; the catalogue's design of the captures' sensor when left out."""
     report: Path | None = None
     """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
-    holdout_every: int = 4
-    """One press in so many is held out for the figures, by place and by names that are drawn like
-    lots; 0 holds none out. What [split] in captures.toml holds out wins."""
-    circles: Literal["fused", "labels", "detected"] = "fused"
-    """Contact circles to train with: those given, those found in the images, or the better estimate
-    from both. A press without a given circle takes the one found. Held-out presses are judged in
-    their given circles."""
-    skirt: Literal["hertz", "simulated", "none"] = "hertz"
-    """Normals of the gel that sinks around a contact: a closed form; the simulation of every press
-    (minutes), which absolute depths need most; or none, which leaves those pixels out."""
-    drift: Literal["auto", "on", "off"] = "auto"
-    """Bring the light of each frame to the background's first; auto does it where that takes away
-    at least a quarter of the difference between untouched gel and background."""
-    position_bands: int = 0
-    """Bands of the positional encoding among the features: sines and cosines of the pixel's place.
-    0 to 8; 0 gives the networks the place alone."""
-    steps: int = 1000
-    """Optimiser steps; each network keeps its best ones."""
-    seed: int = 0
-    """Seed of the pixel draw, the initial weights and the batches."""
     json: bool = False
     """Print the figures as JSON instead of a summary."""
 
     def run(self) -> None:
-        from dataclasses import replace
-
         import warp as wp
         from rich.console import Console
 
-        from taccel_lab.calibration.base_profile import lost_blocks, presses_on_camera
-        from taccel_lab.calibration.check.block_findings import (
-            capture_findings,
-            joined,
-            refusing_with,
-        )
         from taccel_lab.calibration.normals.fit import calibrate_normals
-        from taccel_lab.calibration.normals.network_fit import InverseFitOptions
         from taccel_lab.calibration.normals.report import normals_page
-        from taccel_lab.calibration.normals.samples import Scene
         from taccel_lab.cli.calibrate.base import open_job
-        from taccel_lab.cli.calibrate.contacts import contact_circles
         from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import fit_progress, stage_progress
-        from taccel_lab.signals.rest_surface import rest_surface
+        from taccel_lab.cli.progress import stage_progress
 
         wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
-        options = InverseFitOptions(
-            steps=self.steps, seed=self.seed, position_bands=self.position_bands
-        )
         job = open_job(self.captures, self.out, self.base, self.report)
-        captures, base = presses_on_camera(job.folder, job.base)
-        split = captures.split(self.holdout_every)
-        heldout = captures.only(split.heldout) if split.heldout else None
-        lost = lost_blocks(job.base, base)
         with stage_progress(job.console) as progress:
-            findings = capture_findings(job.folder, "normals", progress)
-        rest = rest_surface(base.mesh, captures.grid)
-        with refusing_with(findings):
-            captures, circles, left_out = contact_circles(
-                captures.only(split.train), self.circles, job.console
-            )
-        surfaces = self._surfaces(captures, circles, base, job.console)
-        with fit_progress(job.console, "fitting the inverse model") as progress:
-            result = calibrate_normals(
-                captures,
-                circles,
-                surfaces,
-                heldout,
-                split=split,
-                rest_normals=None if rest.is_flat else rest.normals,
-                options=options,
-                drift=self.drift,
-                circle_source=self.circles,
-                progress=progress,
-            )
-        result = replace(result, remarks=(*lost, *joined(findings, (*left_out, *result.remarks))))
-        scene = Scene(
-            captures.background,
-            captures.grid,
-            captures.ball_radius_mm,
-            captures.mask,
-            None if rest.is_flat else rest.normals,
-        )
-        replace(job, base=base).write(result, normals_page(result, scene))
+            result = calibrate_normals(job.folder, job.base, self, progress)
+        job.write(result, normals_page(result))
         if self.json:
             print_json({"profile": str(self.out), "normals": result.figures()})
         else:
             _print_summary(Console(), result)
-
-    def _surfaces(
-        self,
-        captures: CaptureSet,
-        circles: list[ContactCircle],
-        base: SensorProfile,
-        console: Console,
-    ) -> list[PressSurface] | None:
-        if self.skirt == "none":
-            return None
-        if self.skirt == "simulated":
-            from taccel_lab.calibration.simulate import simulate_presses
-            from taccel_lab.cli.progress import count_progress
-
-            with count_progress(console, "simulating the presses") as progress:
-                return simulate_presses(captures, circles, base, cache=True, progress=progress)
-        from taccel_lab.calibration.normals.skirt import hertz_skirts
-
-        return hertz_skirts(captures, circles)
 
 
 def _print_summary(console: Console, result: NormalCalibration) -> None:

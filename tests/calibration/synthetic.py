@@ -9,9 +9,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.color.fit import HeldoutSet, calibrate_color
+from taccel_lab.calibration.color.fit import fit_color
+from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.geometry import PixelGrid, TetMesh
@@ -100,18 +102,23 @@ def calibrated(
     heldout_names: tuple[str, ...] | None = None,
     **more: Any,
 ) -> ColorCalibration:
-    """``calibrate_color`` with the labels as circles, the rest of the presses held out."""
+    """``fit_color`` with the labels as circles, the rest of the presses held out."""
     if heldout_names is not None:
         captures = replace(captures, heldout=heldout_names)
     split = captures.split(holdout_every)
     training = captures.only(split.train)
-    return calibrate_color(
+    return fit_color(
         training,
         [press.circle for press in training.presses if press.circle is not None],
         [surfaces[i] for i in split.train],
         HeldoutSet.of(captures, split, true_surfaces),
         **more,
     )
+
+
+def without_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits go without the check of the captures, whose findings other tests look at."""
+    monkeypatch.setattr("taccel_lab.calibration.ball_presses.capture_findings", lambda *_: [])
 
 
 def tiny_profile(grid: PixelGrid) -> SensorProfile:

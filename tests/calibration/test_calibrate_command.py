@@ -22,6 +22,7 @@ from tests.calibration.synthetic import (
     flat_profile,
     synthetic_captures,
     tiny_profile,
+    without_check,
 )
 
 
@@ -54,7 +55,10 @@ def folder(tmp_path: Path) -> Path:
     return path
 
 
-def test_writes_a_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_writes_a_profile(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_check(monkeypatch)
     out = folder.parent / "profile"
     CalibrateColor(
         folder,
@@ -80,7 +84,10 @@ def test_writes_a_profile(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     )
 
 
-def test_the_fitted_table_lies_beside_the_report_and_is_exported(folder: Path) -> None:
+def test_the_fitted_table_lies_beside_the_report_and_is_exported(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_check(monkeypatch)
     out, base = folder.parent / "profile", folder.parent / "flat"
     save_profile(flat_profile(GRID), base)
     CalibrateColor(
@@ -95,7 +102,10 @@ def test_the_fitted_table_lies_beside_the_report_and_is_exported(folder: Path) -
     assert np.array_equal(exported.grad_rgb, file.table.grad_rgb)
 
 
-def test_bands_of_the_positional_encoding_are_asked_for(folder: Path) -> None:
+def test_bands_of_the_positional_encoding_are_asked_for(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_check(monkeypatch)
     out, base = folder.parent / "profile", folder.parent / "base"
     command = CalibrateColor(
         folder, out, base=base, surface="hertz", steps=5, ensemble=0, drift="off", register=False,
@@ -109,7 +119,10 @@ def test_bands_of_the_positional_encoding_are_asked_for(folder: Path) -> None:
         replace(command, position_bands=9).run()
 
 
-def test_table_names_the_figures(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_names_the_figures(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_check(monkeypatch)
     out = folder.parent / "profile"
     CalibrateColor(
         folder, out, base=folder.parent / "base", surface="cap", steps=5, ensemble=0, drift="off",

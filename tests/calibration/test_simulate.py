@@ -249,7 +249,7 @@ def test_order_and_progress_with_several_processes(
             base,
             physics=DEFAULT,
             processes=processes,
-            progress=lambda done, total, told=told: told.append((done, total)),
+            progress=lambda _, done, total, told=told: told.append((done, total)),
         )
         assert told[-1] == (3, 3) and len(told) == 2
         assert [done for done, _ in told] == sorted(done for done, _ in told)
@@ -363,7 +363,7 @@ def test_presses_that_are_spanned_are_not_simulated(
     told: list[tuple[int, int]] = []
     shared = simulate_presses(
         many, circles, base, physics=DEFAULT, processes=1, share=True,
-        progress=lambda done, total: told.append((done, total)),
+        progress=lambda _, done, total: told.append((done, total)),
     )  # fmt: skip
     assert sorted(simulated) == spanning_presses(circles) and len(simulated) == SPANNING
     assert told == [(3, 10), (6, 10), (10, 10)]

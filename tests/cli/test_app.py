@@ -131,6 +131,7 @@ def test_help_is_fast_and_light() -> None:
             cwd=ROOT,
             capture_output=True,
             text=True,
+            encoding="utf-8",
             check=False,
         )
         best = min(best, time.perf_counter() - start)

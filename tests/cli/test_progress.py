@@ -27,7 +27,7 @@ def test_a_log_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
         stage("fitting the lens", 4, 5)
         time.sleep(0.3)
     assert "fitting the lens 4/5 (" in log.file.getvalue()  # type: ignore[attr-defined]
-    with pytest.raises(ValueError, match="x"), progress.fit_progress(log, "colours"):
+    with pytest.raises(ValueError, match="x"), progress.count_progress(log, "colours"):
         raise ValueError("x")
     assert threading.active_count() == threads
 

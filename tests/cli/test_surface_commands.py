@@ -17,6 +17,7 @@ from taccel_lab.calibration.base_profile import lost_blocks, on_grid
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.check.block_findings import joined, refusing_with
 from taccel_lab.calibration.check.findings import error, info, warning
+from taccel_lab.calibration.normals import fit
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
@@ -26,12 +27,15 @@ from tests.calibration.synthetic import (
     GRID,
     flat_profile,
     synthetic_captures,
+    without_check,
 )
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> None:
+def quick_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     torch.set_num_threads(1)
+    baseline = replace(fit.PIXEL_BASELINE, steps=20)
+    monkeypatch.setattr(fit, "PIXEL_BASELINE", baseline)
 
 
 def write_folder(path: Path, background: np.ndarray, images: dict[str, np.ndarray], ball_mm: float,
@@ -68,7 +72,10 @@ def presses(tmp_path: Path) -> Path:
     return write_folder(tmp_path / "captures", captures.background, images, BALL_RADIUS_MM, circles)
 
 
-def test_normals_then_depth(presses: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_normals_then_depth(
+    presses: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_check(monkeypatch)
     folder = presses.parent
     profile, base = str(folder / "profile"), str(folder / "base")
     options = ["--base", base, "--circles", "labels", "--steps", "150", "--json"]
@@ -180,8 +187,8 @@ def test_a_refusal_names_what_else_was_found() -> None:
 
 def test_the_graver_of_two_remarks_on_one_thing_is_kept() -> None:
     found = [warning("few", "check", "normals"), error("other", "check", "normals")]
-    fit = [Remark(Severity.ERROR, "few", "fit"), Remark(Severity.WARNING, "other", "fit")]
-    kept = joined(found, [*fit, Remark(Severity.INFO, "third", "fit")])
+    fitted = [Remark(Severity.ERROR, "few", "fit"), Remark(Severity.WARNING, "other", "fit")]
+    kept = joined(found, [*fitted, Remark(Severity.INFO, "third", "fit")])
     assert [(r.code, r.message) for r in kept] == [
         ("other", "check"),
         ("few", "fit"),

@@ -7,8 +7,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-
 from taccel_lab.cad.mesh.structured import structured_gel_mesh
+
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.scene import Element, Material

@@ -26,6 +26,8 @@ from tests.calibration.drawn.faults import (
 )
 from tests.calibration.synthetic import tiny_profile
 
+BASE = tiny_profile(GRID)
+
 
 def frame(name: str, image: np.ndarray) -> Frame:
     return Frame(name, name, "0" * 64, partial(np.copy, image))
@@ -62,7 +64,7 @@ def test_average_is_quieter_and_keeps_no_stain() -> None:
     ]
     untouched = [quantise(add_noise(drift(gel(), *light()), 2.0, rng)) for _ in range(4)]
     background = quantise(add_noise(gel(), 2.0, rng))
-    result = calibrate_background(capture_folder(background, untouched, presses))
+    result = calibrate_background(capture_folder(background, untouched, presses), BASE)
     before = np.sqrt(np.mean((background - gel()) ** 2))
     after = np.sqrt(np.mean((result.image - gel()) ** 2))
     assert after < 0.55 * before
@@ -84,15 +86,15 @@ def box(values: np.ndarray) -> np.ndarray:
 def test_background_from_presses_alone() -> None:
     rng = np.random.default_rng(5)
     presses = [quantise(add_noise(pressed(c), 1.0, rng)) for c in scattered(14, seed=1)]
-    result = calibrate_background(capture_folder(None, [], presses))
+    result = calibrate_background(capture_folder(None, [], presses), BASE)
     assert np.abs(result.image - gel()).mean() < 1.5
     assert "no_untouched_image" in {remark.code for remark in result.remarks}
     with pytest.raises(InputError, match="too few to make one"):
-        calibrate_background(capture_folder(None, [], presses[:3]))
+        calibrate_background(capture_folder(None, [], presses[:3]), BASE)
     same = [presses[0]] * 8
     with pytest.raises(InputError, match="spread over the gel"):
         # Eight times the same press, and eight of another: half touch each place.
-        calibrate_background(capture_folder(None, [], [*same, *presses[1:2] * 8]))
+        calibrate_background(capture_folder(None, [], [*same, *presses[1:2] * 8]), BASE)
 
 
 def test_masked_pixels_have_no_effect() -> None:
@@ -101,8 +103,8 @@ def test_masked_pixels_have_no_effect() -> None:
     mask[20:60, 30:90] = False
     images = [quantise(add_noise(gel(), 1.5, rng)) for _ in range(4)]
     spoilt = [quantise(poison(image, mask, rng)) for image in images]
-    first = calibrate_background(capture_folder(images[0], images[1:], [], mask))
-    second = calibrate_background(capture_folder(images[0], spoilt[1:], [], mask))
+    first = calibrate_background(capture_folder(images[0], images[1:], [], mask), BASE)
+    second = calibrate_background(capture_folder(images[0], spoilt[1:], [], mask), BASE)
     assert np.array_equal(first.image, second.image)
     assert first.figures()["drift"] == second.figures()["drift"]
 
@@ -113,14 +115,14 @@ def test_a_background_with_a_contact_in_it_is_weak() -> None:
     circles = [c for c in scattered(14, seed=3) if np.hypot(c.u_px - 150, c.v_px - 50) > 40]
     presses = [quantise(add_noise(pressed(circle), 1.5, rng)) for circle in circles]
     spoilt = quantise(add_noise(pressed(touched), 1.5, rng))
-    found = calibrate_background(capture_folder(spoilt, [], presses))
+    found = calibrate_background(capture_folder(spoilt, [], presses), BASE)
     assert "background_pressed" in {remark.code for remark in found.remarks}
     assert found.figures()["verdict"] == "weak"
     # Nothing is said of what the mask hides, whatever the light does.
     mask = np.ones((150, 200), dtype=bool)
     mask[20:80, 118:182] = False
     warmer = [quantise(poison(drift(p, np.ones(3), np.full(3, 25.0)), mask, rng)) for p in presses]
-    hidden = calibrate_background(capture_folder(spoilt, [], warmer, mask))
+    hidden = calibrate_background(capture_folder(spoilt, [], warmer, mask), BASE)
     assert "background_pressed" not in {remark.code for remark in hidden.remarks}
 
 
@@ -129,7 +131,7 @@ def test_dust_that_stays() -> None:
     dusty = add_dust(gel(), 12, np.random.default_rng(1), radius_px=1.5)
     background = quantise(add_noise(gel(), 1.0, rng))
     later = [quantise(add_noise(dusty, 1.0, rng)) for _ in range(4)]
-    result = calibrate_background(capture_folder(background, later, []))
+    result = calibrate_background(capture_folder(background, later, []), BASE)
     assert "new_dust" in {remark.code for remark in result.remarks}
     truth = np.abs(dusty - gel())[..., 0] > 20
     assert (result.new_dust & truth).sum() > 0.8 * truth.sum()
@@ -139,11 +141,11 @@ def test_dust_that_stays() -> None:
 
 def test_refusals() -> None:
     with pytest.raises(InputError, match="neither an untouched image nor presses"):
-        calibrate_background(capture_folder(None, [], []))
+        calibrate_background(capture_folder(None, [], []), BASE)
     small = np.zeros((40, 50, 3), np.uint8)
     with pytest.raises(InputError, match="several sizes"):
-        calibrate_background(capture_folder(quantise(gel()), [small], []))
-    result = calibrate_background(capture_folder(quantise(gel()), [], []))
+        calibrate_background(capture_folder(quantise(gel()), [small], []), BASE)
+    result = calibrate_background(capture_folder(quantise(gel()), [], []), BASE)
     other = dataclasses.replace(GRID, width_px=100, height_px=80)
     unscaled = dataclasses.replace(result, mm_per_px=None)
     with pytest.raises(InputError, match="state no scale"):

@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from taccel_lab.calibration.background.average import average_background
 
 from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.color.fit import ColorPlan, HeldoutSet, calibrate_color
-from taccel_lab.calibration.color.folds import cross_validate
+from taccel_lab.calibration.color.fit import fit_color
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
+from taccel_lab.calibration.color.folds import fold_fits
 from taccel_lab.calibration.color.frames import ColorFrame
+from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.color.options import ColorFitOptions
-from taccel_lab.calibration.light.average import average_background
 from taccel_lab.calibration.light.fit import fit_light_beside
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces import PressSurface
@@ -156,32 +157,22 @@ def test_averaged_background_is_quieter_and_free_of_contacts() -> None:
     assert np.std(averaged - truth) < 0.5 * np.std(noisy - truth)
 
 
-def test_cross_validation_names_every_press() -> None:
-    captures, surfaces = synthetic_captures(6)
-    options = dataclasses.replace(QUICK, steps=300)
-    spread = cross_validate(
-        frames_of(captures, surfaces), captures.background, GRID, options, folds=3
-    )
-    assert list(spread) == [f"p{i}" for i in range(6)]
-    assert all(0.3 < value < 25 for value in spread.values())
-    with pytest.raises(InputError, match=r"folds must lie in 2\.\.6"):
-        cross_validate(frames_of(captures, surfaces), captures.background, GRID, folds=7)
-
-
 def test_bad_fits_are_refused() -> None:
     captures, surfaces = synthetic_captures(3)
     with pytest.raises(InputError, match="at least one press"):
         fit_color_model([], captures.background, GRID)
+    with pytest.raises(InputError, match=r"folds must lie in 2\.\.3"):
+        fold_fits(frames_of(captures, surfaces), captures.background, GRID, QUICK, folds=4)
     with pytest.raises(InputError, match="steps must be at least 1"):
         ColorFitOptions(steps=0)
     with pytest.raises(InputError, match="learning_rate must be positive"):
         ColorFitOptions(learning_rate=-1.0)
     with pytest.raises(InputError, match="3 presses need as many circles and surfaces"):
-        calibrate_color(captures, [], surfaces)
+        fit_color(captures, [], surfaces)
     circles = [press.circle for press in captures.presses if press.circle is not None]
     held = HeldoutSet(captures.only([1]), true_surfaces, captures.split(2))
     with pytest.raises(InputError, match="p1: held out and fitted at once"):
-        calibrate_color(captures, circles, surfaces, held)
+        fit_color(captures, circles, surfaces, held)
     everything = np.zeros((GRID.height_px, GRID.width_px), dtype=bool)
     with pytest.raises(InputError, match="masked"):
         fit_color_model(
@@ -191,9 +182,7 @@ def test_bad_fits_are_refused() -> None:
 
 def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
     captures, surfaces = synthetic_captures(8)
-    result = calibrated(
-        captures, surfaces, options=dataclasses.replace(QUICK, steps=60), plan=ColorPlan(folds=2)
-    )
+    result = calibrated(captures, surfaces, options=dataclasses.replace(QUICK, steps=60), folds=2)
     save_profile(result.apply_to(tiny_profile(GRID)), tmp_path / "profile")
     loaded = load_profile(tmp_path / "profile")
     assert loaded.color is not None and loaded.color_weights is not None

@@ -6,28 +6,28 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.color import drift_choice
-from taccel_lab.calibration.color.fit import ColorPlan
-from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.report import color_page
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.result import Severity, Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError
+from taccel_lab.profile import Provenance
 from tests.calibration.drawn.faults import add_noise, blur, drift, quantise, vignette
-from tests.calibration.synthetic import calibrated, synthetic_captures
+from tests.calibration.synthetic import GRID, calibrated, synthetic_captures, tiny_profile
 
 QUICK = ColorFitOptions(
     hidden=(24, 24), steps=300, batch_pixels=1024, disc_pixels=800, ring_pixels=500,
     far_pixels=150, learning_rate=8e-3,
 )  # fmt: skip
-PLAN = ColorPlan()
 
 
 def with_images(captures: CaptureSet, images: list[np.ndarray], **changes: object) -> CaptureSet:
@@ -41,12 +41,11 @@ def with_images(captures: CaptureSet, images: list[np.ndarray], **changes: objec
 def calibrate(
     captures: CaptureSet,
     surfaces: list[PressSurface],
-    plan: ColorPlan = PLAN,
     holdout_every: int = 4,
-    **changes: object,
+    options: ColorFitOptions = QUICK,
+    **chosen: Any,
 ) -> ColorCalibration:
-    options = replace(QUICK, **changes)  # type: ignore[arg-type]
-    return calibrated(captures, surfaces, holdout_every=holdout_every, options=options, plan=plan)
+    return calibrated(captures, surfaces, holdout_every=holdout_every, options=options, **chosen)
 
 
 def heldout_l1(result: ColorCalibration) -> float:
@@ -55,6 +54,12 @@ def heldout_l1(result: ColorCalibration) -> float:
 
 def codes(result: ColorCalibration) -> set[str]:
     return {remark.code for remark in result.remarks}
+
+
+def provenance_of(result: ColorCalibration) -> Provenance:
+    block = result.apply_to(tiny_profile(GRID)).color
+    assert block is not None
+    return block.provenance
 
 
 @pytest.fixture(scope="module")
@@ -111,16 +116,16 @@ def test_drift_is_found_and_taken_off(sound: tuple[CaptureSet, list[PressSurface
             for p in captures.presses
         ],
     )
-    result = calibrate(drifting, surfaces, replace(PLAN, drift="auto"))
+    result = calibrate(drifting, surfaces, drift="auto")
     choice = result.drift_choice
     assert choice is not None and choice.remove and result.drift_corrected
     assert choice.disc_l1_on is not None and choice.disc_l1_off is not None
     assert choice.disc_l1_on < 0.7 * choice.disc_l1_off
     assert codes(result) == {"light_drifts"}
-    left_in = calibrate(drifting, surfaces, replace(PLAN, drift="off"))
+    left_in = calibrate(drifting, surfaces, drift="off")
     assert not left_in.drift_corrected and "light_drifts" in codes(left_in)
     assert heldout_l1(result) < 0.6 * heldout_l1(left_in)
-    steady = calibrate(captures, surfaces, replace(PLAN, drift="auto"))
+    steady = calibrate(captures, surfaces, drift="auto")
     assert steady.drift_choice is not None and not steady.drift_choice.remove
 
 
@@ -130,8 +135,7 @@ def test_an_outlier_is_named(sound: tuple[CaptureSet, list[PressSurface]]) -> No
     split = captures.split(4)
     turned = split.train[3]
     images[turned] = images[turned][::-1, ::-1].copy()
-    plan = replace(PLAN, folds=3, table=True)
-    result = calibrate(with_images(captures, images), surfaces, plan)
+    result = calibrate(with_images(captures, images), surfaces, folds=3, table=True)
     (remark,) = [r for r in result.remarks if r.code == "outliers"]
     name, other = (captures.presses[i].name for i in (turned, split.train[2]))
     assert f"{name} (" in remark.message and f"{other} (" not in remark.message
@@ -139,7 +143,7 @@ def test_an_outlier_is_named(sound: tuple[CaptureSet, list[PressSurface]]) -> No
     assert set(figures["left_out_disc_l1"]) == {captures.presses[i].name for i in split.train}
     assert figures["spread"]["fit_count"] == 3 and figures["spread"]["disc_levels"] > 0
     assert figures["taxim_table"]["disc_l1"] > 0
-    provenance = result._color_provenance()
+    provenance = provenance_of(result)
     assert provenance.verdict == "usable" and any(name in text for text in provenance.remarks)
     assert provenance.spread["ensemble_disc_levels"] == figures["spread"]["disc_levels"]
 
@@ -157,11 +161,11 @@ def test_an_early_stop_takes_the_best_weights(
     sound: tuple[CaptureSet, list[PressSurface]],
 ) -> None:
     captures, surfaces = sound
-    result = calibrate(captures, surfaces, validation_every=3)
+    result = calibrate(captures, surfaces, options=replace(QUICK, validation_every=3))
     curve = dict(result.fit.validation_curve)
     assert set(curve) == {100, 200, 300}
     assert curve[result.fit.step] == min(curve.values())
-    assert "held-back presses" in result._color_provenance().method
+    assert "held-back presses" in provenance_of(result).method
 
 
 @pytest.mark.parametrize("loss", ["l1", "ssim"])
@@ -169,7 +173,7 @@ def test_other_losses_learn_the_law_too(
     sound: tuple[CaptureSet, list[PressSurface]], loss: str
 ) -> None:
     captures, surfaces = sound
-    result = calibrate(captures, surfaces, loss=loss, steps=150)
+    result = calibrate(captures, surfaces, options=replace(QUICK, loss=loss, steps=150))
     assert heldout_l1(result) < 4.0
 
 
@@ -184,7 +188,7 @@ def test_without_held_out_presses_it_says_so(
     sound: tuple[CaptureSet, list[PressSurface]],
 ) -> None:
     captures, surfaces = sound
-    result = calibrate(captures, surfaces, holdout_every=0, steps=20)
+    result = calibrate(captures, surfaces, holdout_every=0, options=replace(QUICK, steps=20))
     (remark,) = result.remarks
     assert remark.code == "nothing_held_out" and remark.severity is Severity.WARNING
 
@@ -194,7 +198,7 @@ def test_a_model_of_three_presses_is_weak(
 ) -> None:
     captures, surfaces = sound
     few = replace(captures, presses=captures.presses[:3])
-    result = calibrate(few, surfaces[:3], holdout_every=0, steps=20)
+    result = calibrate(few, surfaces[:3], holdout_every=0, options=replace(QUICK, steps=20))
     assert {r.code: r.severity for r in result.remarks}["few_presses"] is Severity.ERROR
 
 
@@ -202,7 +206,7 @@ def test_the_page_shows_every_press(
     sound: tuple[CaptureSet, list[PressSurface]], tmp_path: Path
 ) -> None:
     captures, surfaces = sound
-    result = calibrate(captures, surfaces, replace(PLAN, folds=2, table=True), steps=60)
+    result = calibrate(captures, surfaces, options=replace(QUICK, steps=60), folds=2, table=True)
     page = color_page(result)
     write_page(page, tmp_path / "report")
     assert {path.name for path in (tmp_path / "report").glob("*.png")} == {

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,18 +12,24 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press, load_captures
+from taccel_lab.calibration.capture import (
+    CaptureSet,
+    ContactCircle,
+    Press,
+    load_capture_folder,
+    load_captures,
+)
 from taccel_lab.calibration.color import drift_choice as drift_choice_module
-from taccel_lab.calibration.color.fit import ColorPlan, calibrate_color
+from taccel_lab.calibration.color.fit import calibrate_color, fit_color
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.heldout import HeldoutSet
-from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.color.options import ColorOptions
 from taccel_lab.calibration.color.registration import register_presses
+from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.color.tiles import even_tiles, filled_from
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.surfaces import PressSurface
-from taccel_lab.cli.calibrate.color import CalibrateColor
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.profile import load_profile, save_profile
 from tests.calibration.synthetic import (
     BALL_RADIUS_MM,
     GRID,
@@ -32,12 +37,16 @@ from tests.calibration.synthetic import (
     synthetic_captures,
     tiny_profile,
     true_surfaces,
+    without_check,
 )
 
 QUICK = ColorFitOptions(
     hidden=(24, 24), steps=200, batch_pixels=1024, disc_pixels=800, ring_pixels=500,
     far_pixels=150, learning_rate=8e-3,
 )  # fmt: skip
+
+BRIEF = replace(QUICK, hidden=(16,), steps=60)
+"""For short fits whose result has to be the same, be it good or not."""
 
 
 def write_folder(path: Path, captures: CaptureSet, labelled: bool) -> Path:
@@ -67,41 +76,32 @@ def write_folder(path: Path, captures: CaptureSet, labelled: bool) -> Path:
 def test_canary_noise_in_held_out_images_changes_nothing_that_is_fitted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, labelled: bool
 ) -> None:
-    """The whole command, twice: weights, background, training circles and split stay to the bit."""
-    short = partial(register_presses, fit=QUICK)
+    """The whole calibration, twice: weights, background, circles and split stay to the bit."""
+    short = partial(register_presses, fit=BRIEF)
     monkeypatch.setattr("taccel_lab.calibration.color.fit.register_presses", short)
-    monkeypatch.setattr(drift_choice_module, "SHORT_FIT", QUICK)
+    monkeypatch.setattr(drift_choice_module, "SHORT_FIT", BRIEF)
     captures, _ = synthetic_captures(12, noise=1.0)
     folder = write_folder(tmp_path / "captures", captures, labelled)
-    save_profile(tiny_profile(GRID), tmp_path / "base")
     names = load_captures(folder).split(4).heldout_names
     assert len(names) == 3
+    if not labelled:
+        # What it finds does not depend on labels being there.
+        without_check(monkeypatch)
+    options = ColorOptions(surface="hertz", steps=40, ensemble=2, cache=False, table=False)
 
-    def run(name: str) -> tuple[Any, dict[str, Any]]:
-        out = tmp_path / name
-        CalibrateColor(
-            folder,
-            out,
-            base=tmp_path / "base",
-            surface="hertz",
-            steps=40,
-            ensemble=2,
-            cache=False,
-            table=False,
-        ).run()
-        report = json.loads((tmp_path / f"{name}_report" / "report.json").read_text())
-        return load_profile(out), report["color"]
+    def run() -> tuple[ColorCalibration, dict[str, Any]]:
+        result = calibrate_color(load_capture_folder(folder), tiny_profile(GRID), options)
+        return result, result.figures()
 
-    clean, before = run("clean")
+    clean, before = run()
     rng = np.random.default_rng(9)
     for name in names:
         noise = rng.integers(0, 256, (GRID.height_px, GRID.width_px, 3), dtype=np.uint8)
         cv2.imwrite(str(folder / f"{name}.png"), noise)
-    spoilt, after = run("spoilt")
-    assert clean.color_weights is not None and spoilt.color_weights is not None
-    for key, weight in clean.color_weights.items():
-        assert np.array_equal(weight, spoilt.color_weights[key]), key
-    assert np.array_equal(clean.background_rgb, spoilt.background_rgb)
+    spoilt, after = run()
+    for key, weight in clean.fit.model.weights.items():
+        assert np.array_equal(weight, spoilt.fit.model.weights[key]), key
+    assert np.array_equal(clean.fit.background, spoilt.fit.background)
     assert set(before["circles"]["presses"]).isdisjoint(names)
     for key in (
         "split", "circles", "train_disc_l1", "left_out_disc_l1", "loss_curve", "drift_choice",
@@ -147,7 +147,7 @@ def test_a_contact_too_large_for_its_light_fails_alone(
     )
     told: list[str] = []
     result = calibrated(
-        captures, surfaces, options=QUICK, plan=ColorPlan(drift="on"), stage=told.append
+        captures, surfaces, options=QUICK, drift="on", progress=lambda task, *_: told.append(task)
     )
     (failure,) = result.failures
     assert failure.name == name and "usable pixels beyond 3 radii" in failure.reason
@@ -201,7 +201,7 @@ def test_a_simulation_that_does_not_converge_spoils_no_other(
         return true_surfaces(some, circles)
 
     training = captures.only(split.train)
-    result = calibrate_color(
+    result = fit_color(
         training,
         [press.circle for press in training.presses if press.circle is not None],
         [surfaces[i] for i in split.train],
@@ -280,4 +280,4 @@ def test_a_press_on_both_sides_is_refused(sound: tuple[CaptureSet, list[PressSur
     circles = [press.circle for press in captures.presses if press.circle is not None]
     held = HeldoutSet(captures.only([1]), true_surfaces, captures.split(4))
     with pytest.raises(InputError, match="p1: held out and fitted at once"):
-        calibrate_color(captures, circles, surfaces, held)
+        fit_color(captures, circles, surfaces, held)

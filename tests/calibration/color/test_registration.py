@@ -11,9 +11,9 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.color import registration
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame, Samples
 from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.color.registration import (
     RegistrationOptions,
     place_press,
@@ -31,6 +31,9 @@ QUICK = ColorFitOptions(
     hidden=(24, 24), steps=200, batch_pixels=1024, disc_pixels=800, ring_pixels=500,
     far_pixels=100, learning_rate=1e-2,
 )  # fmt: skip
+
+BRIEF = replace(QUICK, steps=60)
+"""For what holds after any number of steps."""
 
 
 def clicked_frames(
@@ -137,7 +140,7 @@ def test_masked_pixels_have_no_effect_and_runs_agree(
     monkeypatch.setattr(registration, "ROUNDS", 1)
     clean, dirty = (
         register_presses(
-            given, captures.background, GRID, mask=mask, fit=QUICK, settings=THREE_SCALES
+            given, captures.background, GRID, mask=mask, fit=BRIEF, settings=THREE_SCALES
         )
         for given in (frames, poisoned)
     )
@@ -157,11 +160,11 @@ def test_fits_go_on_from_the_first_of_their_fold(
 
     monkeypatch.setattr(registration, "train", counted)
     frames = clicked_frames(captures, np.random.default_rng(7), off_px=1.0, scale=1.0)
-    register_presses(frames, captures.background, GRID, fit=QUICK, settings=THREE_SCALES)
+    register_presses(frames, captures.background, GRID, fit=BRIEF, settings=THREE_SCALES)
     whole = [steps for steps, fresh, _ in started if fresh]
-    assert whole == [QUICK.steps] * registration.FOLDS
+    assert whole == [BRIEF.steps] * registration.FOLDS
     again = {steps for steps, fresh, _ in started if not fresh}
-    assert again == {QUICK.steps * registration.AGAIN_STEPS // 100}
+    assert again == {BRIEF.steps * registration.AGAIN_STEPS // 100}
     pixels = sorted({count for _, _, count in started})
     assert pixels[-1] < 0.6 * COUNT * 1400
 
@@ -175,7 +178,7 @@ def test_too_few_presses_are_refused(captures: CaptureSet) -> None:
 def test_radii_stay_without_any_scale(captures: CaptureSet) -> None:
     frames = clicked_frames(captures, np.random.default_rng(8), off_px=1.0, scale=1.0)
     held = RegistrationOptions(scales=(), center_sigma_px=1e-3, radius_sigma=1e-5)
-    found = register_presses(frames, captures.background, GRID, fit=QUICK, settings=held)
+    found = register_presses(frames, captures.background, GRID, fit=BRIEF, settings=held)
     assert found.scale == 1.0 and found.scale_losses == []
     # Priors this narrow leave each circle where it was given.
     for circle, frame in zip(found.circles, frames, strict=True):

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.color import taxim_table
 from taccel_lab.calibration.color.frames import ColorFrame
-from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
+from taccel_lab.calibration.color.taxim_table import (
+    fit_taxim_table,
+    nearest_filled,
+    render_taxim_table,
+)
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
@@ -101,7 +104,7 @@ def test_drift_is_taken_off_and_masked_pixels_have_no_effect() -> None:
 def test_empty_bins_take_over_their_nearest_even_around_the_circle() -> None:
     filled = np.zeros((8, 8), dtype=bool)
     filled[3, 7] = filled[6, 2] = True
-    nearest = taxim_table._nearest_filled(filled).reshape(8, 8)
+    nearest = nearest_filled(filled).reshape(8, 8)
     assert nearest[3, 7] == 3 * 8 + 7 and nearest[6, 2] == 6 * 8 + 2
     # Direction 0 lies beside direction 7: the circle closes.
     assert nearest[3, 0] == 3 * 8 + 7 and nearest[7, 3] == 6 * 8 + 2

@@ -13,9 +13,11 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.images import file_sha256, read_image
-from taccel_lab.calibration.depth.fit import DepthCalibration, calibrate_depth
+from taccel_lab.calibration.depth.fit import fit_depth
 from taccel_lab.calibration.depth.grey_contact import find_grey_contact
+from taccel_lab.calibration.depth.options import DepthOptions
 from taccel_lab.calibration.depth.report import depth_page
+from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.surfaces import analytic_surface
@@ -66,7 +68,7 @@ CIRCLES = [
 
 
 def test_perfect_presses_give_the_curve() -> None:
-    result = calibrate_depth(captures_of(CIRCLES), zero="rim")
+    result = fit_depth(captures_of(CIRCLES), DepthOptions(zero="rim"))
     inside = (result.response.drop_levels > 3) & (result.response.drop_levels < 60)
     wanted = TRUE.depth_of(result.response.drop_levels[inside])
     assert result.response.depth_mm[inside] == pytest.approx(wanted, abs=2e-3)
@@ -81,7 +83,7 @@ def test_noisy_presses_lie_within_their_spread() -> None:
     inside = slice(8, 55)
     errors = []
     for seed in range(3):
-        result = calibrate_depth(captures_of(CIRCLES, noise=1.0, seed=seed), zero="rim")
+        result = fit_depth(captures_of(CIRCLES, noise=1.0, seed=seed), DepthOptions(zero="rim"))
         level = result.response.drop_levels
         error = result.response.depth_mm - TRUE.depth_of(level)
         # Noise in the abscissa draws a curve's ends towards the middle, by well under a level.
@@ -100,13 +102,13 @@ def test_contacts_are_found_without_circles() -> None:
         assert off < 0.5
         # Smoothing moves the steepest place inwards.
         assert circle.radius_px - 2.5 < found.circle.radius_px < circle.radius_px + 1.0
-    result = calibrate_depth(captures)
+    result = fit_depth(captures)
     assert result.left_out_mm.mean() < 0.08
     assert not any(p.given for p in result.presses)
 
 
 def test_one_press_is_judged_by_its_eighths() -> None:
-    result = calibrate_depth(captures_of(CIRCLES[:1], noise=1.0), zero="rim")
+    result = fit_depth(captures_of(CIRCLES[:1], noise=1.0), DepthOptions(zero="rim"))
     assert result.left_out == "eighth of the contact"
     assert result.left_out_mm.mean() < 0.05
     assert any(remark.code == "few_presses" for remark in result.remarks)
@@ -120,26 +122,26 @@ def test_labels_off_the_dark_patch_are_weak() -> None:
     captures = captures_of(CIRCLES, noise=0.5)
     assert (
         not {"labels_off", "duplicates", "one_spot", "large_error"}
-        & codes(calibrate_depth(captures)).keys()
+        & codes(fit_depth(captures)).keys()
     )
     moved = tuple(
         replace(p, circle=replace(p.circle, u_px=p.circle.u_px - 9))
         for p in captures.presses
         if p.circle is not None
     )
-    result = calibrate_depth(replace(captures, presses=moved))
+    result = fit_depth(replace(captures, presses=moved))
     assert codes(result)["labels_off"] == "error"
     far = replace(CIRCLES[0], u_px=160.0, v_px=110.0)
     lost = replace(captures, presses=(replace(captures.presses[0], circle=far),))
     with pytest.raises(InputError, match="given circles lie away from the dark patch"):
-        calibrate_depth(lost)
+        fit_depth(lost)
 
 
 def test_repeats_are_one_press() -> None:
     captures = captures_of([CIRCLES[0]] * 3, noise=0.5)
-    assert codes(calibrate_depth(captures))["one_spot"] == "warning"
+    assert codes(fit_depth(captures))["one_spot"] == "warning"
     same = tuple(replace(press, sha256="1" * 64) for press in captures.presses)
-    assert codes(calibrate_depth(replace(captures, presses=same)))["duplicates"] == "warning"
+    assert codes(fit_depth(replace(captures, presses=same)))["duplicates"] == "warning"
 
 
 def test_presses_that_answer_differently_are_told() -> None:
@@ -148,22 +150,22 @@ def test_presses_that_answer_differently_are_told() -> None:
     dim = captures.presses[1].image()
     dim = captures.background - 0.35 * (captures.background - dim)
     presses = (captures.presses[0], replace(captures.presses[1], read=partial(np.copy, dim)))
-    result = calibrate_depth(replace(captures, presses=presses))
+    result = fit_depth(replace(captures, presses=presses))
     assert codes(result)["large_error"] in ("warning", "error")
 
 
 def test_sunk_rim_adds_to_every_depth() -> None:
     captures = captures_of(CIRCLES)
     surfaces = [analytic_surface(c, GRID, BALL_MM, decay_mm=1.0) for c in CIRCLES]
-    by_rim = calibrate_depth(captures, zero="rim")
-    by_face = calibrate_depth(captures, zero="hertz", surface_of=lambda _: surfaces)
+    by_rim = fit_depth(captures, DepthOptions(zero="rim"))
+    by_face = fit_depth(captures, DepthOptions(zero="hertz"), lambda *_: surfaces)
     sunk = np.mean([p.rim_depth_mm for p in by_face.presses])
     assert sunk > 0.1
     drop = np.array([20.0, 40.0])
     more = by_face.response.depth_of(drop) - by_rim.response.depth_of(drop)
     assert more == pytest.approx(sunk, rel=0.15)
     with pytest.raises(InputError, match="needs the surfaces"):
-        calibrate_depth(captures, zero="simulated")
+        fit_depth(captures, DepthOptions(zero="simulated"))
 
 
 def test_poisoned_masked_pixels_have_no_effect() -> None:
@@ -184,7 +186,7 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
             replace(p, read=partial(poisoned, p.image())) for p in captures.presses
         ),
     )  # fmt: skip
-    one, two = calibrate_depth(captures), calibrate_depth(dirty)
+    one, two = fit_depth(captures), fit_depth(dirty)
     assert np.array_equal(one.response.depth_mm, two.response.depth_mm)
     assert one.presses == two.presses
 
@@ -192,7 +194,7 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
 def test_profile_and_report(tmp_path: Path) -> None:
     captures = captures_of(CIRCLES, noise=1.0)
     captures = replace(captures, background=captures.background.astype(np.uint8))
-    result = calibrate_depth(captures, zero="rim")
+    result = fit_depth(captures, DepthOptions(zero="rim"))
     save_profile(result.apply_to(flat_profile(GRID)), tmp_path / "profile")
     profile = load_profile(tmp_path / "profile")
     assert profile.depth_response is not None
@@ -202,7 +204,7 @@ def test_profile_and_report(tmp_path: Path) -> None:
     deepest = BALL_MM - np.sqrt(BALL_MM**2 - rim**2)
     assert -1e3 * found.rise_m.min() == pytest.approx(deepest, abs=0.06)
     assert found.method == "depth" and found.sigma_deg is None
-    write_page(depth_page(result, captures), tmp_path / "report")
+    write_page(depth_page(result), tmp_path / "report")
     assert (tmp_path / "report" / "curve.png").stat().st_size > 5_000
 
 
@@ -216,7 +218,7 @@ def test_unusable_images_are_refused() -> None:
         find_grey_contact(edge, GRID)
     captures = captures_of(CIRCLES)
     with pytest.raises(InputError, match="not below the ball's"):
-        calibrate_depth(replace(captures, ball_radius_mm=3.14), zero="rim")
+        fit_depth(replace(captures, ball_radius_mm=3.14), DepthOptions(zero="rim"))
 
 
 def real_press(unit: int, mm_per_px: float) -> DepthCalibration:
@@ -225,7 +227,7 @@ def real_press(unit: int, mm_per_px: float) -> DepthCalibration:
     if not image.is_file():
         pytest.skip(f"the 9DTact presses are not at {NINE}; set TACCEL_LAB_DATA")
     untouched = read_image(background)
-    return calibrate_depth(
+    return fit_depth(
         CaptureSet(
             str(folder), "9dtact", untouched, file_sha256(background),
             np.ones(untouched.shape[:2], dtype=bool), 4.0,

@@ -13,10 +13,11 @@ import torch
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.normals.ball_normals import ball_center_px, ball_normals
-from taccel_lab.calibration.normals.fit import NormalCalibration, calibrate_normals
+from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions, fit_normal_model
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.report import normals_page
+from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import SampleOptions, Scene
 from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
 from taccel_lab.calibration.report import write_page
@@ -58,7 +59,7 @@ def calibrated(
     settings = {"options": QUICK, "baseline": False} | changes
     split = captures.split(4)
     training = captures.only(split.train)
-    return calibrate_normals(
+    return fit_normals(
         training,
         circles_of(training),
         None if surfaces is None else [surfaces[i] for i in split.train],
@@ -126,7 +127,7 @@ def test_noisy_captures_err_as_expected() -> None:
 @pytest.mark.parametrize(("count", "verdict"), [(3, Verdict.WEAK), (5, Verdict.USABLE)])
 def test_a_few_presses_do_not_make_a_good_model(count: int, verdict: Verdict) -> None:
     captures, surfaces = synthetic_captures(count, noise=1.0)
-    result = calibrate_normals(
+    result = fit_normals(
         captures,
         circles_of(captures),
         surfaces,
@@ -141,7 +142,7 @@ def test_wrong_circles_show_in_the_shifts() -> None:
     circles = circles_of(captures)
     circles[4] = replace(circles[4], u_px=circles[4].u_px + 5)
     surfaces[4] = analytic_surface(circles[4], GRID, BALL_RADIUS_MM, decay_mm=1.0)
-    result = calibrate_normals(captures, circles, surfaces, options=QUICK, baseline=False)
+    result = fit_normals(captures, circles, surfaces, options=QUICK, baseline=False)
     worst = max(result.fit.label_shifts, key=lambda k: result.fit.label_shifts[k].length_px)
     assert worst == "p4"
     assert result.fit.label_shifts["p4"].du_px == pytest.approx(-5, abs=1.5)
@@ -274,7 +275,7 @@ def test_profile_reads_what_the_calibration_read(
     assert figures["deepest_px"] == pytest.approx([circle.u_px, circle.v_px], abs=2.5)
     still = reader.read(np.asarray(profile.background_rgb))
     assert np.abs(still.rise_m).max() == 0.0
-    write_page(normals_page(result, Scene(captures.background, GRID, 2.0)), tmp_path / "report")
+    write_page(normals_page(result), tmp_path / "report")
     assert (tmp_path / "report" / "errors.png").stat().st_size > 10_000
 
 
@@ -349,7 +350,7 @@ def test_bad_fits_are_refused() -> None:
     with pytest.raises(InputError, match="at least one press"):
         fit_normal_model([], scene)
     with pytest.raises(InputError, match="3 presses need as many circles and surfaces"):
-        calibrate_normals(captures, [], surfaces)
+        fit_normals(captures, [], surfaces)
     with pytest.raises(InputError, match="members must be at least 1"):
         InverseFitOptions(members=0)
     with pytest.raises(InputError, match=r"position_bands must lie in 0\.\.8, got 9"):
@@ -358,6 +359,6 @@ def test_bad_fits_are_refused() -> None:
         SampleOptions(max_zoom=0.5)
     nothing = replace(captures, mask=np.zeros((120, 160), dtype=bool))
     with pytest.raises(InputError, match=r"masked|usable"):
-        calibrate_normals(nothing, circles_of(nothing), surfaces, options=QUICK, drift="off")
+        fit_normals(nothing, circles_of(nothing), surfaces, options=QUICK, drift="off")
     with pytest.raises(InputError, match="neither a normals nor a depth_response"):
         SurfaceReader(tiny_profile(GRID))

@@ -13,7 +13,7 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.images import file_sha256, read_image
-from taccel_lab.calibration.normals.fit import calibrate_normals
+from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.skirt import hertz_skirts
 from taccel_lab.geometry import PixelGrid
 
@@ -51,7 +51,7 @@ def heldout(captures: CaptureSet) -> tuple[dict[str, float], float]:
     split = captures.split(4)
     training = captures.only(split.train)
     circles = [press.circle for press in training.presses if press.circle is not None]
-    result = calibrate_normals(
+    result = fit_normals(
         training, circles, hertz_skirts(training, circles), captures.only(split.heldout),
         split=split, baseline=False, circle_source="labels",
     )  # fmt: skip

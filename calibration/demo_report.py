@@ -5,13 +5,17 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.calibration.color.evaluate import ImageScore
+from taccel_lab.calibration.color.heldout import mean_bare
+from taccel_lab.calibration.color.report import PLACED_BY
+from taccel_lab.calibration.demo import DemoCalibration
+from taccel_lab.calibration.report.color_discs import color_discs
+from taccel_lab.envs import PressOutcome
 from taccel_lab.geometry import Region
 from taccel_lab.report.model import (
     ColorScore,
@@ -30,16 +34,6 @@ from taccel_lab.report.model import (
     Target,
 )
 
-if TYPE_CHECKING:
-    from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-    from taccel_lab.calibration.color.evaluate import ImageScore
-    from taccel_lab.calibration.color.fit import ColorCalibration
-    from taccel_lab.calibration.contacts.result import DetectedContact
-    from taccel_lab.calibration.surfaces import PressSurface
-    from taccel_lab.envs import PressOutcome
-    from taccel_lab.profile import SensorProfile
-    from taccel_lab.sensors.design import DesignResult
-
 GOALS = (
     ("crop_psnr_db", "PSNR in the 1.6 r crop", 34.0, True, "dB", 2),
     ("crop_ssim", "SSIM in the 1.6 r crop", 0.97, True, "", 4),
@@ -48,24 +42,22 @@ GOALS = (
 """Goals on the held-out presses: key, label, goal, larger is better, unit, digits."""
 
 
-@dataclass(frozen=True)
-class DemoResults:
-    """What the stages of the demo made."""
+def build_report(
+    results: DemoCalibration,
+    outcome: PressOutcome,
+    image: np.ndarray | None,
+    dihedral_deg: np.ndarray,
+    seconds: Mapping[str, float],
+) -> Report:
+    """All sections.
 
-    captures: CaptureSet
-    """The presses that were fitted."""
-    design: DesignResult
-    contacts: list[DetectedContact]
-    circles: list[ContactCircle]
-    surfaces: list[PressSurface]
-    calibration: ColorCalibration
-    profile: SensorProfile
-    outcome: PressOutcome
-    image: np.ndarray | None
-
-
-def build_report(results: DemoResults, seconds: Mapping[str, float]) -> Report:
-    """All sections; ``seconds`` are the stages' times."""
+    Args:
+        results: What was calibrated.
+        outcome: A press of the calibrated sensor.
+        image: What the sensor sees of it, RGB levels.
+        dihedral_deg: Dihedral angles of the design's tets [deg], shape [tet_count, 6].
+        seconds: The stages' times.
+    """
     captures = results.captures
     return Report(
         title=f"{results.profile.sensor.name}: calibrated on {len(captures.presses)} real presses, "
@@ -80,8 +72,8 @@ def build_report(results: DemoResults, seconds: Mapping[str, float]) -> Report:
             for key, label, goal, at_least, unit, digits in GOALS
         ),
         color=_color(results),
-        press=_press(results),
-        mesh=_mesh(results),
+        press=_press(results, outcome, image),
+        mesh=_mesh(results, dihedral_deg),
         detection=_detection(results),
         stages=tuple(Stage(name, value) for name, value in seconds.items()),
         remarks=_remarks(results),
@@ -89,7 +81,7 @@ def build_report(results: DemoResults, seconds: Mapping[str, float]) -> Report:
     )
 
 
-def _heldout_count(results: DemoResults) -> int:
+def _heldout_count(results: DemoCalibration) -> int:
     return len(results.calibration.heldout) + len(results.calibration.failures)
 
 
@@ -101,7 +93,7 @@ def _frame_score(score: ImageScore) -> ColorScore:
     return _score(vars(score))
 
 
-def _cause(results: DemoResults) -> str:
+def _cause(results: DemoCalibration) -> str:
     """The likely cause of a missed goal, from what was measured."""
     floor = results.calibration.noise_floor_l1
     return (
@@ -110,10 +102,7 @@ def _cause(results: DemoResults) -> str:
     )
 
 
-def _color(results: DemoResults) -> ColorSection:
-    from taccel_lab.calibration.color.heldout import mean_bare
-    from taccel_lab.calibration.color.report import PLACED_BY
-
+def _color(results: DemoCalibration) -> ColorSection:
     calibration = results.calibration
     way = calibration.placement
     frames = tuple(
@@ -151,10 +140,8 @@ def _color(results: DemoResults) -> ColorSection:
     )
 
 
-def _discs(results: DemoResults) -> tuple[NormalDisc, ...]:
+def _discs(results: DemoCalibration) -> tuple[NormalDisc, ...]:
     """Colour change over the hemisphere of normals at the middle and near the corners."""
-    from taccel_lab.calibration.report.color_discs import color_discs
-
     training = set(results.calibration.train_names)
     surfaces = [
         surface
@@ -172,8 +159,9 @@ def _discs(results: DemoResults) -> tuple[NormalDisc, ...]:
     )
 
 
-def _press(results: DemoResults) -> PressSection:
-    outcome = results.outcome
+def _press(
+    results: DemoCalibration, outcome: PressOutcome, image: np.ndarray | None
+) -> PressSection:
     figures = outcome.figures()
     records = []
     for press, circle, surface in zip(
@@ -222,7 +210,7 @@ def _press(results: DemoResults) -> PressSection:
             grid=results.captures.grid,
             height_m=outcome.height_m,
             normals=outcome.normals,
-            rgb=results.image,
+            rgb=image,
             positions_m=outcome.positions_m,
             contact_faces=outcome.mesh.region_faces(Region.CONTACT),
             forces_n=outcome.contact_forces_n,
@@ -239,9 +227,7 @@ def _press(results: DemoResults) -> PressSection:
     )
 
 
-def _mesh(results: DemoResults) -> MeshSection:
-    from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
-
+def _mesh(results: DemoCalibration, dihedral_deg: np.ndarray) -> MeshSection:
     mesh, quality = results.design.mesh, results.design.quality
     return MeshSection(
         node_count=mesh.node_count,
@@ -250,7 +236,7 @@ def _mesh(results: DemoResults) -> MeshSection:
         nodes_m=mesh.nodes_m,
         faces=mesh.faces,
         face_regions=mesh.face_regions,
-        dihedral_deg=dihedral_angles_deg(mesh.nodes_m, mesh.tets),
+        dihedral_deg=dihedral_deg,
         facts={
             "mesher": results.design.mesher,
             "volume error [%]": round(quality.volume_error_percent or 0.0, 3),
@@ -261,7 +247,7 @@ def _mesh(results: DemoResults) -> MeshSection:
     )
 
 
-def _detection(results: DemoResults) -> DetectionSection | None:
+def _detection(results: DemoCalibration) -> DetectionSection | None:
     """Found against labelled circles of the presses that have labels."""
     pairs = [
         (press.name, press.circle, contact.circle)
@@ -277,7 +263,7 @@ def _detection(results: DemoResults) -> DetectionSection | None:
     )
 
 
-def _remarks(results: DemoResults) -> tuple[str, ...]:
+def _remarks(results: DemoCalibration) -> tuple[str, ...]:
     misses = [
         abs(surface.contact_radius_px - circle.radius_px)
         for surface, circle in zip(results.surfaces, results.circles, strict=True)
@@ -293,7 +279,7 @@ def _remarks(results: DemoResults) -> tuple[str, ...]:
     )
 
 
-def _provenance(results: DemoResults) -> dict[str, str]:
+def _provenance(results: DemoCalibration) -> dict[str, str]:
     names = ("taccel-lab", "warp-lang", "numpy", "torch", "build123d")
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ball presses that colours and normals are fitted to, and those that they are judged by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.calibration.base_profile import lost_blocks, presses_on_camera
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.split import PressSplit
+from taccel_lab.calibration.check.block_findings import capture_findings, refusing_with
+from taccel_lab.calibration.check.findings import Finding
+from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.labels import compare_with_labels
+from taccel_lab.calibration.contacts.result import DetectedContact
+from taccel_lab.calibration.contacts.usable import usable_presses
+from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.errors import InputError
+from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
+from taccel_lab.progress import Progress, silent
+
+TASK = "finding the contact circles"
+
+
+@dataclass(frozen=True)
+class BallPresses:
+    """Presses and profile on one pixel grid, split before any image was read."""
+
+    profile: SensorProfile
+    """The profile that is extended, on the grid of the captures."""
+    captures: CaptureSet
+    """All presses."""
+    split: PressSplit
+    training: CaptureSet
+    """Those to fit that show a contact."""
+    circles: list[ContactCircle]
+    """Where the training presses are taken to be, in order."""
+    found: list[DetectedContact]
+    """Where they were found in their images, in order."""
+    lost: tuple[Remark, ...]
+    """Blocks of the profile that do not go with the captures' grid."""
+    findings: tuple[Finding, ...]
+    """What the check of the captures says of the block, worst first."""
+    remarks: tuple[Remark, ...]
+    """Presses left out, and how far the circles found lie from labels."""
+
+    @property
+    def heldout(self) -> CaptureSet | None:
+        """Those that only the figures see; None where none is held out."""
+        return self.captures.only(self.split.heldout) if self.split.heldout else None
+
+
+def ball_presses(
+    folder: CaptureFolder,
+    base: SensorProfile,
+    block: str,
+    options: BallPressOptions,
+    progress: Progress = silent,
+    *,
+    cache: bool = True,
+) -> BallPresses:
+    """The presses of ``folder`` that ``block`` is fitted to.
+
+    With ``cache``, contacts that an earlier run found in these images are taken as they are.
+
+    Raises:
+        InputError: Captures that cannot be used, with what their check found.
+    """
+    findings = capture_findings(folder, block, progress)
+    with refusing_with(findings):
+        captures, profile = presses_on_camera(folder, base)
+        split = captures.split(options.holdout_every)
+        training = captures.only(split.train)
+        # All training presses are looked at, so that empty frames are told.
+        _require_labels(training, options)
+        progress(TASK, 0, 1)
+        training, found, left_out = usable_presses(training, cache=cache)
+        progress(TASK, 1, 1)
+    return BallPresses(
+        profile=profile,
+        captures=captures,
+        split=split,
+        training=training,
+        circles=choose_circles(training, found, options.circles),
+        found=found,
+        lost=tuple(lost_blocks(base, profile)),
+        findings=tuple(findings),
+        remarks=(*left_out, *_agreement(training, found)),
+    )
+
+
+def _require_labels(training: CaptureSet, options: BallPressOptions) -> None:
+    unlabelled = sum(press.circle is None for press in training.presses)
+    if options.circles == "labels" and unlabelled:
+        raise InputError(
+            f"{training.source}: {unlabelled} presses come without a contact circle; --circles "
+            "labels needs all of them, fused or detected does not"
+        )
+
+
+def _agreement(training: CaptureSet, found: list[DetectedContact]) -> list[Remark]:
+    agreement = compare_with_labels(training, found)
+    if agreement is None:
+        return []
+    return [
+        Remark(
+            Severity.INFO,
+            "circles_found",
+            f"found circles against {agreement.count} labels, median and 90th percentile: centre "
+            f"{agreement.center_median_px:.1f} and {agreement.center_p90_px:.1f} px, radius "
+            f"{agreement.radius_median_px:.1f} and {agreement.radius_p90_px:.1f} px",
+        )
+    ]
+
+
+def with_captured_background(
+    profile: SensorProfile, image: np.ndarray, source: str, sha256: str
+) -> SensorProfile:
+    """``profile`` with the captures' background [levels] where it has none."""
+    if profile.background is not None:
+        return profile
+    provenance = Provenance(
+        kind="measured",
+        method="captured background",
+        source=source,
+        inputs={"background": sha256},
+    )
+    return profile.with_block(BackgroundBlock(provenance=provenance), image)

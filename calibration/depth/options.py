@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be chosen of a depth calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthOptions:
+    """Settings of ``calibrate_depth``."""
+
+    maps: Path | None = None
+    """Rectification maps (.npz) that `taccel-lab calibrate camera --maps` wrote: background and
+    presses are rectified first, and the scale is that of the maps."""
+    channel: Literal["grey", "red", "green", "blue"] = "grey"
+    """Channel whose drop is read; grey is the luma of red, green and blue."""
+    zero: Literal["untouched", "rim", "hertz", "simulated"] = "untouched"
+    """What depths are counted from: where the grey is that of untouched gel; the rim of the
+    contact; or the untouched face, with the rim's sinking of an elastic half-space (hertz) or of
+    the simulated gel (minutes)."""
+    circles: Literal["auto", "detected"] = "auto"
+    """Contact circles: those given, and found where none is given; or all of them found."""
+    seed: int = 0
+    """Seed of the resampling that gives the curve's uncertainty."""

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a person has to know of a depth calibration, and what its presses say against themselves:
+labels off the dark patch, repeats, errors that a curve should not leave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.depth.result import DepthCalibration
+from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.geometry import PixelGrid
+
+LABEL_OFF_SHARE, LABEL_OFF_PX = 0.18, 6.0
+"""A label is off when its centre lies this part of its radius, and this far, from the dark patch:
+the limits of the check of coloured captures."""
+ONE_SPOT_RADII = 1.0
+"""Presses are at one spot when no two centres are this many contact radii apart."""
+LARGE_ERROR, WRONG_CURVE = 0.15, 0.35
+"""Left-out error over the mean depth, from which a curve is only usable, or weak. Presses of one
+9DTact lie at 0.02 to 0.05, those of two different units under one curve at 0.1."""
+
+COLOR_LEVELS = 8.0
+"""Channels that differ by more inside the contacts, beside a quarter of the drop: colours."""
+SATURATED_LEVEL = 3.0
+"""Pixels that brighten by more than this count as brightened."""
+CLEAR_R2 = 0.25
+"""Share of the residuals' variance by which uneven light is told."""
+
+
+def label_remarks(
+    captures: CaptureSet,
+    labels: Sequence[ContactCircle | None],
+    found: Sequence[ContactCircle],
+) -> list[Remark]:
+    """Whether given circles lie on the dark patches of their images."""
+    gaps = {
+        press.name: _gap_px(label, seen, captures.grid)
+        for press, label, seen in zip(captures.presses, labels, found, strict=True)
+        if label is not None
+    }
+    radii = {p.name: c.radius_px for p, c in zip(captures.presses, labels, strict=True) if c}
+    off = [n for n, gap in gaps.items() if gap > max(LABEL_OFF_PX, LABEL_OFF_SHARE * radii[n])]
+    if not off:
+        return []
+    off.sort(key=lambda name: -gaps[name])
+    return [
+        Remark(
+            Severity.ERROR,
+            "labels_off",
+            f"{len(off)} of {len(gaps)} given circles lie away from the dark patch of their image: "
+            + ", ".join(f"{name} by {gaps[name]:.0f} px" for name in off[:4])
+            + ". Calibrate with the circles found (--circles detected), or correct them",
+        )
+    ]
+
+
+def repeat_remarks(captures: CaptureSet, circles: Sequence[ContactCircle]) -> list[Remark]:
+    """Whether several presses are one and the same, or all at one place."""
+    first: dict[str, str] = {}
+    twins = []
+    for press in captures.presses:
+        if press.sha256 in first:
+            twins.append(f"{press.name} is {first[press.sha256]}")
+        first.setdefault(press.sha256, press.name)
+    if twins:
+        return [
+            Remark(
+                Severity.WARNING,
+                "duplicates",
+                f"{len(twins)} images are stored twice ({', '.join(twins[:4])}): they are one "
+                "press, and leaving one out tells nothing. Remove them",
+            )
+        ]
+    at = np.array([[c.u_px, c.v_px] for c in circles])
+    reach = float(np.linalg.norm(at[:, None] - at[None], axis=-1).max())
+    if len(circles) > 1 and reach < ONE_SPOT_RADII * float(
+        np.median([c.radius_px for c in circles])
+    ):
+        return [
+            Remark(
+                Severity.WARNING,
+                "one_spot",
+                f"all {len(circles)} presses lie within {reach:.0f} px: nothing says how the curve "
+                "holds elsewhere on the gel. Press in the middle and near the borders",
+            )
+        ]
+    return []
+
+
+def error_remarks(left_out_mm: np.ndarray, depth_mm: np.ndarray, left_out: str) -> list[Remark]:
+    """Whether left-out pixels lie far from the curve, for the depths that there are."""
+    share = float(left_out_mm.mean() / max(float(depth_mm.mean()), 1e-9))
+    if share <= LARGE_ERROR:
+        return []
+    return [
+        Remark(
+            Severity.ERROR if share > WRONG_CURVE else Severity.WARNING,
+            "large_error",
+            f"pixels of a left-out {left_out} are off by {left_out_mm.mean():.3f} mm, {share:.0%} "
+            "of the mean depth: grey does not tell depth well here. Check the circles and the "
+            "balls' radii, and that all presses are of one sensor under one light",
+        )
+    ]
+
+
+def _gap_px(label: ContactCircle, seen: ContactCircle, grid: PixelGrid) -> float:
+    rows = grid.mm_per_px_y / grid.mm_per_px_x
+    return float(np.hypot(seen.u_px - label.u_px, (seen.v_px - label.v_px) * rows))
+
+
+def curve_remarks(result: DepthCalibration, drops: Sequence[np.ndarray]) -> list[Remark]:
+    """Remarks on the curve and the images; ``drops`` are the presses' grey drops [levels]."""
+    found: list[Remark] = []
+    if len(result.presses) < 3:
+        found.append(
+            Remark(
+                Severity.WARNING,
+                "few_presses",
+                f"{len(result.presses)} press; nothing says how the curve holds elsewhere on the "
+                "gel. Give three or more, one in the middle and others near the borders",
+            )
+        )
+    if result.zero == "untouched":
+        rims = [press.rim_depth_mm for press in result.presses]
+        found.append(
+            Remark(
+                Severity.INFO,
+                "zero_at_no_drop",
+                "depths are counted from where the grey is that of untouched gel, "
+                f"{-np.mean(rims):.2f} mm below the rim that is seen; counted from the rim they "
+                f"would be that much larger, and the rim is known to {result.offset_sigma_mm:.2f} "
+                "mm. A press of known travel would settle it",
+            )
+        )
+    if result.zero == "rim":
+        found.append(
+            Remark(
+                Severity.INFO,
+                "zero_at_rim",
+                "depths are counted from the contact's rim; the rim itself lies deeper than the "
+                f"untouched face. The rim is known to {result.offset_sigma_mm:.2f} mm of depth",
+            )
+        )
+    worst = max(result.presses, key=lambda p: p.plane_mm)
+    if worst.plane_mm > max(0.15 * worst.depth_mm, 0.05):
+        found.append(
+            Remark(
+                Severity.WARNING,
+                "tilted_residual",
+                f"{worst.name}: depths by grey tilt against the ball by {worst.plane_mm:.2f} mm "
+                "across the contact: its centre is off, or the light is uneven",
+            )
+        )
+    share = np.mean([np.mean(d < -SATURATED_LEVEL) for d in drops])
+    if share > 0.05:
+        deepest = -min(float(np.percentile(d, 0.5)) for d in drops)
+        found.append(
+            Remark(
+                Severity.INFO,
+                "brightens",
+                f"{share:.0%} of the pixels brighten, by up to {deepest:.0f} levels, beside the "
+                "contacts: the slope of the gel throws light back. Such pixels read as untouched, "
+                "and the rim of a contact reads too shallow",
+            )
+        )
+    if result.light_r2 > CLEAR_R2 and result.normalised_mae_mm < 0.9 * result.left_out_mm.mean():
+        found.append(
+            Remark(
+                Severity.WARNING,
+                "uneven_light",
+                f"the light explains {result.light_r2:.0%} of what the curve leaves over; dividing "
+                f"by the background would leave {result.normalised_mae_mm:.3f} mm instead of "
+                f"{result.left_out_mm.mean():.3f} mm",
+            )
+        )
+    background = result.captures.background
+    colors = [
+        np.abs(np.ptp(background - p.image().astype(np.float64), axis=-1))[d > d.max() / 2]
+        for p, d in zip(result.captures.presses, drops, strict=True)
+    ]
+    spread = float(np.mean([c.mean() for c in colors]))
+    if spread > COLOR_LEVELS + 0.25 * max(float(d.max()) for d in drops):
+        found.append(
+            Remark(
+                Severity.ERROR,
+                "coloured",
+                f"the channels differ by {spread:.0f} levels inside the contacts: this looks like "
+                "a colour sensor, whose colours tell slopes; use taccel-lab calibrate normals",
+            )
+        )
+    return found

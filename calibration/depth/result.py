@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a depth calibration found: the curve, its errors, and the block that it becomes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.calibration.ball_presses import with_captured_background
+from taccel_lab.calibration.base_profile import on_grid
+from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.depth.curve import ContactPixels
+from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.profile import DepthResponseBlock, Provenance, SensorProfile
+from taccel_lab.signals.depth_response import DepthResponse
+
+
+@dataclass(frozen=True)
+class PressFigures:
+    """One press against the curve."""
+
+    name: str
+    u_px: float
+    v_px: float
+    radius_px: float
+    radius_sigma_px: float
+    given: bool
+    """Whether the circle was given with the press."""
+    rim_depth_mm: float
+    """Depth of the contact's rim below the zero; negative where the zero lies deeper."""
+    depth_mm: float
+    """Of the ball's lowest point below the untouched face."""
+    mae_mm: float
+    bias_mm: float
+    plane_mm: float
+    """Rise of the residuals' plane across the contact: a wrong centre, a tilt, or uneven light."""
+
+
+@dataclass(frozen=True)
+class DepthCalibration:
+    """Result of ``calibrate_depth``."""
+
+    response: DepthResponse
+    spread_mm: np.ndarray
+    """Standard deviation of the curve at its drops."""
+    offset_sigma_mm: float
+    """Standard deviation of its zero: what the uncertain rim makes of it."""
+    left_out_mm: np.ndarray
+    left_out: str
+    presses: tuple[PressFigures, ...]
+    parts: tuple[ContactPixels, ...]
+    light_r2: float
+    """Share of the residuals' variance that the level of the untouched pixel explains."""
+    normalised_mae_mm: float
+    """Left-out error when drops are divided by the untouched level first."""
+    zero: str
+    """What depths are counted from (``DepthOptions``)."""
+    captures: CaptureSet
+    """The presses; their images are read on demand."""
+    remarks: tuple[Remark, ...] = ()
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured, ready for JSON."""
+        return {
+            "verdict": judge(self.remarks),
+            "remarks": [str(remark) for remark in self.remarks],
+            "channel": self.response.channel,
+            "zero": self.zero,
+            "left_out_mae_mm": float(self.left_out_mm.mean()),
+            "left_out_p90_mm": float(np.percentile(self.left_out_mm, 90)),
+            "left_out": self.left_out,
+            "normalised_mae_mm": self.normalised_mae_mm,
+            "light_r2": self.light_r2,
+            "curve_sigma_mm": float(self.spread_mm[1:].mean()),
+            "offset_sigma_mm": self.offset_sigma_mm,
+            "presses": [asdict(p) for p in sorted(self.presses, key=lambda p: -p.mae_mm)],
+            "drop_levels": self.response.drop_levels.tolist(),
+            "depth_mm": self.response.depth_mm.tolist(),
+        }
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` on the captures' grid, with the block depth_response, and a background where
+        it has none."""
+        captures = self.captures
+        profile = on_grid(profile, captures.grid, captures.provenance)
+        inputs, source = captures.hashes(), captures.provenance.get("source", captures.source)
+        profile = with_captured_background(
+            profile, captures.background, source, inputs["background"]
+        )
+        response = self.response
+        return profile.with_block(
+            DepthResponseBlock(
+                channel=response.channel,
+                drop_levels=tuple(float(x) for x in response.drop_levels),
+                depth_mm=tuple(float(x) for x in response.depth_mm),
+                provenance=Provenance(
+                    kind="calibrated",
+                    method=(
+                        f"isotonic regression of depth on grey drop inside {len(self.presses)} "
+                        f"ball contacts; depth zero: {self.zero}"
+                    ),
+                    source=source,
+                    inputs=inputs,
+                    residuals={
+                        "left_out_depth_mm": float(self.left_out_mm.mean()),
+                        "left_out_p90_depth_mm": float(np.percentile(self.left_out_mm, 90)),
+                    },
+                    spread={
+                        "curve_mm": float(self.spread_mm[1:].mean()),
+                        "zero_mm": self.offset_sigma_mm,
+                    },
+                    valid_region={
+                        "drop_levels": (
+                            float(response.drop_levels[1]),
+                            float(response.drop_levels[-1]),
+                        ),
+                        "depth_mm": (float(response.depth_mm[1]), float(response.depth_mm[-1])),
+                    },
+                    verdict=judge(self.remarks).value,
+                    remarks=tuple(str(remark) for remark in self.remarks),
+                ),
+            )
+        )

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The surface that one image shows, as files: arrays, figures and a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from taccel_lab.calibration.capture.images import decode
+from taccel_lab.calibration.normals.read_surface import SurfaceReading
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.output import write_json
+from taccel_lab.profile import SensorProfile
+from taccel_lab.report.style import (
+    BLUE,
+    LIGHT,
+    ORANGE,
+    in_report_style,
+    new_figure,
+    save_figure,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ARRAYS = ("height_m", "rise_m", "normals", "sigma_deg", "radius95_deg", "saturated")
+"""Of a reading, as they are stored; those that its method does not give are left out."""
+
+
+def read_mask(path: Path, profile: SensorProfile) -> np.ndarray:
+    """Pixels that count, from a grey image of the profile's size, bool, shape [h, w].
+
+    Raises:
+        InputError: No image, another size, or no pixel that counts.
+    """
+    mask = decode(path, cv2.IMREAD_GRAYSCALE) > 0
+    expected = (profile.camera.height_px, profile.camera.width_px)
+    if mask.shape != expected or not mask.any():
+        raise InputError(
+            f"{path} is {mask.shape[1]}x{mask.shape[0]} px with {int(mask.sum())} "
+            f"usable pixels; {expected[1]}x{expected[0]} px and some non-zero ones needed"
+        )
+    return mask
+
+
+def write_reading(
+    found: SurfaceReading, image: np.ndarray, source: Path, profile: SensorProfile, folder: Path
+) -> dict[str, Any]:
+    """Write ``NAME.npz``, ``NAME.png`` and ``NAME.json`` into ``folder``; returns the figures.
+
+    ``image`` is what was read, RGB levels; it came from the file ``source``, whose name is taken.
+    """
+    stored: dict[str, Any] = {}
+    for key in ARRAYS:
+        value = getattr(found, key)
+        if value is not None:
+            stored[key] = value if value.dtype == bool else value.astype(np.float32)
+    np.savez_compressed(folder / f"{source.stem}.npz", **stored)
+    picture = draw_reading(image, found, profile.grid(), source.stem)
+    save_figure(picture, folder / f"{source.stem}.png")
+    figures = {"image": str(source), **found.figures(profile)}
+    write_json(folder / f"{source.stem}.json", figures)
+    return figures
+
+
+@in_report_style
+def draw_reading(image: np.ndarray, found: SurfaceReading, grid: PixelGrid, title: str) -> Figure:
+    """Image, depth map, and the section through the deepest pixel."""
+    depth_mm = -1e3 * found.rise_m
+    extent = (0.0, grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y, 0.0)
+    figure, axes = new_figure(11.0, 3.3, 1, 3)
+    axes[0].imshow(np.clip(image, 0, 255).astype(np.uint8), extent=extent)
+    axes[0].set_title(title)
+    shown = axes[1].imshow(depth_mm, extent=extent, cmap="viridis")
+    figure.colorbar(shown, ax=axes[1], shrink=0.8).set_label("depth [mm]")
+    for ax in axes[:2]:
+        ax.set_xlabel("x [mm]")
+    axes[0].set_ylabel("y [mm]")
+    row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
+    x = np.arange(grid.width_px) * grid.mm_per_px_x
+    y = np.arange(grid.height_px) * grid.mm_per_px_y
+    axes[2].axhline(0, color=LIGHT, lw=0.8)
+    axes[2].plot(x - x[column], depth_mm[row], color=BLUE, label="along x")
+    axes[2].plot(y - y[row], depth_mm[:, column], color=ORANGE, label="along y")
+    axes[2].invert_yaxis()
+    axes[2].set_xlabel("from the deepest point [mm]")
+    axes[2].set_ylabel("depth [mm]")
+    axes[2].legend(loc="lower right")
+    return figure

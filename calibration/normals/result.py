@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a calibration of normals found: the networks, their figures, and the block they become."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from taccel_lab.calibration.ball_presses import with_captured_background
+from taccel_lab.calibration.base_profile import on_grid
+from taccel_lab.calibration.capture.split import PressSplit
+from taccel_lab.calibration.normals.network_fit import InverseFit
+from taccel_lab.calibration.normals.samples import Scene
+from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess, mean_of
+from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
+
+
+@dataclass(frozen=True)
+class NormalCalibration:
+    """Result of ``calibrate_normals``."""
+
+    fit: InverseFit
+    scene: Scene
+    """Background, pixel grid, ball and resting face of the captures."""
+    heldout: tuple[HeldoutNormals, ...]
+    failures: dict[str, str]
+    """Held-out presses that could not be read, and why: they count as a flat guess."""
+    split: PressSplit | None
+    """How the held-out presses were chosen; None where there are none."""
+    baseline_deg: float | None
+    """Mean held-out error of the single-pixel baseline in the circles as used [degrees]."""
+    reliability: Reliability | None
+    flat_noise_levels: tuple[float, float]
+    """Mean difference of frames to the background where the gel is at rest, as captured and with
+    the light's drift taken off [levels]."""
+    train_names: tuple[str, ...]
+    inputs: dict[str, str]
+    source: str
+    provenance: dict[str, str]
+    """Of the captures."""
+    circles: str
+    """How the circles were chosen."""
+    surfaces: str
+    """What gave the normals of the skirt."""
+    valid_region: dict[str, tuple[float, float]]
+    remarks: tuple[Remark, ...] = ()
+
+    def heldout_means(self, circles: Literal["given", "used"]) -> dict[str, float]:
+        """Mean figures of the held-out presses, failures as flat guesses."""
+        scores = [getattr(item, circles) for item in self.heldout]
+        return mean_of(scores + [flat_guess(scores)] * len(self.failures))
+
+    def figures(self) -> dict[str, Any]:
+        """Means over the held-out presses and the table of presses, worst first."""
+        rows = [
+            {"name": item.name, "given": asdict(item.given), "used": asdict(item.used)}
+            for item in sorted(self.heldout, key=lambda item: -item.used.mean_deg)
+        ]
+        held: dict[str, Any] | None = None
+        if self.heldout:
+            held = {
+                "in_given_circles": self.heldout_means("given"),
+                "in_used_circles": self.heldout_means("used"),
+            }
+        return {
+            "verdict": judge(self.remarks),
+            "remarks": [str(remark) for remark in self.remarks],
+            "heldout": held,
+            "split": None if self.split is None else self.split.figures(),
+            "failures": self.failures,
+            "pixel_baseline_deg": self.baseline_deg,
+            "reliability": None if self.reliability is None else asdict(self.reliability),
+            "presses": rows,
+            "left_out_deg": self.fit.left_out_deg,
+            "label_shift_px": {k: v.length_px for k, v in self.fit.label_shifts.items()},
+            "flat_noise_levels": self.flat_noise_levels,
+            "light_drift": self.fit.model.config.light_drift,
+            "circles": self.circles,
+            "surfaces": self.surfaces,
+            "curve": self.fit.curve,
+            "stopped_at": self.fit.stopped_at,
+            "fit_seconds": self.fit.seconds,
+        }
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` on the captures' grid, with the block normals, and a background where it has
+        none."""
+        profile = on_grid(profile, self.scene.grid, self.provenance)
+        profile = with_captured_background(
+            profile, self.scene.background, self.source, self.inputs["background"]
+        )
+        return profile.with_block(
+            NormalsBlock(
+                architecture=self.fit.model.config.to_dict(), provenance=self._provenance()
+            ),
+            self.fit.model.weights,
+        )
+
+    def _provenance(self) -> Provenance:
+        left_out = list(self.fit.left_out_deg.values())
+        residuals, spread = {}, {}
+        if left_out:
+            residuals["left_out_angle_deg"] = float(np.mean(left_out))
+            spread["left_out_angle_deg"] = float(np.std(left_out))
+        if self.heldout:
+            for key, value in self.heldout_means("used").items():
+                residuals[f"heldout_{key}"] = value
+            residuals["heldout_in_given_circles_deg"] = self.heldout_means("given")["mean_deg"]
+            residuals["heldout_failures"] = float(len(self.failures))
+            spread["heldout_angle_deg"] = float(np.std([i.used.mean_deg for i in self.heldout]))
+        if not residuals:
+            residuals["train_angle_deg"] = self.fit.curve[-1][1]
+        if self.reliability is not None:
+            residuals["observed_over_expected"] = self.reliability.ratio()
+        config, options = self.fit.model.config, self.fit.options
+        return Provenance(
+            kind="calibrated",
+            method=(
+                f"{config.members} networks {list(config.hidden)} on colour change over windows "
+                f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position"
+                + f" in {config.position_bands} bands"
+                * (config.position_bands > 0)
+                + f"; {options.steps} Adam steps, stopped on left-out presses; circles: "
+                f"{self.circles}; skirt: {self.surfaces}; light drift "
+                + ("taken off" if config.light_drift else "left in")
+            ),
+            source=self.source,
+            inputs=self.inputs,
+            residuals=residuals,
+            spread=spread,
+            valid_region=self.valid_region,
+            verdict=judge(self.remarks).value,
+            remarks=tuple(str(remark) for remark in self.remarks),
+        )

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be chosen of the presses that colours and normals are fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True)
+class BallPressOptions:
+    """Which presses are held out, and in which circles the others are fitted."""
+
+    holdout_every: int = 4
+    """One press in so many is held out for the figures, by place and by names that are drawn like
+    lots; 0 holds none out. What [split] in captures.toml holds out wins."""
+    circles: Literal["fused", "labels", "detected"] = "fused"
+    """Contact circles to start from: those given, those found in the images, or the better estimate
+    from both. A press without a given circle takes the one found. Held-out presses take no part:
+    their given circles alone place them for the figures."""

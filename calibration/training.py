@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the small networks of colours and normals are trained.
+
+Adam with a learning rate that rises and falls once (L. N. Smith, N. Topin, Super-convergence, 2019;
+torch's ``OneCycleLR``), on one thread: batches are small, and sums then do not depend on the
+machine. Layers are pairs of weight and bias, with members of an ensemble along the first axis or
+without one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+
+Layers = Sequence[tuple[torch.Tensor, torch.Tensor]]
+CHECK_EVERY = 100
+"""Steps between looks at the presses that are left out of a fit."""
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Run torch on one thread inside the block."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def initial_weights(
+    shapes: Mapping[str, tuple[int, ...]], generator: torch.Generator
+) -> dict[str, np.ndarray]:
+    """Uniform in +-1/sqrt(inputs), as torch.nn.Linear draws them.
+
+    ``shapes`` are those of ``NAME.weight`` [.., outputs, inputs] and ``NAME.bias`` [.., outputs].
+    """
+    weights = {}
+    for name, shape in shapes.items():
+        bound = 1.0 / np.sqrt(shapes[name.replace("bias", "weight")][-1])
+        weights[name] = ((torch.rand(shape, generator=generator) * 2 - 1) * bound).numpy()
+    return weights
+
+
+def trainable(layers: Layers) -> Layers:
+    """The layers with gradients."""
+    return [(weight.requires_grad_(), bias.requires_grad_()) for weight, bias in layers]
+
+
+def arrays_of(
+    shapes: Mapping[str, tuple[int, ...]], layers: Layers, member: int | None = None
+) -> dict[str, np.ndarray]:
+    """Copies of the layers' values by name; with ``member``, of that one of an ensemble alone."""
+    part = slice(None) if member is None else slice(member, member + 1)
+    tensors = (tensor for layer in layers for tensor in layer)
+    return {
+        name: tensor.detach()[part].numpy().copy()
+        for name, tensor in zip(shapes, tensors, strict=True)
+    }
+
+
+def descend(
+    layers: Layers,
+    loss: Callable[[], torch.Tensor],
+    after_step: Callable[[int, torch.Tensor], bool],
+    *,
+    steps: int,
+    learning_rate: float,
+    warm_up: float,
+) -> None:
+    """Lower ``loss`` over the layers' values.
+
+    Args:
+        layers: What is trained, with gradients.
+        loss: The loss of a fresh batch.
+        after_step: Told the number of steps done and the loss before the last one; ends the
+            training with False.
+        steps: Largest number of steps.
+        learning_rate: Its peak.
+        warm_up: Share of the steps in which it rises.
+    """
+    optimizer = torch.optim.Adam(
+        [tensor for layer in layers for tensor in layer], lr=learning_rate, fused=True
+    )
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, learning_rate, total_steps=steps + 1, pct_start=warm_up
+    )
+    for step in range(1, steps + 1):
+        value = loss()
+        optimizer.zero_grad()
+        value.backward()
+        optimizer.step()
+        schedule.step()
+        if not after_step(step, value):
+            return
