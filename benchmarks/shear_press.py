@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.benchmarks.clock import clock_of
-from taccel_lab.cad.mesh.structured import structured_gel_mesh
+from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import SimulationError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
@@ -147,15 +147,17 @@ def _mesh(layers: int) -> TetMesh:
         window_x_mm=12.0,
         window_y_mm=12.0,
     )
-    return structured_gel_mesh(
+    return focused_gel_mesh(
         pad,
-        focus_mm=(0.0, 0.0),
-        focus_radius_mm=2.5,
-        focus_size_mm=1.6 / layers,
-        core=2 * layers,
-        rings=max(3, round(1.5 * layers)),
-        layers=layers,
-        layer_ratio=1.15,
+        FocusOptions(
+            at_mm=(0.0, 0.0),
+            radius_mm=2.5,
+            size_mm=1.6 / layers,
+            core=2 * layers,
+            rings=max(3, round(1.5 * layers)),
+            layers=layers,
+            layer_ratio=1.15,
+        ),
     )
 
 

@@ -2,9 +2,10 @@
 """Parameters with bounds, unit and source: the fields of frozen dataclasses that users may set.
 
 ``parameter(...)`` declares a dataclass field; ``ParameterSet`` checks every value when an instance
-is made, lists what can be set and reads overrides written as ``name=value``. Sets that share
-parameters inherit them from common bases; ``restated(...)`` gives an inherited one another default
-with its own source.
+is made, lists what can be set and reads overrides written as ``name=value``. A parameter is
+declared once: ``parameter_of(...)`` hands one of a part to whatever builds that part, with another
+default and narrower bounds where there is reason to; ``restated(...)`` does so with an inherited
+one.
 """
 
 from __future__ import annotations
@@ -104,6 +105,39 @@ def parameter(
 class _Restated:
     default: float | int | str
     changes: dict[str, Any]
+
+
+def parameter_of(
+    part: type[ParameterSet],
+    name: str,
+    default: float | int | str | None = None,
+    *,
+    source: str | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    zero_means: str | None = None,
+) -> Any:
+    """Declare the parameter ``name`` of a part as one of a sensor.
+
+    What is left out stays as the part declares it. Bounds may only be narrower: the part knows what
+    can be built, a sensor what its other parts leave room for. Another default needs a source.
+    """
+    declared = part.parameters()[name]
+    if default is not None and source is None:
+        raise TypeError(f"another default of {part.__name__}.{name} needs a source")
+    low, high = declared.minimum, declared.maximum
+    if (low is not None and (minimum or low) < low) or (high is not None and (maximum or 0) > high):
+        raise TypeError(f"bounds of {name} are wider than those of {part.__name__}")
+    return parameter(
+        declared.default if default is None else default,
+        unit=declared.unit,
+        description=declared.description,
+        source=declared.source if source is None else source,
+        minimum=low if minimum is None else minimum,
+        maximum=high if maximum is None else maximum,
+        choices=declared.choices,
+        zero_means=declared.zero_means if zero_means is None else zero_means,
+    )
 
 
 def restated(

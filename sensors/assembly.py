@@ -38,9 +38,10 @@ def sensor_parts(
     Raises InputError when a part cannot be built, naming the bound that is broken.
     """
     from taccel_lab.cad.assembly_sensor import sensor_assembly
+    from taccel_lab.cad.parts.pad_solid import labelled_solid
 
     pad, optics, housing = parameters.pad(), parameters.optics(), parameters.housing()
-    gel = gel or pad.labelled_solid()
+    gel = gel or labelled_solid(pad)
     view = _view_mm(gel)
     window = None if optics is None else optics.window
     return sensor_assembly(
@@ -78,11 +79,12 @@ def gel_parts(pad: Pad, gel: LabelledSolid) -> tuple[Part, ...]:
 def gel_layers(pad: Pad, gel: LabelledSolid) -> dict[str, LabelledSolid]:
     """The layers of the gel by name, core first; a face inside the gel counts as side."""
     from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.pad_solid import layer_solids
 
     names: list[str] = list(pad.layer_names)
     if len(names) == 1:
         return {names[0]: gel}
-    layers = {name: _with_window(solid, gel) for name, solid in pad.layer_solids().items()}
+    layers = {name: _with_window(solid, gel) for name, solid in layer_solids(pad).items()}
     return {
         name: LabelledSolid(solid, [_region_of(face, gel) for face in solid.faces()])
         for name, solid in layers.items()

@@ -83,10 +83,11 @@ def design_sensor(
     tell("cad")
     from taccel_lab.cad.export import dimensions
     from taccel_lab.cad.mesh.tessellate import tessellate_solid
+    from taccel_lab.cad.parts.pad_solid import labelled_solid
     from taccel_lab.cad.preview import write_preview
     from taccel_lab.sensors.assembly import gel_layers, sensor_parts
 
-    part = pad.labelled_solid()
+    part = labelled_solid(pad)
     tell("mesh")
     if mesher == "tetwild":
         from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh

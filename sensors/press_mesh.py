@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.cad.mesh.columns import FoldedMeshError, growth_factor
 from taccel_lab.cad.mesh.contact_plan import ContactOutline
 from taccel_lab.cad.mesh.convex_polygon import (
     centroid,
@@ -18,9 +17,10 @@ from taccel_lab.cad.mesh.convex_polygon import (
     thickened_hull,
     without_short_sides,
 )
-from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
-from taccel_lab.cad.mesh.structured import MIN_FOCUS_EDGE_MM
-from taccel_lab.cad.mesh.structured_plan import rim_distances_mm, rim_rings
+from taccel_lab.cad.mesh.focus import MIN_FOCUS_EDGE_MM, FocusOptions
+from taccel_lab.cad.mesh.gel_mesh import focused_gel_mesh
+from taccel_lab.cad.mesh.pad_plan_focused import rim_distances_mm, rim_rings
+from taccel_lab.cad.mesh.template import FoldedMeshError, growth_factor
 from taccel_lab.cad.parts.dome_pad import DomePad
 from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.cad.parts.pad import Pad

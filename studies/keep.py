@@ -68,8 +68,9 @@ def _write_mesh(pad: Pad, path: Path, family: str) -> None:
 
 def _write_step(pad: Pad, path: Path, family: str) -> None:
     from taccel_lab.cad.export import write_step
+    from taccel_lab.cad.parts.pad_solid import labelled_solid
     from taccel_lab.output import atomic_file
 
     with atomic_file(path) as staging:
-        write_step(pad.labelled_solid(), staging, name=f"{family}_gel_pad")
+        write_step(labelled_solid(pad), staging, name=f"{family}_gel_pad")
         staging.chmod(0o644)

@@ -13,11 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
-from taccel_lab.cad.mesh.columns import growth_factor
 from taccel_lab.cad.mesh.convex_polygon import second_moments, side_normals, where_rays_leave
+from taccel_lab.cad.mesh.grid import plan_quads
 from taccel_lab.cad.mesh.o_grid import coons_patch, spoke_angles
 from taccel_lab.cad.mesh.plan_smoothing import smooth_plan
-from taccel_lab.cad.mesh.structured_topology import plan_quads
+from taccel_lab.cad.mesh.template import growth_factor
 
 _CORE = 0.55
 """Where the core ends, as a part of the way from the middle to the outline."""

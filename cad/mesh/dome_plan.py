@@ -15,12 +15,14 @@ import numpy as np
 
 from taccel_lab.cad.mesh.conformal import disc_automorphism
 from taccel_lab.cad.mesh.contact_plan import ContactOutline, contact_plan
-from taccel_lab.cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii, spoke_angles
-from taccel_lab.cad.mesh.structured_plan import Focus
-from taccel_lab.cad.mesh.structured_topology import core_perimeter
+from taccel_lab.cad.mesh.focus import FocusOptions, graded_rings
+from taccel_lab.cad.mesh.grid import core_perimeter
+from taccel_lab.cad.mesh.o_grid import bulged_core, spoke_angles
 
 LARGEST_CORE = 0.52
 """Half width of the core over the ring around it at most: its corners reach 1.28 times as far."""
+_LARGEST_HALF = 0.3
+"""Half width of a focus's core in the disc at most."""
 _CORE_CLEARANCE = 0.9
 _TURN_FROM, _EDGE_DECAY = 0.4, 2
 """Radius and power with which that turn sets in: what lies around the focus keeps its shape."""
@@ -33,8 +35,8 @@ _DEEP_SHARE = 0.2
 
 
 @dataclass(frozen=True)
-class CapGrid:
-    """Counts of an O-grid on a cap; they alone set its connectivity."""
+class DomeCounts:
+    """Cells of a dome's mesh; equal counts give equal connectivity and regions."""
 
     core: int
     """Cells along each side of the core around the apex."""
@@ -42,6 +44,17 @@ class CapGrid:
     """Rings between the core and the window's edge; 0 when the cap has no such edge."""
     cap_rings: int
     """All rings between the core and the cap's edge."""
+    free_rings: int
+    """Rings on the free part of the wall under the cap."""
+    bonded_rings: int
+    """Rings on the glued part of the wall."""
+    layers: int
+    halved_layers: int = 0
+    """Of these, the lowest, in which the plan is halved."""
+
+    @property
+    def rings(self) -> int:
+        return self.cap_rings + self.free_rings + self.bonded_rings
 
 
 def disc_from_angle(theta: np.ndarray, cap_angle: float) -> np.ndarray:
@@ -60,16 +73,16 @@ def core_share(core: int, rings: int) -> float:
 
 
 @lru_cache(maxsize=32)
-def even_cap(grid: CapGrid, cap_angle: float, window_angle: float | None) -> np.ndarray:
+def even_cap(counts: DomeCounts, cap_angle: float, window_angle: float | None) -> np.ndarray:
     """Disc points of about even spacing on the cap, complex, shape [nodes of the grid].
 
-    With ``window_angle`` the ring ``grid.window_rings`` lies exactly on that polar angle [rad].
+    With ``window_angle`` the ring ``counts.window_rings`` lies exactly on that polar angle [rad].
     """
-    spokes = np.exp(1j * spoke_angles(grid.core))
-    first, last = grid.window_rings, grid.cap_rings - grid.window_rings
-    half = core_share(grid.core, first or last) * (window_angle or cap_angle) / cap_angle
-    square = half * (bulged_core(grid.core) @ np.array([1, 1j])).ravel()
-    edge = square[core_perimeter(grid.core)]
+    spokes = np.exp(1j * spoke_angles(counts.core))
+    first, last = counts.window_rings, counts.cap_rings - counts.window_rings
+    half = core_share(counts.core, first or last) * (window_angle or cap_angle) / cap_angle
+    square = half * (bulged_core(counts.core) @ np.array([1, 1j])).ravel()
+    edge = square[core_perimeter(counts.core)]
     loops = []
     if window_angle is not None:
         border = window_angle / cap_angle * spokes
@@ -85,10 +98,10 @@ def even_cap(grid: CapGrid, cap_angle: float, window_angle: float | None) -> np.
 
 
 def focused_cap(
-    grid: CapGrid,
+    counts: DomeCounts,
     cap_angle: float,
     sphere_mm: float,
-    focus: Focus,
+    focus: FocusOptions,
     outline: ContactOutline | None = None,
 ) -> np.ndarray:
     """Disc points graded around a focus on the sphere, complex, shape [nodes of the grid].
@@ -97,38 +110,31 @@ def focused_cap(
     an ``outline``, in the plane that touches the sphere there, rings follow that instead. The last
     ring lies on the cap's edge.
     """
-    center, per_mm = _focus_in_disc(cap_angle, sphere_mm, focus.center_mm)
+    center, per_mm = _focus_in_disc(cap_angle, sphere_mm, focus.at_mm)
     scale = per_mm / (1 - abs(center) ** 2)
-    half = min(grid.core * focus.size_mm / 2 * scale, 0.3)
-    size = 2 * half / grid.core
-    theta = spoke_angles(grid.core)
-    start = half * bulged_radius(theta)
-    wanted = round((focus.radius_mm * scale - half) / size)
-    even = int(np.clip(wanted, np.ceil(grid.core / 4), max(1, grid.cap_rings - 2)))
-    reach = float(np.clip(half + even * size, 1.5 * half, 0.7))
-    rho = ring_radii(start, reach, even, grid.cap_rings)
-    core = half * (bulged_core(grid.core) @ np.array([1, 1j])).ravel()
-    zeta = np.concatenate([core, (rho * np.exp(1j * theta)).ravel()])
+    rings = counts.cap_rings
+    core, rho, _ = graded_rings(
+        focus, rings, scale, largest_half=_LARGEST_HALF, most_even=rings - 2
+    )
+    zeta = np.concatenate([core, (rho * np.exp(1j * spoke_angles(focus.core))).ravel()])
     if outline is not None:
         plan = np.stack([np.real(zeta), np.imag(zeta)], axis=1) / scale
         drawn = replace(outline, points_mm=_projected(outline.points_mm, sphere_mm))
-        plan = contact_plan(plan, grid.core, grid.cap_rings, np.zeros(2), drawn)
+        plan = contact_plan(plan, counts.core, rings, np.zeros(2), drawn)
         zeta = scale * (plan @ np.array([1, 1j]))
-    return _moved_to(center, zeta, _even_radii(grid, cap_angle), cap_angle)
+    return _moved_to(center, zeta, np.abs(_even_throughout(counts, cap_angle)), cap_angle)
 
 
 def outside_outline_mm(
     disc: np.ndarray,
     cap_angle: float,
     sphere_mm: float,
-    focus: Focus,
-    outline: ContactOutline | None,
-) -> np.ndarray | None:
+    focus: FocusOptions,
+    outline: ContactOutline,
+) -> np.ndarray:
     """About how far disc points lie outside an outline about the focus, in its plane [mm], [n] ->
-    [n]; exact to first order around the focus. None without an outline."""
-    if outline is None:
-        return None
-    center, per_mm = _focus_in_disc(cap_angle, sphere_mm, focus.center_mm)
+    [n]; exact to first order around the focus."""
+    center, per_mm = _focus_in_disc(cap_angle, sphere_mm, focus.at_mm)
     zeta = disc_automorphism(disc, -center) * (1 - abs(center) ** 2) / per_mm
     return outline.distance_mm(np.stack([np.real(zeta), np.imag(zeta)], axis=1))
 
@@ -140,16 +146,19 @@ def _projected(points_mm: np.ndarray, sphere_mm: float) -> np.ndarray:
     return 2 * points_mm / (1 + np.sqrt(np.maximum(1 - sine**2, 0)))
 
 
-def even_cap_around(grid: CapGrid, cap_angle: float, sphere_mm: float, focus: Focus) -> np.ndarray:
+def even_cap_around(
+    counts: DomeCounts, cap_angle: float, sphere_mm: float, focus: FocusOptions
+) -> np.ndarray:
     """The even cap moved to a focus without its grading: what lies deep under a focused cap."""
-    center, _ = _focus_in_disc(cap_angle, sphere_mm, focus.center_mm)
+    center, _ = _focus_in_disc(cap_angle, sphere_mm, focus.at_mm)
     center *= _DEEP_SHARE
-    even = even_cap(CapGrid(grid.core, 0, grid.cap_rings), cap_angle, None)
-    return _moved_to(center, even, _even_radii(grid, cap_angle), cap_angle)
+    even = _even_throughout(counts, cap_angle)
+    return _moved_to(center, even, np.abs(even), cap_angle)
 
 
-def _even_radii(grid: CapGrid, cap_angle: float) -> np.ndarray:
-    return np.abs(even_cap(CapGrid(grid.core, 0, grid.cap_rings), cap_angle, None))
+def _even_throughout(counts: DomeCounts, cap_angle: float) -> np.ndarray:
+    """The even cap without a ring on the window's edge."""
+    return even_cap(replace(counts, window_rings=0), cap_angle, None)
 
 
 def _moved_to(

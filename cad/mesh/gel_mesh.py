@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One door to the structured meshers: the mesh of any pad, even or fine around a contact.
+"""One door to the structured mesher: the mesh of any pad, even or fine around a contact.
 
 Structured meshes keep their connectivity over every change of a pad's dimensions, and their size is
 known beforehand, so that a sweep over designs is one batch of environments.
@@ -7,12 +7,11 @@ known beforehand, so that a sweep over designs is one batch of environments.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
-from taccel_lab.cad.mesh.contact_plan import ContactOutline
-from taccel_lab.cad.mesh.dome import even_dome_mesh, focused_dome_mesh
-from taccel_lab.cad.mesh.even import even_gel_mesh
-from taccel_lab.cad.mesh.structured import structured_gel_mesh
+from taccel_lab.cad.mesh.dome_mesh import even_dome_mesh, focused_dome_mesh
+from taccel_lab.cad.mesh.focus import FocusOptions
+from taccel_lab.cad.mesh.pad_mesh import even_pad_mesh, focused_pad_mesh
 from taccel_lab.cad.parts.dome_pad import DomePad
 from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.cad.parts.pad import Pad
@@ -24,29 +23,6 @@ DOME_RINGS = 4
 """Rings that a dome needs beyond those of a pad: from the apex to its edge it is twice as far."""
 
 
-@dataclass(frozen=True)
-class FocusOptions:
-    """Where and how finely a mesh resolves a contact; counts alone set the connectivity."""
-
-    at_mm: tuple[float, float]
-    """Gel xy of the contact."""
-    radius_mm: float
-    """Radius of the fine part."""
-    size_mm: float
-    """Element size in the fine part."""
-    core: int = 12
-    rings: int = 20
-    layers: int = 4
-    layer_ratio: float = 1.5
-    """Thickness of a layer over that of the one above it, at the contact."""
-    outlines: tuple[ContactOutline, ContactOutline] | None = None
-    """What the rings follow around the contact instead of circles, at the contact face and at the
-    back; on a dome in the plane that touches it there."""
-    lean: float = 1.0
-    """Power of the depth by which columns lean from the face's plan to the back's; above 1 they
-    are steeper where the layers are thin."""
-
-
 def gel_mesh(
     pad: Pad, edge_mm: float = DEFAULT_EDGE_MM, *, counts_of: Pad | None = None
 ) -> TetMesh:
@@ -54,9 +30,11 @@ def gel_mesh(
 
     ``counts_of`` names the pad whose dimensions choose how many cells there are: with the same one
     every pad of a sweep has the same connectivity. So far for pads with a flat back.
+
+    Raises InputError for an edge out of bounds, or when cells fold over.
     """
     if isinstance(pad, HeightPad) and (counts_of is None or isinstance(counts_of, HeightPad)):
-        return even_gel_mesh(pad, edge_mm, counts_of=counts_of)
+        return even_pad_mesh(pad, edge_mm, counts_of)
     if counts_of is not None:
         raise InputError(
             f"counts_of: {type(pad).__name__} cannot have the cell counts of "
@@ -68,30 +46,13 @@ def gel_mesh(
 
 
 def focused_gel_mesh(pad: Pad, focus: FocusOptions) -> TetMesh:
-    """Structured mesh of ``pad``, fine around a contact, of the same connectivity anywhere."""
+    """Structured mesh of ``pad``, fine around a contact, of the same connectivity anywhere.
+
+    Raises InputError for a focus too near to the edge of the contact face, FoldedMeshError when
+    cells fold over.
+    """
     if isinstance(pad, HeightPad):
-        return structured_gel_mesh(
-            pad,
-            focus_mm=focus.at_mm,
-            focus_radius_mm=focus.radius_mm,
-            focus_size_mm=focus.size_mm,
-            core=focus.core,
-            rings=focus.rings,
-            layers=focus.layers,
-            layer_ratio=focus.layer_ratio,
-            outlines=focus.outlines,
-            lean=focus.lean,
-        )
+        return focused_pad_mesh(pad, focus)
     if isinstance(pad, DomePad):
-        return focused_dome_mesh(
-            pad,
-            focus_mm=focus.at_mm,
-            focus_radius_mm=focus.radius_mm,
-            focus_size_mm=focus.size_mm,
-            core=focus.core,
-            rings=focus.rings + DOME_RINGS,
-            layers=focus.layers,
-            outlines=focus.outlines,
-            layer_ratio=focus.layer_ratio,
-        )
+        return focused_dome_mesh(pad, replace(focus, rings=focus.rings + DOME_RINGS))
     raise InputError(f"no focused mesher for {type(pad).__name__}")

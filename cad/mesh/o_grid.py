@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from taccel_lab.cad.mesh.structured_topology import core_perimeter
+from taccel_lab.cad.mesh.grid import core_perimeter
 
 _BULGE = 0.45
 

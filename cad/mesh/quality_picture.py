@@ -8,20 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.cad.mesh.quality import GateResult, bad_tets
+from taccel_lab.cad.mesh.quality_gate import GateResult, bad_tets
 from taccel_lab.geometry import TetMesh
 from taccel_lab.output import atomic_file
 
+PICTURE_NAME = "bad_mesh.png"
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 _BAD, _PLACE = "#d4301f", "#1f5fd4"
 _LEAST_ZOOM_MM = 1.0
 _MOST_TEXT = 150
 
 
-def write_bad_mesh(mesh: TetMesh, result: GateResult, path: Path) -> None:
+def write_bad_mesh(mesh: TetMesh, result: GateResult, folder: Path | str) -> Path:
     """Draw the surface of ``mesh`` in light grey, bad tets in red, other bad places as crosses.
 
-    On the left the whole mesh, on the right the worst place from close by.
+    On the left the whole mesh, on the right the worst place from close by. Returns the file,
+    ``PICTURE_NAME`` in ``folder``.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -55,8 +57,10 @@ def write_bad_mesh(mesh: TetMesh, result: GateResult, path: Path) -> None:
     figure.suptitle("\n".join(lines), fontsize=9, y=0.99, va="top")
     top = 0.97 - 0.025 * len(lines)
     figure.subplots_adjust(left=0.01, right=0.95, bottom=0.09, top=top, wspace=0.08)
+    path = Path(folder) / PICTURE_NAME
     with atomic_file(path) as staging:
         figure.savefig(staging, format="png")
+    return path
 
 
 def _draw(

@@ -25,11 +25,13 @@ from taccel_lab.cad.mesh.quality import (
     check_quality,
     measure_quality,
 )
+from taccel_lab.cad.mesh.quality_picture import write_bad_mesh
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetwild import TetWildInput, run_tetwild
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
@@ -69,7 +71,7 @@ def tetwild_gel_mesh(
     passes ``gate`` (the default one at this edge), with the picture of the best one in
     ``picture_folder`` if given.
     """
-    part = part or pad.labelled_solid()
+    part = part or labelled_solid(pad)
     # A finer input triples fTetWild's time and gains 0.04 % of volume.
     surface = tessellate_solid(part, tolerance_mm=0.01, angle_rad=0.1)
     given = TetWildInput(surface, _inner_triangles(pad, surface), pad.bond_projection_mm)
@@ -206,13 +208,9 @@ def _failure(tried: list[_Try], picture_folder: Path | str | None) -> str:
             text
             + ". A smaller edge_mm may help, or repair the surface (taccel_lab.cad.mesh.repair)"
         )
-    from taccel_lab.cad.mesh.quality import PICTURE_NAME
-    from taccel_lab.cad.mesh.quality_picture import write_bad_mesh
-
     best = min(measured, key=lambda t: len(t.result.violations) if t.result else 0)
-    path = Path(picture_folder) / PICTURE_NAME
     assert best.mesh is not None and best.result is not None  # ``measured`` holds no others
-    write_bad_mesh(best.mesh, best.result, path)
+    path = write_bad_mesh(best.mesh, best.result, picture_folder)
     return text + f". The picture {path} shows where"
 
 
@@ -220,7 +218,7 @@ def _inner_triangles(pad: Pad, surface: LabelledSurface) -> np.ndarray:
     """Triangles between the layers of ``pad`` as points [mm], shape [n, 3, 3]."""
     if len(pad.layer_names) < 2:
         return np.zeros((0, 3, 3))
-    solid = pad.layer_solids()[pad.layer_names[0]]
+    solid = layer_solids(pad)[pad.layer_names[0]]
     part = LabelledSolid(solid, [Region.SIDE] * len(solid.faces()))
     layer = tessellate_solid(part, tolerance_mm=0.01, angle_rad=0.1)
     corners = layer.vertices_mm[layer.triangles]

@@ -25,7 +25,7 @@ from taccel_lab.cad.parts.pad_outline import PadOutline, d_shape
 from taccel_lab.cad.parts.rim_fillet import fillet_height_mm
 from taccel_lab.errors import InputError
 
-_STEP = "digit-design (facebookresearch), gel STEP, measured"
+_GEL = "measured on the gel of digit-design (facebookresearch, figures only)"
 _FIT_RADIUS_MM = 21.4
 _FIT_HALF_WIDTH_MM = 9.2
 _CENTERLINE_MM = np.array([4.0588, -0.1094, -0.2813, -0.2282, -2.7033, 0.3515, 0.9831])
@@ -55,31 +55,35 @@ class DigitPad(HeightPad):
     """Dimensions of a DIGIT's gel [mm]."""
 
     width_mm: float = parameter(
-        18.4, minimum=8, maximum=40, unit="mm", source=_STEP,
-        description="size along x; the tip is half a circle of this diameter",
+        18.4, minimum=8, maximum=40, unit="mm", source=f"{_GEL}: 18.4 mm, tip semicircle R 9.2",
+        description="gel size along x; the tip is half a circle of this diameter",
     )  # fmt: skip
     length_mm: float = parameter(
-        25.0, minimum=10, maximum=60, unit="mm", source=_STEP,
-        description="size along y, from base to tip",
+        25.0, minimum=10, maximum=60, unit="mm", source=f"{_GEL}: 25.0 mm",
+        description="gel size along y, from the base to the tip",
     )  # fmt: skip
     base_corner_mm: float = parameter(
-        1.3, minimum=0.3, maximum=10, unit="mm", source=_STEP,
+        1.3, minimum=0.3, maximum=10, unit="mm", source=f"{_GEL}: base corners R 1.3",
         description="radius of the outline's corners at the base",
     )  # fmt: skip
     thickness_mm: float = parameter(
-        4.07, minimum=2, maximum=20, unit="mm", source=_STEP,
-        description="height of the apex above the glued back",
+        4.07, minimum=2, maximum=20, unit="mm", source=f"{_GEL}: 4.07 mm",
+        description="gel thickness at the apex",
     )  # fmt: skip
-    section_radius_mm: float = parameter(
-        _FIT_RADIUS_MM, minimum=6, maximum=1e5, unit="mm", source=_STEP, zero_means="flat",
-        description="radius of curvature of the mid-section across the finger",
+    mid_radius_mm: float = parameter(
+        _FIT_RADIUS_MM, minimum=6, maximum=1e5, unit="mm", zero_means="flat",
+        source=f"{_GEL}: circular arc, rms 0.001 mm; 21 to 24 along the length",
+        description="radius of the cross-section in the middle",
     )  # fmt: skip
     roll_off: float = parameter(
-        1.0, minimum=0, maximum=2, source=_STEP,
+        1.0, minimum=0, maximum=2,
+        source=f"{_GEL}: the centreline is flat in the middle and drops to 2.34 mm (base) and 2.65 "
+        "mm (tip) above the back",
         description="drop of the centreline towards base and tip, in units of the DIGIT's",
     )  # fmt: skip
     rim_mm: float = parameter(
-        0.9, minimum=0.1, maximum=5, unit="mm", source=_STEP, zero_means="sharp",
+        0.9, minimum=0.1, maximum=5, unit="mm", source=f"{_GEL}: fillet of about R 0.9",
+        zero_means="sharp",
         description="radius of the fillet between contact face and wall",
     )  # fmt: skip
     window_x_mm: float = parameter(
@@ -112,9 +116,9 @@ class DigitPad(HeightPad):
                 f"rim_mm = {self.rim_mm:g} cannot be built with base_corner_mm = "
                 f"{self.base_corner_mm:g}; allowed: up to {0.9 * self.base_corner_mm:g} mm"
             )
-        if self.section_radius_mm and self.section_radius_mm < 1.3 * half:
+        if self.mid_radius_mm and self.mid_radius_mm < 1.3 * half:
             raise InputError(
-                f"section_radius_mm = {self.section_radius_mm:g} is too small for width_mm = "
+                f"mid_radius_mm = {self.mid_radius_mm:g} is too small for width_mm = "
                 f"{self.width_mm:g}; allowed: at least {1.3 * half:g} mm"
             )
         self._check_wall()
@@ -135,8 +139,8 @@ class DigitPad(HeightPad):
         found = np.zeros((4, 7))
         found[0] = self.roll_off * _CENTERLINE_MM
         found[0, 0] = self.roll_off * (_CENTERLINE_MM[0] - _APEX_MM)
-        if self.section_radius_mm:
-            sag = _sag_mm(self.section_radius_mm, self.width_mm / 2)
+        if self.mid_radius_mm:
+            sag = _sag_mm(self.mid_radius_mm, self.width_mm / 2)
             found[1:, :5] = _SECTION_MM * (sag / _sag_mm(_FIT_RADIUS_MM, _FIT_HALF_WIDTH_MM))
         return found
 

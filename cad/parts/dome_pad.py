@@ -11,7 +11,6 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +19,6 @@ from taccel_lab.cad.parts.meridian import Arc, Line, Meridian, Piece, closest_on
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
-
-if TYPE_CHECKING:
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 
 _NEUTRAL = "neutral value; a sensor family sets its own"
 MIN_GEL_MM = 0.3
@@ -96,12 +92,6 @@ class DomePad(Pad):
         pieces = self.meridian.pieces
         nearest = closest_on_pieces(pieces, points_mm)[1]
         return np.array([int(piece.region) for piece in pieces], dtype=np.int32)[nearest]
-
-    def labelled_solid(self) -> LabelledSolid:
-        """The body as a CAD solid with labelled faces; see ``dome_pad_solid``."""
-        from taccel_lab.cad.parts.dome_pad_solid import dome_pad_solid
-
-        return dome_pad_solid(self)
 
     def figures(self) -> dict[str, float]:
         """What a drawing states beside the parameters [mm, mm^2, mm^3]."""

@@ -40,10 +40,20 @@ class GelPad(HeightPad):
     """Dimensions of one gel pad [mm]."""
 
     length_x_mm: float = parameter(
-        24.0, minimum=4, maximum=100, unit="mm", source=_NEUTRAL, description="plan size along x"
+        24.0,
+        minimum=4,
+        maximum=100,
+        unit="mm",
+        source=_NEUTRAL,
+        description="gel size along x (image columns)",
     )
     length_y_mm: float = parameter(
-        20.0, minimum=4, maximum=100, unit="mm", source=_NEUTRAL, description="plan size along y"
+        20.0,
+        minimum=4,
+        maximum=100,
+        unit="mm",
+        source=_NEUTRAL,
+        description="gel size along y (image rows)",
     )
     corner_radius_mm: float = parameter(
         2.0,
@@ -51,11 +61,11 @@ class GelPad(HeightPad):
         maximum=50,
         unit="mm",
         source=_NEUTRAL,
-        description="outline corner radius",
+        description="corner radius of the gel's outline",
     )
     thickness_mm: float = parameter(
         4.0, minimum=0.5, maximum=40, unit="mm", source=_NEUTRAL,
-        description="height of the apex above the glued back",
+        description="gel thickness at the apex, from the glued back",
     )  # fmt: skip
     crown_radius_x_mm: float = parameter(
         0.0, minimum=5, maximum=1e5, unit="mm", source=_NEUTRAL, zero_means="flat",

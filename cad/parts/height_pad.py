@@ -5,18 +5,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_outline import PadOutline
 from taccel_lab.errors import InputError
-
-if TYPE_CHECKING:
-    from build123d import Solid
-
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 
 MIN_WALL_MM = 0.3
 """Least height of the wall above the glued back [mm]: thinner edges tear and mesh badly."""
@@ -144,18 +138,6 @@ class HeightPad(Pad):
         beside = self.inside_distance_mm(xy) < self.skin_wall_mm
         above = points[:, 2] > self.height_mm(xy) - self.skin_top_mm
         return (beside | above).astype(np.int32)
-
-    def labelled_solid(self) -> LabelledSolid:
-        """The body as a CAD solid with labelled faces; see ``gel_pad_solid``."""
-        from taccel_lab.cad.parts.gel_pad_solid import gel_pad_solid
-
-        return gel_pad_solid(self)
-
-    def layer_solids(self) -> dict[str, Solid]:
-        """The solid of each layer by its name; together they fill the body."""
-        from taccel_lab.cad.parts.gel_pad_solid import layer_solids
-
-        return layer_solids(self)
 
     def figures(self) -> dict[str, float]:
         """What a drawing states beside the parameters [mm]."""

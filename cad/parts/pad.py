@@ -1,24 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every gel pad provides: formulas of its surfaces, its solid, its layers.
+"""What every gel pad provides: formulas of its surfaces, its layers.
 
 The gel frame in millimetres: x right and y down in the tactile image, z out of the gel, origin at
-the apex of the undeformed contact face. Solid, meshes, quality and tests all read the shape from
-here, so that each formula stands once.
+the apex of the undeformed contact face. Solid (``pad_solid``), meshes, quality and tests all read
+the shape from here, so that each formula stands once.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from taccel_lab.cad.parameters import ParameterSet
-
-if TYPE_CHECKING:
-    from build123d import Solid
-
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 
 
 class Pad(ParameterSet, ABC):
@@ -55,22 +50,6 @@ class Pad(ParameterSet, ABC):
     @abstractmethod
     def bond_projection_mm(self, points_mm: np.ndarray) -> np.ndarray:
         """Closest points on the glued surface (bond and window) [mm], [n, 3] -> [n, 3]."""
-
-    @abstractmethod
-    def labelled_solid(self) -> LabelledSolid:
-        """The body as a CAD solid with labelled faces.
-
-        Raises:
-            InputError: The CAD kernel cannot build the combination; says which bound it breaks.
-        """
-
-    def layer_solids(self) -> dict[str, Solid]:
-        """Solid of each layer by its name, the gel proper first.
-
-        Raises:
-            InputError: The CAD kernel cannot build the combination.
-        """
-        return {self.layer_names[0]: self.labelled_solid().solid}
 
     @abstractmethod
     def figures(self) -> dict[str, float]:

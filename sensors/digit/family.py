@@ -7,13 +7,12 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parameters import parameter_of, restated
 from taccel_lab.cad.parts.digit_pad import DigitPad
 from taccel_lab.optics.description import Light, Window
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 
-_GEL = "measured on the gel of digit-design (facebookresearch, figures only)"
 _PARTS = "measured on the parts of digit-design (facebookresearch, figures only)"
 _LIGHT_FIT = (
     "best of a search against six ball presses of FOTS, labelled by eye (colour cosine 0.70, "
@@ -26,37 +25,15 @@ _CANFNET = "camera calibration of CANFNet, 240 x 320 px"
 class DigitParameters(CameraSensorParameters):
     """Parameters of a DIGIT; the fingertip points to +y."""
 
-    width_mm: float = parameter(
-        18.4, minimum=12, maximum=26, unit="mm", source=f"{_GEL}: 18.4 mm, tip semicircle R 9.2",
-        description="gel size along x; the tip is a semicircle of that diameter",
-    )  # fmt: skip
-    length_mm: float = parameter(
-        25.0, minimum=20, maximum=45, unit="mm", source=f"{_GEL}: 25.0 mm",
-        description="gel size along y, from the base to the tip",
-    )  # fmt: skip
-    thickness_mm: float = parameter(
-        4.07, minimum=3.0, maximum=12, unit="mm", source=f"{_GEL}: 4.07 mm",
-        description="gel thickness at the apex",
-    )  # fmt: skip
-    mid_radius_mm: float = parameter(
-        21.4, minimum=17, maximum=400, unit="mm",
-        source=f"{_GEL}: circular arc, rms 0.001 mm; 21 to 24 along the length",
-        description="radius of the cross-section in the middle",
-    )  # fmt: skip
-    base_corner_mm: float = parameter(
-        1.3, minimum=1.3, maximum=4, unit="mm", source=f"{_GEL}: base corners R 1.3",
-        description="radius of the outline's corners at the base",
-    )  # fmt: skip
-    roll_off: float = parameter(
-        1.0, minimum=0.0, maximum=1.5,
-        source=f"{_GEL}: the centreline is flat in the middle and drops to 2.34 mm (base) and 2.65 "
-        "mm (tip) above the back",
-        description="drop of the centreline towards base and tip, in units of the DIGIT's",
-    )  # fmt: skip
-    rim_mm: float = parameter(
-        0.9, minimum=0.1, maximum=1.15, unit="mm", source=f"{_GEL}: fillet of about R 0.9",
-        description="radius of the fillet between contact face and wall",
-    )  # fmt: skip
+    width_mm: float = parameter_of(DigitPad, "width_mm", minimum=12, maximum=26)
+    length_mm: float = parameter_of(DigitPad, "length_mm", minimum=20, maximum=45)
+    thickness_mm: float = parameter_of(DigitPad, "thickness_mm", minimum=3, maximum=12)
+    mid_radius_mm: float = parameter_of(
+        DigitPad, "mid_radius_mm", minimum=17, maximum=400, zero_means=""
+    )
+    base_corner_mm: float = parameter_of(DigitPad, "base_corner_mm", minimum=1.3, maximum=4)
+    roll_off: float = parameter_of(DigitPad, "roll_off", maximum=1.5)
+    rim_mm: float = parameter_of(DigitPad, "rim_mm", maximum=1.15, zero_means="")
     young_modulus_mpa: float = restated(
         0.3,
         source="assumption: Smooth-On Solaris with Slacker, Shore A 10 to 15 by the build guide "
@@ -105,7 +82,7 @@ class DigitParameters(CameraSensorParameters):
             length_mm=self.length_mm,
             base_corner_mm=self.base_corner_mm,
             thickness_mm=self.thickness_mm,
-            section_radius_mm=self.mid_radius_mm,
+            mid_radius_mm=self.mid_radius_mm,
             roll_off=self.roll_off,
             rim_mm=self.rim_mm,
             window_x_mm=window_x,

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parameters import parameter_of, restated
 from taccel_lab.cad.parts.dome_pad import SolidDomePad
 from taccel_lab.optics.description import Light
 from taccel_lab.sensors.base import SensorFamily
@@ -21,27 +21,25 @@ _LEDS = 8
 class Digit360Parameters(FisheyeParameters, CameraSensorParameters):
     """Parameters of a DIGIT 360; its lens is glued into a pocket in the base of the gel."""
 
-    dome_radius_mm: float = parameter(
-        12.5, minimum=8, maximum=25, unit="mm", source=f"{_TIP}: hemisphere R 12.5",
-        description="radius of the hemisphere and of the cylinder under it",
+    dome_radius_mm: float = parameter_of(
+        SolidDomePad, "dome_radius_mm", 12.5, minimum=8, maximum=25,
+        source=f"{_TIP}: hemisphere R 12.5",
     )  # fmt: skip
-    wall_height_mm: float = parameter(
-        13.5, minimum=4, maximum=40, unit="mm", source=f"{_TIP}: 26.0 mm in all",
-        description="height of the cylinder under the hemisphere",
+    wall_height_mm: float = parameter_of(
+        SolidDomePad, "wall_height_mm", 13.5, minimum=4, maximum=40,
+        source=f"{_TIP}: 26.0 mm in all",
     )  # fmt: skip
-    pocket_radius_mm: float = parameter(
-        4.927, minimum=2, maximum=6, unit="mm",
+    pocket_radius_mm: float = parameter_of(
+        SolidDomePad, "pocket_radius_mm", 4.927, minimum=2, maximum=6,
         source=f"{_TIP}: cone of 2 deg from 4.927 to 4.879 mm",
-        description="radius of the lens pocket at the base",
     )  # fmt: skip
-    pocket_depth_mm: float = parameter(
-        1.55, minimum=1.0, maximum=4, unit="mm", source=f"{_TIP}: about 1.55 mm",
-        description="depth of the edge of the pocket's ceiling",
+    pocket_depth_mm: float = parameter_of(
+        SolidDomePad, "pocket_depth_mm", 1.55, minimum=1.0, maximum=4,
+        source=f"{_TIP}: about 1.55 mm",
     )  # fmt: skip
-    pocket_dome_radius_mm: float = parameter(
-        7.439, minimum=6.5, maximum=100, unit="mm",
+    pocket_dome_radius_mm: float = parameter_of(
+        SolidDomePad, "pocket_dome_radius_mm", 7.439, minimum=6.5, maximum=100,
         source=f"{_TIP}: sphere R 7.439, the lens's outer element",
-        description="radius of the pocket's domed ceiling",
     )  # fmt: skip
     young_modulus_mpa: float = restated(
         0.3, source="assumption: hardness and modulus of this gel are not published"

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parameters import parameter, parameter_of, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import Light
@@ -46,27 +46,22 @@ class GelSightMiniParameters(RectangleSensorParameters):
         source=f"{_GEL}: apex 4.00 mm above the cap's flange. The data sheet's 4.25 +- 0.20 mm "
         "(by third parties) counts from the top of the case, 0.25 mm lower",
     )  # fmt: skip
-    crown_radius_x_mm: float = parameter(
-        186.3, minimum=90, maximum=1e5, unit="mm", zero_means="flat", source=_FIT,
-        description="radius of curvature of the crown along x at the apex",
-    )  # fmt: skip
-    crown_radius_y_mm: float = parameter(
-        109.7, minimum=70, maximum=1e5, unit="mm", zero_means="flat", source=_FIT,
-        description="radius of curvature of the crown along y at the apex",
-    )  # fmt: skip
-    crown_pillow: float = parameter(
-        0.74, minimum=0, maximum=1, source=f"{_FIT}; chosen to give its volume of 1898.8 mm3",
-        description="how level the edge of the crown is all around, see GelPad",
-    )  # fmt: skip
-    rim_mm: float = parameter(
-        3.247, minimum=0.5, maximum=3.8, unit="mm",
+    crown_radius_x_mm: float = parameter_of(
+        GelPad, "crown_radius_x_mm", 186.3, minimum=90, source=_FIT
+    )
+    crown_radius_y_mm: float = parameter_of(
+        GelPad, "crown_radius_y_mm", 109.7, minimum=70, source=_FIT
+    )
+    crown_pillow: float = parameter_of(
+        GelPad, "crown_pillow", 0.74, source=f"{_FIT}; chosen to give its volume of 1898.8 mm3"
+    )
+    rim_mm: float = parameter_of(
+        GelPad, "rim_mm", 3.247, minimum=0.5, maximum=3.8,
         source=f"{_FIT}; the arc itself ends 3.193 mm inside the wall",
-        description="width of the rim's arc in plan",
     )  # fmt: skip
-    rim_radius_mm: float = parameter(
-        5.482, minimum=4.0, maximum=100, unit="mm",
+    rim_radius_mm: float = parameter_of(
+        GelPad, "rim_radius_mm", 5.482, minimum=4.0, maximum=100,
         source=f"{_FIT}; the arc itself has R 5.563 mm",
-        description="radius of the rim's arc",
     )  # fmt: skip
     rim_drop_mm: float = parameter(
         1.25, minimum=0.4, maximum=1.6, unit="mm", source=f"{_GEL}: wall of 2.75 mm, apex at 4.00",

@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from taccel_lab.cad.parameters import ParameterSet, parameter
+from taccel_lab.cad.parameters import ParameterSet, parameter_of
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.sensors.parameter_groups.unstated import NO_FIGURE
 
 
@@ -16,22 +17,18 @@ class RectangleGelParameters(ParameterSet):
 
     parameter_group: ClassVar[str] = "gel"
 
-    length_x_mm: float = parameter(
-        24.0, minimum=10, maximum=60, unit="mm", source=NO_FIGURE,
-        description="gel size along x (image columns)",
-    )  # fmt: skip
-    length_y_mm: float = parameter(
-        20.0, minimum=10, maximum=60, unit="mm", source=NO_FIGURE,
-        description="gel size along y (image rows)",
-    )  # fmt: skip
-    corner_radius_mm: float = parameter(
-        2.0, minimum=0.3, maximum=10, unit="mm", source=NO_FIGURE,
-        description="corner radius of the gel's outline",
-    )  # fmt: skip
-    thickness_mm: float = parameter(
-        4.0, minimum=1.5, maximum=12, unit="mm", source=NO_FIGURE,
-        description="gel thickness at the apex",
-    )  # fmt: skip
+    length_x_mm: float = parameter_of(
+        GelPad, "length_x_mm", 24.0, minimum=10, maximum=60, source=NO_FIGURE
+    )
+    length_y_mm: float = parameter_of(
+        GelPad, "length_y_mm", 20.0, minimum=10, maximum=60, source=NO_FIGURE
+    )
+    corner_radius_mm: float = parameter_of(
+        GelPad, "corner_radius_mm", 2.0, maximum=10, source=NO_FIGURE
+    )
+    thickness_mm: float = parameter_of(
+        GelPad, "thickness_mm", 4.0, minimum=1.5, maximum=12, source=NO_FIGURE
+    )
 
     def window_margin_mm(self) -> float:
         """How far inside the outline the corners of the seen rectangle stay, rounding included."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parameters import parameter_of, restated
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.optics.description import Light, Window
 from taccel_lab.sensors.base import SensorFamily
@@ -22,13 +22,13 @@ _LEDS = 8
 class RTacParameters(CameraSensorParameters):
     """Parameters of an R-Tac: Ecoflex 00-10 on a dome of PDMS, monochrome camera, white light."""
 
-    dome_radius_mm: float = parameter(
-        15.0, minimum=8, maximum=30, unit="mm", source=f"{_SHELL}: hemisphere R 15.0",
-        description="outer radius of the gel",
+    dome_radius_mm: float = parameter_of(
+        ShellDomePad, "dome_radius_mm", 15.0, minimum=8, maximum=30,
+        source=f"{_SHELL}: hemisphere R 15.0",
     )  # fmt: skip
-    thickness_mm: float = parameter(
-        1.5, minimum=0.6, maximum=3.5, unit="mm", source=f"{_SHELL}: R 15.0 over a core of R 13.5",
-        description="thickness of the gel over the hard dome",
+    thickness_mm: float = parameter_of(
+        ShellDomePad, "thickness_mm", 1.5, minimum=0.6, maximum=3.5,
+        source=f"{_SHELL}: R 15.0 over a core of R 13.5",
     )  # fmt: skip
     young_modulus_mpa: float = restated(
         0.055,

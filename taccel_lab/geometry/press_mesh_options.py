@@ -33,7 +33,7 @@ class PressMeshOptions:
     core: int = 4
     rings: int = 10
     layers: int = 3
-    """Core, rings and layers of ``structured_gel_mesh``; they set the number of nodes."""
+    """Core, rings and layers of ``focused_gel_mesh``; they set the number of nodes."""
     top_layer: float = 1.0
     """Thickness of the uppermost layer in contact radii, where the number of layers allows it."""
     outline: OutlineMeshOptions = OutlineMeshOptions()

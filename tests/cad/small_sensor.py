@@ -10,6 +10,7 @@ from taccel_lab.cad.assembly import Assembly
 from taccel_lab.cad.assembly_sensor import sensor_assembly
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.housing import HousingShape
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.parts.part import gel_part
 from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, Pose
 from taccel_lab.cad.parts.window import WindowShape
@@ -35,7 +36,7 @@ def small_sensor(**changes: object) -> Assembly:
         "window": WINDOW, "housing": HOUSING, "camera": CAMERA, "leds": LEDS,
         "view_mm": (18.0, 14.0), **changes,
     }  # fmt: skip
-    gel = (gel_part(PAD.labelled_solid()),)
+    gel = (gel_part(labelled_solid(PAD)),)
     return sensor_assembly("small", gel, PAD.thickness_mm, **options)  # type: ignore[arg-type]
 
 

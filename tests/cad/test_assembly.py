@@ -10,6 +10,7 @@ from build123d import Compound, Pos
 from small_sensor import CAMERA, LEDS, PAD, WINDOW, housing, small_sensor
 
 from taccel_lab.cad.assembly import Assembly, common_volume_mm3, require_no_overlap
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.parts.part import gel_part
 from taccel_lab.cad.parts.placeholders import LedShape, Pose
 from taccel_lab.cad.parts.window import WindowShape, window_part
@@ -60,12 +61,12 @@ def test_the_seat_carries_the_window_and_leaves_the_view_open(sensor: Assembly) 
 
 
 def test_a_planted_overlap_is_refused_and_named(sensor: Assembly) -> None:
-    gel = gel_part(PAD.labelled_solid())
-    sunk = gel_part(PAD.labelled_solid(), "sunk")
+    gel = gel_part(labelled_solid(PAD))
+    sunk = gel_part(labelled_solid(PAD), "sunk")
     sunk.solid.location = Pos(0, 0, -1)
     pair = Assembly("pair", (gel, sunk))
     shared = common_volume_mm3(gel.solid, sunk.solid)
-    assert shared == pytest.approx(PAD.labelled_solid().volume_mm3 - _slab_mm3(), rel=1e-3)
+    assert shared == pytest.approx(labelled_solid(PAD).volume_mm3 - _slab_mm3(), rel=1e-3)
     with pytest.raises(InputError, match=r"gel_pad and sunk by"):
         require_no_overlap(pair.clearances())
 
@@ -106,7 +107,7 @@ def test_what_cannot_be_built_names_the_bound(changes: dict[str, object], words:
 
 
 def test_window_plate_follows_the_gel_or_is_a_rectangle() -> None:
-    outline = PAD.labelled_solid().solid.faces().sort_by()[0].outer_wire()
+    outline = labelled_solid(PAD).solid.faces().sort_by()[0].outer_wire()
     like_gel = window_part(WINDOW, outline)
     assert like_gel.solid.volume == pytest.approx(3 * (24 * 20 - (4 - math.pi) * 2**2), rel=1e-9)
     (front,) = like_gel.faces("optical_front")

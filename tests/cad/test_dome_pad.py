@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -22,7 +23,7 @@ def test_digit_360_as_measured() -> None:
     assert figures["total_height"] == pytest.approx(26.0)
     assert figures["base_diameter"] == pytest.approx(25.0)
     # Measured on the part: 10534.8 mm3, cone from 4.927 to 4.879 mm, torus 4.629 / 0.25 mm.
-    assert DIGIT_360.labelled_solid().volume_mm3 == pytest.approx(10534.8, rel=1e-4)
+    assert labelled_solid(DIGIT_360).volume_mm3 == pytest.approx(10534.8, rel=1e-4)
     wall, fillet, _ = DIGIT_360.meridian.of(Region.WINDOW)
     assert wall.point(np.ones(()))[0] == pytest.approx(4.879, abs=5e-4)
     assert fillet.point(np.array([0.0, 1.0]))[1, 1] == pytest.approx(-26 + 1.55)
@@ -94,7 +95,7 @@ def test_bond_projection_is_idempotent_and_lands_on_glued_pieces(pad: DomePad, s
     ],
 )
 def test_solids_have_the_volume_and_the_labelled_areas_of_the_meridian(pad: DomePad) -> None:
-    part = pad.labelled_solid()
+    part = labelled_solid(pad)
     assert part.solid.is_valid
     assert part.volume_mm3 == pytest.approx(pad.meridian.volume_mm3(), rel=1e-5)
     for region in Region:

@@ -13,8 +13,8 @@ from build123d import import_step
 from taccel_lab.cad.export import dimensions, write_step, write_stl
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.cad.parts.gel_pad_solid import gel_pad_solid
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -24,7 +24,7 @@ OUTLINE_AREA = 24 * 20 - (4 - np.pi) * 2**2
 
 @pytest.fixture(scope="module")
 def dome() -> LabelledSolid:
-    return gel_pad_solid(GelPad(**DOME))
+    return labelled_solid(GelPad(**DOME))
 
 
 def integrated_volume(pad: GelPad, cells: int = 1200) -> float:
@@ -43,7 +43,7 @@ def integrated_volume(pad: GelPad, cells: int = 1200) -> float:
 
 
 def test_flat_pad_has_the_volume_and_areas_of_a_prism() -> None:
-    part = gel_pad_solid(GelPad(thickness_mm=4))
+    part = labelled_solid(GelPad(thickness_mm=4))
     assert part.solid.volume == pytest.approx(4 * OUTLINE_AREA, rel=1e-9)
     assert part.area_mm2(Region.CONTACT) == pytest.approx(OUTLINE_AREA, rel=1e-9)
     assert part.area_mm2(Region.WINDOW) == pytest.approx(18 * 14, rel=1e-9)
@@ -68,7 +68,7 @@ def test_flat_pad_has_the_volume_and_areas_of_a_prism() -> None:
 )
 def test_solid_and_formulas_agree(values: dict[str, object], tolerance: float) -> None:
     pad = GelPad(**values)  # type: ignore[arg-type]
-    part = gel_pad_solid(pad)
+    part = labelled_solid(pad)
     assert part.volume_mm3 == pytest.approx(integrated_volume(pad), rel=tolerance)
     surface = tessellate_solid(part)
     top = surface.vertices_mm[np.unique(surface.triangles[surface.regions == Region.CONTACT])]

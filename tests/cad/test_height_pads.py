@@ -18,6 +18,7 @@ from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.parts.digit_pad import DigitPad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -42,8 +43,8 @@ def test_mini_has_the_measured_profiles() -> None:
 
 
 def test_mini_and_bevelled_pads_have_the_measured_volumes() -> None:
-    assert MINI.labelled_solid().volume_mm3 == pytest.approx(1898.81, rel=1e-3)
-    assert BEVELLED.labelled_solid().volume_mm3 == pytest.approx(8795.8, rel=1e-4)
+    assert labelled_solid(MINI).volume_mm3 == pytest.approx(1898.81, rel=1e-3)
+    assert labelled_solid(BEVELLED).volume_mm3 == pytest.approx(8795.8, rel=1e-4)
 
 
 @pytest.mark.skipif(not MINI_STEP.exists(), reason=f"needs the measured gel {MINI_STEP}")
@@ -54,7 +55,7 @@ def test_mini_lies_on_the_measured_gel() -> None:
     measured = np.stack(
         [raw[:, 0] + offset_x_mm, raw[:, 2] + offset_z_mm, raw[:, 1] - flange_mm - 4.0], axis=1
     )
-    ours = tessellate_solid(MINI.labelled_solid(), tolerance_mm=0.005, angle_rad=0.1)
+    ours = tessellate_solid(labelled_solid(MINI), tolerance_mm=0.005, angle_rad=0.1)
     here = surface_samples(ours.vertices_mm, ours.triangles, 8000)
     away, _ = ClosestPoint(measured, np.array(triangles))(here)
     assert away.max() < 0.1
@@ -62,7 +63,7 @@ def test_mini_lies_on_the_measured_gel() -> None:
 
 
 def test_digit_has_the_measured_figures() -> None:
-    part = DIGIT.labelled_solid()
+    part = labelled_solid(DIGIT)
     assert part.volume_mm3 == pytest.approx(1303.96, rel=1e-3)
     box = part.solid.bounding_box()
     size = [box.size.X, box.size.Y, box.size.Z]
@@ -78,7 +79,7 @@ def test_digit_has_the_measured_figures() -> None:
 @given(st.floats(16, 200), st.floats(3.5, 6), st.floats(0.3, 1.2))
 @settings(max_examples=20, deadline=None)
 def test_digit_sections_have_the_wanted_sag(radius: float, thickness: float, roll: float) -> None:
-    pad = DigitPad(section_radius_mm=radius, thickness_mm=thickness + 2, roll_off=roll, rim_mm=0.0)
+    pad = DigitPad(mid_radius_mm=radius, thickness_mm=thickness + 2, roll_off=roll, rim_mm=0.0)
     ends = pad.height_mm(np.array([[0.0, 0.0], [9.2, 0.0]]))
     # The polynomial's section drops 2.0595 mm where an arc of 21.4 mm drops 2.0784 mm.
     sag = radius - np.sqrt(radius**2 - 9.2**2)
@@ -122,20 +123,20 @@ def test_fillets_are_the_envelope_of_balls_that_fit(seed: int) -> None:
 
 
 def test_skin_and_core_have_the_volumes_of_their_prisms() -> None:
-    solids = SKINNED.layer_solids()
+    solids = layer_solids(SKINNED)
     corners = 4 - np.pi
     core = (29.5 * 22.5 - corners * 1.0**2) * 2.5
     whole = (31.1 * 24.1 - corners * 1.8**2) * 2.8
     assert SKINNED.layer_names == ("gel", "skin") == tuple(solids)
     assert solids["gel"].volume == pytest.approx(core, rel=1e-9)
     assert solids["skin"].volume == pytest.approx(whole - core, rel=1e-9)
-    assert MINI.layer_names == ("gel",) == tuple(MINI.layer_solids())
+    assert MINI.layer_names == ("gel",) == tuple(layer_solids(MINI))
     points = np.array([[0, 0, -0.2], [0, 0, -0.4], [15.0, 0, -2.0], [14.0, 0, -2.0]])
     np.testing.assert_array_equal(SKINNED.layer_of(points), [1, 0, 1, 0])
 
 
 def test_glued_walls_are_bond() -> None:
-    part = BEVELLED.labelled_solid()
+    part = labelled_solid(BEVELLED)
     assert part.area_mm2(Region.SIDE) == 0
     perimeter = BEVELLED.outline.perimeter_mm
     back = BEVELLED.outline.area_mm2 - 31 * 31
@@ -158,7 +159,7 @@ def test_glued_walls_are_bond() -> None:
         (SKINNED, {"rim": "fillet"}, ["rim none, chamfer or arc"]),
         (SKINNED, {"window_x_mm": 29.4}, ["window_x_mm", "at least 0.2 mm"]),
         (DIGIT, {"rim_mm": 1.3}, ["rim_mm = 1.3", "up to 1.17"]),
-        (DIGIT, {"section_radius_mm": 10}, ["section_radius_mm = 10", "at least 11.96"]),
+        (DIGIT, {"mid_radius_mm": 10}, ["mid_radius_mm = 10", "at least 11.96"]),
         (DIGIT, {"length_mm": 11}, ["length_mm = 11", "at least 11.5"]),
         (DIGIT, {"thickness_mm": 2.5}, ["of wall", "thickness_mm must be at least"]),
         (DIGIT, {"window_y_mm": 22}, ["window_x_mm", "at least 0.2 mm"]),

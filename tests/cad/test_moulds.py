@@ -20,6 +20,7 @@ from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.outline import rounded_rectangle
 from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -34,13 +35,13 @@ PADS = {
 
 @pytest.fixture(scope="module")
 def crowned() -> tuple[LabelledSolid, Mould]:
-    gel = CROWNED.labelled_solid()
+    gel = labelled_solid(CROWNED)
     return gel, gel_mould(gel)
 
 
 @pytest.mark.parametrize("name", PADS)
 def test_cavity_is_the_gel_plus_shrinkage_plus_draft(name: str) -> None:
-    gel = PADS[name].labelled_solid()
+    gel = labelled_solid(PADS[name])
     mould = gel_mould(gel, MouldOptions(draft_deg=3.0, shrinkage_percent=0.5))
     report = check_mould(mould, gel)
     body = mould.body
@@ -57,7 +58,7 @@ def test_cavity_is_the_gel_plus_shrinkage_plus_draft(name: str) -> None:
 
 
 def test_no_shrinkage_and_no_draft_give_the_gel_itself() -> None:
-    gel = CROWNED.labelled_solid()
+    gel = labelled_solid(CROWNED)
     mould = gel_mould(gel, MouldOptions(draft_deg=0.0, shrinkage_percent=0.0))
     report = check_mould(mould, gel)
     assert report.cavity_volume_mm3 == pytest.approx(gel.volume_mm3, rel=1e-6)
@@ -70,7 +71,7 @@ def test_contact_face_of_the_cavity_is_exact(crowned: tuple[LabelledSolid, Mould
     area = sum(face.area for face in faces)
     scale = 1 / (1 - mould.options.shrinkage_percent / 100)
     assert area == pytest.approx(
-        CROWNED.labelled_solid().area_mm2(Region.CONTACT) * scale**2, rel=1e-6
+        labelled_solid(CROWNED).area_mm2(Region.CONTACT) * scale**2, rel=1e-6
     )
     surface = tessellate_solid(
         LabelledSolid(
@@ -127,7 +128,7 @@ def test_a_back_without_room_for_a_hole_is_refused() -> None:
 
 def test_a_planted_undercut_is_refused_with_its_place() -> None:
     """A groove round the wall holds the gel in the cavity."""
-    body = CROWNED.labelled_solid().solid
+    body = labelled_solid(CROWNED).solid
     slit = Pos(0, 0, -3.5) * Solid.make_box(30, 30, 0.5, Plane((-15, -15, 0)))
     slit = slit.cut(Pos(0, 0, -4) * Solid.make_box(23, 19, 2, Plane((-11.5, -9.5, 0))))
     grooved = body.cut(slit).solids()[0]
@@ -149,10 +150,10 @@ def test_a_body_wider_than_its_foot_is_refused() -> None:
 
 def test_skin_is_cast_over_the_core() -> None:
     pad: Pad = GelPad(thickness_mm=2.8, skin_mm=0.3, skin_side_mm=1.4)
-    gel = pad.labelled_solid()
+    gel = labelled_solid(pad)
     layers = {
         name: LabelledSolid(solid, [_flat_back(face, solid) for face in solid.faces()])
-        for name, solid in pad.layer_solids().items()
+        for name, solid in layer_solids(pad).items()
     }
     (first, core), (second, skin) = casting_moulds(gel, layers)
     assert [first.name, second.name] == ["mould_1_gel", "mould_2_skin"]
@@ -187,4 +188,4 @@ def test_options_have_bounds(values: dict[str, float], words: str) -> None:
 def test_pins_that_do_not_fit_are_refused() -> None:
     options = dataclasses.replace(MouldOptions(), pin_mm=8.0, wall_mm=6.0)
     with pytest.raises(InputError, match=r"pin_mm = 8 .* allowed: up to 4 mm"):
-        gel_mould(GelPad().labelled_solid(), options)
+        gel_mould(labelled_solid(GelPad()), options)

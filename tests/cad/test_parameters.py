@@ -7,7 +7,13 @@ from dataclasses import dataclass
 
 import pytest
 
-from taccel_lab.cad.parameters import ParameterSet, parameter, parse_overrides, restated
+from taccel_lab.cad.parameters import (
+    ParameterSet,
+    parameter,
+    parameter_of,
+    parse_overrides,
+    restated,
+)
 from taccel_lab.errors import InputError
 
 
@@ -101,3 +107,19 @@ def test_only_inherited_parameters_can_be_restated() -> None:
         @dataclass(frozen=True)
         class Tall(Box):
             height_mm: float = restated(3.0, source="none")
+
+
+def test_a_part_hands_its_parameter_on() -> None:
+    @dataclass(frozen=True)
+    class Shelf(ParameterSet):
+        parameter_group = "shelf"
+        board_mm: float = parameter_of(Box, "width_mm", 2.5, maximum=2.8, source="joiner")
+
+    found, declared = Shelf.parameters()["board_mm"], Box.parameters()["width_mm"]
+    assert (found.default, found.maximum, found.source) == (2.5, 2.8, "joiner")
+    assert (found.minimum, found.unit, found.group) == (declared.minimum, declared.unit, "shelf")
+    assert found.description == declared.description
+    with pytest.raises(TypeError, match="needs a source"):
+        parameter_of(Box, "width_mm", 2.5)
+    with pytest.raises(TypeError, match="wider than those of Box"):
+        parameter_of(Box, "width_mm", maximum=1e9)

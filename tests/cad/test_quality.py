@@ -12,21 +12,21 @@ import numpy as np
 import pytest
 
 from taccel_lab.cad.mesh.closest import ClosestPoint
-from taccel_lab.cad.mesh.even import even_gel_mesh
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import (
     PRESS_GATE,
     QualityGate,
-    bad_tets,
     check_quality,
     measure_quality,
     require_quality,
     surface_distance_mm,
 )
+from taccel_lab.cad.mesh.quality_gate import bad_tets
 from taccel_lab.cad.mesh.quality_measures import EDGE_PAIRS, dihedral_angles_deg, mean_ratios
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed, weld
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.cad.parts.gel_pad_solid import gel_pad_solid
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
@@ -68,7 +68,7 @@ def test_flat_and_inverted_tets_show() -> None:
 
 def test_pad_measures_agree_with_the_pad() -> None:
     pad = GelPad(crown_radius_x_mm=80, crown_radius_y_mm=80)
-    part, mesh = gel_pad_solid(pad), even_gel_mesh(pad, 1.5)
+    part, mesh = labelled_solid(pad), gel_mesh(pad, 1.5)
     fine = tessellate_solid(part)
     found = measure_quality(mesh, pad, cad_volume_mm3=part.solid.volume, cad_surface=fine)
     assert found.back_plane_error_mm < 1e-12 and found.contact_error_mm < 1e-10
@@ -83,8 +83,8 @@ def test_pad_measures_agree_with_the_pad() -> None:
 
 def test_surface_distance_is_the_offset_of_two_boxes() -> None:
     pad = GelPad()
-    faces = even_gel_mesh(pad, 2.0).faces
-    nodes = even_gel_mesh(pad, 2.0).nodes_m * 1e3
+    faces = gel_mesh(pad, 2.0).faces
+    nodes = gel_mesh(pad, 2.0).nodes_m * 1e3
     regions = np.zeros(len(faces), dtype=np.int32)
     low = LabelledSurface(nodes, faces, regions)
     high = LabelledSurface(nodes + [0, 0, 0.25], faces, regions)
@@ -112,7 +112,7 @@ def _with_sliver(mesh: TetMesh) -> tuple[TetMesh, np.ndarray]:
 
 def test_gate_names_place_and_figure() -> None:
     pad = GelPad()
-    mesh = even_gel_mesh(pad, 2.0)
+    mesh = gel_mesh(pad, 2.0)
     bad, at = _with_sliver(mesh)
     quality = measure_quality(bad, pad)
     with pytest.raises(InputError, match=r"dihedral angle under 10 deg.* x ") as error:
@@ -142,7 +142,7 @@ def test_gate_names_place_and_figure() -> None:
 
 def test_planted_faults_are_all_found_and_drawn(tmp_path: Path) -> None:
     pad = GelPad(crown_radius_x_mm=80, crown_radius_y_mm=80)
-    part, mesh = gel_pad_solid(pad), even_gel_mesh(pad, 1.5)
+    part, mesh = labelled_solid(pad), gel_mesh(pad, 1.5)
     bad, at = _with_sliver(mesh)
     nodes = bad.nodes_m.copy()
     glued, touched = mesh.bonded_nodes(), mesh.region_nodes(Region.CONTACT)
@@ -190,7 +190,7 @@ def test_coarse_meshes_may_have_longer_chords_and_no_worse_angles() -> None:
     assert gate.at_edge(1.0) == gate
     with pytest.raises(InputError, match="edge_mm"):
         QualityGate().at_edge(0.0)
-    mesh = even_gel_mesh(GelPad(), 2.0)
+    mesh = gel_mesh(GelPad(), 2.0)
     good = replace(measure_quality(mesh, GelPad()), hausdorff_mm=0.1)
     assert check_quality(mesh, good, gate).passed
     assert check_quality(mesh, good, gate).to_json()["relaxed_for_edge"]
@@ -214,7 +214,7 @@ class _Halves(GelPad):
 
 def test_layers_that_do_not_conform_are_found() -> None:
     pad = _Halves(thickness_mm=2)
-    mesh = even_gel_mesh(GelPad(thickness_mm=2), 1.0)
+    mesh = gel_mesh(GelPad(thickness_mm=2), 1.0)
     levels = np.unique(mesh.nodes_m[:, 2].round(9)) * 1e3
     object.__setattr__(pad, "level_mm", levels[1])
     volume = mesh.volumes_m3().sum() * 1e9

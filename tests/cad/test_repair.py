@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taccel_lab.cad.mesh.dome import even_dome_mesh
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.repair import repair_surface, self_intersections
 from taccel_lab.cad.mesh.surface import check_closed
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
@@ -42,7 +42,7 @@ def clean() -> tuple[np.ndarray, np.ndarray]:
     """The surface of a dome shell [mm]: closed, curved, of even triangles."""
     pytest.importorskip("pymeshlab")
     pad = ShellDomePad(dome_radius_mm=8, thickness_mm=2, opening_deg=60)
-    mesh = even_dome_mesh(pad, 1.2)
+    mesh = gel_mesh(pad, 1.2)
     used, faces = np.unique(mesh.faces, return_inverse=True)
     return mesh.nodes_m[used] * 1e3, faces.reshape(mesh.faces.shape)
 

@@ -14,6 +14,7 @@ from small_sensor import PAD, small_sensor
 from taccel_lab.cad.export import write_assembly_step, write_step
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.step_import import FaceSelection, import_gel, list_faces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
@@ -37,7 +38,7 @@ def areas(part: LabelledSolid) -> dict[str, float]:
 @pytest.fixture(scope="module")
 def own(tmp_path_factory: pytest.TempPathFactory) -> tuple[LabelledSolid, Path]:
     path = tmp_path_factory.mktemp("step") / "pad.step"
-    part = PAD.labelled_solid()
+    part = labelled_solid(PAD)
     write_step(part, path)
     return part, path
 
@@ -55,7 +56,7 @@ def test_our_own_step_comes_back_region_by_region(own: tuple[LabelledSolid, Path
 
 
 def test_a_dome_comes_back_too(tmp_path: Path) -> None:
-    part = ShellDomePad().labelled_solid()
+    part = labelled_solid(ShellDomePad())
     write_step(part, tmp_path / "dome.step")
     gel = import_gel(tmp_path / "dome.step", FaceSelection(origin="file"))
     assert areas(gel.part) == pytest.approx(areas(part), rel=1e-6)
@@ -205,7 +206,7 @@ def test_one_body_of_an_assembly_is_chosen_by_name(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"2 solids; one is needed.*gel_pad"):
         import_gel(path)
     gel = import_gel(path, FaceSelection(body="gel_pad"))
-    assert gel.part.volume_mm3 == pytest.approx(PAD.labelled_solid().volume_mm3, rel=1e-6)
+    assert gel.part.volume_mm3 == pytest.approx(labelled_solid(PAD).volume_mm3, rel=1e-6)
 
 
 def mini_step() -> Path:

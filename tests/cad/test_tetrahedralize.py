@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from taccel_lab.cad.mesh import cache
 from taccel_lab.cad.mesh.bond_planes import bond_projection
-from taccel_lab.cad.mesh.even import even_gel_mesh
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import QualityGate, measure_quality, require_quality
 from taccel_lab.cad.mesh.regions import transfer_regions
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
@@ -21,8 +21,8 @@ from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh, tetwild_mesh
 from taccel_lab.cad.parts.dome_pad import ShellDomePad, SolidDomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.cad.parts.gel_pad_solid import gel_pad_solid
 from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
@@ -43,7 +43,7 @@ def small_pad(**changes: Any) -> GelPad:
 
 
 def check_gate(pad: Pad, edge_mm: float, *, areas: float = 0.05) -> TetMesh:
-    part = pad.labelled_solid()
+    part = labelled_solid(pad)
     mesh = tetwild_gel_mesh(pad, edge_mm, part=part, use_cache=False)
     check_closed(mesh.faces, "boundary")
     surface = tessellate_solid(part)
@@ -87,14 +87,14 @@ def test_layers_conform() -> None:
     mesh = check_gate(pad, 1.2)
     quality = measure_quality(mesh, pad)
     assert quality.interface_error_mm is not None and quality.interface_error_mm < 0.02
-    solids = pad.layer_solids()
+    solids = layer_solids(pad)
     wanted = [solids[name].volume for name in pad.layer_names]
     assert quality.layer_volumes_mm3 == pytest.approx(wanted, rel=0.01)
 
 
 def test_an_imported_surface_gets_its_planes_exactly() -> None:
     turn = Rotation.from_euler("xyz", [0.3, -0.2, 0.9]).as_matrix()
-    part = tessellate_solid(small_pad().labelled_solid(), tolerance_mm=0.02, angle_rad=0.3)
+    part = tessellate_solid(labelled_solid(small_pad()), tolerance_mm=0.02, angle_rad=0.3)
     surface = replace(part, vertices_mm=part.vertices_mm @ turn.T + [1, 2, 3])
     mesh = tetwild_mesh(surface, 1.6, use_cache=False)
     quality = measure_quality(mesh, None, cad_volume_mm3=surface.volume_mm3(), cad_surface=surface)
@@ -105,7 +105,7 @@ def test_an_imported_surface_gets_its_planes_exactly() -> None:
 
 def test_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pad = small_pad()
-    flat = even_gel_mesh(pad, 1.5)
+    flat = gel_mesh(pad, 1.5)
     asked: list[tuple[float, float]] = []
 
     def poor(_: Any, edge_mm: float, epsilon: float, *, wanted_deg: float) -> TetMesh:
@@ -124,7 +124,7 @@ def test_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
 
 
 def test_surfaces_that_cannot_be_meshed_are_refused() -> None:
-    surface = tessellate_solid(small_pad().labelled_solid(), tolerance_mm=0.02, angle_rad=0.3)
+    surface = tessellate_solid(labelled_solid(small_pad()), tolerance_mm=0.02, angle_rad=0.3)
     with pytest.raises(InputError, match="not a closed"):
         tetwild_mesh(replace(surface, triangles=surface.triangles[1:], regions=surface.regions[1:]))
     with pytest.raises(InputError, match="wind inward"):
@@ -148,15 +148,15 @@ def test_glued_points_land_on_their_planes() -> None:
 @pytest.mark.parametrize("rim", ["none", "chamfer", "fillet"])
 def test_regions_of_a_known_mesh_are_recovered(rim: str) -> None:
     pad = GelPad(rim=rim, crown_radius_x_mm=80, crown_radius_y_mm=80)
-    mesh = even_gel_mesh(pad, 1.2)
-    surface = tessellate_solid(gel_pad_solid(pad))
+    mesh = gel_mesh(pad, 1.2)
+    surface = tessellate_solid(labelled_solid(pad))
     found = transfer_regions(mesh.nodes_m * 1e3, mesh.faces, surface)
     assert (found == mesh.face_regions).mean() > 0.995
 
 
 def test_second_request_comes_from_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     pad = small_pad()
-    mesh = even_gel_mesh(pad, 1.5)
+    mesh = gel_mesh(pad, 1.5)
     monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", lambda *_, **__: mesh)
     first = tetwild_gel_mesh(pad, 1.5, epsilon=5e-3)
     monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", None)
@@ -173,7 +173,7 @@ def test_damaged_cache_is_reported_and_rebuilt() -> None:
 
     def build():
         built.append(1)
-        return even_gel_mesh(pad, 2.0)
+        return gel_mesh(pad, 2.0)
 
     cache.cached_mesh({"a": 1.0}, build)
     (stored,) = (cache.cache_folder() / "meshes").glob("*.npz")
@@ -201,7 +201,7 @@ def test_unwritable_cache_names_the_variable(
     blocked.write_text("")
     monkeypatch.setenv(cache.CACHE_VARIABLE, str(blocked))
     with pytest.raises(InputError, match=cache.CACHE_VARIABLE):
-        cache.cached_mesh({}, lambda: even_gel_mesh(GelPad(), 2.0))
+        cache.cached_mesh({}, lambda: gel_mesh(GelPad(), 2.0))
 
 
 @pytest.mark.parametrize(("edge_mm", "epsilon"), [(0.0, 1e-3), (99.0, 1e-3), (1.0, 0.5)])

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis.extra import numpy as hnp
 
-from taccel_lab.cad.mesh.even import even_gel_mesh
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.vtu import read_mesh_vtu, read_vtu, write_mesh_vtu, write_vtu
 
-MESH = even_gel_mesh(GelPad(), 2.0)
+MESH = gel_mesh(GelPad(), 2.0)
 
 
 def test_mesh_comes_back_bit_for_bit(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from taccel_lab.cad.export import (
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.step_import.reader import read_step
 
 
@@ -39,7 +40,7 @@ def sensor() -> Assembly:
 
 @pytest.fixture(scope="module")
 def gel() -> LabelledSolid:
-    return PAD.labelled_solid()
+    return labelled_solid(PAD)
 
 
 def test_assembly_step_keeps_names_colours_faces_and_places(
@@ -157,7 +158,7 @@ def test_drawing_is_the_same_every_time(gel: LabelledSolid, tmp_path: Path) -> N
 
 def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> None:
     paths = [tmp_path / "dome.svg", tmp_path / "dome.png", tmp_path / "dome.pdf"]
-    write_pad_drawing(ShellDomePad(skirt_mm=5.0).labelled_solid(), paths, title="dome")
+    write_pad_drawing(labelled_solid(ShellDomePad(skirt_mm=5.0)), paths, title="dome")
     words = texts(paths[0])
     for wanted in ("Ø30", "Ø27 window", "R15", "R13.5", "1.5", "20", "5 wall"):
         assert wanted in words, (wanted, words)
@@ -167,7 +168,7 @@ def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> No
 
 def test_large_pads_are_drawn_smaller(tmp_path: Path) -> None:
     big = GelPad(length_x_mm=90.0, length_y_mm=60.0, window_x_mm=60.0, window_y_mm=40.0)
-    write_pad_drawing(big.labelled_solid(), [tmp_path / "big.svg"], title="big")
+    write_pad_drawing(labelled_solid(big), [tmp_path / "big.svg"], title="big")
     words = texts(tmp_path / "big.svg")
     assert "2:1   (A3)" in words and "90" in words and "60" in words
 

@@ -220,7 +220,7 @@ def test_bad_edge_length_of_a_design(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, edge: str
 ) -> None:
     # The solid comes first, and takes a second; the mesh, which is refused, does not need it.
-    monkeypatch.setattr("taccel_lab.cad.parts.gel_pad_solid.gel_pad_solid", lambda pad: None)
+    monkeypatch.setattr("taccel_lab.cad.parts.pad_solid.labelled_solid", lambda pad: None)
     refuse(["design", "gelsight", "--edge-mm", edge], ["edge_mm = .* is not allowed; use"], capsys)
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from taccel_lab.cad.export import write_step
 from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.step_import import FaceSelection
 from taccel_lab.cli.app import main, parse
 
@@ -17,7 +18,7 @@ from taccel_lab.cli.app import main, parse
 @pytest.fixture
 def step(tmp_path: Path) -> Path:
     path = tmp_path / "mine.step"
-    write_step(GelPad().labelled_solid(), path)
+    write_step(labelled_solid(GelPad()), path)
     return path
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.sensors import FamilyParameters, sensor_families, sensor_family
 from taccel_lab.sensors.derived import lens_difference, pad_volume_mm3
 from taccel_lab.sensors.parameter_groups import CameraParameters
@@ -94,7 +95,7 @@ def test_gel_has_the_stated_volume(name: str) -> None:
     stated, pad = STATED[name], nominal(name).pad()
     error = 100 * (pad_volume_mm3(pad) / (stated.volume or 0.0) - 1)
     assert abs(error) < stated.volume_percent
-    built = pad.labelled_solid().solid.volume
+    built = labelled_solid(pad).solid.volume
     assert built == pytest.approx(pad_volume_mm3(pad), rel=2e-3)
 
 

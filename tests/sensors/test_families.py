@@ -15,6 +15,7 @@ from taccel_lab.cad.mesh.quality import measure_quality, require_quality
 from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.envs import PressEnv, PressMeshOptions, layered_material, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
@@ -198,7 +199,7 @@ def test_random_sensor_is_pressed(family: SensorFamily, seed: int) -> None:
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
 def test_random_sensor_is_built_in_cad(family: SensorFamily, seed: int) -> None:
     pad = accepted(family, seed).pad()
-    part = pad.labelled_solid()
+    part = labelled_solid(pad)
     assert part.solid.is_valid
     assert part.solid.volume == pytest.approx(pad_volume_mm3(pad), rel=5e-3)
 

@@ -8,6 +8,7 @@ import pytest
 
 from taccel_lab.cad.assembly import require_no_overlap
 from taccel_lab.cad.moulds import casting_moulds
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.optics.description import Camera, Light
 from taccel_lab.sensors.assembly import camera_shape, gel_layers, led_shapes, sensor_parts
 from taccel_lab.sensors.registry import sensor_families, sensor_family
@@ -19,7 +20,7 @@ FAMILIES = sorted(sensor_families())
 def test_parts_fit(name: str) -> None:
     parameters = sensor_family(name).parameters()
     pad, optics = parameters.pad(), parameters.optics()
-    gel = pad.labelled_solid()
+    gel = labelled_solid(pad)
     assembly = sensor_parts(name, parameters, gel)
     clearances = assembly.clearances()
     require_no_overlap(clearances)
@@ -51,7 +52,7 @@ def test_parts_fit(name: str) -> None:
 @pytest.mark.parametrize("name", FAMILIES)
 def test_gels_can_be_cast(name: str) -> None:
     pad = sensor_family(name).parameters().pad()
-    gel = pad.labelled_solid()
+    gel = labelled_solid(pad)
     layers = gel_layers(pad, gel)
     found = casting_moulds(gel, layers)
     assert len(found) == len(layers)
@@ -63,7 +64,7 @@ def test_gels_can_be_cast(name: str) -> None:
 def test_two_layers_are_two_parts_that_fill_the_gel() -> None:
     parameters = sensor_family("9dtact").parameters()
     pad = parameters.pad()
-    gel = pad.labelled_solid()
+    gel = labelled_solid(pad)
     layers = gel_layers(pad, gel)
     assert list(layers) == list(pad.layer_names) == ["gel", "skin"]
     volumes = [layer.volume_mm3 for layer in layers.values()]

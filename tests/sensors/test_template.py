@@ -13,6 +13,7 @@ import pytest
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import measure_quality, require_quality
+from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cli import app
 from taccel_lab.sensors import sensor_family
 from taccel_lab.sensors.registry import catalogue
@@ -65,7 +66,7 @@ def test_template_is_built_and_meshed() -> None:
     mesh = gel_mesh(pad)
     quality = measure_quality(mesh, pad)
     require_quality(mesh, quality)
-    built = pad.labelled_solid().solid.volume
+    built = labelled_solid(pad).solid.volume
     assert mesh.volumes_m3().sum() * 1e9 == pytest.approx(built, rel=5e-3)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.cad.mesh.structured import structured_gel_mesh
+from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.envs import PressEnv, parse_indenter
 from taccel_lab.scene import Material
@@ -36,15 +36,17 @@ def simulated_forces(depths_mm: list[float], poisson_ratio: float) -> np.ndarray
         window_x_mm=18.0,
         window_y_mm=14.0,
     )
-    mesh = structured_gel_mesh(
+    mesh = focused_gel_mesh(
         pad,
-        focus_mm=(0.0, 0.0),
-        focus_radius_mm=5.0,
-        focus_size_mm=0.9,
-        core=4,
-        rings=5,
-        layers=2,
-        layer_ratio=1.15,
+        FocusOptions(
+            at_mm=(0.0, 0.0),
+            radius_mm=5.0,
+            size_mm=0.9,
+            core=4,
+            rings=5,
+            layers=2,
+            layer_ratio=1.15,
+        ),
     )
     env = PressEnv(
         mesh,

@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pads with a flat back as B-rep solids with named faces, made with build123d from the formulas."""
+"""Pads as B-rep solids with named faces, made with build123d from their formulas.
+
+A pad of your own derives from ``HeightPad`` or ``DomePad``, or registers its solid with
+``labelled_solid.register``.
+"""
 
 # OCP ships no type stubs.
 # pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
+
+from functools import singledispatch
 
 import numpy as np
 from build123d import (
@@ -22,15 +28,18 @@ from build123d import (
     fillet,
 )
 from build123d.topology import Shape
-from OCP.BRepFeat import BRepFeat_SplitShape
 from OCP.Standard import Standard_Failure
 from OCP.StdFail import StdFail_NotDone
 
+from taccel_lab.cad.parts.dome_pad import DomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.graph_surface import creased_graph_face, smooth_graph_face
 from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.imprint import imprint
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.meridian import Arc, Piece
 from taccel_lab.cad.parts.outline import prism
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_outline import PadOutline
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
@@ -39,17 +48,26 @@ _CREASED_GRID_MM = 1.6
 _BAND_LINES = 8
 _MARGIN_MM = 0.5
 _PLANE_TOLERANCE_MM = 1e-6
+_VOLUME_TOLERANCE = 1e-6
+_KERNEL_ERRORS = (ValueError, Standard_Failure, StdFail_NotDone)
 
 
-def gel_pad_solid(pad: HeightPad) -> LabelledSolid:
-    """Build the solid of ``pad``: extruded outline, crowned top, rim, window imprinted on the back.
+@singledispatch
+def labelled_solid(pad: Pad) -> LabelledSolid:
+    """The body of ``pad`` as a CAD solid with labelled faces.
 
-    Raises InputError when the CAD kernel cannot build the combination.
+    Raises InputError when the CAD kernel cannot build the combination; says which bound it breaks.
     """
+    raise InputError(f"no solid is known for {type(pad).__name__}")
+
+
+@labelled_solid.register
+def _height_pad_solid(pad: HeightPad) -> LabelledSolid:
+    """Extruded outline, crowned top, rim, window imprinted on the back."""
     rim = f"a rim of {pad.rim_setback_mm():g} mm"
     try:
         body = _imprint_window(pad, _body(pad))
-    except (ValueError, Standard_Failure, StdFail_NotDone) as error:
+    except _KERNEL_ERRORS as error:
         raise InputError(
             f"the CAD kernel cannot build this pad ({error}); with {rim} try a smaller rim_mm, or "
             "larger radii of the contact face"
@@ -62,19 +80,39 @@ def gel_pad_solid(pad: HeightPad) -> LabelledSolid:
     return LabelledSolid(body, [_face_region(pad, face) for face in body.faces()])
 
 
-def layer_solids(pad: HeightPad) -> dict[str, Solid]:
+@labelled_solid.register
+def _dome_pad_solid(pad: DomePad) -> LabelledSolid:
+    """The meridian revolved about z; each face takes the region of the piece it lies on."""
+    try:
+        edges = [_edge(piece) for piece in pad.meridian.pieces]
+        edges.append(Edge.make_line(edges[-1] @ 1, edges[0] @ 0))
+        section = Face(Wire(edges))
+        body = Solid.revolve(section, 360, Axis.Z)
+    except _KERNEL_ERRORS as error:
+        raise InputError(f"the CAD kernel cannot revolve this dome ({error})") from error
+    exact = pad.meridian.volume_mm3()
+    if not body.is_valid or abs(body.volume / exact - 1) > _VOLUME_TOLERANCE:
+        raise InputError(
+            f"the CAD kernel built a dome of {body.volume:.3f} mm3 from a meridian that encloses "
+            f"{exact:.3f} mm3; its pieces are too small or too close to each other"
+        )
+    points = np.array([_point_on(face) for face in body.faces()])
+    return LabelledSolid(body, [Region(int(r)) for r in pad.region_of(points)])
+
+
+def layer_solids(pad: Pad) -> dict[str, Solid]:
     """Solid of each layer by its name; the skin is the body without the gel proper.
 
     Raises InputError when the CAD kernel cannot build the combination.
     """
-    body = gel_pad_solid(pad).solid
-    if not pad.skin_top_mm:
-        return {"gel": body}
+    body = labelled_solid(pad).solid
+    if not isinstance(pad, HeightPad) or not pad.skin_top_mm:
+        return {pad.layer_names[0]: body}
     inside = _prism(pad, pad.outline.inset(pad.skin_wall_mm))
     try:
         gel = _single(inside & (Pos(0, 0, -pad.skin_top_mm) * body))
         return {"gel": gel, "skin": _single(body - gel)}
-    except (ValueError, Standard_Failure, StdFail_NotDone) as error:
+    except _KERNEL_ERRORS as error:
         raise InputError(
             f"the CAD kernel cannot build the skin of {pad.skin_top_mm:g} mm on the contact face "
             f"and {pad.skin_wall_mm:g} mm on the wall ({error}); change skin_mm or skin_side_mm"
@@ -178,10 +216,7 @@ def _imprint_window(pad: HeightPad, body: Solid) -> Solid:
     back = body.faces().sort_by(Axis.Z)[0]
     x, y = pad.window_x_mm / 2, pad.window_y_mm / 2
     wire = Wire.make_polygon([(-x, -y, z), (x, -y, z), (x, y, z), (-x, y, z)], close=True)
-    split = BRepFeat_SplitShape(body.wrapped)
-    split.Add(wire.wrapped, back.wrapped)
-    split.Build()
-    return _single(Solid.cast(split.Shape()))
+    return imprint(body, back, wire)
 
 
 def _face_region(pad: HeightPad, face: Face) -> Region:
@@ -193,3 +228,21 @@ def _face_region(pad: HeightPad, face: Face) -> Region:
     if box.min.Z < -pad.thickness_mm + _PLANE_TOLERANCE_MM:
         return Region.BOND if pad.sides_bonded else Region.SIDE
     return Region.CONTACT
+
+
+def _edge(piece: Piece) -> Edge:
+    """The piece as an edge in the plane y = 0."""
+    at = [(float(r), 0.0, float(z)) for r, z in piece.point(np.array([0.0, 0.5, 1.0]))]
+    if isinstance(piece, Arc):
+        return Edge.make_three_point_arc(*at)
+    return Edge.make_line(at[0], at[2])
+
+
+def _point_on(face: Face) -> np.ndarray:
+    """A point well inside a face, also one with a hole: the centre of its largest triangle."""
+    vertices, triangles = face.tessellate(0.01)
+    corners = np.array([tuple(v) for v in vertices])[np.array(triangles)]
+    areas = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    return corners[int(areas.argmax())].mean(axis=0)

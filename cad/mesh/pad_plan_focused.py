@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the nodes of a focused pad mesh lie in plan: graded around a place of contact.
 
-The plan gives the core nodes and the rings of ``structured_topology``; the outermost rings follow a
-chamfer or fillet that rolls around the corners and the skin on the wall, whatever the focus is.
+The outermost rings follow a chamfer or fillet that rolls around the corners and the skin on the
+wall, whatever the focus is.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from itertools import product
 import numpy as np
 
 from taccel_lab.cad.mesh.conformal import DiscMap, disc_automorphism, disc_map
-from taccel_lab.cad.mesh.contact_plan import EllipticMap
-from taccel_lab.cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii
+from taccel_lab.cad.mesh.contact_plan import ContactOutline, EllipticMap, contact_plan
+from taccel_lab.cad.mesh.focus import FocusOptions, graded_rings
+from taccel_lab.cad.mesh.grid import plan_quads
 from taccel_lab.cad.mesh.outline_nodes import outline_anchors
 from taccel_lab.cad.mesh.plan_smoothing import smooth_plan
-from taccel_lab.cad.mesh.structured_topology import plan_quads
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.cad.parts.pad_outline import PadOutline
@@ -26,18 +26,11 @@ _ANGLE_WEIGHT = 0.6
 _HELD_RINGS = 2
 _BOUNDARY_DECAY = 3
 _SEEN_WEIGHT = 0.8
+_LARGEST_HALF = 0.18
+"""Half width of the core in the disc at most, where the outline is near."""
 _MAX_EVEN = 0.7
 """Share of the rings that may fill the focus; the others lead out to the outline."""
 _SIDE_SAMPLES = 400
-
-
-@dataclass(frozen=True)
-class Focus:
-    """The disc in which a plan is fine: centre xy [mm], radius [mm] and element size [mm]."""
-
-    center_mm: tuple[float, float]
-    radius_mm: float
-    size_mm: float
 
 
 @dataclass(frozen=True)
@@ -79,25 +72,27 @@ def rim_rings(pad: HeightPad) -> int:
 
 
 def focus_plan(
-    pad: HeightPad, core: int, rings: int, focus: Focus, around: EllipticMap | None = None
+    pad: HeightPad, focus: FocusOptions, outline: ContactOutline | None = None
 ) -> np.ndarray:
     """Plan graded around a focus: even rings inside it, growing ones from there to the outline.
 
-    Nodes on the outline are spread as seen from the focus, or from the line between the foci of
-    ``around``; with that the core's corners lie at odd multiples of 45 degrees.
+    Nodes on the outline are spread as seen from the focus; with an ``outline`` of the contact as
+    seen from the line between its foci, and the core's corners lie at odd multiples of 45 degrees
+    and rings follow it, see ``contact_plan``.
 
     A polar grid of the unit disc, moved to the focus and mapped conformally onto the pad.
     Returns xy [mm], shape [(core + 1)^2 + 4 core rings, 2].
     """
+    core, around = focus.core, None if outline is None else outline.round
     distances = rim_distances_mm(pad)
     setback = float(distances[0])
     border = pad.outline.inset(setback)
     chart = disc_map(border)
-    center = complex(chart.disc_from_plan(np.array(complex(*focus.center_mm))))
+    center = complex(chart.disc_from_plan(np.array(complex(*focus.at_mm))))
     slope = chart.slope_mm(center)
     per_mm = 1 / (abs(slope) * (1 - abs(center) ** 2))
     count = 4 * core
-    see = _Sight(complex(*focus.center_mm), around)
+    see = _Sight(complex(*focus.at_mm), around)
     corner_angles = _corner_angles(pad.outline, border, chart, center, see, slope)
     step = 2 * np.pi / count
     # Turn the grid so that the corners of the outline are as near to nodes as they can be.
@@ -107,25 +102,19 @@ def focus_plan(
     theta = turn + step * (np.arange(count) - round((0.75 * np.pi + turn) / step))
     half_arcs = _half_arcs(border, core)
     corners = _corner_indices(corner_angles, float(theta[0]), core, half_arcs)
-    outline, normals = _outline_nodes(pad.outline, corners, half_arcs, core, see)
-    inner = outline - normals * setback
+    edge, normals = _outline_nodes(pad.outline, corners, half_arcs, core, see)
+    inner = edge - normals * setback
     boundary = np.angle(disc_automorphism(chart.disc_from_plan(inner @ [1, 1j]), -center))
     boundary = _unwrap_near(boundary, theta)
 
-    free = rings - rim_rings(pad)
-    # The core keeps the wanted cells, unless the outline is too near for them.
-    half = min(core * focus.size_mm / 2 * per_mm, 0.18)
-    size = 2 * half / core
-    start = half * bulged_radius(theta - theta[0] - 0.75 * np.pi)
-    wanted = round((focus.radius_mm * per_mm - half) / size)
-    # At least half of the core's half width, so that the first ring clears the core's corners.
-    even = int(np.clip(wanted, np.ceil(core / 4), max(1, min(free - 2, round(_MAX_EVEN * free)))))
-    rho = ring_radii(start, float(np.clip(half + even * size, 1.5 * half, 0.7)), even, free)
+    free = focus.rings - rim_rings(pad)
+    square, rho, even = graded_rings(
+        focus, free, per_mm, largest_half=_LARGEST_HALF,
+        most_even=min(free - 2, round(_MAX_EVEN * free)),
+    )  # fmt: skip
     angle = theta + rho**_BOUNDARY_DECAY * (boundary - theta)
-    zeta = np.concatenate([
-        half * np.exp(1j * (theta[0] + 0.75 * np.pi)) * (bulged_core(core) @ [1, 1j]).ravel(),
-        (rho * np.exp(1j * angle)).ravel(),
-    ])  # fmt: skip
+    square = square * np.exp(1j * (theta[0] + 0.75 * np.pi))
+    zeta = np.concatenate([square, (rho * np.exp(1j * angle)).ravel()])
     plan = chart.plan_from_disc(disc_automorphism(zeta, center))
     xy = np.stack([np.real(plan), np.imag(plan)], axis=-1)
     xy[-count:] = inner
@@ -134,7 +123,10 @@ def focus_plan(
     held = even + min(_HELD_RINGS, free - even - 1)
     loose = np.arange((core + 1) ** 2 + count * held, len(xy) - count)
     xy = smooth_plan(xy, plan_quads(core, free), loose)
-    return np.concatenate([xy, *(outline - normals * d for d in distances[1:])])
+    xy = np.concatenate([xy, *(edge - normals * d for d in distances[1:])])
+    if outline is None:
+        return xy
+    return contact_plan(xy, core, free, np.asarray(focus.at_mm), outline)
 
 
 def _unwrap_near(angle: np.ndarray, reference: np.ndarray) -> np.ndarray:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.cad.mesh.even_counts import EvenCounts, outline_sagitta_mm
+from taccel_lab.cad.mesh.grid import core_perimeter, plan_quads
 from taccel_lab.cad.mesh.outline_nodes import outline_nodes
+from taccel_lab.cad.mesh.pad_counts import PadCounts, outline_sagitta_mm
 from taccel_lab.cad.mesh.plan_smoothing import smooth_plan
-from taccel_lab.cad.mesh.structured_topology import core_perimeter, plan_quads
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.cad.parts.rim_fillet import FilletArc, fillet_arc
@@ -39,7 +39,7 @@ class EvenPlan:
     """The fillet over each outline node."""
 
 
-def even_plan(pad: HeightPad, counts: EvenCounts) -> EvenPlan:
+def even_plan(pad: HeightPad, counts: PadCounts) -> EvenPlan:
     """Plans of about even spacing with the given counts."""
     outline, normals = outline_nodes(pad.outline, counts.core, outline_sagitta_mm(pad))
     rectangle = isinstance(pad, GelPad)
@@ -88,7 +88,7 @@ def _smoothed(xy: np.ndarray, core: int, rings: int, window_held: bool) -> np.nd
 
 
 def _banded(
-    pad: HeightPad, counts: EvenCounts, core_nodes: np.ndarray, outline: np.ndarray,
+    pad: HeightPad, counts: PadCounts, core_nodes: np.ndarray, outline: np.ndarray,
     normals: np.ndarray, arc: FilletArc | None,
 ) -> np.ndarray:  # fmt: skip
     """Plan at the contact face whose last rings lie on the rim band, over the core of the back."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many cells an even mesh has: the counts that fix its connectivity, chosen for one pad."""
+"""How many cells the mesh of a pad with a plane back has: the counts fix its connectivity."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from taccel_lab.cad.mesh.grid import plan_node_count
 from taccel_lab.cad.mesh.outline_nodes import MAX_ROUNDED_SAGITTA_MM, MAX_SAGITTA_MM, needed_cells
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import HeightPad
@@ -21,11 +22,11 @@ _FILLET_EDGE = 0.74
 
 
 @dataclass(frozen=True)
-class EvenCounts:
-    """Cells of an even mesh; equal counts give equal connectivity and regions."""
+class PadCounts:
+    """Cells of a pad's mesh; equal counts give equal connectivity and regions."""
 
     core: int
-    """Cells along each side of the core, which covers the window."""
+    """Cells along each side of the core, which covers the window of an even mesh."""
     between: int
     """Rings between the core and the rim band (or the outline)."""
     band: int
@@ -47,15 +48,11 @@ class EvenCounts:
         return self.gel_layers + self.skin_layers
 
     @property
-    def plan_count(self) -> int:
-        return (self.core + 1) ** 2 + 4 * self.core * self.rings
-
-    @property
     def node_count(self) -> int:
-        return self.plan_count * (self.layers + 1)
+        return plan_node_count(self.core, self.rings) * (self.layers + 1)
 
 
-def even_counts(pad: HeightPad, edge_mm: float) -> EvenCounts:
+def even_counts(pad: HeightPad, edge_mm: float) -> PadCounts:
     """Counts for elements of about ``edge_mm`` on ``pad``."""
     low, high = pad.outline.bounds_mm()
     width = float((high - low).mean())
@@ -71,7 +68,7 @@ def even_counts(pad: HeightPad, edge_mm: float) -> EvenCounts:
     spacing = edge_mm * (_FILLET_EDGE if pad.has_fillet else 1.0)
     needed = needed_cells(pad.outline, spacing, outline_sagitta_mm(pad))
     core = int(np.clip(2 * round(needed.mean() / 2), 4, _MAX_CORE))
-    found = EvenCounts(
+    found = PadCounts(
         core, between, band, gel_layers, skin_layers, side_arc, skin_rings, pad.sides_bonded
     )
     budget = NODE_BUDGET * min(edge_mm, 1.0) ** -3
