@@ -12,6 +12,7 @@ from typing import Any
 from build123d import Color, Compound, Location, RigidJoint, Solid
 
 from taccel_lab.cad.parts.part import Part
+from taccel_lab.cad.parts.solids import common_volume_mm3
 from taccel_lab.errors import InputError
 
 TOUCHING_MM = 1e-4
@@ -121,12 +122,6 @@ def require_no_overlap(clearances: Sequence[Clearance]) -> list[str]:
 def joint(solid: Solid, name: str, at: Location | None = None) -> RigidJoint:
     """A named rigid joint of ``solid`` at a place in its own frame."""
     return RigidJoint(name, to_part=solid, joint_location=at or Location())
-
-
-def common_volume_mm3(first: Solid, second: Solid) -> float:
-    """Volume that two solids have in common [mm^3]."""
-    both = first & second
-    return 0.0 if both is None else float(sum(solid.volume for solid in both.solids()))
 
 
 def _boxes_apart_mm(first: Solid, second: Solid) -> float:

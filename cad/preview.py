@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.cad.export import REGION_COLORS
+from taccel_lab.cad.mesh.surface import doubled_areas
 from taccel_lab.geometry import Region, TetMesh
 
 _VIEWS = (("contact face", 32.0, -58.0), ("glued back", -32.0, -58.0))
@@ -23,7 +24,7 @@ def write_preview(mesh: TetMesh, path: Path, *, title: str = "") -> None:
 
     nodes = mesh.nodes_m * 1e3
     corners = nodes[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = doubled_areas(corners)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     base = np.array([REGION_COLORS[Region(int(r))] for r in mesh.face_regions])
     low, high = nodes.min(axis=0), nodes.max(axis=0)

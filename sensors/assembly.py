@@ -93,7 +93,7 @@ def gel_layers(pad: Pad, gel: LabelledSolid) -> dict[str, LabelledSolid]:
 
 def _with_window(layer: Solid, gel: LabelledSolid) -> Solid:
     """The layer with the gel's window drawn on a face that holds all of it."""
-    from taccel_lab.cad.parts.imprint import imprint
+    from taccel_lab.cad.parts.solids import imprint
 
     for window in gel.faces(Region.WINDOW):
         for face in layer.faces():

@@ -14,6 +14,9 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics.description import MarkerGrid, OpticalDesign
 
+NO_FIGURE = "assumption: no source states it for this sensor"
+"""The source of a default that no source states."""
+
 
 @dataclass(frozen=True)
 class GelMaterial:

@@ -13,7 +13,7 @@ import numpy as np
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.optics.description import Camera
 from taccel_lab.sensors.base import FamilyParameters
-from taccel_lab.sensors.parameter_groups import CameraParameters
+from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 
 _VOLUME_GRID = 200
 

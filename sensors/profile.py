@@ -28,7 +28,7 @@ from taccel_lab.profile import (
     WindowBlock,
 )
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
-from taccel_lab.sensors.parameter_groups import CameraParameters
+from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 from taccel_lab.sensors.registry import sensor_family
 
 _GRID = ("width_px", "height_px", "mm_per_px", "mm_per_px_y")

@@ -4,16 +4,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
+from taccel_lab.cad.parameters import parameter_of
 from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.sensors.base import NO_FIGURE
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
-from taccel_lab.sensors.parameter_groups import RectangleGelParameters
 
 
 @dataclass(frozen=True)
-class RectangleSensorParameters(RectangleGelParameters, CameraSensorParameters):
+class RectangleSensorParameters(CameraSensorParameters):
     """Parameters of a sensor whose gel is a flat pad, unless ``pad`` says more."""
+
+    parameter_group: ClassVar[str] = "gel"
+
+    length_x_mm: float = parameter_of(
+        GelPad, "length_x_mm", 24.0, minimum=10, maximum=60, source=NO_FIGURE
+    )
+    length_y_mm: float = parameter_of(
+        GelPad, "length_y_mm", 20.0, minimum=10, maximum=60, source=NO_FIGURE
+    )
+    corner_radius_mm: float = parameter_of(
+        GelPad, "corner_radius_mm", 2.0, maximum=10, source=NO_FIGURE
+    )
+    thickness_mm: float = parameter_of(
+        GelPad, "thickness_mm", 4.0, minimum=1.5, maximum=12, source=NO_FIGURE
+    )
 
     def pad(self) -> GelPad:
         """The flat gel pad."""
@@ -27,7 +43,7 @@ class RectangleSensorParameters(RectangleGelParameters, CameraSensorParameters):
         window_x, window_y = self.seen_mm(
             self.length_x_mm - 2 * inset_mm,
             self.length_y_mm - 2 * inset_mm,
-            self.window_margin_mm(),
+            self._window_margin_mm(),
         )
         return GelPad(
             length_x_mm=self.length_x_mm,
@@ -38,3 +54,8 @@ class RectangleSensorParameters(RectangleGelParameters, CameraSensorParameters):
             window_y_mm=window_y,
             **features,
         )
+
+    def _window_margin_mm(self) -> float:
+        """How far inside the outline the corners of the seen rectangle stay, rounding included."""
+        # A square corner m inside a rounded one of radius r is r - sqrt(2) (r - m) away from it.
+        return max(1.0, 0.3 * self.corner_radius_mm + 0.25)

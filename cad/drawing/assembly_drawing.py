@@ -10,14 +10,20 @@ import numpy as np
 from matplotlib.colors import to_hex
 
 from taccel_lab.cad.assembly import Assembly
-from taccel_lab.cad.drawing.pad_drawing import SCALES, SHEETS, mm_words
 from taccel_lab.cad.drawing.sections import Section, section
 from taccel_lab.cad.drawing.sheet import THIN, Sheet, Xy
-from taccel_lab.cad.drawing.title import TABLE_WIDTH_MM, TitleBlock, write_title
+from taccel_lab.cad.drawing.title import (
+    SHEETS,
+    TABLE_WIDTH_MM,
+    TitleBlock,
+    mm_words,
+    sheet_and_scale,
+    write_title,
+)
 from taccel_lab.cad.parts.part import Part
 
 _HATCHES = ("////", "\\\\\\\\", "", "xx", "..", "//", "\\\\")
-_MARGIN_X, _MARGIN_Y = 42.0, 26.0
+_MARGINS = np.array([84.0, 52.0])
 _BALLOON_MM = 9.0
 
 
@@ -31,7 +37,7 @@ def write_assembly_drawing(
     cuts = [(part, section(part.solid, "x")) for part in assembly.parts]
     every = np.concatenate([loop for _, cut in cuts for loops in cut.faces for loop in loops])
     low, high = every.min(axis=0), every.max(axis=0)
-    name, scale = _sheet_and_scale(high - low)
+    name, scale = sheet_and_scale(lambda s: s * (high - low) + _MARGINS, least=1.5)
     sheet = Sheet(*SHEETS[name])
     room = np.array([sheet.width_mm - 16 - TABLE_WIDTH_MM, sheet.height_mm - 16])
     origin = 8 + room / 2 - scale * (low + high) / 2
@@ -69,15 +75,6 @@ def write_assembly_drawing(
     )  # fmt: skip
     for path in paths:
         sheet.save(path)
-
-
-def _sheet_and_scale(size: np.ndarray) -> tuple[str, float]:
-    for name, (width, height) in SHEETS.items():
-        room = np.array([width - 16 - TABLE_WIDTH_MM - 2 * _MARGIN_X, height - 16 - 2 * _MARGIN_Y])
-        fitting = [s for s in SCALES if (s * size <= room).all()]
-        if fitting and (fitting[0] >= 1.5 or name == "A3"):
-            return name, fitting[0]
-    return "A3", SCALES[-1]
 
 
 def _balloons(

@@ -24,13 +24,18 @@ from taccel_lab.cad.drawing.sections import (
     section,
 )
 from taccel_lab.cad.drawing.sheet import THICK, THIN, Sheet, Xy
-from taccel_lab.cad.drawing.title import TABLE_WIDTH_MM, TitleBlock, write_title
+from taccel_lab.cad.drawing.title import (
+    SHEETS,
+    TABLE_WIDTH_MM,
+    TitleBlock,
+    mm_words,
+    sheet_and_scale,
+    write_title,
+)
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.outline import base_outline
 from taccel_lab.geometry import Region
 
-SHEETS = {"A4": (297.0, 210.0), "A3": (420.0, 297.0)}
-SCALES = (20.0, 10.0, 5.0, 4.0, 3.0, 2.0, 1.5, 1.0, 0.5, 0.2, 0.1)
 _LEFT, _ABOVE, _BETWEEN, _RIGHT, _BELOW = 34.0, 30.0, 30.0, 22.0, 20.0
 _HATCHES = ("////", "\\\\\\\\", "xxxx")
 _FILLS = ("#f6e3d0", "#d9d9de", "#e3eef2")
@@ -77,7 +82,7 @@ def write_pad_drawing(
     """
     box = gel.solid.bounding_box()
     size = np.array([box.size.X, box.size.Y, box.size.Z])
-    name, scale = _sheet_and_scale(size)
+    name, scale = sheet_and_scale(lambda s: _needed(size, s), least=2.0)
     sheet = Sheet(*SHEETS[name])
     # What is left of the sheet goes round the views in equal parts.
     room = np.array([sheet.width_mm - 16 - TABLE_WIDTH_MM, sheet.height_mm - 16])
@@ -124,21 +129,6 @@ def _needed(size: np.ndarray, scale: float) -> np.ndarray:
         scale * (size[0] + size[2]) + _LEFT + _BETWEEN + _RIGHT,
         scale * (size[1] + size[2]) + _ABOVE + _BETWEEN + _BELOW,
     ])  # fmt: skip
-
-
-def _sheet_and_scale(size: np.ndarray) -> tuple[str, float]:
-    """The largest scale that fits A4 if it is at least 2:1, else A3."""
-    for name, (width, height) in SHEETS.items():
-        room = np.array([width - 16 - TABLE_WIDTH_MM, height - 16])
-        fitting = [s for s in SCALES if (_needed(size, s) <= room).all()]
-        if fitting and (fitting[0] >= 2 or name == "A3"):
-            return name, fitting[0]
-    return "A3", SCALES[-1]
-
-
-def mm_words(value: float) -> str:
-    """A length as drawings state it: up to a micrometre, without trailing zeros."""
-    return f"{value:.3f}".rstrip("0").rstrip(".") if abs(value) < 100 else f"{value:.1f}"
 
 
 def _draw_plan(sheet: Sheet, view: _View, gel: LabelledSolid) -> None:

@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The right-hand column of a sheet: table of parameters, notes, title block."""
+"""What every drawing has: its sheet and scale, and the column with parameters, notes and title."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from taccel_lab.cad.drawing.sheet import THICK, Sheet
 
 TABLE_WIDTH_MM = 84.0
+SHEETS = {"A4": (297.0, 210.0), "A3": (420.0, 297.0)}
+SCALES = (20.0, 10.0, 5.0, 4.0, 3.0, 2.0, 1.5, 1.0, 0.5, 0.2, 0.1)
 _ROW_MM = 4.6
 _SMALL = 2.5
 _MARGIN = 8.0
@@ -29,6 +33,24 @@ class TitleBlock:
     volume_mm3: float = 0.0
     what: str = "gel"
     heading: tuple[str, str, str] = ("parameter", "value", "unit")
+
+
+def sheet_and_scale(needed_mm: Callable[[float], np.ndarray], *, least: float) -> tuple[str, float]:
+    """The largest scale that fits A4 if it is at least ``least``, else A3.
+
+    ``needed_mm``: width and height on the sheet of everything beside the column, at a scale [2].
+    """
+    for name, (width, height) in SHEETS.items():
+        room = np.array([width - 16 - TABLE_WIDTH_MM, height - 16])
+        fitting = [scale for scale in SCALES if (needed_mm(scale) <= room).all()]
+        if fitting and (fitting[0] >= least or name == "A3"):
+            return name, fitting[0]
+    return "A3", SCALES[-1]
+
+
+def mm_words(value: float) -> str:
+    """A length as drawings state it: up to a micrometre, without trailing zeros."""
+    return f"{value:.3f}".rstrip("0").rstrip(".") if abs(value) < 100 else f"{value:.1f}"
 
 
 def scale_words(scale: float) -> str:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from taccel_lab.cad.mesh.closest import ClosestPoint
-from taccel_lab.cad.mesh.surface import LabelledSurface
+from taccel_lab.cad.mesh.surface import LabelledSurface, doubled_areas
 from taccel_lab.geometry import Region
 
 Projection = Callable[[np.ndarray], np.ndarray]
@@ -48,7 +48,7 @@ def _planes(corners: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.nd
     Triangles with the same normal and offset share a plane, taken from the largest of them.
     """
     offsets = (corners.mean(axis=1) * normals).sum(axis=1)
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = doubled_areas(corners)
     order = np.argsort(-np.linalg.norm(cross, axis=1))
     plane_of = np.full(len(corners), -1)
     planes: list[np.ndarray] = []

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.cad.mesh.surface import doubled_areas
+
 
 class ClosestPoint:
     """Answers which triangle of a surface is nearest to a point, and how far away."""
@@ -37,7 +39,7 @@ def surface_samples(vertices: np.ndarray, triangles: np.ndarray, count: int) -> 
     """
     rng = np.random.default_rng(0)
     p = vertices[triangles]
-    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    area = np.linalg.norm(doubled_areas(p), axis=1)
     chosen = p[rng.choice(len(triangles), size=count, p=area / area.sum())]
     u, v = rng.random((2, count, 1))
     flip = u + v > 1

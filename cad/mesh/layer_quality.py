@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.cad.mesh.surface import doubled_areas
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.geometry import TetMesh
 
@@ -40,7 +41,7 @@ def interface_error_mm(mesh: TetMesh, pad: Pad) -> float:
     if not len(faces):
         return 0.0
     corners = mesh.nodes_m[faces] * 1e3
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = doubled_areas(corners)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     center = corners.mean(axis=1, keepdims=True)
     # A little inside the face: its corners may lie on the outside of the body.

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.cad.mesh.surface import check_closed, weld
+from taccel_lab.cad.mesh.surface import check_closed, doubled_areas, enclosed_volume, weld
 from taccel_lab.cad.mesh.thickness import least_thickness
 from taccel_lab.errors import InputError
 
@@ -60,7 +60,7 @@ def repair_surface(
     points, faces = _closed(pymeshlab, points, faces, max_hole_edges, actions)
     points, faces = _without_crossings(pymeshlab, points, faces, before, max_hole_edges, actions)
     check_closed(faces, "the repaired surface")
-    if _volume(points, faces) < 0:
+    if enclosed_volume(points[faces]) < 0:
         faces = faces[:, ::-1].copy()
         actions.append("turned the surface inside out, so that it faces outward")
     _check_thickness(points, faces)
@@ -105,7 +105,7 @@ def _welded(
     if len(merged) < len(points):
         actions.append(f"merged {len(points) - len(merged)} vertices of the same place")
     corners = merged[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = doubled_areas(corners)
     thin = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     thin |= np.linalg.norm(cross, axis=1) <= tolerance**2
     if thin.any():
@@ -140,10 +140,7 @@ def _one_piece(
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(len(points),) * 2)
     _, piece = connected_components(graph, directed=False)
-    corners = points[faces]
-    areas = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    areas = np.linalg.norm(doubled_areas(points[faces]), axis=1)
     shares = np.bincount(piece[faces[:, 0]], areas) / areas.sum()
     large = np.flatnonzero(shares >= _DEBRIS_SHARE)
     if len(large) > 1:
@@ -233,11 +230,6 @@ def _check_thickness(points: np.ndarray, faces: np.ndarray) -> None:
             f"the body is {thickness:.3g} thick at x {x:.3g}, y {y:.3g}, z {z:.3g}, in the unit of "
             f"the file; allowed: at least {least:.3g}. Thicken or remove the sheet"
         )
-
-
-def _volume(points: np.ndarray, faces: np.ndarray) -> float:
-    corners = points[faces]
-    return float((corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
 
 
 def _used(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -32,12 +32,20 @@ class LabelledSurface:
 
     def volume_mm3(self) -> float:
         """Enclosed volume [mm^3]."""
-        p = self.vertices_mm[self.triangles]
-        return float((p[:, 0] * np.cross(p[:, 1], p[:, 2])).sum() / 6)
+        return enclosed_volume(self.vertices_mm[self.triangles])
 
     def _crosses(self) -> np.ndarray:
-        p = self.vertices_mm[self.triangles]
-        return np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+        return doubled_areas(self.vertices_mm[self.triangles])
+
+
+def doubled_areas(corners: np.ndarray) -> np.ndarray:
+    """Normals of triangles, twice as long as their areas, [n, 3, 3] -> [n, 3]."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def enclosed_volume(corners: np.ndarray) -> float:
+    """Volume inside closed triangles, below 0 when they face inward, [n, 3, 3]."""
+    return float((corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
 
 
 def check_closed(triangles: np.ndarray, what: str) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.cad.mesh.surface import doubled_areas
+
 _PROBES = 600
 _OPPOSITE = -0.9
 _AREA_SHARE = 1e-6
@@ -18,7 +20,7 @@ def least_thickness(vertices: np.ndarray, triangles: np.ndarray) -> tuple[float,
     when no ray meets such a face.
     """
     corners = vertices[triangles]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = doubled_areas(corners)
     areas = 0.5 * np.linalg.norm(cross, axis=1)
     normals = cross / np.maximum(2 * areas, 1e-300)[:, None]
     real = np.flatnonzero(areas > _AREA_SHARE * areas.sum())

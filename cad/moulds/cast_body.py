@@ -114,11 +114,3 @@ def _wall_tops_mm(walls: list[Face], base: float) -> np.ndarray:
 def _is_upright(edge: Edge) -> bool:
     start, end = edge.position_at(0), edge.position_at(1)
     return math.hypot(end.X - start.X, end.Y - start.Y) < 1e-6 < abs(end.Z - start.Z)
-
-
-def steiner_wedge_mm3(outline: Wire, height_mm: float, width_mm: float) -> float:
-    """Volume of the wedge round a convex outline by Steiner's formula [mm^3].
-
-    An outline of perimeter P grown by s covers P s + pi s^2 more; s falls linearly to 0 at the top.
-    """
-    return height_mm * (outline.length * width_mm / 2 + math.pi * width_mm**2 / 3)

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from build123d import Plane, Solid
 
-from taccel_lab.cad.assembly import OVERLAP_MM3, common_volume_mm3
+from taccel_lab.cad.assembly import OVERLAP_MM3
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.moulds.cast_body import is_vertical
 from taccel_lab.cad.moulds.two_part import Mould
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.solids import common_volume_mm3
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 

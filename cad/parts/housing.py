@@ -16,6 +16,7 @@ from build123d.topology import Shape
 from taccel_lab.cad.parts.outline import grown, prism, rounded_rectangle
 from taccel_lab.cad.parts.part import Part
 from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, camera_part, led_part
+from taccel_lab.cad.parts.solids import common_volume_mm3
 from taccel_lab.errors import InputError
 
 _COLOR = (0.30, 0.32, 0.35)
@@ -68,7 +69,6 @@ class HousingParts:
 
     housing: Part
     cover: Part
-    boss_count: int
     notes: tuple[str, ...]
 
 
@@ -127,7 +127,7 @@ def housing_parts(
         color=_COVER_COLOR,
         material=shape.material,
     )
-    return HousingParts(housing, lid, bosses, notes)
+    return HousingParts(housing, lid, notes)
 
 
 def _check(shape: HousingShape, seat: Seat) -> None:
@@ -190,7 +190,7 @@ def _with_bosses(
             (Pos(0, 0, -foot.center().Z) * foot).distance_to(area) < 1e-6
             for foot in feet
             for area in keep
-        ) or any(_common(post, room) > 1e-6 for post in posts for room in rooms)
+        ) or any(common_volume_mm3(post, room) > 1e-6 for post in posts for room in rooms)
         if blocked or height < 2:
             continue
         outer = prism(
@@ -252,11 +252,6 @@ def _within(inner: Face, outer: Face) -> bool:
     wire = inner.outer_wire()
     points = [wire.position_at(i / 64) + lift for i in range(64)]
     return all(outer.is_inside(p, 1e-3) or outer.distance_to(p) < 1e-3 for p in points)
-
-
-def _common(first: Solid, second: Solid) -> float:
-    both = first & second
-    return 0.0 if both is None else sum(solid.volume for solid in both.solids())
 
 
 def _one(shape: Shape | ShapeList) -> Solid:

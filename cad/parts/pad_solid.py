@@ -27,7 +27,6 @@ from build123d import (
     chamfer,
     fillet,
 )
-from build123d.topology import Shape
 from OCP.Standard import Standard_Failure
 from OCP.StdFail import StdFail_NotDone
 
@@ -35,12 +34,12 @@ from taccel_lab.cad.parts.dome_pad import DomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.graph_surface import creased_graph_face, smooth_graph_face
 from taccel_lab.cad.parts.height_pad import HeightPad
-from taccel_lab.cad.parts.imprint import imprint
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.meridian import Arc, Piece
 from taccel_lab.cad.parts.outline import prism
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_outline import PadOutline
+from taccel_lab.cad.parts.solids import imprint, one_solid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -110,8 +109,8 @@ def layer_solids(pad: Pad) -> dict[str, Solid]:
         return {pad.layer_names[0]: body}
     inside = _prism(pad, pad.outline.inset(pad.skin_wall_mm))
     try:
-        gel = _single(inside & (Pos(0, 0, -pad.skin_top_mm) * body))
-        return {"gel": gel, "skin": _single(body - gel)}
+        gel = one_solid(inside & (Pos(0, 0, -pad.skin_top_mm) * body))
+        return {"gel": gel, "skin": one_solid(body - gel)}
     except _KERNEL_ERRORS as error:
         raise InputError(
             f"the CAD kernel cannot build the skin of {pad.skin_top_mm:g} mm on the contact face "
@@ -138,12 +137,12 @@ def _body(pad: HeightPad) -> Solid:
     if isinstance(pad, GelPad):
         if pad.has_band:
             return _banded(pad, block)
-        top = block if pad.is_flat else _single(block & _under_crown(pad))
+        top = block if pad.is_flat else one_solid(block & _under_crown(pad))
         if pad.rim == "chamfer":
-            return _single(chamfer(_top_edges(top), pad.rim_mm))
+            return one_solid(chamfer(_top_edges(top), pad.rim_mm))
     else:
-        top = _single(block & _under_crown(pad))
-    return _single(fillet(_top_edges(top), pad.rim_setback_mm())) if pad.has_fillet else top
+        top = one_solid(block & _under_crown(pad))
+    return one_solid(fillet(_top_edges(top), pad.rim_setback_mm())) if pad.has_fillet else top
 
 
 def _prism(pad: HeightPad, outline: PadOutline) -> Solid:
@@ -152,13 +151,6 @@ def _prism(pad: HeightPad, outline: PadOutline) -> Solid:
 
 def _top_edges(body: Solid) -> ShapeList[Edge]:
     return body.faces().sort_by(Axis.Z)[-1].edges()
-
-
-def _single(part: Shape | ShapeList | None) -> Solid:
-    solids = part.solids() if part is not None else []
-    if len(solids) != 1:
-        raise ValueError(f"{len(solids)} bodies instead of one")
-    return solids[0]
 
 
 def _under_crown(pad: HeightPad) -> Solid:
@@ -187,11 +179,11 @@ def _banded(pad: GelPad, block: Solid) -> Solid:
         face = creased_graph_face(
             pad.height_mm, *(_band_lines(size / 2, pad.rim_mm) for size in sizes)
         )
-        return _single(block & Solid.extrude(face, (0, 0, -pad.thickness_mm - 1)))
+        return one_solid(block & Solid.extrude(face, (0, 0, -pad.thickness_mm - 1)))
     top, drop = block.faces().sort_by(Axis.Z)[-1], pad.thickness_mm - pad.wall_mm
     if pad.rim_mm < pad.corner_radius_mm:
-        return _single(chamfer(top.edges(), pad.rim_mm, drop, reference=top))
-    return _single(block & _frustum(pad, pad.rim_mm / drop))
+        return one_solid(chamfer(top.edges(), pad.rim_mm, drop, reference=top))
+    return one_solid(block & _frustum(pad, pad.rim_mm / drop))
 
 
 def _frustum(pad: GelPad, spread: float) -> Solid:

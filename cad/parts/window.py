@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 from build123d import Face, Location, Plane, Pos, Solid, Vector, Wire
 
-from taccel_lab.cad.parts.imprint import imprint
 from taccel_lab.cad.parts.outline import grown, prism, rounded_rectangle
 from taccel_lab.cad.parts.part import Part
+from taccel_lab.cad.parts.solids import imprint
 from taccel_lab.errors import InputError
 
 _COLOR = (0.72, 0.86, 0.90)

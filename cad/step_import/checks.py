@@ -24,7 +24,7 @@ MIN_THICKNESS_MM = 0.05
 """Least thickness of a body anywhere but at its edges [mm]."""
 
 
-def one_solid(bodies: Sequence[StepBody], path: Path, name: str | None) -> StepBody:
+def chosen_body(bodies: Sequence[StepBody], path: Path, name: str | None) -> StepBody:
     """The only solid of a file, or the one of a name."""
     solids = [body for body in bodies if body.is_solid]
     if not solids:

@@ -19,10 +19,9 @@ from OCP.gp import gp_Trsf
 
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
-from taccel_lab.cad.mesh.units import check_units
-from taccel_lab.cad.parts.imprint import imprint
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
-from taccel_lab.cad.step_import.checks import check_solid, check_thickness, one_solid
+from taccel_lab.cad.parts.solids import imprint
+from taccel_lab.cad.step_import.checks import check_solid, check_thickness, chosen_body
 from taccel_lab.cad.step_import.reader import read_step
 from taccel_lab.cad.step_import.selection import (
     FaceInfo,
@@ -32,6 +31,7 @@ from taccel_lab.cad.step_import.selection import (
     rectangle_of,
     select_faces,
 )
+from taccel_lab.cad.step_import.units import check_units
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -112,7 +112,7 @@ class ImportedGel:
 
 def list_faces(path: Path | str, body: str = "") -> list[FaceInfo]:
     """Faces of the solid in a STEP file, numbered, in the file's own frame [mm]."""
-    chosen = one_solid(read_step(path), Path(path), body or None)
+    chosen = chosen_body(read_step(path), Path(path), body or None)
     return describe_faces(chosen.shape.faces(), chosen.face_names, chosen.face_colors)
 
 
@@ -126,7 +126,7 @@ def import_gel(path: Path | str, selection: FaceSelection | None = None) -> Impo
     if selection.origin not in _ORIGINS:
         raise InputError(f"origin {selection.origin!r} is not allowed; use {' or '.join(_ORIGINS)}")
     bodies = read_step(path)
-    body = one_solid(bodies, path, selection.body or None)
+    body = chosen_body(bodies, path, selection.body or None)
     solid = body.shape
     assert isinstance(solid, Solid)
     box = solid.bounding_box()

@@ -5,21 +5,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from taccel_lab.cad.parameters import parameter_of, restated
 from taccel_lab.cad.parts.dome_pad import SolidDomePad
 from taccel_lab.optics.description import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
-from taccel_lab.sensors.parameter_groups import FisheyeParameters
 
 _TIP = "measured on the fingertip of digit360 (facebookresearch, figures only)"
 _LEDS = 8
 
 
 @dataclass(frozen=True)
-class Digit360Parameters(FisheyeParameters, CameraSensorParameters):
-    """Parameters of a DIGIT 360; its lens is glued into a pocket in the base of the gel."""
+class Digit360Parameters(CameraSensorParameters):
+    """Parameters of a DIGIT 360; its lens is glued into a pocket in the base of the gel.
+
+    The tactile image shows the gel from above, which no single scale of a fisheye's picture does:
+    the lens makes equal angles equally large. Its focal length stands apart from the image's scale.
+    """
+
+    lens_model: ClassVar[str] = "fisheye"
 
     dome_radius_mm: float = parameter_of(
         SolidDomePad, "dome_radius_mm", 12.5, minimum=8, maximum=25,
@@ -72,6 +78,10 @@ class Digit360Parameters(FisheyeParameters, CameraSensorParameters):
     def gel_depth_mm(self) -> float:
         """Gel between the apex and the lens."""
         return self.pad().thickness_mm
+
+    def focal_lengths_px(self) -> tuple[float, float]:
+        """Focal lengths in pixels for each radian of angle."""
+        return self.focal_px, self.focal_px
 
     def apparent_distance_mm(self) -> float:
         """The camera's own distance: its lens is made for looking into the gel."""

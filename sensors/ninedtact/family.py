@@ -9,8 +9,8 @@ from taccel_lab.cad.parameters import parameter_of, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.optics.description import Light
 from taccel_lab.sensors.base import GelMaterial, SensorFamily
-from taccel_lab.sensors.parameter_groups import SkinParameters
 from taccel_lab.sensors.parameter_groups.lights import WHITE
+from taccel_lab.sensors.parameter_groups.material import SkinParameters
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _MOULD = "measured on the mould drawings of 9DTact (linchangyi1/9DTact, MIT)"

@@ -10,7 +10,7 @@ from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics.description import Camera
-from taccel_lab.sensors.parameter_groups.unstated import NO_FIGURE
+from taccel_lab.sensors.base import NO_FIGURE
 
 
 @dataclass(frozen=True)
@@ -157,18 +157,3 @@ class CameraParameters(ParameterSet):
             (self.width_px - 1) / 2 + self.principal_x_px,
             (self.height_px - 1) / 2 + self.principal_y_px,
         )
-
-
-@dataclass(frozen=True)
-class FisheyeParameters(CameraParameters):
-    """A fisheye lens: its focal length stands apart from the scale of the tactile image.
-
-    The tactile image shows the gel from above, which no single scale of the picture does: the lens
-    makes equal angles equally large.
-    """
-
-    lens_model: ClassVar[str] = "fisheye"
-
-    def focal_lengths_px(self) -> tuple[float, float]:
-        """Focal lengths in pixels for each radian of angle."""
-        return self.focal_px, self.focal_px

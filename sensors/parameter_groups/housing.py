@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from taccel_lab.cad.parameters import ParameterSet, parameter
-from taccel_lab.sensors.base import Housing
-from taccel_lab.sensors.parameter_groups.unstated import NO_FIGURE
+from taccel_lab.sensors.base import NO_FIGURE, Housing
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.optics.description import Light, Triple
-from taccel_lab.sensors.parameter_groups.unstated import NO_FIGURE
+from taccel_lab.sensors.base import NO_FIGURE
 
 RED, GREEN, BLUE, WHITE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
 """Ideal LEDs: each colour reaches one channel of the camera only."""

@@ -9,10 +9,11 @@ import pytest
 from build123d import Compound, Pos
 from small_sensor import CAMERA, LEDS, PAD, WINDOW, housing, small_sensor
 
-from taccel_lab.cad.assembly import Assembly, common_volume_mm3, require_no_overlap
+from taccel_lab.cad.assembly import Assembly, require_no_overlap
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.parts.part import gel_part
 from taccel_lab.cad.parts.placeholders import LedShape, Pose
+from taccel_lab.cad.parts.solids import common_volume_mm3
 from taccel_lab.cad.parts.window import WindowShape, window_part
 from taccel_lab.errors import InputError
 

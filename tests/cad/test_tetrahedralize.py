@@ -148,7 +148,7 @@ def test_glued_points_land_on_their_planes() -> None:
 @pytest.mark.parametrize("rim", ["none", "chamfer", "fillet"])
 def test_regions_of_a_known_mesh_are_recovered(rim: str) -> None:
     pad = GelPad(rim=rim, crown_radius_x_mm=80, crown_radius_y_mm=80)
-    mesh = gel_mesh(pad, 1.2)
+    mesh = gel_mesh(pad, 1.8)
     surface = tessellate_solid(labelled_solid(pad))
     found = transfer_regions(mesh.nodes_m * 1e3, mesh.faces, surface)
     assert (found == mesh.face_regions).mean() > 0.995

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.cad.mesh.units import MM_PER_UNIT, check_units
+from taccel_lab.cad.step_import.units import MM_PER_UNIT, check_units
 from taccel_lab.errors import InputError
 
 MINI = np.array([[-12.6, -10.4, -4.2], [12.6, 10.4, 0.0]])

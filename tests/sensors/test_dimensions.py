@@ -11,7 +11,7 @@ import pytest
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.sensors import FamilyParameters, sensor_families, sensor_family
 from taccel_lab.sensors.derived import lens_difference, pad_volume_mm3
-from taccel_lab.sensors.parameter_groups import CameraParameters
+from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ def assert_pressed(parameters: FamilyParameters) -> None:
     pad = parameters.pad()
     radius = 0.12 * float(np.ptp(pad.bounds_mm(), axis=0)[:2].min())
     depth = min(0.05 * pad.thickness_mm, 0.1 * radius)
-    focus = FocusOptions((0.0, 0.0), 0.6 * radius, 0.12 * radius, core=6, rings=8, layers=3)
+    focus = FocusOptions((0.0, 0.0), 0.6 * radius, 0.15 * radius, core=4, rings=6, layers=2)
     mesh = focused_gel_mesh(pad, focus)
     layers = [
         Material(m.young_modulus_pa, m.poisson_ratio, m.density_kg_m3)
