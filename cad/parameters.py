@@ -5,7 +5,7 @@
 is made, lists what can be set and reads overrides written as ``name=value``. A parameter is
 declared once: ``parameter_of(...)`` hands one of a part to whatever builds that part, with another
 default and narrower bounds where there is reason to; ``restated(...)`` does so with an inherited
-one.
+one. A set of ``groups`` has the parameters of all of them and hands each group out with its values.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 from taccel_lab.errors import InputError
 
 _KEY = "parameter"
+_Group = TypeVar("_Group", bound="ParameterSet")
 
 
 @dataclass(frozen=True)
@@ -168,9 +169,17 @@ class ParameterSet:
 
     parameter_group: ClassVar[str] = ""
     """Heading of the parameters that a class declares itself, not those that it inherits."""
+    groups: ClassVar[tuple[type[ParameterSet], ...]] = ()
+    """Sets whose parameters this one has, too, under the same names; see ``group``."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
+        for part in vars(cls).get("groups", ()):
+            for f in dataclasses.fields(part):  # type: ignore[arg-type]
+                cls.__annotations__.setdefault(f.name, f.type)
+                if f.name not in vars(cls):
+                    copied = dataclasses.field(default=f.default, metadata=dict(f.metadata))
+                    setattr(cls, f.name, copied)
         group = vars(cls).get("parameter_group", "")
         for name, value in list(vars(cls).items()):
             if isinstance(value, _Restated):
@@ -178,7 +187,7 @@ class ParameterSet:
                 changed = dataclasses.field(default=value.default, metadata={_KEY: details})
                 setattr(cls, name, changed)
             elif isinstance(value, dataclasses.Field) and _KEY in value.metadata:
-                value.metadata[_KEY]["group"] = group
+                value.metadata[_KEY].setdefault("group", group)
 
     @classmethod
     def parameters(cls) -> dict[str, Parameter]:
@@ -193,6 +202,13 @@ class ParameterSet:
     def __post_init__(self) -> None:
         for name, spec in self.parameters().items():
             object.__setattr__(self, name, spec.check(getattr(self, name)))
+
+    def group(self, kind: type[_Group]) -> _Group:
+        """One of ``groups`` with the values of this set, whose bounds are those that count."""
+        found = object.__new__(kind)
+        for name in kind.parameters():
+            object.__setattr__(found, name, getattr(self, name))
+        return found
 
     def with_values(self, overrides: Mapping[str, Any]) -> Self:
         """A copy with other values, which may be text; unknown names raise InputError."""
@@ -226,7 +242,7 @@ class ParameterSet:
 
 
 def _inherited_details(cls: type[ParameterSet], name: str) -> dict[str, Any]:
-    for base in cls.__mro__[1:]:
+    for base in (*vars(cls).get("groups", ()), *cls.__mro__[1:]):
         field = vars(base).get("__dataclass_fields__", {}).get(name)
         if field is not None:
             return field.metadata[_KEY]

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The usual sensor: gel on a window, LEDs around it, one camera behind.
 
-A family derives from ``CameraSensorParameters``, adds the dimensions of its gel, restates the
-shared parameters whose figures it knows and says which lights stand where.
+Each part (material, lights, coating, window, markers, housing) is a set of parameters by itself;
+the sensor has them all, and the camera looks through them. A family derives from
+``CameraSensorParameters``, adds the dimensions of its gel, restates the shared parameters whose
+figures it knows and says which lights stand where.
 """
 
 from __future__ import annotations
@@ -10,17 +12,18 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
-from taccel_lab.optics.description import Light, MarkerGrid, OpticalDesign, Window
-from taccel_lab.sensors.base import FamilyParameters
+from taccel_lab.optics.description import Light, MarkerGrid, OpticalDesign, Triple, Window
+from taccel_lab.sensors.base import FamilyParameters, GelMaterial, Housing
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 from taccel_lab.sensors.parameter_groups.coating import CoatingParameters
 from taccel_lab.sensors.parameter_groups.housing import HousingParameters
-from taccel_lab.sensors.parameter_groups.lights import LightParameters
+from taccel_lab.sensors.parameter_groups.lights import BLUE, GREEN, RED, LightParameters
 from taccel_lab.sensors.parameter_groups.markers import MarkerParameters
 from taccel_lab.sensors.parameter_groups.material import MaterialParameters
 from taccel_lab.sensors.parameter_groups.window import WindowParameters
@@ -30,17 +33,20 @@ MIN_SEEN_SHARE = 0.45
 
 
 @dataclass(frozen=True)
-class CameraSensorParameters(
-    HousingParameters,
-    MarkerParameters,
-    WindowParameters,
-    CoatingParameters,
-    LightParameters,
-    CameraParameters,
-    MaterialParameters,
-    FamilyParameters,
-):
-    """Parameters of a sensor with one camera; see the groups for the parameters themselves."""
+class CameraSensorParameters(CameraParameters, FamilyParameters):
+    """Parameters of a sensor with one camera: its own, and those of its parts."""
+
+    groups: ClassVar = (
+        MaterialParameters,
+        LightParameters,
+        CoatingParameters,
+        WindowParameters,
+        MarkerParameters,
+        HousingParameters,
+    )
+    parameter_group: ClassVar[str] = "camera"
+    housing_offset_mm: ClassVar[tuple[float, float]] = (0.0, 0.0)
+    """Centre of the housing in gel xy."""
 
     @abstractmethod
     def lights(self) -> tuple[Light, ...]:
@@ -51,6 +57,26 @@ class CameraSensorParameters(
         # Made once for all that asks for its extents; a pad is checked when it is made.
         return self.pad()
 
+    def led(self, angle_deg: float, rgb: Triple, name: str) -> Light:
+        """The LED, or strip, seen at ``angle_deg`` from +x towards +y."""
+        return self.group(LightParameters).led(angle_deg, rgb, name)
+
+    def led_triple(self, red_deg: float, green_deg: float, blue_deg: float) -> tuple[Light, ...]:
+        """One LED of each colour."""
+        return (
+            self.led(red_deg, RED, "red"),
+            self.led(green_deg, GREEN, "green"),
+            self.led(blue_deg, BLUE, "blue"),
+        )
+
+    def material(self) -> GelMaterial:
+        """The gel's material."""
+        return self.group(MaterialParameters).material()
+
+    def housing(self) -> Housing | None:
+        """The box that holds window, lights and camera."""
+        return self.group(HousingParameters).housing(self.housing_offset_mm)
+
     def gel_depth_mm(self) -> float:
         """Gel on the optical axis between the apex and what lies behind it [mm]."""
         return getattr(self, "thickness_mm")  # noqa: B009  # a parameter of most families
@@ -60,18 +86,18 @@ class CameraSensorParameters(
 
         By paraxial refraction: a plate of thickness t looks t / n thick.
         """
-        gel, plate = self.gel_depth_mm(), self.window_thickness_mm
-        return (
-            self.camera_distance_mm - gel - plate + gel / self.gel_index + plate / self.window_index
-        )
+        gel, window = self.gel_depth_mm(), self.group(WindowParameters)
+        plate = window.window_thickness_mm
+        behind = self.camera_distance_mm - gel - plate
+        return behind + gel / window.gel_index + plate / window.window_index
 
     def window(self) -> Window | None:
         """The window: a plate as large as the gel."""
         (x0, y0, _), (x1, y1, _) = self._built_pad.bounds_mm()
         return Window(
-            thickness_mm=self.window_thickness_mm,
+            thickness_mm=self.group(WindowParameters).window_thickness_mm,
             size_mm=(float(x1 - x0), float(y1 - y0)),
-            refractive_index=self.window_index,
+            refractive_index=self.group(WindowParameters).window_index,
         )
 
     def optics(self) -> OpticalDesign:
@@ -79,14 +105,15 @@ class CameraSensorParameters(
         window = self.window()
         if window is not None:
             self._check_camera(window)
+        media, ambient = self.group(WindowParameters), self.group(LightParameters).ambient
         return OpticalDesign(
             camera=self.camera(),
             lights=self.lights(),
-            coating=self.coating(),
+            coating=self.group(CoatingParameters).coating(),
             window=window,
-            gel_refractive_index=self.gel_index,
-            ambient_rgb=(self.ambient, self.ambient, self.ambient),
-            gel_scattering_per_mm=self.gel_scattering_per_mm,
+            gel_refractive_index=media.gel_index,
+            ambient_rgb=(ambient, ambient, ambient),
+            gel_scattering_per_mm=media.gel_scattering_per_mm,
         )
 
     def _check_camera(self, window: Window) -> None:
@@ -94,14 +121,14 @@ class CameraSensorParameters(
         if self.camera_distance_mm <= solid:
             raise InputError(
                 f"camera_distance_mm = {self.camera_distance_mm:g} puts the camera inside the gel "
-                f"or the window (window_thickness_mm = {self.window_thickness_mm:g}); allowed: "
+                f"or the window (window_thickness_mm = {window.thickness_mm:g}); allowed: "
                 f"above {solid:g} mm"
             )
 
     def markers(self) -> MarkerGrid | None:
         """The dots, as far as there is gel for them."""
         pad = self._built_pad
-        return self.marker_grid(lambda xy: np.isfinite(pad.top_mm(xy)))
+        return self.group(MarkerParameters).marker_grid(lambda xy: np.isfinite(pad.top_mm(xy)))
 
     def seen_mm(
         self, length_x_mm: float, length_y_mm: float, margin_mm: float

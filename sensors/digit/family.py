@@ -12,6 +12,7 @@ from taccel_lab.cad.parts.digit_pad import DigitPad
 from taccel_lab.optics.description import Light, Window
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
+from taccel_lab.sensors.parameter_groups.window import WindowParameters
 
 _PARTS = "measured on the parts of digit-design (facebookresearch, figures only)"
 _LIGHT_FIT = (
@@ -101,7 +102,7 @@ class DigitParameters(CameraSensorParameters):
         return Window(
             thickness_mm=self.window_thickness_mm,
             size_mm=(self.width_mm - 0.1, self.length_mm),
-            refractive_index=self.window_index,
+            refractive_index=self.group(WindowParameters).window_index,
         )
 
     def lights(self) -> tuple[Light, ...]:

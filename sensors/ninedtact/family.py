@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from taccel_lab.cad.parameters import parameter_of, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
@@ -20,8 +21,10 @@ _SAME_SILICONE = "assumption: the same silicone as the core with black pigment; 
 
 
 @dataclass(frozen=True)
-class NineDTactParameters(SkinParameters, RectangleSensorParameters):
+class NineDTactParameters(RectangleSensorParameters):
     """Parameters of a 9DTact; its outer dimensions include the skin."""
+
+    groups: ClassVar = (SkinParameters,)
 
     length_x_mm: float = restated(31.1, minimum=14, source=f"{_MOULD}: black skin 31.1 x 24.1 mm")
     length_y_mm: float = restated(24.1, minimum=14, source=f"{_MOULD}: black skin 31.1 x 24.1 mm")
@@ -93,7 +96,10 @@ class NineDTactParameters(SkinParameters, RectangleSensorParameters):
 
     def layer_materials(self) -> tuple[GelMaterial, ...]:
         """Translucent core, black skin."""
-        return (self.material(), self.skin_material(self.friction))
+        return (
+            self.material(),
+            self.group(SkinParameters).skin_material(self.material().friction_coefficient),
+        )
 
     def lights(self) -> tuple[Light, ...]:
         """White LEDs on four sides."""

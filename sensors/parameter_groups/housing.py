@@ -39,15 +39,13 @@ class HousingParameters(ParameterSet):
         1.0, minimum=0.0, maximum=4.9, unit="mm", source=NO_FIGURE,
         description="radius of the upright edges",
     )  # fmt: skip
-    housing_offset_mm: ClassVar[tuple[float, float]] = (0.0, 0.0)
-    """Centre of the box in gel xy."""
 
-    def housing(self) -> Housing | None:
-        """The housing; the bounds leave room for its walls and corners."""
+    def housing(self, offset_mm: tuple[float, float]) -> Housing:
+        """The housing about gel xy; the bounds leave room for its walls and corners."""
         return Housing(
             size_mm=(self.housing_x_mm, self.housing_y_mm, self.housing_z_mm),
             wall_mm=self.housing_wall_mm,
             corner_radius_mm=self.housing_corner_mm,
             front_z_mm=-self.housing_front_mm,
-            offset_mm=self.housing_offset_mm,
+            offset_mm=offset_mm,
         )

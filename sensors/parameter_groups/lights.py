@@ -73,11 +73,3 @@ class LightParameters(ParameterSet):
             lobe=self.led_lobe,
             name=name,
         )
-
-    def led_triple(self, red_deg: float, green_deg: float, blue_deg: float) -> tuple[Light, ...]:
-        """One LED of each colour."""
-        return (
-            self.led(red_deg, RED, "red"),
-            self.led(green_deg, GREEN, "green"),
-            self.led(blue_deg, BLUE, "blue"),
-        )

@@ -123,3 +123,25 @@ def test_a_part_hands_its_parameter_on() -> None:
         parameter_of(Box, "width_mm", 2.5)
     with pytest.raises(TypeError, match="wider than those of Box"):
         parameter_of(Box, "width_mm", maximum=1e9)
+
+
+@dataclass(frozen=True)
+class Cupboard(ParameterSet):
+    """A box in a frame."""
+
+    groups = (Box,)
+    parameter_group = "frame"
+    count: int = restated(6, maximum=20, source="drawing 11")
+    frame_mm: float = parameter(
+        9.0, minimum=1, maximum=20, unit="mm", description="frame", source="drawing 11"
+    )
+
+
+def test_a_set_has_the_parameters_of_its_groups_and_hands_them_out() -> None:
+    assert set(Cupboard.parameters()) == {*Box.parameters(), "frame_mm"}
+    found = Cupboard().with_values({"count": 15, "width_mm": "1.5"})
+    assert found.group(Box).values() == {**Box().values(), "count": 15, "width_mm": 1.5}
+    with pytest.raises(InputError, match="width_mm = 9 is above its bound"):
+        Cupboard().with_values({"width_mm": 9})
+    with pytest.raises(InputError, match="count = 21"):
+        Cupboard().with_values({"count": 21})
