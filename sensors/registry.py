@@ -29,7 +29,7 @@ _BUILT_IN = (
     "ninedtact",
     "rtac",
 )
-"""Modules of this package, each with a ``FAMILY``."""
+"""Folders of this package, each with a module ``family`` and its ``FAMILY``."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Catalogue:
 
 def catalogue() -> Catalogue:
     """Load the built-in families and those of installed packages."""
-    built_in = [import_module(f"taccel_lab.sensors.{module}").FAMILY for module in _BUILT_IN]
+    built_in = [import_module(f"taccel_lab.sensors.{name}.family").FAMILY for name in _BUILT_IN]
     families = {family.name: family for family in built_in}
     broken = {}
     for entry in entry_points(group=ENTRY_POINT_GROUP):

@@ -15,7 +15,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry.vtu import read_mesh_vtu
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.design import DesignResult, design_sensor
-from taccel_lab.sensors.gelsight import FAMILY
+from taccel_lab.sensors.gelsight.family import FAMILY
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import sensor_family
-from taccel_lab.sensors.gelsight import FAMILY
+from taccel_lab.sensors.gelsight.family import FAMILY
 
 
 def gelmap() -> np.ndarray:

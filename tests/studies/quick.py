@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions, PressMeshOptions
-from taccel_lab.sensors.gelsight import GelSightParameters
+from taccel_lab.sensors.gelsight.family import GelSightParameters
 from taccel_lab.studies.press_batch import simulate
 from taccel_lab.studies.press_job import PressJob, press_jobs
 from taccel_lab.studies.press_record import PressRecord

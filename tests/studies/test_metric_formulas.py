@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.sensors.gelsight import GelSightParameters
+from taccel_lab.sensors.gelsight.family import GelSightParameters
 from taccel_lab.studies.evidence import Evidence, at_load, contact_radius_mm, dent_mm
 from taccel_lab.studies.metrics import METRICS, Unavailable
 from taccel_lab.studies.metrics.edge_sharpness import rise_width

@@ -13,7 +13,7 @@ import pytest
 from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.sensors.gelsight import GelSightParameters
+from taccel_lab.sensors.gelsight.family import GelSightParameters
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.studies.press_job import place_mm, press_jobs
 from taccel_lab.studies.presses import (
