@@ -129,13 +129,13 @@ def focused_dome_mesh(pad: DomePad, focus: FocusOptions) -> TetMesh:
             1 + _LEAN * pad.thickness_mm / focus.radius_mm,
         )
         deep = replace(focus, radius_mm=wide * focus.radius_mm, size_mm=wide * focus.size_mm)
-        below = focused_cap(counts, pad.cap_angle, pad.dome_radius_mm, deep, back)
+        below = focused_cap(counts, pad, deep, back)
     elif isinstance(pad, SolidDomePad):
         counts = _focused_solid_counts(pad, focus)
-        below = even_cap_around(counts, pad.cap_angle, pad.dome_radius_mm, focus)
+        below = even_cap_around(counts, pad, focus)
     else:
         raise InputError(f"no focused mesher for {type(pad).__name__}")
-    disc = focused_cap(counts, pad.cap_angle, pad.dome_radius_mm, focus, face)
+    disc = focused_cap(counts, pad, focus, face)
     outside = _outside_mm(pad, _columns(pad, counts, disc))
     inside = _inside_mm(pad, counts, _columns(pad, counts, below))
     sizes = _cell_widths(outside, plan_quads(counts.core, counts.rings))
@@ -143,7 +143,7 @@ def focused_dome_mesh(pad: DomePad, focus: FocusOptions) -> TetMesh:
         # Under an outline the uppermost layer is that of the focus; it goes over to the width of
         # the cells as far away as the gel is thick.
         far = np.ones(len(sizes))
-        away = outside_outline_mm(disc, pad.cap_angle, pad.dome_radius_mm, focus, face)
+        away = outside_outline_mm(disc, pad, focus, face)
         far[: len(away)] = np.clip(away / pad.thickness_mm, 0, 1)
         ratio = np.array(focus.layer_ratio)
         uppermost = float(1 - level_fractions(focus.layers, ratio)[-2]) * pad.thickness_mm

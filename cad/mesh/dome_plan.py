@@ -18,6 +18,7 @@ from taccel_lab.cad.mesh.contact_plan import ContactOutline, contact_plan
 from taccel_lab.cad.mesh.focus import FocusOptions, graded_rings
 from taccel_lab.cad.mesh.grid import core_perimeter
 from taccel_lab.cad.mesh.o_grid import bulged_core, spoke_angles
+from taccel_lab.cad.parts.dome_pad import DomePad
 
 LARGEST_CORE = 0.52
 """Half width of the core over the ring around it at most: its corners reach 1.28 times as far."""
@@ -99,8 +100,7 @@ def even_cap(counts: DomeCounts, cap_angle: float, window_angle: float | None) -
 
 def focused_cap(
     counts: DomeCounts,
-    cap_angle: float,
-    sphere_mm: float,
+    pad: DomePad,
     focus: FocusOptions,
     outline: ContactOutline | None = None,
 ) -> np.ndarray:
@@ -110,7 +110,7 @@ def focused_cap(
     an ``outline``, in the plane that touches the sphere there, rings follow that instead. The last
     ring lies on the cap's edge.
     """
-    center, per_mm = _focus_in_disc(cap_angle, sphere_mm, focus.at_mm)
+    center, per_mm = _focus_in_disc(pad, focus.at_mm)
     scale = per_mm / (1 - abs(center) ** 2)
     rings = counts.cap_rings
     core, rho, _ = graded_rings(
@@ -119,22 +119,22 @@ def focused_cap(
     zeta = np.concatenate([core, (rho * np.exp(1j * spoke_angles(focus.core))).ravel()])
     if outline is not None:
         plan = np.stack([np.real(zeta), np.imag(zeta)], axis=1) / scale
-        drawn = replace(outline, points_mm=_projected(outline.points_mm, sphere_mm))
+        drawn = replace(outline, points_mm=_projected(outline.points_mm, pad.dome_radius_mm))
         plan = contact_plan(plan, counts.core, rings, np.zeros(2), drawn)
         zeta = scale * (plan @ np.array([1, 1j]))
-    return _moved_to(center, zeta, np.abs(_even_throughout(counts, cap_angle)), cap_angle)
+    edge_share = np.abs(_even_throughout(counts, pad.cap_angle))
+    return _moved_to(center, zeta, edge_share, pad.cap_angle)
 
 
 def outside_outline_mm(
     disc: np.ndarray,
-    cap_angle: float,
-    sphere_mm: float,
+    pad: DomePad,
     focus: FocusOptions,
     outline: ContactOutline,
 ) -> np.ndarray:
     """About how far disc points lie outside an outline about the focus, in its plane [mm], [n] ->
     [n]; exact to first order around the focus."""
-    center, per_mm = _focus_in_disc(cap_angle, sphere_mm, focus.at_mm)
+    center, per_mm = _focus_in_disc(pad, focus.at_mm)
     zeta = disc_automorphism(disc, -center) * (1 - abs(center) ** 2) / per_mm
     return outline.distance_mm(np.stack([np.real(zeta), np.imag(zeta)], axis=1))
 
@@ -146,14 +146,12 @@ def _projected(points_mm: np.ndarray, sphere_mm: float) -> np.ndarray:
     return 2 * points_mm / (1 + np.sqrt(np.maximum(1 - sine**2, 0)))
 
 
-def even_cap_around(
-    counts: DomeCounts, cap_angle: float, sphere_mm: float, focus: FocusOptions
-) -> np.ndarray:
+def even_cap_around(counts: DomeCounts, pad: DomePad, focus: FocusOptions) -> np.ndarray:
     """The even cap moved to a focus without its grading: what lies deep under a focused cap."""
-    center, _ = _focus_in_disc(cap_angle, sphere_mm, focus.at_mm)
+    center, _ = _focus_in_disc(pad, focus.at_mm)
     center *= _DEEP_SHARE
-    even = _even_throughout(counts, cap_angle)
-    return _moved_to(center, even, np.abs(even), cap_angle)
+    even = _even_throughout(counts, pad.cap_angle)
+    return _moved_to(center, even, np.abs(even), pad.cap_angle)
 
 
 def _even_throughout(counts: DomeCounts, cap_angle: float) -> np.ndarray:
@@ -191,11 +189,10 @@ def _moved_to(
     return disc
 
 
-def _focus_in_disc(
-    cap_angle: float, sphere_mm: float, at_mm: tuple[float, float]
-) -> tuple[complex, float]:
+def _focus_in_disc(pad: DomePad, at_mm: tuple[float, float]) -> tuple[complex, float]:
     """Disc point over gel xy and the scale there from lengths on the cap to the disc [1/mm]."""
-    theta = float(np.arcsin(np.hypot(*at_mm) / sphere_mm))
-    radius = float(disc_from_angle(np.array(theta), cap_angle))
-    per_mm = 0.5 / (np.cos(0.5 * theta) ** 2 * np.tan(0.5 * cap_angle) * sphere_mm)
+    theta = float(np.arcsin(np.hypot(*at_mm) / pad.dome_radius_mm))
+    radius = float(disc_from_angle(np.array(theta), pad.cap_angle))
+    bend = np.cos(0.5 * theta) ** 2 * np.tan(0.5 * pad.cap_angle)
+    per_mm = 0.5 / (bend * pad.dome_radius_mm)
     return radius * complex(np.exp(1j * np.arctan2(at_mm[1], at_mm[0]))), float(per_mm)

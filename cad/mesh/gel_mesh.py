@@ -12,13 +12,13 @@ from dataclasses import replace
 from taccel_lab.cad.mesh.dome_mesh import even_dome_mesh, focused_dome_mesh
 from taccel_lab.cad.mesh.focus import FocusOptions
 from taccel_lab.cad.mesh.pad_mesh import even_pad_mesh, focused_pad_mesh
+from taccel_lab.cad.mesh.quality_gate import DEFAULT_EDGE_MM
 from taccel_lab.cad.parts.dome_pad import DomePad
 from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 
-DEFAULT_EDGE_MM = 1.0
 DOME_RINGS = 4
 """Rings that a dome needs beyond those of a pad: from the apex to its edge it is twice as far."""
 

@@ -10,18 +10,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.cad.mesh.quality_measures import TET_FACES
 from taccel_lab.cad.mesh.surface import doubled_areas
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.geometry import TetMesh
 
 _CORNER_SHARE = 0.9
-_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 _STEPS_MM = np.geomspace(1e-7, 2.0, 160)
 
 
 def interface_faces(mesh: TetMesh) -> np.ndarray:
     """Triangles between tets of different layers, int32, shape [n, 3], seen from the lower one."""
-    faces = mesh.tets[:, _FACES].reshape(-1, 3)
+    faces = mesh.tets[:, TET_FACES].reshape(-1, 3)
     layers = np.repeat(mesh.tet_layers, 4)
     order = np.lexsort(np.sort(faces, axis=1).T)
     ordered = np.sort(faces, axis=1)[order]

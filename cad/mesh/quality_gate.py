@@ -22,7 +22,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
 DEFAULT_EDGE_MM = 1.0
-"""Edge at which the gate's limits hold as they stand [mm]."""
+"""Edge of a mesh unless another is asked for, at which the gate's limits hold as they stand."""
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.cad.mesh.quality_gate import GateResult, bad_tets
+from taccel_lab.cad.mesh.quality_measures import TET_FACES
 from taccel_lab.geometry import TetMesh
 from taccel_lab.output import atomic_file
 
 PICTURE_NAME = "bad_mesh.png"
-_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 _BAD, _PLACE = "#d4301f", "#1f5fd4"
 _LEAST_ZOOM_MM = 1.0
 _MOST_TEXT = 150
@@ -83,7 +83,7 @@ def _draw(
     )  # fmt: skip
     axes.add_collection3d(grey)
     if len(bad):
-        corners = nodes[mesh.tets[bad]][:, _FACES].reshape(-1, 3, 3)
+        corners = nodes[mesh.tets[bad]][:, TET_FACES].reshape(-1, 3, 3)
         red = Poly3DCollection(
             list(corners), facecolors=_BAD, edgecolors="#7a1108", linewidths=0.7, zorder=2
         )
