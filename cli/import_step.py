@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from tyro.conf import Positional
-
-from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -77,7 +75,8 @@ class ImportStep:
             text = listing(table, most=len(table))
             console.print(text, highlight=False, soft_wrap=True, markup=False)
             return
-        selection = FaceSelection.from_values(self._values(), "import-step")
+        given = {item.name: getattr(self, item.name) for item in fields(FaceSelection)}
+        selection = FaceSelection.from_toml(self.select).with_given(given)
         with console.status("starting") as status:
             result = import_design(
                 self.step,
@@ -88,26 +87,6 @@ class ImportStep:
                 progress=lambda stage: status.update(_STAGES[stage]),
             )
         _print_result(console, result)
-
-    def _values(self) -> dict[str, Any]:
-        """The selection file's keys, overridden by the options that were given."""
-        from dataclasses import asdict
-
-        from taccel_lab.cad.step_import import FaceSelection
-
-        values: dict[str, Any] = {}
-        if self.select is not None:
-            if not self.select.is_file():
-                raise InputError(f"{self.select} does not exist or is no file")
-            values = asdict(FaceSelection.from_toml(self.select))
-        for item in fields(FaceSelection):
-            given = getattr(self, item.name)
-            if given:
-                values[item.name] = given
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in values.items()
-        }
 
 
 def _print_result(console: Console, result: ImportResult) -> None:

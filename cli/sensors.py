@@ -42,10 +42,11 @@ class SensorsList:
         from rich.text import Text
 
         from taccel_lab.cli.console import print_json
+        from taccel_lab.sensors.derived import catalogue_row
         from taccel_lab.sensors.registry import catalogue
 
         known = catalogue()
-        rows = {name: _summary(family) for name, family in known.families.items()}
+        rows = {name: catalogue_row(family) for name, family in known.families.items()}
         if self.json:
             broken = {
                 name: {"package": item.package, "reason": item.reason}
@@ -65,23 +66,6 @@ class SensorsList:
         for name, item in known.broken.items():
             text = Text(f"broken: {name} of the package {item.package}: {item.reason}", style="red")
             console.print(text, soft_wrap=True)
-
-
-def _summary(family: SensorFamily) -> dict[str, str]:
-    from taccel_lab.sensors.derived import pad_words, size_words
-
-    parameters = family.parameters()
-    pad, grid, markers = parameters.pad(), parameters.grid(), parameters.markers()
-    materials = parameters.layer_materials()
-    return {
-        "title": family.title,
-        "pad": pad_words(pad),
-        "size_mm": size_words(pad),
-        "image_px": f"{grid.width_px} x {grid.height_px}",
-        "mm_per_px": f"{grid.mm_per_px_x:.4g}",
-        "young_modulus_mpa": ", ".join(f"{m.young_modulus_pa / 1e6:.3g}" for m in materials),
-        "markers": "none" if markers is None else f"{markers.columns} x {markers.rows}",
-    }
 
 
 @dataclass(frozen=True)

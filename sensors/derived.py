@@ -12,7 +12,7 @@ import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.optics.description import Camera
-from taccel_lab.sensors.base import FamilyParameters
+from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 
 _VOLUME_GRID = 200
@@ -91,6 +91,22 @@ def describe_sensor(parameters: FamilyParameters) -> dict[str, Any]:
         "optics": None if design is None else asdict(design),
         "markers": None if markers is None else asdict(markers),
         "housing": None if housing is None else asdict(housing),
+    }
+
+
+def catalogue_row(family: SensorFamily) -> dict[str, str]:
+    """What a list of the catalogue states of a family with its defaults."""
+    parameters = family.parameters()
+    pad, grid, markers = parameters.pad(), parameters.grid(), parameters.markers()
+    materials = parameters.layer_materials()
+    return {
+        "title": family.title,
+        "pad": pad_words(pad),
+        "size_mm": size_words(pad),
+        "image_px": f"{grid.width_px} x {grid.height_px}",
+        "mm_per_px": f"{grid.mm_per_px_x:.4g}",
+        "young_modulus_mpa": ", ".join(f"{m.young_modulus_pa / 1e6:.3g}" for m in materials),
+        "markers": "none" if markers is None else f"{markers.columns} x {markers.rows}",
     }
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +62,15 @@ class FaceSelection:
     """Unit of the numbers as read; millimetres, checked for plausibility, if empty."""
 
     @classmethod
-    def from_toml(cls, path: Path) -> FaceSelection:
-        """Read the fields as keys of a TOML file; selectors may be one string or a list."""
+    def from_toml(cls, path: Path | None) -> FaceSelection:
+        """Read the fields as keys of a TOML file; selectors may be one string or a list.
+
+        Without a file the defaults.
+        """
+        if path is None:
+            return cls()
+        if not path.is_file():
+            raise InputError(f"{path} does not exist or is no file")
         try:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -84,6 +91,10 @@ class FaceSelection:
                 raise InputError(f"{what}: {key} must be text{' or a list of it' * selects}")
             values[key] = tuple(items) if selects else "".join(items)
         return cls(**values)
+
+    def with_given(self, values: Mapping[str, str | tuple[str, ...]]) -> FaceSelection:
+        """With other values where they are not empty."""
+        return replace(self, **{name: value for name, value in values.items() if value})  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
