@@ -9,7 +9,8 @@ import dataclasses
 from build123d import Location, Wire
 
 from taccel_lab.cad.assembly import Assembly, joint
-from taccel_lab.cad.parts.housing import HousingParts, HousingShape, Seat, housing_parts
+from taccel_lab.cad.parts.housing import HousingParts, Seat, housing_parts
+from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.outline import base_outline
 from taccel_lab.cad.parts.part import Part
 from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, camera_part, led_part

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from taccel_lab.cad.parts.housing_shape import HousingShape
     from taccel_lab.cad.parts.pad import Pad
     from taccel_lab.optics.description import Light, OpticalDesign, Window
     from taccel_lab.sensors import FamilyParameters, SensorFamily
-    from taccel_lab.sensors.base import Housing
 
 _GEL, _SKIN, _GLASS, _BOX = "#f4c9a8", "#4b3b36", "#cfe8f1", "#9aa1ab"
 _SAMPLES = 801
@@ -102,7 +102,7 @@ def pad_section(pad: Pad, axis: int) -> np.ndarray:
 
 
 def housing_section(
-    housing: Housing, axis: int, opening_mm: tuple[float, float]
+    housing: HousingShape, axis: int, opening_mm: tuple[float, float]
 ) -> list[np.ndarray]:
     """Walls of the housing cut at the gel's middle: two sides, back, and what frames the gel."""
     half, middle = housing.size_mm[axis] / 2, housing.offset_mm[axis]

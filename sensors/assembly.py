@@ -10,13 +10,12 @@ import numpy as np
 
 from taccel_lab.geometry import Region
 from taccel_lab.optics.description import Camera, Light, Window
-from taccel_lab.sensors.base import FamilyParameters, Housing
+from taccel_lab.sensors.base import FamilyParameters
 
 if TYPE_CHECKING:
     from build123d import Face, Solid
 
     from taccel_lab.cad.assembly import Assembly
-    from taccel_lab.cad.parts.housing import HousingShape
     from taccel_lab.cad.parts.labelled_solid import LabelledSolid
     from taccel_lab.cad.parts.pad import Pad
     from taccel_lab.cad.parts.part import Part
@@ -40,7 +39,7 @@ def sensor_parts(
     from taccel_lab.cad.assembly_sensor import sensor_assembly
     from taccel_lab.cad.parts.pad_solid import labelled_solid
 
-    pad, optics, housing = parameters.pad(), parameters.optics(), parameters.housing()
+    pad, optics = parameters.pad(), parameters.optics()
     gel = gel or labelled_solid(pad)
     view = _view_mm(gel)
     window = None if optics is None else optics.window
@@ -49,7 +48,7 @@ def sensor_parts(
         gel_parts(pad, gel),
         pad.thickness_mm,
         window=None if window is None else window_shape(window, view),
-        housing=None if housing is None else housing_shape(housing),
+        housing=parameters.housing(),
         camera=None if optics is None else camera_shape(optics.camera),
         leds=() if optics is None else tuple(led_shapes(optics.lights)),
         view_mm=view,
@@ -135,19 +134,6 @@ def window_shape(window: Window, view_mm: tuple[float, float]) -> WindowShape:
         size_mm=window.size_mm,
         dome_radius_mm=window.outer_radius_mm if dome else 0.0,
         optical_mm=(0.0, 0.0) if dome else view_mm,
-    )
-
-
-def housing_shape(housing: Housing) -> HousingShape:
-    """The housing's dimensions."""
-    from taccel_lab.cad.parts.housing import HousingShape
-
-    return HousingShape(
-        size_mm=housing.size_mm,
-        wall_mm=housing.wall_mm,
-        corner_radius_mm=housing.corner_radius_mm,
-        front_z_mm=housing.front_z_mm,
-        offset_mm=housing.offset_mm,
     )
 
 

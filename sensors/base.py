@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from taccel_lab.cad.parameters import ParameterSet
+from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -28,20 +29,6 @@ class GelMaterial:
     density_kg_m3: float
     friction_coefficient: float
     """Coulomb friction coefficient."""
-
-
-@dataclass(frozen=True)
-class Housing:
-    """The rigid body that holds window, lights and camera: a box with the gel on its front."""
-
-    size_mm: tuple[float, float, float]
-    """Outer extents along x, y and z."""
-    wall_mm: float
-    corner_radius_mm: float = 1.0
-    front_z_mm: float = 0.0
-    """z of the front face in the gel frame [mm], at or below the back of the gel's contact face."""
-    offset_mm: tuple[float, float] = (0.0, 0.0)
-    """Centre of the box in gel xy."""
 
 
 class FamilyParameters(ParameterSet, ABC):
@@ -71,7 +58,7 @@ class FamilyParameters(ParameterSet, ABC):
         """Dots painted on the contact face; None for a sensor without."""
         return None
 
-    def housing(self) -> Housing | None:
+    def housing(self) -> HousingShape | None:
         """The rigid housing; None while the family models none."""
         return None
 

@@ -16,10 +16,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.optics.description import Light, MarkerGrid, OpticalDesign, Triple, Window
-from taccel_lab.sensors.base import FamilyParameters, GelMaterial, Housing
+from taccel_lab.sensors.base import FamilyParameters, GelMaterial
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 from taccel_lab.sensors.parameter_groups.coating import CoatingParameters
 from taccel_lab.sensors.parameter_groups.housing import HousingParameters
@@ -73,7 +74,7 @@ class CameraSensorParameters(CameraParameters, FamilyParameters):
         """The gel's material."""
         return self.group(MaterialParameters).material()
 
-    def housing(self) -> Housing | None:
+    def housing(self) -> HousingShape | None:
         """The box that holds window, lights and camera."""
         return self.group(HousingParameters).housing(self.housing_offset_mm)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from build123d import Axis, BoundBox, Face, Location, Plane, Pos, ShapeList, Solid, Vector, Wire
 from build123d.topology import Shape
 
+from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.outline import grown, prism, rounded_rectangle
 from taccel_lab.cad.parts.part import Part
 from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, camera_part, led_part
@@ -25,28 +26,9 @@ _LEAST_RIM_MM = 0.4
 _BOSSES_MM = ((5.0, 2.1), (4.0, 1.6), (3.2, 1.2))
 """Diameters of screw bosses and their pilot holes, for self-tapping M2.5, M2 and M1.6 screws."""
 _BOSS_HEIGHT_MM = 6.0
-
-
-@dataclass(frozen=True)
-class HousingShape:
-    """Dimensions of the housing [mm]."""
-
-    size_mm: tuple[float, float, float]
-    """Outer extents along x, y and z, the cover included."""
-    wall_mm: float
-    corner_radius_mm: float = 1.0
-    front_z_mm: float = 0.0
-    """z of the front face in the gel frame."""
-    offset_mm: tuple[float, float] = (0.0, 0.0)
-    """Centre of the box in gel xy."""
-    clearance_mm: float = 0.1
-    """Gap beside window, gel, camera and LEDs."""
-    material: str = "black plastic, matt inside"
-
-    @property
-    def back_z_mm(self) -> float:
-        """z of the back of the cover [mm]."""
-        return self.front_z_mm - self.size_mm[2]
+CLEARANCE_MM = 0.1
+"""Gap beside window, gel, camera and LEDs."""
+_MATERIAL = "black plastic, matt inside"
 
 
 @dataclass(frozen=True)
@@ -89,7 +71,7 @@ def housing_parts(
     body = prism(outside, -(z - wall))
     deeper: Face | None = None
     for outline, floor in sorted(seat.outlines, key=lambda pair: pair[1]):
-        room = grown(outline, shape.clearance_mm, floor)
+        room = grown(outline, CLEARANCE_MM, floor)
         # Coincident walls of two pockets confuse the kernel, so an outline that fits the deeper
         # pocket is not cut again.
         if shape.front_z_mm - floor <= 1e-9 or (deeper is not None and _within(room, deeper)):
@@ -114,7 +96,7 @@ def housing_parts(
         solid=body,
         face_names=tuple(_housing_face(shape, seat, face) for face in body.faces()),
         color=_COLOR,
-        material=shape.material,
+        material=_MATERIAL,
         face_colors={"seat": (0.55, 0.56, 0.60)},
     )
     lid = Part(
@@ -125,7 +107,7 @@ def housing_parts(
             for face in cover.faces()
         ),
         color=_COVER_COLOR,
-        material=shape.material,
+        material=_MATERIAL,
     )
     return HousingParts(housing, lid, notes)
 
@@ -151,7 +133,7 @@ def _check(shape: HousingShape, seat: Seat) -> None:
         if shape.front_z_mm - floor <= 1e-9:
             continue
         box = outline.bounding_box()
-        rim = shape.clearance_mm + _LEAST_RIM_MM
+        rim = CLEARANCE_MM + _LEAST_RIM_MM
         for axis, size, offset, low, high in (
             ("x", x, shape.offset_mm[0], box.min.X, box.max.X),
             ("y", y, shape.offset_mm[1], box.min.Y, box.max.Y),
@@ -212,7 +194,7 @@ def _bought_parts_room(
     shape: HousingShape, camera: CameraShape | None, leds: tuple[LedShape, ...]
 ) -> list[Solid]:
     """What camera and LEDs need, the camera also its way in from behind."""
-    spare = shape.clearance_mm
+    spare = CLEARANCE_MM
     rooms = [led.pose.location() * led_part(led, spare_mm=spare).solid for led in leds]
     if camera is not None:
         solid = camera_part(camera, spare_mm=spare).solid

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from taccel_lab.cad.parameters import ParameterSet, parameter
-from taccel_lab.sensors.base import NO_FIGURE, Housing
+from taccel_lab.cad.parts.housing_shape import HousingShape
+from taccel_lab.sensors.base import NO_FIGURE
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,9 @@ class HousingParameters(ParameterSet):
         description="radius of the upright edges",
     )  # fmt: skip
 
-    def housing(self, offset_mm: tuple[float, float]) -> Housing:
+    def housing(self, offset_mm: tuple[float, float]) -> HousingShape:
         """The housing about gel xy; the bounds leave room for its walls and corners."""
-        return Housing(
+        return HousingShape(
             size_mm=(self.housing_x_mm, self.housing_y_mm, self.housing_z_mm),
             wall_mm=self.housing_wall_mm,
             corner_radius_mm=self.housing_corner_mm,

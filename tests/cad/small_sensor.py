@@ -9,7 +9,7 @@ from dataclasses import replace
 from taccel_lab.cad.assembly import Assembly
 from taccel_lab.cad.assembly_sensor import sensor_assembly
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.cad.parts.housing import HousingShape
+from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.parts.part import gel_part
 from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, Pose
