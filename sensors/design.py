@@ -15,7 +15,6 @@ from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_qualit
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.output import atomic_directory, require_replaceable, write_json
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
@@ -84,7 +83,6 @@ def design_sensor(
     from taccel_lab.cad.export import dimensions
     from taccel_lab.cad.mesh.tessellate import tessellate_solid
     from taccel_lab.cad.parts.pad_solid import labelled_solid
-    from taccel_lab.cad.preview import write_preview
     from taccel_lab.sensors.assembly import gel_layers, sensor_parts
 
     part = labelled_solid(pad)
@@ -113,13 +111,6 @@ def design_sensor(
     layers = gel_layers(pad, part)
     tell("files")
     out_dir = Path(out_dir)
-    names = {
-        "mesh": "pad.vtu",
-        "quality": "quality.json",
-        "parameters": "parameters.json",
-        "preview": "preview.png",
-        "profile": "profile",
-    }
     with atomic_directory(out_dir) as folder:
         workshop = Workshop(
             name=family.name,
@@ -136,22 +127,12 @@ def design_sensor(
                 with _hint(parts, kind):
                     workshop.write((kind,), mould_options)
         tell("files")
-        write_mesh_vtu(folder / names["mesh"], mesh)
-        write_preview(mesh, folder / names["preview"], title=f"{family.name} ({mesher} mesh)")
-        save_profile(profile, folder / names["profile"])
+        workshop.write_mesh(mesh, mesher)
+        save_profile(profile, workshop.path("profile", "profile"))
         tell(None)
+        workshop.write_quality(quality, passed, mesher, edge_mm, seconds)
         write_json(
-            folder / names["quality"],
-            {
-                "mesher": mesher,
-                "edge_mm": edge_mm,
-                **quality.to_json(),
-                "gate": passed.to_json(),
-                "seconds": seconds,
-            },
-        )
-        write_json(
-            folder / names["parameters"],
+            workshop.path("parameters", "parameters.json"),
             {
                 "sensor": family.name,
                 "title": family.title,
@@ -170,7 +151,7 @@ def design_sensor(
         profile=profile,
         mesher=mesher,
         out_dir=out_dir,
-        files={kind: out_dir / name for kind, name in {**workshop.files, **names}.items()},
+        files={kind: out_dir / name for kind, name in workshop.files.items()},
         seconds=seconds,
         warnings=workshop.warnings,
     )

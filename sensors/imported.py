@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.output import atomic_directory, require_replaceable, write_json
 from taccel_lab.sensors.design import StageClock, refused_folder
 from taccel_lab.sensors.workshop import Workshop, check_parts
@@ -64,7 +63,6 @@ def import_design(
     tell("import")
     from taccel_lab.cad.export import dimensions
     from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
-    from taccel_lab.cad.preview import write_preview
     from taccel_lab.cad.step_import import import_gel
 
     gel = import_gel(path, selection)
@@ -79,38 +77,23 @@ def import_design(
     passed = require_quality(mesh, quality, gate, picture_folder=refused)
     tell("files")
     out_dir = Path(out_dir)
-    names = {
-        "mesh": "pad.vtu",
-        "quality": "quality.json",
-        "gel": "gel.json",
-        "preview": "preview.png",
-    }
     with atomic_directory(out_dir) as folder:
         workshop = Workshop(gel.name, folder, gel.part, gel.surface, {"gel": gel.part})
         for kind in parts:
             tell(kind)
             workshop.write((kind,), mould_options)
         tell("files")
-        write_mesh_vtu(folder / names["mesh"], mesh)
-        write_preview(mesh, folder / names["preview"], title=f"{gel.name} (tetwild mesh)")
+        workshop.write_mesh(mesh, "tetwild")
         tell(None)
-        write_json(
-            folder / names["quality"],
-            {
-                "mesher": "tetwild",
-                "edge_mm": edge_mm,
-                **quality.to_json(),
-                "gate": passed.to_json(),
-                "seconds": seconds,
-            },
-        )
-        write_json(folder / names["gel"], _description(Path(path), selection, gel, dimensions))
+        workshop.write_quality(quality, passed, "tetwild", edge_mm, seconds)
+        description = _description(Path(path), selection, gel, dimensions)
+        write_json(workshop.path("gel", "gel.json"), description)
     return ImportResult(
         gel=gel,
         mesh=mesh,
         quality=quality,
         out_dir=out_dir,
-        files={kind: out_dir / name for kind, name in {**workshop.files, **names}.items()},
+        files={kind: out_dir / name for kind, name in workshop.files.items()},
         seconds=seconds,
     )
 

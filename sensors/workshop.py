@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taccel_lab.cad.mesh.quality import GateResult, MeshQuality
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
 from taccel_lab.output import write_json
 
 if TYPE_CHECKING:
@@ -40,7 +42,8 @@ class Workshop:
     warnings: list[str] = field(default_factory=list)
     """What a maker should know, in words."""
 
-    def _path(self, kind: str, name: str) -> Path:
+    def path(self, kind: str, name: str) -> Path:
+        """Where the file of a kind goes; notes its name."""
         self.files[kind] = name
         path = self.folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -62,12 +65,12 @@ class Workshop:
         from taccel_lab.cad.export import write_3mf, write_dxf, write_step, write_stl
         from taccel_lab.cad.parts.part import gel_part
 
-        write_step(self.gel, self._path("step", "pad.step"), name=f"{self.name}_gel_pad")
-        write_stl(self.surface, self._path("stl", "pad.stl"))
+        write_step(self.gel, self.path("step", "pad.step"), name=f"{self.name}_gel_pad")
+        write_stl(self.surface, self.path("stl", "pad.stl"))
         whole = [gel_part(self.gel, f"{self.name}_gel_pad")]
-        write_3mf(self._layer_parts() or whole, self._path("3mf", "pad.3mf"))
+        write_3mf(self._layer_parts() or whole, self.path("3mf", "pad.3mf"))
         seat = [] if self.assembly is None else [p for p in self.assembly.parts if p.made_beside]
-        write_dxf(self.gel, self._path("dxf", "pad.dxf"), others=seat)
+        write_dxf(self.gel, self.path("dxf", "pad.dxf"), others=seat)
 
     def _layer_parts(self) -> list[Part]:
         from taccel_lab.cad.parts.part import gel_part
@@ -84,14 +87,14 @@ class Workshop:
         clearances = assembly.clearances()
         self.warnings += [*assembly.notes, *require_no_overlap(clearances)]
         write_assembly_step(
-            assembly.parts, self._path("assembly", "assembly.step"), name=assembly.name
+            assembly.parts, self.path("assembly", "assembly.step"), name=assembly.name
         )
-        write_json(self._path("assembly_report", "assembly.json"), assembly.to_json(clearances))
+        write_json(self.path("assembly_report", "assembly.json"), assembly.to_json(clearances))
         for part in assembly.parts:
             if not part.made_beside:
                 continue
-            write_part_step(part, self._path(f"{part.name}_step", f"parts/{part.name}.step"))
-            write_part_stl(part, self._path(f"{part.name}_stl", f"parts/{part.name}.stl"))
+            write_part_step(part, self.path(f"{part.name}_step", f"parts/{part.name}.step"))
+            write_part_stl(part, self.path(f"{part.name}_stl", f"parts/{part.name}.stl"))
 
     def write_moulds(self, options: MouldOptions | None = None) -> None:
         """One mould a casting step: STEP of cavity and lid, 3MF of both, a report of the checks."""
@@ -101,14 +104,14 @@ class Workshop:
         report: dict[str, Any] = {}
         for mould, checked in casting_moulds(self.gel, self.layers, options):
             for part in mould.parts:
-                write_part_step(part, self._path(part.name, f"{part.name}.step"))
-            write_3mf(mould.parts, self._path(f"{mould.name}_3mf", f"{mould.name}.3mf"))
+                write_part_step(part, self.path(part.name, f"{part.name}.step"))
+            write_3mf(mould.parts, self.path(f"{mould.name}_3mf", f"{mould.name}.3mf"))
             report[mould.name] = {
                 "options": mould.options.describe(),
                 "gates": [vars(gate) for gate in mould.gates],
                 **checked.to_json(),
             }
-        write_json(self._path("mould_report", "mould.json"), report)
+        write_json(self.path("mould_report", "mould.json"), report)
 
     def write_drawings(self) -> None:
         """The dimensioned drawing of the gel, and the assembly in section."""
@@ -120,7 +123,7 @@ class Workshop:
         material = "silicone" + (f" ({' and '.join(self.layers)})" if layers else "")
         write_pad_drawing(
             self.gel,
-            [self._path("drawing", "drawing.svg"), self._path("drawing_pdf", "drawing.pdf")],
+            [self.path("drawing", "drawing.svg"), self.path("drawing_pdf", "drawing.pdf")],
             title=f"{self.name}: gel",
             material=material,
             parameters=self.table,
@@ -129,10 +132,39 @@ class Workshop:
         if self.assembly is not None:
             write_assembly_drawing(
                 self.assembly,
-                [self._path("assembly_drawing", "assembly.svg")],
+                [self.path("assembly_drawing", "assembly.svg")],
                 title=f"{self.name}: assembly",
                 notes=notes,
             )
+
+    def write_mesh(self, mesh: TetMesh, mesher: str) -> None:
+        """The mesh with its labels and a picture of it."""
+        from taccel_lab.cad.preview import write_preview
+        from taccel_lab.geometry.vtu import write_mesh_vtu
+
+        write_mesh_vtu(self.path("mesh", "pad.vtu"), mesh)
+        title = f"{self.name} ({mesher} mesh)"
+        write_preview(mesh, self.path("preview", "preview.png"), title=title)
+
+    def write_quality(
+        self,
+        quality: MeshQuality,
+        passed: GateResult,
+        mesher: str,
+        edge_mm: float,
+        seconds: Mapping[str, float],
+    ) -> None:
+        """Figures of the mesh, the gate that it passed, and how long each stage took."""
+        write_json(
+            self.path("quality", "quality.json"),
+            {
+                "mesher": mesher,
+                "edge_mm": edge_mm,
+                **quality.to_json(),
+                "gate": passed.to_json(),
+                "seconds": seconds,
+            },
+        )
 
 
 def check_parts(parts: Sequence[str]) -> None:
