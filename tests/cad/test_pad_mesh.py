@@ -57,7 +57,7 @@ def check_invariants(mesh: TetMesh, pad: GelPad) -> None:
 
 @given(gel_pads(), st.floats(1.4, 2.5))
 @example(replace(FLAT_FILLET, length_x_mm=33.5, window_x_mm=16.75), 1.6)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_even_meshes_are_sound(pad: GelPad, edge_mm: float) -> None:
     mesh = gel_mesh(pad, edge_mm)
     check_invariants(mesh, pad)
@@ -69,7 +69,7 @@ def test_even_meshes_are_sound(pad: GelPad, edge_mm: float) -> None:
 
 
 @given(gel_pads(), st.floats(-1, 1), st.floats(-1, 1), st.floats(0.8, 2.2), st.floats(0.1, 0.2))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_focused_meshes_are_sound(
     pad: GelPad, u: float, v: float, radius_mm: float, relative_size: float
 ) -> None:

@@ -22,7 +22,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever takes long fails the test."""
     monkeypatch.setattr("taccel_lab.solvers.SolverIPC.step", never)
     monkeypatch.setattr("taccel_lab.calibration.color.fit.fit_color", never)
-    monkeypatch.setattr("taccel_lab.cad.parts.gel_pad_solid.gel_pad_solid", never)
+    monkeypatch.setattr("taccel_lab.cad.parts.pad_solid.labelled_solid", never)
 
 
 @pytest.fixture(scope="session")
