@@ -53,7 +53,7 @@ def fit_circle(
         return np.hypot(*(points - circle[:2]).T) - circle[2]
 
     start = np.array([*center, radius])
-    found = least_squares(off, start, loss="cauchy", f_scale=0.5 * tolerance).x
+    found = least_squares(off, start, loss="cauchy", f_scale=tolerance).x
     inliers = np.abs(off(found)) < tolerance
     for _ in range(2):
         kept = inliers if inliers.sum() >= 3 else np.ones(len(points), dtype=bool)
