@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,66 +45,51 @@ def _beats(console: Console, title: str) -> Iterator[dict[str, str]]:
 
 
 @contextmanager
-def fit_progress(console: Console, title: str) -> Iterator[Callable[[int, int, float], None]]:
-    """Yield a callback (steps done, steps in all, loss) that draws a bar with the loss beside."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+def _bars(
+    console: Console, title: str, first: str | None = None
+) -> Iterator[Callable[[str, int, int, str], None]]:
+    """Yield a callback (task, done, in all, note) that draws a bar for each task.
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total} loss {task.fields[loss]:.2f}"),
-        TimeElapsedColumn(),
-    )
-    with _beats(console, title) as said, Progress(*columns, console=console) as bar:
-        task = bar.add_task(title, total=None, loss=float("nan"))
-
-        def update(done: int, total: int, loss: float) -> None:
-            said[title] = f"{done}/{total} loss {loss:.2f}"
-            bar.update(task, completed=done, total=total, loss=loss)
-
-        yield update
-
-
-@contextmanager
-def count_progress(console: Console, title: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a callback (done, in all) that draws a bar."""
+    ``first`` is a task whose bar is there before anything of it is done.
+    """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
         TimeElapsedColumn(),
     )
     with _beats(console, title) as said, Progress(*columns, console=console) as bar:
-        task = bar.add_task(title, total=None)
+        tasks = {} if first is None else {first: bar.add_task(first, total=None, note="")}
 
-        def update(done: int, total: int) -> None:
-            said[title] = f"{done}/{total}"
-            bar.update(task, completed=done, total=total)
+        def update(task: str, done: int, total: int, note: str) -> None:
+            said.pop(task, None)
+            said[task] = f"{done}/{total} {note}".strip()
+            if task not in tasks:
+                tasks[task] = bar.add_task(task, total=None, note=note)
+            bar.update(tasks[task], completed=done, total=total, note=note)
 
         yield update
 
 
 @contextmanager
 def stage_progress(console: Console) -> Iterator[Callable[[str, int, int], None]]:
-    """Yield a callback (what is going on, done, in all) that draws a bar for each stage."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    """Yield a callback (task, done, in all) that draws a bar for each task."""
+    with _bars(console, "reading") as update:
+        yield lambda task, done, total: update(task, done, total, "")
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with _beats(console, "reading") as said, Progress(*columns, console=console) as bar:
-        tasks: dict[str, Any] = {}
 
-        def update(stage: str, done: int, total: int) -> None:
-            said.pop(stage, None)
-            said[stage] = f"{done}/{total}"
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=None)
-            bar.update(tasks[stage], completed=done, total=total)
+@contextmanager
+def count_progress(console: Console, title: str) -> Iterator[Callable[[int, int], None]]:
+    """Yield a callback (done, in all) that draws a bar."""
+    with _bars(console, title, title) as update:
+        yield lambda done, total: update(title, done, total, "")
 
-        yield update
+
+@contextmanager
+def fit_progress(console: Console, title: str) -> Iterator[Callable[[int, int, float], None]]:
+    """Yield a callback (steps done, steps in all, loss) that draws a bar with the loss beside."""
+    with _bars(console, title, title) as update:
+        yield lambda done, total, loss: update(title, done, total, f"loss {loss:.2f}")

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle, Press
-from taccel_lab.calibration.check.framing import level_fit, thumb
+from taccel_lab.calibration.capture.framing import level_fit, thumb
 from taccel_lab.calibration.contacts import DetectedContact, detect_contact
 from taccel_lab.calibration.contacts.ball import CutContactError
 from taccel_lab.errors import InputError
@@ -167,14 +167,3 @@ def _lamp_slopes(change: np.ndarray, distance: np.ndarray, circle: ContactCircle
     )
     slopes, *_ = np.linalg.lstsq(design, change[inside].astype(np.float64), rcond=None)
     return slopes[:2].T
-
-
-def handedness(lamps: np.ndarray) -> float:
-    """Which way round red, green and blue light come, from +3 (clockwise as seen) to -3.
-
-    ``lamps``: directions of the three channels, shape [3, 2] (u, v). Turning the camera leaves it
-    as it is; swapping two channels, or mirroring the image, turns its sign.
-    """
-    unit = lamps / np.maximum(np.linalg.norm(lamps, axis=-1, keepdims=True), 1e-9)
-    following = np.roll(unit, -1, axis=0)
-    return float((unit[:, 0] * following[:, 1] - unit[:, 1] * following[:, 0]).sum())

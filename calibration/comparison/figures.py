@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.comparison.responses import profile_discs
+from taccel_lab.calibration.report.color_discs import profile_discs
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import GREY, in_report_style, new_figure
 

@@ -11,16 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.report.color_discs import color_discs
+from taccel_lab.calibration.report.color_discs import profile_discs
 from taccel_lab.geometry import Region
 from taccel_lab.profile import SensorProfile
-from taccel_lab.report.model import NormalDisc
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
-
-SPAN = 0.7
-"""Largest sine of the tilt at which colours are compared: 44 degrees."""
-DISPLACEMENT_MM = -0.3
-"""Indentation at which they are compared [mm]."""
 
 
 @dataclass(frozen=True)
@@ -42,19 +35,6 @@ class ResponseDifference:
     """Difference of the gels' volumes over that of a."""
     contact_area_relative: float
     """Difference of the contact faces' areas over that of a."""
-
-
-def color_model_of(profile: SensorProfile) -> ColorModel | None:
-    """The profile's colour model, if it has one."""
-    if profile.color is None or profile.color_weights is None:
-        return None
-    return ColorModel(ColorModelConfig.from_dict(profile.color.architecture), profile.color_weights)
-
-
-def profile_discs(profile: SensorProfile) -> tuple[NormalDisc, ...]:
-    """Colour change over the hemisphere of normals; empty without a colour model."""
-    model = color_model_of(profile)
-    return () if model is None else color_discs(model, SPAN, DISPLACEMENT_MM)
 
 
 def compare_responses(a: SensorProfile, b: SensorProfile) -> ResponseDifference:

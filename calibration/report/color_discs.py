@@ -5,13 +5,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.profile import SensorProfile
 from taccel_lab.report.figures_color import disc_normals
 from taccel_lab.report.model import NormalDisc
-from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 
 PLACES = ((0.5, 0.5), (0.2, 0.25), (0.8, 0.25), (0.2, 0.75), (0.8, 0.75))
 """Shares of the image's width and height: the middle and near the corners."""
 DISC_SIZE = 65
+SPAN = 0.7
+"""Largest sine of the tilt at which colours are compared: 44 degrees."""
+DISPLACEMENT_MM = -0.3
+"""Indentation at which they are compared [mm]."""
 
 
 def color_discs(
@@ -48,3 +53,16 @@ def color_discs(
         )
         discs.append(NormalDisc((u, v), delta, span, trained_sine))
     return tuple(discs)
+
+
+def color_model_of(profile: SensorProfile) -> ColorModel | None:
+    """The profile's colour model, if it has one."""
+    if profile.color is None or profile.color_weights is None:
+        return None
+    return ColorModel(ColorModelConfig.from_dict(profile.color.architecture), profile.color_weights)
+
+
+def profile_discs(profile: SensorProfile) -> tuple[NormalDisc, ...]:
+    """Colour change over the hemisphere of normals; empty without a colour model."""
+    model = color_model_of(profile)
+    return () if model is None else color_discs(model, SPAN, DISPLACEMENT_MM)

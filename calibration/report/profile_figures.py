@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.comparison.responses import profile_discs
+from taccel_lab.calibration.report.color_discs import profile_discs
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.figures_color import draw_color_discs
 from taccel_lab.report.figures_mesh import draw_mesh

@@ -53,8 +53,8 @@ class CalibrateColor:
     """Dimensions of the gel that differ from the catalogue's, such as thickness_mm=2.5; not with
     --base."""
     holdout_every: int = 4
-    """One press in so many is held out for the figures, by place and by names that are drawn like
-    lots; 0 holds none out. What [split] in captures.toml holds out wins."""
+    """One press in this many is held out to score the result, chosen by position and by the hash
+    of the names; 0 holds none out. [split] in captures.toml takes precedence."""
     circles: Literal["fused", "labels", "detected"] = "fused"
     """Contact circles to start from: those given, those found in the images, or the better estimate
     from both. A press without a given circle takes the one found. Held-out presses take no part:
@@ -77,14 +77,14 @@ class CalibrateColor:
     steps: int = 2000
     """Optimiser steps of the fit."""
     batch_pixels: int = 1024
-    """Pixels of a step, whose number the time of a fit goes with."""
+    """Pixels in each step; the time of a fit is proportional to them."""
     validation_every: int = 0
-    """Every how-manieth fitted press is kept back to stop the fit early; 0 for none."""
+    """One fitted press in this many is kept back to stop the fit early; 0 keeps none back."""
     ensemble: int = 3
     """Fits that each leave some of the fitted presses out: they name captures that are off, and
     their spread says how sure the model is; 0 skips them."""
     table: bool = True
-    """Fit Taxim's table too: its figures stand in the report, and the table itself beside it, as
+    """Fit Taxim's table too: the report shows its figures, and the table is written beside it, as
     polycalib.npz, for `taccel-lab export --to taxim --table`."""
     seed: int = 0
     """Seed of the pixel draw, the initial weights and the batches."""
