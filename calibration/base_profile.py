@@ -9,7 +9,8 @@ from pathlib import Path
 
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.report.remarks import BLOCKS_DROPPED
+from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.surfaces.design import fitted_design
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -85,12 +86,15 @@ def lost_blocks(before: SensorProfile, after: SensorProfile) -> list[Remark]:
         return []
     old, new = before.grid(), after.grid()
     return [
-        Remark(
-            Severity.WARNING,
-            "blocks_dropped",
-            f"the base profile's {', '.join(lost)} went: they are of {old.width_px}x{old.height_px}"
-            f" px at {old.mm_per_px_x:.4g} x {old.mm_per_px_y:.4g} mm/px, these captures of "
-            f"{new.width_px}x{new.height_px} px at {new.mm_per_px_x:.4g} x {new.mm_per_px_y:.4g}. "
-            "State the same scale, or calibrate these blocks again",
+        BLOCKS_DROPPED(
+            lost=", ".join(lost),
+            old_width=old.width_px,
+            old_height=old.height_px,
+            old_x=old.mm_per_px_x,
+            old_y=old.mm_per_px_y,
+            width=new.width_px,
+            height=new.height_px,
+            x=new.mm_per_px_x,
+            y=new.mm_per_px_y,
         )
     ]

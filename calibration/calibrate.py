@@ -27,7 +27,8 @@ from taccel_lab.calibration.check.content import Readiness
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.calibration.report.page import Page, Table, write_page
 from taccel_lab.calibration.report.profile_page import profile_page
-from taccel_lab.calibration.result import Remark, Severity, judge
+from taccel_lab.calibration.report.remarks import BLOCK_UNFIT
+from taccel_lab.calibration.result import judge
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_directory
 from taccel_lab.profile import SensorProfile
@@ -95,10 +96,7 @@ class Calibration:
     def page(self) -> Page:
         """The whole: how each block ended, then the profile's own page."""
         page = profile_page(self.profile)
-        unfit = [
-            Remark(Severity.ERROR, "block_unfit", f"{o.name} {o.state}: {o.message}")
-            for o in self.unfit
-        ]
+        unfit = [BLOCK_UNFIT(block=o.name, state=o.state, reason=o.message) for o in self.unfit]
         table = Table(
             "Calibrated blocks",
             ("block", "state", "verdict or reason", "seconds"),

@@ -12,8 +12,8 @@ class BallPressOptions:
     """Which presses are held out, and in which circles the others are fitted."""
 
     holdout_every: int = 4
-    """One press in so many is held out for the figures, by place and by names that are drawn like
-    lots; 0 holds none out. What [split] in captures.toml holds out wins."""
+    """One press in this many is held out to score the result, chosen by position and by the hash
+    of the names; 0 holds none out. [split] in captures.toml takes precedence."""
     circles: Literal["fused", "labels", "detected"] = "fused"
     """Contact circles to start from: those given, those found in the images, or the better estimate
     from both. A press without a given circle takes the one found. Held-out presses take no part:

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from taccel_lab.progress import Progress
 
 BEAT_S = 20.0
 """Time between two lines of a long step in a log [s]."""
@@ -45,9 +47,10 @@ def _beats(console: Console, title: str) -> Iterator[dict[str, str]]:
 
 
 @contextmanager
-def count_progress(console: Console, title: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a callback (done, in all) that draws a bar."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+def stage_progress(console: Console) -> Iterator[Progress]:
+    """Yield a callback (task, done, in all) that draws a bar for each task."""
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
 
     columns = (
         TextColumn("{task.description}"),
@@ -55,35 +58,14 @@ def count_progress(console: Console, title: str) -> Iterator[Callable[[int, int]
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    with _beats(console, title) as said, Progress(*columns, console=console) as bar:
-        task = bar.add_task(title, total=None)
-
-        def update(done: int, total: int) -> None:
-            said[title] = f"{done}/{total}"
-            bar.update(task, completed=done, total=total)
-
-        yield update
-
-
-@contextmanager
-def stage_progress(console: Console) -> Iterator[Callable[[str, int, int], None]]:
-    """Yield a callback (what is going on, done, in all) that draws a bar for each stage."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with _beats(console, "reading") as said, Progress(*columns, console=console) as bar:
+    with _beats(console, "reading") as said, Bars(*columns, console=console) as bars:
         tasks: dict[str, Any] = {}
 
-        def update(stage: str, done: int, total: int) -> None:
-            said.pop(stage, None)
-            said[stage] = f"{done}/{total}"
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=None)
-            bar.update(tasks[stage], completed=done, total=total)
+        def update(task: str, done: int, total: int) -> None:
+            said.pop(task, None)
+            said[task] = f"{done}/{total}"
+            if task not in tasks:
+                tasks[task] = bars.add_task(task, total=None)
+            bars.update(tasks[task], completed=done, total=total)
 
         yield update

@@ -129,7 +129,7 @@ def check_circle(
         raise InputError(
             f"{source}: the contact circle at ({circle.u_px:g}, {circle.v_px:g}) px with radius "
             f"{circle.radius_px:g} px reaches outside the image of {grid.width_px}x"
-            f"{grid.height_px} px; it has to lie inside"
+            f"{grid.height_px} px; it has to be inside it"
         )
     check_radius(circle, grid, ball_radius_mm, source)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from taccel_lab.calibration.check.sensor_facts import SensorFacts, sensor_facts
+from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import sensor_family
 
@@ -120,7 +120,7 @@ def _untouched() -> Step:
         "-",
         "One image before the first press (background), five more spread over the session, each a "
         "few seconds after the gel has come back (untouched).",
-        "Everything is measured against it; the further ones tell noise and drift.",
+        "Everything is measured against it; the others show noise and drift.",
     )
 
 
@@ -236,9 +236,9 @@ def _indentation(depth_mm: float, thickness_mm: float) -> Step:
         "A record of each tool in the same folder. Set the zero with the punch, square to the gel: "
         "at 0.05 N it is 0.01 mm in a gel of 0.3 MPa, a ball is 0.1 to 0.15 mm deep by then.",
         "Young's modulus and its law; the hold gives damping. Published moduli differ tenfold. One "
-        "tool tells Young's modulus only together with Poisson's ratio (5 to 15 %); a punch as "
-        "wide as the gel is thick and a ball that is narrow tell both (1 to 2 %), and a zero that "
-        "is 0.15 mm late makes the force of a ball at 0.5 mm half as large again.",
+        "tool gives Young's modulus only together with Poisson's ratio (5 to 15 %); a punch as "
+        "wide as the gel is thick and a narrow ball give both (1 to 2 %), and a zero that is "
+        "0.15 mm late makes the force of a ball at 0.5 mm half as large again.",
     )
 
 
@@ -250,7 +250,7 @@ def _slide() -> Step:
         6,
         "the load cell turned to pull sideways, two or three weights",
         "Pull the loaded ball or plate over the gel until it slides for 3 mm.",
-        "Friction: nothing else tells it.",
+        "Friction: nothing else determines it.",
         optional=True,
     )
 
@@ -321,7 +321,7 @@ def _manifest(facts: SensorFacts, radius_mm: float, punch_mm: float) -> str:
         "force_sigma_n = 0.02",
         "",
         "# [[records]]",
-        '# file = "indentation_ball.csv"    # a second tool: then E and nu are told apart',
+        '# file = "indentation_ball.csv"    # a second tool: it separates E from nu',
         '# kind = "indentation"',
         f'# tool = {{ kind = "sphere", radius_mm = {0.5 * punch_mm:g} }}',
         "",

@@ -25,6 +25,11 @@ def read_image(path: Path) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
+def levels(image: Path | np.ndarray | str) -> np.ndarray:
+    """RGB levels of an image that is in memory already, or in a file."""
+    return image if isinstance(image, np.ndarray) else read_image(Path(image))
+
+
 def _eight_bits(image: np.ndarray, path: Path) -> np.ndarray:
     brightest = int(image.max())
     if 0 < brightest < LOW_16_BIT:

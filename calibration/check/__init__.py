@@ -2,14 +2,12 @@
 """Checks of captures before anything is fitted to them."""
 
 from taccel_lab.calibration.check.content import BlockStatus, Readiness
-from taccel_lab.calibration.check.findings import Finding
 from taccel_lab.calibration.check.report import check_page
 from taccel_lab.calibration.check.run import CaptureCheck, check_captures
 
 __all__ = [
     "BlockStatus",
     "CaptureCheck",
-    "Finding",
     "Readiness",
     "check_captures",
     "check_page",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about the background: missing, of another framing, of another light, with a contact."""
+"""Remarks about the background: missing, of another framing, of another light, with a contact."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.check.findings import Finding, error, info, warning
-from taccel_lab.calibration.check.framing import (
+from taccel_lab.calibration.capture.framing import (
+    CROP_GAIN,
+    OTHER_FRAMING_LEVELS,
     Crop,
     best_channel_order,
     find_crop,
     misfit_levels,
     thumb,
 )
+from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.pressed_background import (
     MAX_COMPARED,
     find_pressed_background,
 )
+from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 
-OTHER_FRAMING_LEVELS = 5.0
-CROP_GAIN = 2.0
-"""A crop is believed when it fits this many times better than the whole image."""
 MIN_MEDIAN_PRESSES = 7
 FINE_THUMB_PX = 320
 
@@ -38,7 +38,7 @@ class BackgroundCheck:
     image: np.ndarray
     """RGB uint8, shape [height_px, width_px, 3]: the background, or the median of the presses."""
     is_median: bool
-    findings: tuple[Finding, ...]
+    findings: tuple[Remark, ...]
     crop: Crop | None = None
     """Part of the one framing that the other shows."""
     crop_of_presses: bool = True
@@ -65,15 +65,7 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
                 f"{folder.source}: no background and {len(presses)} presses; give an image of the "
                 f"untouched sensor, or at least {MIN_MEDIAN_PRESSES} presses for their median"
             )
-        finding = error(
-            "no_background",
-            "there is no image of the untouched gel. The median of the presses stands in for it "
-            "here; capture import --background median makes it the background",
-            "background",
-            "color",
-            "normals",
-        )
-        return BackgroundCheck(median_background(presses), True, (finding,))
+        return BackgroundCheck(median_background(presses), True, (remarks.NO_BACKGROUND(),))
     image = folder.background.image()
     if len(presses) < 3:
         return BackgroundCheck(image, False, ())
@@ -104,66 +96,40 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
         else ""
     )
     if min(inner.misfit_levels, outer.misfit_levels) * CROP_GAIN < misfit:
-        crop, who, whom = (
-            (inner, "background", "presses")
-            if inner.misfit_levels <= outer.misfit_levels
-            else (outer, "presses", "background")
-        )
-        of_presses = whom == "presses"
+        of_presses = inner.misfit_levels <= outer.misfit_levels
+        crop = inner if of_presses else outer
         left, top, wide, high = crop.in_pixels(width, height)
-        finding = error(
-            "background_is_a_crop",
-            f"the background is framed differently: the {who} show{'s' * (who[-1] != 's')} a part "
-            f"of the framing of the {whom}, enlarged: {wide} x {high} px of it from ({left}, "
-            f"{top}) px (misfit {crop.misfit_levels:.1f} levels there, {misfit:.1f} as it is). "
-            f"Record both alike, or crop the {whom} so: capture import --crop "
-            + (f"{left},{top},{wide}x{high}." if of_presses else "auto.")
-            + advice,
-            "background",
-            "color",
-            "normals",
+        finding = remarks.BACKGROUND_IS_A_CROP(
+            inner="the background shows" if of_presses else "the presses show",
+            outer="presses" if of_presses else "background",
+            width=wide,
+            height=high,
+            left=left,
+            top=top,
+            misfit=crop.misfit_levels,
+            whole_misfit=misfit,
+            crop=f"{left},{top},{wide}x{high}" if of_presses else "auto",
+            advice=advice,
         )
     else:
         crop, of_presses = None, True
-        finding = error(
-            "background_differs",
-            f"the background is not that of the presses: {misfit:.0f} levels apart after exposure "
-            f"and white balance are fitted, the presses among themselves {own:.0f}. It is of "
-            f"another sensor, another time or another lamp setting.{advice}",
-            "background",
-            "color",
-            "normals",
-        )
+        finding = remarks.BACKGROUND_DIFFERS(misfit=misfit, own=own, advice=advice)
     chosen = median_image if enough else image
     return BackgroundCheck(chosen, enough, (finding,), crop, of_presses)
 
 
-def _check_untouched(folder: CaptureFolder) -> list[Finding]:
+def _check_untouched(folder: CaptureFolder) -> list[Remark]:
     """Further images of the untouched sensor: how far it has drifted."""
     background = folder.require_background().image()
     if folder.mask is None and background.mean() < 8:
-        return [
-            error("dark_background", "the background is black: lamps off, or wrong file", "color")
-        ]
+        return [remarks.DARK_BACKGROUND()]
     found = []
     for frame in folder.untouched:
         misfit = misfit_levels(thumb(frame.image()), thumb(background))
         if misfit > OTHER_FRAMING_LEVELS:
             found.append(
-                warning(
-                    "untouched_differs",
-                    f"{frame.name} is {misfit:.0f} levels from the background after exposure and "
-                    "white balance are fitted: the sensor has changed, or it is another one",
-                    "background",
-                    frames=[frame.name],
-                )
+                remarks.UNTOUCHED_DIFFERS(name=frame.name, misfit=misfit, frames=[frame.name])
             )
     if not folder.untouched and folder.presses:
-        found.append(
-            info(
-                "one_background",
-                "one image of the untouched sensor; five more at other times tell noise and drift",
-                "background",
-            )
-        )
+        found.append(remarks.ONE_BACKGROUND())
     return found

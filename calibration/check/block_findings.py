@@ -12,7 +12,6 @@ from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 
-TASK = "checking the captures"
 RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
 _last: list[CaptureCheck] = []
@@ -42,9 +41,7 @@ def capture_check(
     """
     if _last and _last[0].folder is folder and (_last[0].ball_fitted or not fit_ball):
         return _last[0]
-    found = check_captures(
-        folder, progress=lambda done, total: progress(TASK, done, total), fit_ball=fit_ball
-    )
+    found = check_captures(folder, progress=progress, fit_ball=fit_ball)
     _last[:] = [found]
     return found
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.check.findings import COMMANDS, Finding, error
-from taccel_lab.calibration.result import Severity
+from taccel_lab.calibration.check import remarks
+from taccel_lab.calibration.check.findings import COMMANDS
+from taccel_lab.calibration.result import Remark, Severity
 
 
 class Readiness(StrEnum):
@@ -42,32 +43,13 @@ class BlockStatus:
         }
 
 
-def check_content(folder: CaptureFolder) -> list[Finding]:
+def check_content(folder: CaptureFolder) -> list[Remark]:
     """Things that captures which are there need and the manifest does not state."""
     findings = []
     if folder.presses and not folder.ball_radii_mm():
-        findings.append(
-            error(
-                "ball_radius_unstated",
-                "the radius of the ball is not stated: without it a contact says nothing about "
-                "slopes. Measure the ball and add [indenter] radius_mm",
-                "color",
-                "normals",
-                "scale",
-                "depth",
-            )
-        )
+        findings.append(remarks.BALL_RADIUS_UNSTATED())
     if folder.presses and folder.mm_per_px is None and not _scale_sources(folder):
-        findings.append(
-            error(
-                "scale_unstated",
-                "the scale is not stated and nothing here gives it: add mm_per_px_x and "
-                "mm_per_px_y, a press of a board or of a known edge, or the pitch of the markers",
-                "color",
-                "normals",
-                "depth",
-            )
-        )
+        findings.append(remarks.SCALE_UNSTATED())
     return findings
 
 
@@ -87,7 +69,7 @@ def _scale_sources(folder: CaptureFolder) -> list[str]:
 
 
 def block_statuses(
-    folder: CaptureFolder, findings: Sequence[Finding], *, grey: bool | None = None
+    folder: CaptureFolder, findings: Sequence[Remark], *, grey: bool | None = None
 ) -> list[BlockStatus]:
     """Readiness of every command; ``grey`` says that grey levels stand for depth."""
     statuses = []

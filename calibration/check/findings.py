@@ -24,7 +24,8 @@ MAX_NAMES = 6
 
 
 Finding = Remark
-"""A remark about captures: it names the blocks that it concerns."""
+"""A remark about captures: it names the blocks that it concerns. This name and ``error`` and
+``warning`` go when the last checks take their kinds from ``check/remarks.py``."""
 
 
 def worst_first(findings: Sequence[Finding]) -> list[Finding]:
@@ -44,7 +45,3 @@ def error(code: str, message: str, *blocks: str, frames: Sequence[str] = ()) -> 
 
 def warning(code: str, message: str, *blocks: str, frames: Sequence[str] = ()) -> Finding:
     return Finding(Severity.WARNING, code, message, tuple(frames), blocks)
-
-
-def info(code: str, message: str, *blocks: str, frames: Sequence[str] = ()) -> Finding:
-    return Finding(Severity.INFO, code, message, tuple(frames), blocks)

@@ -3,18 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle, Press
-from taccel_lab.calibration.check.framing import level_fit, thumb
+from taccel_lab.calibration.capture.framing import level_fit, thumb
 from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.contacts.result import CutContactError, DetectedContact
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.progress import Progress, silent
 
 SATURATED_LEVEL = 254
 TEXTURE_SIGMA_PX = 1.5
@@ -61,15 +62,14 @@ def measure_presses(
     background: np.ndarray,
     mask: np.ndarray | None,
     grid: PixelGrid,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> list[FrameFigures]:
     """Figures of every press against a background of the same framing (RGB uint8)."""
     small = thumb(background)
     figures = []
     for i, press in enumerate(presses):
         figures.append(_measure(press, background, small, mask, grid))
-        if progress is not None:
-            progress(i + 1, len(presses))
+        progress("checking the presses", i + 1, len(presses))
     return figures
 
 
@@ -167,14 +167,3 @@ def _lamp_slopes(change: np.ndarray, distance: np.ndarray, circle: ContactCircle
     )
     slopes, *_ = np.linalg.lstsq(design, change[inside].astype(np.float64), rcond=None)
     return slopes[:2].T
-
-
-def handedness(lamps: np.ndarray) -> float:
-    """Which way round red, green and blue light come, from +3 (clockwise as seen) to -3.
-
-    ``lamps``: directions of the three channels, shape [3, 2] (u, v). Turning the camera leaves it
-    as it is; swapping two channels, or mirroring the image, turns its sign.
-    """
-    unit = lamps / np.maximum(np.linalg.norm(lamps, axis=-1, keepdims=True), 1e-9)
-    following = np.roll(unit, -1, axis=0)
-    return float((unit[:, 0] * following[:, 1] - unit[:, 1] * following[:, 0]).sum())

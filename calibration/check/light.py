@@ -9,9 +9,10 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
+from taccel_lab.calibration.capture.framing import best_channel_order, misfit_levels, thumb
+from taccel_lab.calibration.capture.sensor_facts import handedness
 from taccel_lab.calibration.check.findings import Finding, error, name_some, warning
-from taccel_lab.calibration.check.frames import FrameFigures, handedness
-from taccel_lab.calibration.check.framing import best_channel_order, misfit_levels, thumb
+from taccel_lab.calibration.check.frames import FrameFigures
 
 CHROMA_LEVELS = 5.0
 """Change of the untouched gel's colour, apart from its brightness, that fixed settings never make.

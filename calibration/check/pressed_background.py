@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.capture.framing import fit_levels, thumb
 from taccel_lab.calibration.check.findings import Finding, error
-from taccel_lab.calibration.check.framing import fit_levels, thumb
 
 MIN_PRESSES = 5
 MIN_GHOST_LEVELS = 12.0

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.check.findings import Finding, error, info, name_some, warning
+from taccel_lab.calibration.check import remarks
+from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.usable import too_many_lost
+from taccel_lab.calibration.result import Remark
 from taccel_lab.geometry import PixelGrid
 
 LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3
@@ -39,7 +41,7 @@ LARGEST_ANGLE = 0.98
 """Contact radius over ball radius beyond which a contact reaches the equator."""
 
 
-def check_contacts(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Finding]:
+def check_contacts(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
     """All findings of this module on presses of one ball."""
     return [
         *_check_found(frames),
@@ -52,24 +54,23 @@ def check_contacts(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Find
     ]
 
 
-def _check_found(frames: Sequence[FrameFigures]) -> list[Finding]:
+def _check_found(frames: Sequence[FrameFigures]) -> list[Remark]:
     lost = [frame for frame in frames if frame.contact is None]
     if not lost:
         return []
     names = [frame.press.name for frame in lost]
-    reason = lost[0].fault
-    make = error if too_many_lost(len(frames), [frame.cut for frame in lost]) else warning
     cut = sum(frame.cut for frame in lost)
     border = f" In {cut} of them the border of the image cuts it." if cut else ""
     return [
-        make(
-            "no_contact",
-            f"no contact was found in {len(lost)} of {len(frames)} presses ({name_some(names)}). "
-            f"{names[0]}: {reason}{border}",
-            "color",
-            "normals",
-            "scale",
+        remarks.NO_CONTACT(
+            lost=len(lost),
+            count=len(frames),
+            names=name_some(names),
+            first=names[0],
+            reason=lost[0].fault,
+            border=border,
             frames=names,
+            grave=too_many_lost(len(frames), [frame.cut for frame in lost]),
         )
     ]
 
@@ -106,7 +107,7 @@ def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap
     return gaps
 
 
-def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Finding]:
+def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
     gaps = label_gaps(frames, grid)
     off = sorted((gap for gap in gaps if gap.off), key=lambda gap: -gap.center_px)
     if not off:
@@ -114,18 +115,19 @@ def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Findi
     centers = np.array([gap.center_px for gap in gaps])
     names = [gap.name for gap in off]
     many = len(off) > LABELS_BAD_SHARE * len(gaps)
-    make = error if many else warning
     worst_radius = max((gap.radius_px for gap in off), key=abs)
+    advice = "Calibrate with the circles found (--circles detected)" if many else "Look at them"
     return [
-        make(
-            "labels_off",
-            f"{len(off)} of {len(gaps)} labelled circles disagree with the images: centres by up "
-            f"to {centers.max():.0f} px (median {np.median(centers):.1f} px), radii by up to "
-            f"{abs(worst_radius):.0f} px; {name_some(names)}. "
-            + ("Calibrate with the circles found (--circles detected)" if many else "Look at them"),
-            "color",
-            "normals",
+        remarks.LABELS_OFF(
+            off=len(off),
+            count=len(gaps),
+            largest=centers.max(),
+            median=np.median(centers),
+            radius=abs(worst_radius),
+            names=name_some(names),
+            advice=advice,
             frames=names,
+            grave=many,
         )
     ]
 
@@ -160,7 +162,7 @@ def empty_cells(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[str]:
     ]
 
 
-def _check_spots(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Finding]:
+def _check_spots(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
     circles = _circles(frames)
     if len(circles) < 3:
         return []
@@ -170,63 +172,35 @@ def _check_spots(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Findin
     covered = float((coverage_map(frames, grid) > 0).mean())
     spread = max(radius, 0.05 * min(grid.width_px, grid.height_px))
     if reach < ONE_SPOT_RADII * spread:
-        return [
-            error(
-                "one_spot",
-                f"all {len(circles)} presses lie within {reach:.0f} px of each other and cover "
-                f"{covered:.0%} of the gel: colours elsewhere cannot be learned. Press all over "
-                "the gel, also near its edges",
-                "color",
-                "normals",
-            )
-        ]
+        return [remarks.ONE_SPOT(count=len(circles), reach=reach, covered=covered)]
     cells = empty_cells(frames, grid)
     if covered < GOOD_COVERAGE or len(cells) > 3:
         return [
-            warning(
-                "coverage",
-                f"the contacts cover {covered:.0%} of the gel; no press in {len(cells)} of "
-                f"{CELLS[0] * CELLS[1]} parts of the image"
-                + (f" ({name_some(cells)})" if cells else "")
-                + ". The colour model is only valid where balls were",
-                "color",
-                "normals",
+            remarks.COVERAGE(
+                covered=covered,
+                empty=len(cells),
+                parts=CELLS[0] * CELLS[1],
+                names=f" ({name_some(cells)})" if cells else "",
             )
         ]
     return []
 
 
-def _check_count(frames: Sequence[FrameFigures]) -> list[Finding]:
+def _check_count(frames: Sequence[FrameFigures]) -> list[Remark]:
     if len(frames) >= GOOD_PRESSES:
         return []
-    make = warning if len(frames) < FEW_PRESSES else info
-    return [
-        make(
-            "few_presses",
-            f"{len(frames)} press{'es' if len(frames) != 1 else ''}; {GOOD_PRESSES} to 50 leave "
-            "enough to hold some out and still cover the gel",
-            "color",
-            "normals",
-        )
-    ]
+    count = f"{len(frames)} press{'es' if len(frames) != 1 else ''}"
+    return [remarks.FEW_PRESSES(count=count, enough=GOOD_PRESSES, grave=len(frames) < FEW_PRESSES)]
 
 
-def _check_depths(frames: Sequence[FrameFigures]) -> list[Finding]:
+def _check_depths(frames: Sequence[FrameFigures]) -> list[Remark]:
     radii = np.array([circle.radius_px for circle in _circles(frames)])
     if len(radii) < 5 or np.ptp(np.percentile(radii, [5, 95])) > SAME_DEPTH * np.median(radii):
         return []
-    return [
-        warning(
-            "same_depth",
-            f"all contacts are of nearly one size ({radii.min():.0f} to {radii.max():.0f} px): "
-            "press with different forces, so that every slope is seen at every place",
-            "color",
-            "normals",
-        )
-    ]
+    return [remarks.SAME_DEPTH(smallest=radii.min(), largest=radii.max())]
 
 
-def _check_blur(frames: Sequence[FrameFigures]) -> list[Finding]:
+def _check_blur(frames: Sequence[FrameFigures]) -> list[Remark]:
     if len(frames) < 4:
         return []
     texture = np.array([frame.texture for frame in frames])
@@ -246,20 +220,11 @@ def _check_blur(frames: Sequence[FrameFigures]) -> list[Finding]:
         return []
     names = [frame.press.name for frame, bad in zip(frames, blurred, strict=True) if bad]
     return [
-        warning(
-            "blurred",
-            f"{len(names)} of {len(frames)} presses are blurred against the others "
-            f"({name_some(names)}): the fine texture of the gel is gone beside the contact, or its "
-            "rim is wide. They were moving, or out of focus",
-            "color",
-            "normals",
-            "scale",
-            frames=names,
-        )
+        remarks.BLURRED(blurred=len(names), count=len(frames), names=name_some(names), frames=names)
     ]
 
 
-def _check_duplicates(frames: Sequence[FrameFigures]) -> list[Finding]:
+def _check_duplicates(frames: Sequence[FrameFigures]) -> list[Remark]:
     same: dict[str, list[str]] = {}
     for frame in frames:
         same.setdefault(frame.press.sha256, []).append(frame.press.name)
@@ -267,26 +232,14 @@ def _check_duplicates(frames: Sequence[FrameFigures]) -> list[Finding]:
     findings = []
     if copies:
         names = [name for group in copies for name in group]
-        findings.append(
-            warning(
-                "duplicates",
-                f"the same image stands several times: {'; '.join(map(' = '.join, copies[:4]))}. "
-                "Figures on held-out frames would be of frames that the fit has seen",
-                "color",
-                "normals",
-                frames=names,
-            )
-        )
+        some = "; ".join(map(" = ".join, copies[:4]))
+        findings.append(remarks.DUPLICATES(names=some, frames=names))
     near = _near_duplicates(frames)
     if near:
         findings.append(
-            warning(
-                "near_duplicates",
-                f"{len(near)} pairs of frames show the same press: "
-                f"{name_some([f'{a} and {b}' for a, b in near])}. Keep one of each, so that "
-                "held-out frames are new ones",
-                "color",
-                "normals",
+            remarks.NEAR_DUPLICATES(
+                count=len(near),
+                names=name_some([f"{a} and {b}" for a, b in near]),
                 frames=sorted({name for pair in near for name in pair}),
             )
         )

@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.framing import thumb
+from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
+from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.background import BackgroundCheck, check_background
 from taccel_lab.calibration.check.balls import check_balls, check_scale, check_slopes
 from taccel_lab.calibration.check.content import BlockStatus, block_statuses, check_content
-from taccel_lab.calibration.check.findings import Finding, error, info, warning, worst_first
+from taccel_lab.calibration.check.findings import worst_first
 from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
-from taccel_lab.calibration.check.framing import thumb
 from taccel_lab.calibration.check.light import check_handedness, check_light, is_grey
 from taccel_lab.calibration.check.presses import (
     check_contacts,
@@ -23,12 +24,12 @@ from taccel_lab.calibration.check.presses import (
     empty_cells,
     label_gaps,
 )
-from taccel_lab.calibration.check.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.calibration.check.targets import check_targets
-from taccel_lab.calibration.result import Severity
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.calibration.surfaces.design import FLAT_PAD, turn_remark
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.progress import Progress, silent
 
 ANY_SCALE_MM_PER_PX = 0.05
 """Where no scale is stated: pixels are then square and lengths are only told in pixels."""
@@ -41,7 +42,7 @@ class CaptureCheck:
     """What the check of one folder found."""
 
     folder: CaptureFolder
-    findings: tuple[Finding, ...]
+    findings: tuple[Remark, ...]
     """Worst first."""
     blocks: tuple[BlockStatus, ...]
     frames: tuple[FrameFigures, ...] = ()
@@ -109,7 +110,7 @@ def check_captures(
     folder: CaptureFolder,
     *,
     notes: tuple[str, ...] = (),
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
     fit_ball: bool = True,
 ) -> CaptureCheck:
     """Judge everything in a folder; ``notes`` are what an importer assumed.
@@ -123,23 +124,14 @@ def check_captures(
     facts = sensor_facts(folder.sensor)
     findings = [*check_content(folder), *check_targets(folder)]
     if facts is None:
-        findings.append(
-            error(
-                "sensor_unknown",
-                f"the catalogue has no sensor {folder.sensor!r} (taccel-lab sensors list); "
-                "flat_pad stands for any flat gel",
-                "color",
-                "normals",
-                "material",
-            )
-        )
+        findings.append(remarks.SENSOR_UNKNOWN(sensor=folder.sensor))
     frames: list[FrameFigures] = []
     grid, background = None, None
     if folder.presses:
         try:
             background = check_background(folder)
         except InputError as fault:
-            findings.append(error("no_background", str(fault), "color", "normals", "background"))
+            findings.append(remarks.NO_MEDIAN(reason=fault))
     if background is not None:
         findings += background.findings
         grid = _grid(folder, background.image)
@@ -148,7 +140,7 @@ def check_captures(
         if fit_ball and not any(finding.code in SPOILS_SLOPES for finding in findings):
             findings += check_slopes(folder, background.image)
     elif folder.background is None and not folder.presses and not _has_other(folder):
-        findings.append(error("empty", "the folder holds no captures"))
+        findings.append(remarks.EMPTY())
     grey = None if facts is None else facts.is_grey
     if folder.presses and background is not None and grey is not True:
         grey = is_grey(frames)
@@ -180,7 +172,7 @@ def _check_presses(
     background: BackgroundCheck,
     grid: PixelGrid,
     facts: SensorFacts | None,
-) -> list[Finding]:
+) -> list[Remark]:
     findings = [
         *check_light(frames, thumb(background.image)),
         *check_contacts(frames, grid),
@@ -199,22 +191,11 @@ def _check_presses(
         findings += check_scale(folder.mm_per_px, size, facts.pad_mm, facts.view_mm, facts.family)
         across = None if facts.family == FLAT_PAD else turn_remark(facts.family, grid)
         if across is not None:
-            findings.append(warning(across.code, across.message, "color", "normals", "depth"))
+            findings.append(replace(across, blocks=("color", "normals", "depth")))
     grey = is_grey(frames)
     if grey != facts.is_grey and facts.family != "flat_pad":
         have, want = ("grey", "coloured") if grey else ("coloured", "grey")
-        findings.append(
-            warning(
-                "grey_or_colour",
-                f"the images are {have}, those of a {facts.family} are {want}: another sensor, or "
-                "images converted on the way",
-                "color",
-                "normals",
-                "depth",
-            )
-        )
+        findings.append(remarks.GREY_OR_COLOUR(found=have, family=facts.family, expected=want))
     if background.is_median and not any(f.code == "no_background" for f in background.findings):
-        findings.append(
-            info("median_used", "checks of contacts were made against the median of the presses")
-        )
+        findings.append(remarks.MEDIAN_USED())
     return findings

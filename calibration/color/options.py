@@ -24,7 +24,7 @@ class ColorTraining:
     batch_pixels: int = 1024
     """Pixels of a step, whose number the time of a fit goes with."""
     validation_every: int = 0
-    """Every how-manieth fitted press is kept back to stop the fit early: the weights with the least
+    """One fitted press in this many is kept back to stop the fit early: the weights with the least
     loss on these presses are taken. 0 fits to all and takes the last weights."""
     seed: int = 0
     """Seed of the pixel draw, the initial weights and the batches."""
@@ -48,5 +48,5 @@ class ColorOptions(ColorTraining, BallPressOptions):
     """Fits that each leave some of the fitted presses out: they name captures that are off, and
     their spread says how sure the model is; 0 skips them."""
     table: bool = True
-    """Fit Taxim's table too: its figures stand in the report, and the table itself beside it, as
+    """Fit Taxim's table too: the report shows its figures, and the table is written beside it, as
     polycalib.npz, for `taccel-lab export --to taxim --table`."""

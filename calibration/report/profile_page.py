@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from taccel_lab.calibration.report import remarks
 from taccel_lab.calibration.report.page import Page, Picture, Table
 from taccel_lab.calibration.report.profile_figures import (
     draw_depth_response,
@@ -13,7 +14,7 @@ from taccel_lab.calibration.report.profile_figures import (
     draw_profile_discs,
     draw_profile_mesh,
 )
-from taccel_lab.calibration.result import NORMAL_95, Remark, Severity
+from taccel_lab.calibration.result import NORMAL_95, Remark
 from taccel_lab.profile import Block, SensorProfile
 
 CORE = ("gel", "material", "camera", "background", "color")
@@ -40,35 +41,21 @@ def profile_page(profile: SensorProfile) -> Page:
 
 
 def _remarks(profile: SensorProfile) -> list[Remark]:
-    remarks = []
+    found = []
     blocks = profile.blocks()
     for key, block in blocks.items():
         where = block.provenance
         if where.verdict == "weak":
-            remarks.append(Remark(Severity.ERROR, "weak_block", f"{key}: calibrated, but weak"))
+            found.append(remarks.WEAK_BLOCK(block=key))
         elif where.verdict == "usable":
-            remarks.append(
-                Remark(Severity.WARNING, "usable_block", f"{key}: usable, with reservations")
-            )
+            found.append(remarks.USABLE_BLOCK(block=key))
         elif where.kind == "assumed" and key in CORE:
-            remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "assumed_block",
-                    f"{key}: assumed, not measured ({where.source})",
-                )
-            )
-        remarks += [Remark(Severity.INFO, "block_remark", f"{key}: {t}") for t in where.remarks]
+            found.append(remarks.ASSUMED_BLOCK(block=key, source=where.source))
+        found += [remarks.BLOCK_REMARK(block=key, remark=text) for text in where.remarks]
     for key in ("background", "color"):
         if key not in blocks and profile.depth_response is None:
-            remarks.append(
-                Remark(
-                    Severity.INFO,
-                    "missing_block",
-                    f"{key}: missing, so no calibrated pictures; taccel-lab calibrate {key}",
-                )
-            )
-    return remarks
+            found.append(remarks.MISSING_BLOCK(block=key))
+    return found
 
 
 def _overview(blocks: dict[str, Block]) -> Table:

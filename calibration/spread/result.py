@@ -16,7 +16,8 @@ import numpy as np
 
 from taccel_lab.calibration.light.drift import drift_spread
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.result import Remark, Severity, judge
+from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.calibration.spread import remarks
 from taccel_lab.calibration.spread.units import UnitSpread
 from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
 
@@ -65,30 +66,17 @@ class SpreadCalibration:
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        remarks = []
-        for what, count in (
-            ("frames", len(self.frame_drifts) if self.lights is self.frame_drifts else 0),
-            ("units", 0 if self.units is None else self.units.unit_count),
+        found = []
+        frame_count = len(self.frame_drifts) if self.lights is self.frame_drifts else 0
+        for kind, count in (
+            (remarks.FEW_FRAMES, frame_count),
+            (remarks.FEW_UNITS, 0 if self.units is None else self.units.unit_count),
         ):
             if 0 < count < FEW:
-                remarks.append(
-                    Remark(
-                        Severity.WARNING,
-                        f"few_{what}",
-                        f"{count} {what}: each standard deviation is itself uncertain by "
-                        f"{relative_error(count):.0%}; {FEW} or more {what} would halve that",
-                    )
-                )
+                found.append(kind(count=count, error=relative_error(count), enough=FEW))
         if self.units is None:
-            remarks.append(
-                Remark(
-                    Severity.INFO,
-                    "no_units",
-                    "one unit: scale, place, modulus and friction are not perturbed; give profiles "
-                    "of other units of this design",
-                )
-            )
-        return tuple(remarks)
+            found.append(remarks.NO_UNITS())
+        return tuple(found)
 
     def figures(self) -> dict[str, Any]:
         """Everything measured, ready for JSON."""

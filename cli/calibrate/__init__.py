@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab calibrate``: one command a block, and all of them at once."""
+"""``taccel-lab calibrate``: one command for each block, and all of them at once."""
 
 from __future__ import annotations
 

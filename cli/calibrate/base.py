@@ -38,8 +38,8 @@ def require_outputs(out: Path, report: Path) -> None:
     inner, outer = Path(os.path.abspath(report)), Path(os.path.abspath(out))
     if inner == outer or outer in inner.parents:
         raise InputError(
-            f"the report {report} would lie in the profile {out}, which holds nothing else; name "
-            "another folder with --report"
+            f"the report {report} would be inside the profile folder {out}, which may hold nothing "
+            "else; name another folder with --report"
         )
     require_profile_folder(out)
     require_replaceable(report)

@@ -22,7 +22,7 @@ class CalibrateMaterial:
     """Fit stiffness, Poisson's ratio, friction and damping to force records and write a profile.
 
     Presses of the record's tool on the sensor's gel are simulated once and kept; the fit gives
-    each parameter with its 95 % interval, and says which ones the records cannot tell.
+    each parameter with its 95 % interval, and the report says which ones the records leave open.
     """
 
     captures: Positional[Path]

@@ -11,16 +11,16 @@ from tyro.conf import Positional
 
 @dataclass(frozen=True)
 class CalibrateSpread:
-    """Measure how much captures drift and units differ, for domain randomisation.
+    """Measure how much frames drift and units differ, for domain randomisation.
 
     The light of every frame (gain, offset, gradient) is fitted against the background; with
     --units the images at rest, scales and materials of other units of this design are compared
-    too. The block ``perturbation`` holds the standard deviations; draw sensors from it with
-    taccel_lab.signals.perturbation.draw_perturbation.
+    too. The block ``perturbation`` holds the standard deviations;
+    taccel_lab.signals.perturbation.draw_perturbation draws sensors from it.
     """
 
     captures: Positional[Path]
-    """Capture folder with captures.toml: its untouched images, else its presses."""
+    """Capture folder with captures.toml: its untouched images are compared, or else its presses."""
     out: Path
     """Profile folder to write."""
     base: Path | None = None

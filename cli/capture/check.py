@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab capture check``: what a folder of captures holds, lacks, and where it is weak."""
+"""``taccel-lab capture check``: what a capture folder holds and lacks, and where it is weak."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CaptureCheckCommand:
-    """Say what captures are there, what is missing and for which command, and what is weak.
+    """Report what a capture folder holds, what is missing for which command, and what is weak.
 
-    Looks at light (white balance, saturation, channel order), contacts (found, coverage, blur,
-    duplicates, labels against the images), the background (framing), the ball and the scale,
+    Checks the light (white balance, saturation, channel order), the contacts (found, coverage,
+    blur, duplicates, labels against the images), the background (framing), the ball and the scale,
     boards, markers and force records. Exit code 0: usable; 1: something stops a calibration or
     makes it wrong; 2: the folder cannot be read.
     """
@@ -32,7 +32,7 @@ class CaptureCheckCommand:
     captures: Positional[Path]
     """Capture folder with captures.toml, or captures in any layout that capture import reads."""
     report: Path | None = None
-    """Folder for a page with pictures (report.html); none is written when left out."""
+    """Folder for a report with pictures (report.html); none is written when left out."""
     json: bool = False
     """Print everything found as JSON."""
 
@@ -42,7 +42,7 @@ class CaptureCheckCommand:
         from taccel_lab.calibration.check import check_captures, check_page
         from taccel_lab.calibration.report import write_page
         from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import count_progress
+        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output import require_replaceable
 
         console = Console(stderr=True)
@@ -51,7 +51,7 @@ class CaptureCheckCommand:
         checks = []
         with _opened(self.captures) as parts:
             for folder, notes in parts:
-                with count_progress(console, "looking at the presses") as progress:
+                with stage_progress(console) as progress:
                     check = check_captures(folder, notes=notes, progress=progress)
                 checks.append(check)
                 if not self.json:
@@ -115,8 +115,8 @@ def _print_check(console: Console, check: CaptureCheck) -> None:
     if len(absent) < len(check.blocks):
         console.print(table)
     for block in absent:
-        console.print(f"not for calibrate {block.command}: needs {block.missing}", highlight=False)
+        console.print(f"calibrate {block.command} needs {block.missing}", highlight=False)
     for finding in check.findings:
         console.print(str(finding), highlight=False, markup=False)
     if not check.findings:
-        console.print("nothing to remark")
+        console.print("no findings")

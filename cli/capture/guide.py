@@ -15,13 +15,13 @@ from taccel_lab.errors import InputError
 class CaptureGuide:
     """Print what to capture of a sensor: steps, counts, minutes, equipment, and why.
 
-    Ends with a captures.toml to fill in. Everything fits in under an hour.
+    Ends with a captures.toml to fill in. Everything takes less than an hour.
     """
 
     sensor: Positional[str]
     """Sensor of the catalogue (taccel-lab sensors list); flat_pad for any other."""
     out: Path | None = None
-    """Write the captures.toml to this file as well; an existing file is not touched."""
+    """Write the captures.toml to this file as well; an existing file is never overwritten."""
     json: bool = False
     """Print the plan as JSON."""
 

@@ -8,15 +8,13 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from taccel_lab.errors import InputError
-
 
 @dataclass(frozen=True)
 class CaptureImport:
     """Write captures of another project's layout, or a plain folder, as a capture folder.
 
-    Images keep their bytes. What had to be assumed is printed and stands as comments at the top of
-    captures.toml. A source of several sensors or sets becomes one folder each.
+    Image files are copied unchanged. What had to be assumed is printed, and written as comments at
+    the top of captures.toml. A source of several sensors or sets becomes one folder for each.
     """
 
     source: Positional[Path]
@@ -25,11 +23,11 @@ class CaptureImport:
     """Capture folder to write."""
     layout: str = "auto"
     """Layout of the source: auto, taxim, fots, 9dtact, feats, py3dcal, gs-sdk, cube-edges, rvsathu,
-    ruihangao, osaka, gelslim, markers or plain (docs/captures.md tells them)."""
+    ruihangao, gelslim, osaka, markers or plain (described in docs/captures.md)."""
     sensor: str | None = None
     """Sensor of the catalogue; that of the layout when left out, flat_pad for an unknown one."""
     unit: str | None = None
-    """Serial number or nickname of this very sensor."""
+    """Serial number or nickname of this particular sensor."""
     radius_mm: float | None = None
     """Radius of the ball of the presses or of the force record [mm]; replaces the layout's."""
     mm_per_px_x: float | None = None
@@ -59,21 +57,13 @@ class CaptureImport:
             import_captures,
             load_capture_folder,
         )
-        from taccel_lab.calibration.capture.importers import AUTO, LAYOUTS, detect_layout
+        from taccel_lab.calibration.capture.importers import AUTO, detect_layout
         from taccel_lab.cli.console import print_json
         from taccel_lab.output import require_replaceable
         from taccel_lab.sensors import sensor_family
 
-        if self.layout != AUTO and self.layout not in LAYOUTS:
-            raise InputError(f"no layout {self.layout!r}; known: {AUTO}, {', '.join(LAYOUTS)}")
         if self.sensor is not None:
             sensor_family(self.sensor)
-        for name in ("radius_mm", "mm_per_px_x", "mm_per_px_y", "edge_mm"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < float("inf"):
-                raise InputError(f"{name} is {value:g}; a positive number is allowed")
-        require_replaceable(self.out)
-        layout = self.layout if self.layout != AUTO else detect_layout(self.source).name
         options = ImportOptions(
             sensor=self.sensor,
             unit=self.unit,
@@ -85,6 +75,8 @@ class CaptureImport:
             board=self.board,
             crop=self.crop,
         )
+        require_replaceable(self.out)
+        layout = self.layout if self.layout != AUTO else detect_layout(self.source).name
         console = Console(stderr=self.json)
         with console.status(f"importing {self.source} as {layout}"):
             folders = import_captures(self.source, self.out, layout, options)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab capture rectify``: captures of a distorting lens made even."""
+"""``taccel-lab capture rectify``: the distortion of the lens taken out of captures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class CaptureRectify:
     """Rectify every image of a capture folder, so that one scale holds everywhere.
 
     The maps come from a board on the gel (taccel-lab calibrate camera --maps). Contact circles are
-    left out, since they are places in the raw images: they are found again.
+    left out, since they are positions in the raw images; they are found again.
     """
 
     captures: Positional[Path]

@@ -13,15 +13,16 @@ from tyro.conf import Positional
 class CaptureReview:
     """Find the contact circle of every ball press and show them on a page, the worst first.
 
-    Also writes contacts.toml with the circles found: edit it where you disagree and put it into the
-    capture folder; all commands that read the folder then take your circles. Exit code 0: all
-    presses usable; 1: a press has no contact or the ball cannot be the stated one; 2: bad input.
+    Also writes contacts.toml with the circles found: correct it where it is wrong and copy it into
+    the capture folder; all commands that read the folder then use your circles. Exit code 0: all
+    presses are usable; 1: a press shows no contact, or the ball cannot be the stated one; 2: bad
+    input.
     """
 
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
     out: Path
-    """Folder to write: review.html, review.json, contacts.toml and a picture a press."""
+    """Folder to write: review.html, review.json, contacts.toml and one picture for each press."""
     contacts: Path | None = None
     """A contacts.toml to take into account; that of the capture folder when left out."""
     json: bool = False

@@ -30,5 +30,5 @@ def test_a_report_inside_the_profile_is_refused_before_any_work(
     arguments = ["calibrate", "background", str(tmp_path / "captures"), "--out"]
     out = tmp_path / "profile"
     assert main([*arguments, str(out), "--report", str(tmp_path / report)]) == 2
-    assert "would lie in the profile" in capsys.readouterr().err
+    assert "would be inside the profile" in capsys.readouterr().err
     assert not out.exists()

@@ -10,19 +10,17 @@ from taccel_lab.calibration.capture.importers import (
     cube_edges,
     feats,
     fots,
-    gelslim,
     gs_sdk,
     markers,
     ninedtact,
     osaka,
     plain,
     py3dcal,
-    ruihangao,
-    rvsathu,
     taxim,
 )
 from taccel_lab.calibration.capture.importers.crop import crop_draft
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.image_sets import SETS
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
@@ -32,13 +30,14 @@ from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_directory
 
 LAYOUTS: dict[str, Layout] = {
-    module.LAYOUT.name: module.LAYOUT
+    layout.name: layout
     # The most telling first: any folder of images is a plain one.
-    for module in (
-        taxim, fots, ninedtact, feats, py3dcal, gs_sdk, cube_edges, rvsathu, ruihangao, osaka,
-        gelslim, markers, plain,
+    for layout in (
+        *(part.LAYOUT for part in (taxim, fots, ninedtact, feats, py3dcal, gs_sdk, cube_edges)),
+        *(published.layout() for published in SETS),
+        *(part.LAYOUT for part in (osaka, markers, plain)),
     )
-}  # fmt: skip
+}
 AUTO = "auto"
 
 __all__ = [

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.capture.images import levels, read_image
 from taccel_lab.errors import InputError
 
 BACKGROUND_NAME = re.compile(
@@ -29,15 +29,11 @@ MAX_STACK = 61
 def median_image(images: Sequence[Path | np.ndarray | str]) -> np.ndarray:
     """Median of images of one size, RGB uint8, over at most 61 of them, evenly picked."""
     pick = np.unique(np.linspace(0, len(images) - 1, min(len(images), MAX_STACK)).astype(int))
-    stack = [_levels(images[i]) for i in pick]
+    stack = [levels(images[i]) for i in pick]
     if len({image.shape for image in stack}) > 1:
         sizes = sorted({f"{image.shape[1]}x{image.shape[0]}" for image in stack})
         raise InputError(f"images of different sizes ({', '.join(sizes)} px) have no median")
     return np.median(np.stack(stack), axis=0).round().astype(np.uint8)
-
-
-def _levels(image: Path | np.ndarray | str) -> np.ndarray:
-    return image if isinstance(image, np.ndarray) else read_image(Path(image))
 
 
 def guess_background(paths: Sequence[Path]) -> tuple[Path | None, str]:

@@ -8,12 +8,18 @@ framing is cut, and where that is the presses', the background is made smaller t
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.images import read_image
+from taccel_lab.calibration.capture.framing import (
+    CROP_GAIN,
+    OTHER_FRAMING_LEVELS,
+    find_crop,
+    misfit_levels,
+    thumb,
+)
+from taccel_lab.calibration.capture.images import levels
 from taccel_lab.calibration.capture.importers.draft import Draft
 from taccel_lab.errors import InputError
 
@@ -41,8 +47,8 @@ def crop_draft(draft: Draft, text: str) -> None:
     presses = draft.manifest.get("presses", [])
     if name is None or not presses:
         raise InputError(f"{draft.source}: crop needs a background and presses")
-    background = _levels(draft.files[name])
-    height, width = _levels(draft.files[presses[0]["image"]]).shape[:2]
+    background = levels(draft.files[name])
+    height, width = levels(draft.files[presses[0]["image"]]).shape[:2]
     if text == AUTO_CROP:
         part, of_presses = _find(draft, background)
     else:
@@ -58,12 +64,12 @@ def crop_draft(draft: Draft, text: str) -> None:
         return
     draft.files[name] = cv2.resize(background, (wide, high), interpolation=cv2.INTER_AREA)
     for image in draft.manifest.get("untouched", []):
-        small = cv2.resize(_levels(draft.files[image]), (wide, high), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(levels(draft.files[image]), (wide, high), interpolation=cv2.INTER_AREA)
         draft.files[image] = small
     lost = [press["image"] for press in presses if not _shift_circle(press, part)]
     draft.manifest["presses"] = [press for press in presses if press["image"] not in lost]
     for image in {press["image"] for press in presses}:
-        cut = _levels(draft.files[image])[top : top + high, left : left + wide]
+        cut = levels(draft.files[image])[top : top + high, left : left + wide]
         draft.files[image] = np.ascontiguousarray(cut)
     for image in lost:
         del draft.files[image]
@@ -73,10 +79,6 @@ def crop_draft(draft: Draft, text: str) -> None:
     )
     if lost:
         draft.notes.append(f"left out, since the contact is cut: {', '.join(lost)}")
-
-
-def _levels(content: Path | np.ndarray | str) -> np.ndarray:
-    return content if isinstance(content, np.ndarray) else read_image(Path(content))
 
 
 def _parse(text: str, width: int, height: int) -> Part:
@@ -94,10 +96,6 @@ def _parse(text: str, width: int, height: int) -> Part:
 
 def _find(draft: Draft, background: np.ndarray) -> tuple[Part, bool]:
     """The part that one framing shows of the other, and whether it is one of the presses."""
-    # Loaded here: the check of captures itself opens drafts.
-    from taccel_lab.calibration.check.background import CROP_GAIN, OTHER_FRAMING_LEVELS
-    from taccel_lab.calibration.check.framing import find_crop, misfit_levels, thumb
-
     if len(draft.manifest["presses"]) < MIN_PRESSES:
         raise InputError(
             f"{draft.source}: crop auto needs {MIN_PRESSES} presses for their median; give the "

@@ -12,9 +12,9 @@ from taccel_lab.calibration.capture.importers.files import (
     natural_key,
     number_in,
     point_in,
+    sensor_image,
 )
 from taccel_lab.calibration.capture.importers.layout import Layout
-from taccel_lab.errors import InputError
 
 SOURCE = "cube edges (jonaszilke/gs_sdk)"
 LICENSE = "GPL-3.0"
@@ -43,14 +43,11 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         draft.notes.append(f"the edge is taken as {EDGE_MM:g} mm long, that of the published cube")
     edges = []
     for label in _labels(path):
-        image = first_existing(label.parent / "gelsight.png", label.parent / "digit.png")
-        if image is None:
-            raise InputError(f"{label.parent / 'gelsight.png'} does not exist")
         arrays = load_npz(label)
         u, v = point_in(arrays, "line_center", label)
         edges.append(
             {
-                "image": draft.add_image(image, f"edge_{label.parent.name}"),
+                "image": draft.add_image(sensor_image(label.parent), f"edge_{label.parent.name}"),
                 "length_mm": float(length),
                 "dihedral_deg": 90.0,
                 "line": {

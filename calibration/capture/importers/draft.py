@@ -45,10 +45,16 @@ class ImportOptions:
     """``LEFT,TOP,WIDTHxHEIGHT`` [px], the part of the presses that the background shows, or
     ``auto``."""
 
+    def __post_init__(self) -> None:
+        for name in ("radius_mm", "mm_per_px_x", "mm_per_px_y", "edge_mm"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                raise InputError(f"{name} is {value:g}; a positive number is allowed")
+
 
 @dataclass
 class Draft:
-    """A manifest, the files it names, and what was assumed on the way."""
+    """A manifest, the files it names, and what had to be assumed."""
 
     part: str
     """Name of the folder below the target when the source holds several sensors or sets."""
@@ -104,7 +110,7 @@ class Draft:
         if options.radius_mm is not None:
             self.set_ball(options.radius_mm)
         if options.mm_per_px_y is not None and options.mm_per_px_x is None:
-            raise InputError("mm-per-px-y was given without mm-per-px-x; give both, or x for both")
+            raise InputError("mm_per_px_y was given without mm_per_px_x; give both, or x for both")
         if options.mm_per_px_x is not None:
             self.set_scale(options.mm_per_px_x, options.mm_per_px_y)
         if options.edge_mm is not None:

@@ -55,6 +55,14 @@ def first_existing(*paths: Path) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
+def sensor_image(folder: Path) -> Path:
+    """The image of one press in the layouts of gs_sdk; InputError where it is missing."""
+    image = first_existing(folder / "gelsight.png", folder / "digit.png")
+    if image is None:
+        raise InputError(f"{folder / 'gelsight.png'} does not exist")
+    return image
+
+
 def read_labels(path: Path) -> dict[str, dict[str, float]] | None:
     """Contact circles by image (as the table names it), or None when the file is no such table.
 

@@ -20,6 +20,7 @@ from taccel_lab.calibration.capture.importers.files import (
     natural_key,
     number_in,
     point_in,
+    sensor_image,
 )
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
@@ -118,11 +119,8 @@ def _read_catalog(path: Path, draft: Draft) -> None:
     draft.set_ball(common / 2)
     for row, diameter in zip(rows, diameters, strict=True):
         folder = path / row[FOLDER]
-        image = first_existing(folder / "gelsight.png", folder / "digit.png")
-        if image is None:
-            raise InputError(f"{folder / 'gelsight.png'} does not exist; {catalog} names it")
         draft.add_press(
-            image,
+            sensor_image(folder),
             row[FOLDER].replace("/", "_").replace("\\", "_"),
             radius_mm=None if diameter == common else diameter / 2,
             contact=_circle(folder / "label.npz"),
@@ -131,16 +129,15 @@ def _read_catalog(path: Path, draft: Draft) -> None:
 
 def _read_labelled(path: Path, draft: Draft) -> None:
     """Presses of folders with labels; a folder ``4.760mm`` says the ball's diameter."""
-    draft.notes.append(f"{CATALOG} is missing: balls are told by the names of their folders")
+    draft.notes.append(f"{CATALOG} is missing: the names of the folders give the balls")
     balls = []
     for label in _labels(path):
-        image = first_existing(label.parent / "gelsight.png", label.parent / "digit.png")
-        if image is None:
-            raise InputError(f"{label.parent / 'gelsight.png'} does not exist")
         match = _BALL_FOLDER.fullmatch(label.parent.parent.name)
         balls.append(None if match is None else float(match[1]) / 2)
         name = "_".join(label.parent.relative_to(path).parts)
-        draft.add_press(image, name, radius_mm=balls[-1], contact=_circle(label))
+        draft.add_press(
+            sensor_image(label.parent), name, radius_mm=balls[-1], contact=_circle(label)
+        )
     stated = [ball for ball in balls if ball is not None]
     if stated:
         draft.set_ball(max(set(stated), key=stated.count))

@@ -54,7 +54,7 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         raise InputError(f"{path} is a file; a folder with images is needed")
     draft = Draft("", _guess_sensor(path), f"images of {path.name}")
     if options.sensor is None:
-        draft.notes.append(f"sensor taken as {draft.sensor}; say which one it is with --sensor")
+        draft.notes.append(f"sensor taken as {draft.sensor}; name another one with --sensor")
     images = [
         image for image in images_in(path, recursive=True) if not _DERIVED_NAME.search(image.stem)
     ]

@@ -8,7 +8,6 @@ white balance, and by medians, which a contact on a part of the gel does not mov
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -19,6 +18,10 @@ THUMB_PX = 160
 FITTED_PIXELS = 5000
 """Pixels that a fit of the levels takes, evenly picked."""
 MIN_CROP, CROP_STEP = 0.5, 0.01
+OTHER_FRAMING_LEVELS = 5.0
+"""Misfit from which two images are not of the same gel in the same framing."""
+CROP_GAIN = 2.0
+"""A crop is believed when it fits this many times better than the whole image."""
 ORDERS: tuple[tuple[int, int, int], ...] = tuple(itertools.permutations(range(3)))  # type: ignore[assignment]
 
 
@@ -27,13 +30,6 @@ def thumb(image: np.ndarray, longer_px: int = THUMB_PX) -> np.ndarray:
     scale = min(1.0, longer_px / max(image.shape[:2]))
     size = (max(8, round(image.shape[1] * scale)), max(8, round(image.shape[0] * scale)))
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-
-
-def median_thumb(thumbs: Sequence[np.ndarray]) -> np.ndarray:
-    """Median of small images of one size, each freed of its own colour shift."""
-    stack = np.stack(thumbs)
-    level = np.median(stack, axis=(1, 2), keepdims=True)
-    return np.median(stack - level, axis=0) + np.median(level, axis=0)[0]
 
 
 def level_fit(image: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.check.frames import handedness
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.sensors import sensor_families
 
@@ -29,7 +28,7 @@ class SensorFacts:
     view_mm: float | None = None
     """Longer side of what the camera usually shows."""
     handedness: float | None = None
-    """Which way round its red, green and blue lamps stand, see ``frames.handedness``."""
+    """Which way round its red, green and blue lamps stand, see ``handedness``."""
     drop_mm: float = 0.0
     """How far the face lies lower at the sides of the view than at its apex."""
     has_markers: bool = False
@@ -89,3 +88,14 @@ def _handedness(
     if not np.linalg.norm(directions, axis=1).all():
         return None
     return handedness(directions)
+
+
+def handedness(lamps: np.ndarray) -> float:
+    """Which way round red, green and blue light come, from +3 (clockwise as seen) to -3.
+
+    ``lamps``: directions of the three channels, shape [3, 2] (u, v). Turning the camera leaves it
+    as it is; swapping two channels, or mirroring the image, turns its sign.
+    """
+    unit = lamps / np.maximum(np.linalg.norm(lamps, axis=-1, keepdims=True), 1e-9)
+    following = np.roll(unit, -1, axis=0)
+    return float((unit[:, 0] * following[:, 1] - unit[:, 1] * following[:, 0]).sum())

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Published sets of ball presses that are folders of images with a pattern in their names.
+
+Radius of the ball and scale are those of each project's own scripts:
+
+- GelSlim 3.0 (mcubelab/gelslim), ``calibration.py``: 7.6 mm across, 0.10577 mm/px; both may differ
+  between its sets.
+- ShapeMap3D for the GelSight Mini (RuihanGao), ``sensorParams.py``: R = 2.0 mm, 0.08 mm/px. Frame 0
+  of the published set is a crop of the framing of the others, which ``capture check`` says.
+- GelSight-Sim2Real (RVSATHU, RA-L 2022), ``depth_reconstruction``: R = 2.92 mm, 0.05926 mm/px.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from taccel_lab.calibration.capture.importers.background_guess import BACKGROUND_NAME
+from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import images_in, label_for, labels_of
+from taccel_lab.calibration.capture.importers.layout import Layout
+
+
+@dataclass(frozen=True)
+class ImageSet:
+    """How the images of a published set are named, and what is known of them."""
+
+    name: str
+    title: str
+    source: str
+    presses: str
+    """Pattern of the file names of presses."""
+    backgrounds: tuple[str, ...]
+    """Patterns of the untouched sensor's, the best first."""
+    ball_radius_mm: float
+    mm_per_px: float
+    sensor: str = "flat_pad"
+    license: str | None = None
+    folder: str | None = None
+    """Name of the folder that holds the images; any when None."""
+    several: bool = False
+    """Whether every folder below with a background and presses is a set of its own."""
+    note: str | None = None
+    """What is assumed for every set."""
+
+    def layout(self) -> Layout:
+        """The layout that reads such sets."""
+        return Layout(self.name, self.title, lambda path: bool(self._places(path)), self._read)
+
+    def _places(self, path: Path) -> list[Path]:
+        """Folders that hold a set."""
+        if not path.is_dir():
+            return []
+        if self.several:
+            below = sorted(place for place in path.rglob("*") if place.is_dir())
+            return [
+                place
+                for place in (path, *below)
+                if any(place.glob(self.presses)) and self._background(place) is not None
+            ]
+        if self.folder is not None:
+            path = path / self.folder if (path / self.folder).is_dir() else path
+            if path.name != self.folder:
+                return []
+        return [path] if any(path.glob(self.presses)) else []
+
+    def _background(self, place: Path) -> Path | None:
+        named = [found for pattern in self.backgrounds for found in sorted(place.glob(pattern))]
+        return next((path for path in named if path.is_file()), None)
+
+    def _read(self, path: Path, options: ImportOptions) -> list[Draft]:
+        places = self._places(path)
+        return [self._draft(place, len(places) > 1, options) for place in places]
+
+    def _draft(self, place: Path, one_of_several: bool, options: ImportOptions) -> Draft:
+        source = f"{self.source}, {place.name}" if self.several else self.source
+        draft = Draft(place.name if one_of_several else "", self.sensor, source, self.license)
+        images = images_in(place)
+        background = self._background(place)
+        if background is None:
+            background = next((i for i in images if BACKGROUND_NAME.search(i.stem)), None)
+        if background is not None:
+            draft.set_background(background)
+        elif options.background is None:
+            draft.notes.append(
+                f"no background: {self.backgrounds[0]} is missing; give one with --background, or "
+                "--background median for that of the presses"
+            )
+        draft.set_ball(self.ball_radius_mm)
+        draft.set_scale(self.mm_per_px)
+        if self.note is not None:
+            draft.notes.append(self.note)
+        labels = labels_of(place)
+        for image in images:
+            if image.match(self.presses) and image != background:
+                draft.add_press(image, contact=label_for(image, place, labels))
+        return draft
+
+
+SETS = (
+    ImageSet(
+        name="rvsathu",
+        title="GelSight-Sim2Real: calib_<n>_real.png, background_real.png",
+        source="GelSight-Sim2Real (RVSATHU), depth_reconstruction",
+        presses="calib_*_real.*",
+        backgrounds=("background_real.*",),
+        ball_radius_mm=2.92,
+        mm_per_px=0.05926,
+    ),
+    ImageSet(
+        name="ruihangao",
+        title="calib_ball/frame_<n>, frame 0 untouched",
+        source="ShapeMap3D-GelSightMini (RuihanGao), calib_ball",
+        license="MIT",
+        sensor="gelsight_mini",
+        folder="calib_ball",
+        presses="frame_*.*",
+        backgrounds=("frame_0.*",),
+        ball_radius_mm=2.0,
+        mm_per_px=0.08,
+    ),
+    ImageSet(
+        name="gelslim",
+        title="GelSlim: ref.jpg and sample_<n>.jpg",
+        source="GelSlim 3.0 (mcubelab/gelslim)",
+        license="CC BY-NC 4.0",
+        several=True,
+        presses="sample_*.*",
+        backgrounds=("ref.jpg", "ref.png"),
+        ball_radius_mm=3.8,
+        mm_per_px=0.10577,
+        note="ball and scale are those of its calibration.py, whatever the set",
+    ),
+)

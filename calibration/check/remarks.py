@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the check of captures can find; each finding names the blocks that it stops or harms."""
+
+from __future__ import annotations
+
+from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.result import Severity
+
+BY_COLOR = ("color", "normals")
+"""Blocks that learn from the colours of ball presses."""
+BY_BACKGROUND = ("background", "color", "normals")
+
+# The folder as a whole.
+EMPTY = RemarkKind("empty", Severity.ERROR, "the folder holds no captures")
+SENSOR_UNKNOWN = RemarkKind(
+    "sensor_unknown",
+    Severity.ERROR,
+    "the catalogue has no sensor {sensor!r} (taccel-lab sensors list); flat_pad stands for any "
+    "flat gel",
+    ("color", "normals", "material"),
+)
+BALL_RADIUS_UNSTATED = RemarkKind(
+    "ball_radius_unstated",
+    Severity.ERROR,
+    "the radius of the ball is not stated: without it a contact says nothing about slopes. Measure "
+    "the ball and add [indenter] radius_mm",
+    ("color", "normals", "scale", "depth"),
+)
+SCALE_UNSTATED = RemarkKind(
+    "scale_unstated",
+    Severity.ERROR,
+    "the scale is not stated and nothing here gives it: add mm_per_px_x and mm_per_px_y, a press "
+    "of a board or of a known edge, or the pitch of the markers",
+    ("color", "normals", "depth"),
+)
+GREY_OR_COLOUR = RemarkKind(
+    "grey_or_colour",
+    Severity.WARNING,
+    "the images are {found}, those of a {family} are {expected}: another sensor, or images that "
+    "were converted",
+    ("color", "normals", "depth"),
+)
+
+# The background.
+NO_BACKGROUND = RemarkKind(
+    "no_background",
+    Severity.ERROR,
+    "there is no image of the untouched gel. The median of the presses stands in for it here; "
+    "capture import --background median makes it the background",
+    BY_BACKGROUND,
+)
+NO_MEDIAN = RemarkKind(
+    "no_median",
+    Severity.ERROR,
+    "nothing shows the untouched gel: {reason}",
+    BY_BACKGROUND,
+)
+MEDIAN_USED = RemarkKind(
+    "median_used",
+    Severity.INFO,
+    "checks of contacts were made against the median of the presses",
+)
+BACKGROUND_IS_A_CROP = RemarkKind(
+    "background_is_a_crop",
+    Severity.ERROR,
+    "the background is framed differently: {inner} a part of the framing of the {outer}, enlarged: "
+    "{width} x {height} px of it from ({left}, {top}) px (misfit {misfit:.1f} levels there, "
+    "{whole_misfit:.1f} as it is). Record both alike, or crop the {outer} so: capture import "
+    "--crop {crop}.{advice}",
+    BY_BACKGROUND,
+)
+BACKGROUND_DIFFERS = RemarkKind(
+    "background_differs",
+    Severity.ERROR,
+    "the background is not that of the presses: {misfit:.0f} levels apart after exposure and white "
+    "balance are fitted, the presses among themselves {own:.0f}. It is of another sensor, another "
+    "time or another lamp setting.{advice}",
+    BY_BACKGROUND,
+)
+DARK_BACKGROUND = RemarkKind(
+    "dark_background",
+    Severity.ERROR,
+    "the background is black: lamps off, or wrong file",
+    ("color",),
+)
+UNTOUCHED_DIFFERS = RemarkKind(
+    "untouched_differs",
+    Severity.WARNING,
+    "{name} is {misfit:.0f} levels from the background after exposure and white balance are "
+    "fitted: the sensor has changed, or it is another one",
+    ("background",),
+)
+ONE_BACKGROUND = RemarkKind(
+    "one_background",
+    Severity.INFO,
+    "one image of the untouched sensor; five more at other times show noise and drift",
+    ("background",),
+)
+
+# Ball presses.
+NO_CONTACT = RemarkKind(
+    "no_contact",
+    Severity.WARNING,
+    "no contact was found in {lost} of {count} presses ({names}). {first}: {reason}{border}",
+    ("color", "normals", "scale"),
+    graver=Severity.ERROR,
+)
+LABELS_OFF = RemarkKind(
+    "labels_off",
+    Severity.WARNING,
+    "{off} of {count} labelled circles disagree with the images: centres by up to {largest:.0f} px "
+    "(median {median:.1f} px), radii by up to {radius:.0f} px; {names}. {advice}",
+    BY_COLOR,
+    graver=Severity.ERROR,
+)
+ONE_SPOT = RemarkKind(
+    "one_spot",
+    Severity.ERROR,
+    "all {count} presses lie within {reach:.0f} px of each other and cover {covered:.0%} of the "
+    "gel: colours elsewhere cannot be learned. Press all over the gel, also near its edges",
+    BY_COLOR,
+)
+COVERAGE = RemarkKind(
+    "coverage",
+    Severity.WARNING,
+    "the contacts cover {covered:.0%} of the gel; no press in {empty} of {parts} parts of the "
+    "image{names}. The colour model is only valid where balls were",
+    BY_COLOR,
+)
+FEW_PRESSES = RemarkKind(
+    "few_presses",
+    Severity.INFO,
+    "{count}; {enough} to 50 leave enough to hold some out and still cover the gel",
+    BY_COLOR,
+    graver=Severity.WARNING,
+)
+SAME_DEPTH = RemarkKind(
+    "same_depth",
+    Severity.WARNING,
+    "all contacts are of nearly one size ({smallest:.0f} to {largest:.0f} px): press with "
+    "different forces, so that every slope is seen at every place",
+    BY_COLOR,
+)
+BLURRED = RemarkKind(
+    "blurred",
+    Severity.WARNING,
+    "{blurred} of {count} presses are blurred against the others ({names}): the fine texture of "
+    "the gel is gone beside the contact, or its rim is wide. They were moving, or out of focus",
+    ("color", "normals", "scale"),
+)
+DUPLICATES = RemarkKind(
+    "duplicates",
+    Severity.WARNING,
+    "the same image is there several times: {names}. Figures on held-out frames would be of frames "
+    "that the fit has seen",
+    BY_COLOR,
+)
+NEAR_DUPLICATES = RemarkKind(
+    "near_duplicates",
+    Severity.WARNING,
+    "{count} pairs of frames show the same press: {names}. Keep one of each, so that held-out "
+    "frames are new ones",
+    BY_COLOR,
+)
+
+# Boards and edges.
+BOARD_NOT_FOUND = RemarkKind("board_not_found", Severity.ERROR, "{board} was not found: {reason}")
+BOARD_VIEWS_LOST = RemarkKind(
+    "board_views_lost",
+    Severity.WARNING,
+    "{board}: found in {found} of {count} images. {reason}",
+)
+BOARD_DOUBTFUL = RemarkKind(
+    "board_doubtful", Severity.WARNING, "{board} may be found wrongly: {reason}"
+)
+BOARD_POINTS_MISSING = RemarkKind(
+    "board_points_missing",
+    Severity.INFO,
+    "{board}: {count} views show not all {expected} points (fewest {fewest}): {names}",
+)
+BOARD_WITHOUT_PITCH = RemarkKind(
+    "board_without_pitch", Severity.ERROR, "{board} on the gel needs pitch_mm for a scale"
+)
+FEW_VIEWS = RemarkKind(
+    "few_views",
+    Severity.INFO,
+    "{board}: {count} views; {enough} and more, tilted by up to 40 deg and reaching into every "
+    "corner, show the distortion",
+    graver=Severity.WARNING,
+)
+BOARD_COVERAGE = RemarkKind(
+    "board_coverage",
+    Severity.WARNING,
+    "{board}: the views cover {cells} of 16 parts of the image; distortion is unknown elsewhere",
+)
+EDGE_LABELS_OFF = RemarkKind(
+    "edge_labels_off",
+    Severity.WARNING,
+    "{count} labelled edges are more than 15 % longer or shorter than the others, which say "
+    "{mm_per_px:.4f} mm/px: {names}",
+    ("scale",),
+)
+
+# Markers.
+NO_MARKERS = RemarkKind(
+    "no_markers", Severity.ERROR, "{name} shows no grid of dots: {reason}", ("markers",)
+)
+MARKER_PITCH_UNSTATED = RemarkKind(
+    "marker_pitch_unstated",
+    Severity.INFO,
+    "{count} dots at rest; their pitch in mm is not stated, so they give no scale",
+    ("scale",),
+)
+MARKER_LABELS_OFF = RemarkKind(
+    "marker_labels_off",
+    Severity.WARNING,
+    "{lost} of {count} measured dots are more than {limit:g} px from any dot of the image (median "
+    "{median:.1f} px)",
+    ("markers",),
+)
+NO_MARKER_VIDEOS = RemarkKind(
+    "no_marker_videos",
+    Severity.INFO,
+    "no video of moving dots: layout only, no tracking",
+    ("markers",),
+)
+VIDEO_SIZE = RemarkKind(
+    "video_size",
+    Severity.ERROR,
+    "{video}: frames of {width}x{height} px, the image at rest has {rest_width}x{rest_height} px",
+    ("markers",),
+)
+VIDEO_REPEATS = RemarkKind(
+    "video_repeats",
+    Severity.WARNING,
+    "{video}: {still:.0%} of its {count} frames repeat the one before: the recorder was faster "
+    "than the camera, or the video shows no motion",
+    ("markers",),
+)
+NO_MOTION = RemarkKind(
+    "no_motion", Severity.WARNING, "{video}: nothing moves in {count} frames", ("markers",)
+)
+VIDEO_CUT_SHORT = RemarkKind(
+    "video_cut_short", Severity.WARNING, "a video ends early: {reason}", ("markers",)
+)
+
+# Force records.
+FEW_POINTS = RemarkKind(
+    "few_points",
+    Severity.WARNING,
+    "{record}: {count} points; {enough} and more separate modulus and law",
+    ("material",),
+)
+TOOL_UNKNOWN = RemarkKind(
+    "tool_unknown",
+    Severity.ERROR,
+    "{record}: the radius of the {tool} is missing; give tool = {{ kind, radius_mm }}",
+    ("material",),
+)
+FORCE_SIGMA_UNSTATED = RemarkKind(
+    "force_sigma_unstated",
+    Severity.INFO,
+    "{record}: no force_sigma_n; the scatter of the fit stands in for it",
+    ("material",),
+)
+MODULUS_UNUSUAL = RemarkKind(
+    "modulus_unusual",
+    Severity.WARNING,
+    "{record}: by Hertz the gel would have {modulus:.3g} MPa, gels on a window look {low:g} to "
+    "{high:g} MPa: check the units of force and depth and the tool's radius",
+    ("material",),
+)

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What calibrations and checks can remark: each kind has a code, a severity and one sentence.
+
+The kinds of a block are in a table of its own, ``calibration/<block>/remarks.py``; code that
+finds something calls the kind with the figures of its sentence::
+
+    FEW_FRAMES = RemarkKind("few_frames", Severity.WARNING, "{count} frames: ...")
+    remarks.append(FEW_FRAMES(count=3))
+
+``remark_table`` turns all of them into the list of docs/remarks.md.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import pkgutil
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from taccel_lab.calibration.result import Remark, Severity
+
+_FIELD = re.compile(r"\{(\w+)[^}]*\}")
+
+
+@dataclass(frozen=True)
+class RemarkKind:
+    """One thing that a calibration or a check can remark."""
+
+    code: str
+    """Stable name for programs, such as ``scale_disagrees``."""
+    severity: Severity
+    text: str
+    """A sentence with named figures, as for ``str.format``: what was found, and what to do."""
+    blocks: tuple[str, ...] = ()
+    """Blocks that a finding about captures concerns; empty for a remark about one calibration."""
+    graver: Severity | None = None
+    """Its severity where the figures are bad enough, as the caller judges."""
+
+    def __call__(
+        self,
+        *,
+        frames: Sequence[str] = (),
+        blocks: Sequence[str] | None = None,
+        grave: bool = False,
+        **figures: Any,
+    ) -> Remark:
+        """The remark with its figures.
+
+        Args:
+            frames: Names of the images it is about.
+            blocks: Blocks it concerns, where these depend on the captures.
+            grave: Take the graver severity.
+            figures: By the names of the sentence.
+        """
+        severity = self.graver if grave and self.graver is not None else self.severity
+        return Remark(
+            severity,
+            self.code,
+            self.text.format(**figures),
+            tuple(frames),
+            self.blocks if blocks is None else tuple(blocks),
+        )
+
+
+def remark_kinds() -> list[tuple[str, RemarkKind]]:
+    """All kinds with the room of calibration whose table holds them, in the order of the tables."""
+    import taccel_lab.calibration as calibration
+
+    found = []
+    for module in pkgutil.iter_modules(calibration.__path__):
+        name = f"{calibration.__name__}.{module.name}.remarks"
+        if not module.ispkg or importlib.util.find_spec(name) is None:
+            continue
+        table = vars(importlib.import_module(name))
+        found += [(module.name, kind) for kind in table.values() if isinstance(kind, RemarkKind)]
+    return found
+
+
+def remark_table() -> str:
+    """docs/remarks.md: a table for each room, a row for each kind."""
+    lines = [
+        "# Remarks of calibrations and checks",
+        "",
+        "<!-- Made by `python -m taccel_lab.calibration.remarks`; edit the tables in",
+        "`calibration/<block>/remarks.py` instead. -->",
+        "",
+        "Programs can rely on the codes, which `report.json` and the output of `--json` hold.",
+        "Errors make a verdict `weak`, warnings at most `usable`. *Words in italics* stand for",
+        "figures and names.",
+    ]
+    room = ""
+    for name, kind in remark_kinds():
+        if name != room:
+            room = name
+            header = ["| code | severity | blocks | meaning |", "|---|---|---|---|"]
+            lines += ["", f"## {name}", "", *header]
+        severities = [kind.severity] if kind.graver is None else [kind.severity, kind.graver]
+        meaning = _FIELD.sub(lambda field: f"*{field[1].replace('_', ' ')}*", kind.text)
+        meaning = meaning.replace("**", "* *")
+        cells = (f"`{kind.code}`", " or ".join(severities), ", ".join(kind.blocks), meaning)
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    import sys
+
+    # As the tables know it: run as a script, this file would hold a second RemarkKind.
+    from taccel_lab.calibration import remarks
+
+    sys.stdout.write(remarks.remark_table())

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the page of a profile, and that of a whole calibration, can remark."""
+
+from __future__ import annotations
+
+from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.result import Severity
+
+BLOCK_UNFIT = RemarkKind("block_unfit", Severity.ERROR, "{block} {state}: {reason}")
+WEAK_BLOCK = RemarkKind("weak_block", Severity.ERROR, "{block}: calibrated, but weak")
+USABLE_BLOCK = RemarkKind("usable_block", Severity.WARNING, "{block}: usable, with reservations")
+ASSUMED_BLOCK = RemarkKind(
+    "assumed_block", Severity.WARNING, "{block}: assumed, not measured ({source})"
+)
+BLOCK_REMARK = RemarkKind("block_remark", Severity.INFO, "{block}: {remark}")
+MISSING_BLOCK = RemarkKind(
+    "missing_block",
+    Severity.INFO,
+    "{block}: missing, so no calibrated pictures; taccel-lab calibrate {block}",
+)
+BLOCKS_DROPPED = RemarkKind(
+    "blocks_dropped",
+    Severity.WARNING,
+    "{lost} of the base profile were dropped: they hold for {old_width}x{old_height} px at "
+    "{old_x:.4g} x {old_y:.4g} mm/px, these captures have {width}x{height} px at {x:.4g} x "
+    "{y:.4g}. State the same scale, or calibrate these blocks again",
+)
