@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.ipc.linear.pattern import BlockPattern, block_pattern
+from taccel_lab.model.matrix_pattern import BlockPattern, block_pattern
 
 YOUNG_PA = 1.5e5
 POISSON = 0.46

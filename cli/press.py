@@ -263,7 +263,6 @@ def _write(
 ) -> None:
     import numpy as np
 
-    from taccel_lab import __version__
     from taccel_lab.geometry import Region
     from taccel_lab.geometry.vtu import write_mesh_vtu
     from taccel_lab.output import write_json
@@ -276,6 +275,7 @@ def _write(
         save_figure,
     )
     from taccel_lab.report.model import ForceDepth
+    from taccel_lab.version import __version__
 
     grid = profile.grid()
     arrays: dict[str, Any] = {

@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import taccel_lab
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
 from taccel_lab.studies.folder import StudyFolder
@@ -19,6 +18,7 @@ from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.plan import Evaluate
 from taccel_lab.studies.spec import Output
 from taccel_lab.studies.stored import StoredDesign, stored_of
+from taccel_lab.version import __version__
 
 Tell = Callable[[str, int, int], None]
 """Told what is being done, how many of the batch's simulations are over, and how many there are."""
@@ -91,7 +91,7 @@ def _kept(folder: StudyFolder, job: Job, batch: Batch, result: DesignResult) -> 
         result,
         {name: job.figure_keys[name] for name in batch.metrics},
         {name: job.press_keys[name] for name in batch.presses},
-        taccel_lab.__version__,
+        __version__,
         now(),
     )
     if stored.unbuildable:
@@ -128,7 +128,7 @@ def broken_design(design: DesignPoint, metrics: tuple[str, ...], cause: str) -> 
         status="broken",
         figures=dict.fromkeys(metrics),
         causes={"design": cause},
-        tool_version=taccel_lab.__version__,
+        tool_version=__version__,
         finished=now(),
     )
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.bodies.bodies import SoftBody
+from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.ipc.distance.point_triangle import point_triangle_distance_sq
 from taccel_lab.model import Model
-from taccel_lab.scene import SoftBody
-from taccel_lab.scene.primitives import unique_edges
 
 wp.set_module_options({"enable_backward": False})
 

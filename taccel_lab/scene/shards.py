@@ -14,10 +14,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from taccel_lab.bodies.bodies import Body, Surface
+from taccel_lab.bodies.joints import Drive, Joint
 from taccel_lab.errors import InputError
-from taccel_lab.scene.bodies import Body, Surface
-from taccel_lab.scene.description import Scene
-from taccel_lab.scene.joints import Drive, Joint
+from taccel_lab.scene.scene import Scene
 
 T = TypeVar("T")
 

@@ -4,12 +4,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from taccel_lab.model.model import BodyKind
-
-if TYPE_CHECKING:
-    from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.solvers.solver_parts import SolverParts
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ def _count(number: int, what: str) -> str:
     return f"{number:,} {what if number != 1 else one}"
 
 
-def _capture(solver: SolverIPC) -> tuple[bool, str]:
+def _capture(solver: SolverParts) -> tuple[bool, str]:
     """Whether steps become graphs, and why not."""
     if solver.captures:
         return True, "a step is one launch, from the second with the same state on"
@@ -61,7 +58,7 @@ def _capture(solver: SolverIPC) -> tuple[bool, str]:
     return False, "the host refits the trees of soft bodies that may touch"
 
 
-def make_plan(solver: SolverIPC) -> Plan:
+def make_plan(solver: SolverParts) -> Plan:
     """Read the plan off what the solver has built."""
     model, scene = solver.model, solver.model.scene
     jobs, time = model.plan, model.scene.time

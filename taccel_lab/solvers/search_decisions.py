@@ -7,7 +7,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.capacity import ListRoom, overflows
-from taccel_lab.ipc.kinematics import turn_within
+from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.decisions import stop
 from taccel_lab.solvers.progress import Progress, Rules
 from taccel_lab.solvers.report import EnvStatus

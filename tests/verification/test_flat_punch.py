@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.benchmarks.half_space_mesh import half_space_mesh
-from taccel_lab.scene.primitives import cylinder_mesh
+from taccel_lab.bodies.primitives import cylinder_mesh
 from taccel_lab.solvers import SolverConfig
 from tests.verification.half_space import DOMAIN_OVER_RADIUS, GROWTH, HalfSpace
 

@@ -9,15 +9,12 @@ curved face may reach into a ball by an inset (``surface_topology``), its nodes 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.scene.box_pairs import box_pairs
-from taccel_lab.scene.surface_topology import ball_insets
-
-if TYPE_CHECKING:
-    from taccel_lab.model import Model
+from taccel_lab.bodies.box_pairs import box_pairs
+from taccel_lab.bodies.surface_topology import ball_insets
+from taccel_lab.model import Model
 
 
 @dataclass(frozen=True)
