@@ -75,11 +75,12 @@ class Demo:
         from taccel_lab.calibration.simulate import simulate_presses
         from taccel_lab.cli.calibrate.base import on_grid
         from taccel_lab.cli.demo_report import DemoResults
-        from taccel_lab.cli.press import check_depth, load_sensor
         from taccel_lab.cli.progress import count_progress, fit_progress
         from taccel_lab.envs import PressPath
+        from taccel_lab.envs.press import check_depth
         from taccel_lab.profile import save_profile
         from taccel_lab.sensors.design import design_sensor
+        from taccel_lab.sensors.profile import load_sensor
         from taccel_lab.sensors.registry import sensor_family
 
         # What can be refused is refused before minutes of work.

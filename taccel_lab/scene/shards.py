@@ -58,11 +58,6 @@ def shard_of(scene: Scene, rank: int, world_size: int) -> Scene:
     return cut_scene(scene, part.start, part.stop)
 
 
-def split_scene(scene: Scene, count: int) -> list[Scene]:
-    """A scene in ``count`` parts of about the same size, in the order of its environments."""
-    return [shard_of(scene, rank, count) for rank in range(max(count, 1))]
-
-
 def cut_scene(scene: Scene, first: int, last: int) -> Scene:
     """The environments ``first`` to ``last - 1`` of a scene, as a scene of their own.
 
