@@ -100,7 +100,7 @@ def self_ranges(model: Model, dhat: float) -> wp.array:
     """
     shape, device = (model.rest_count, model.node_count), model.device
     ranges = wp.full(shape, dhat, dtype=wp.float64, device=device)
-    touching_itself = [a for a, b in model.plan.pairs if a == b]
+    touching_itself = [a for a, b in model.contact_plan.pairs if a == b]
     if not touching_itself:
         return ranges
     rest = model.rest_positions.numpy()

@@ -55,7 +55,7 @@ class SurfacePairs:
         self.points = np.union1d(np.unique(self.faces), balls)
         """Nodes that can touch something."""
         self.may_touch = np.zeros((len(model.bodies), len(model.bodies)), dtype=bool)
-        for i, j in model.plan.pairs:
+        for i, j in model.contact_plan.pairs:
             self.may_touch[i, j] = self.may_touch[j, i] = i != j
 
     def nearer_than(self, x: np.ndarray, present: np.ndarray, limit_m: float, env: int = 0) -> Gaps:

@@ -139,7 +139,7 @@ def _intersections(
     for part, body in zip(model.bodies, model.scene.bodies, strict=True):
         if isinstance(body, SoftBody):
             found += _inverted_tets(part.name, x[part.node_slice][body.nodal_mesh.tets])
-    for i, j in model.plan.pairs:
+    for i, j in model.contact_plan.pairs:
         if present[i] and present[j]:
             found += _itself(bodies[i]) if i == j else _overlaps(bodies[i], bodies[j])
     return found

@@ -42,7 +42,7 @@ def overlapping(model: Model, state: State, who: np.ndarray) -> np.ndarray:
     positions = state.positions.numpy()
     present = model.present.numpy() != 0
     found = np.zeros(model.env_count, dtype=bool)
-    if not model.plan.pairs:
+    if not model.contact_plan.pairs:
         return found
     known: dict[tuple[bytes, bytes], bool] = {}
     for env in np.flatnonzero(who & np.isfinite(positions).all(axis=(1, 2))):

@@ -406,7 +406,7 @@ def build_model(
         ),
         affine=_affine_arrays(scene, layout, put),
         targets=_targets(layout, wp_device, put),
-        plan=plan,
+        contact_plan=plan,
         present=put(present, wp.int32),
         pair_friction=put(friction, wp.float64),
         largest_thickness_m=max(

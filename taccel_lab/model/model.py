@@ -136,7 +136,7 @@ class Model:
     affine: AffineArrays
     targets: list[RigidTarget]
     """Affine bodies, then kinematic bodies: those with a frame; index is the frame's number."""
-    plan: ContactPlan
+    contact_plan: ContactPlan
     present: wp.array
     """1 where a body is present, int32, shape [env_count, body_count]."""
     pair_friction: wp.array

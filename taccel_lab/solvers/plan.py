@@ -61,7 +61,7 @@ def _capture(solver: SolverParts) -> tuple[bool, str]:
 def make_plan(solver: SolverParts) -> Plan:
     """Read the plan off what the solver has built."""
     model, scene = solver.model, solver.model.scene
-    jobs, time = model.plan, model.scene.time
+    jobs, time = model.contact_plan, model.scene.time
     prescribed = [b for b in model.bodies if b.kind in (BodyKind.KINEMATIC, BodyKind.PLANE)]
     bonded = model.soft_count + 4 * model.affine.count - model.free_count
     mounted = [body.name for body in scene.soft_bodies if body.mount is not None]

@@ -20,7 +20,7 @@ from taccel_lab.ipc.potentials.inversion import BEARS_INVERSION, may_hide_invers
 from taccel_lab.ipc.scratch import Scratch
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.progress import ProgressArrays, make_rules
+from taccel_lab.solvers.env_progress import EnvProgressArrays, make_rules
 
 
 class SolverParts:
@@ -109,7 +109,7 @@ class SolverParts:
         ranges = [body.nodes for body in model.bodies]
         self.body_nodes = wp.array(ranges, dtype=wp.vec2i, device=device)
         """Range of each body in the nodes, vec2i, shape [body_count]."""
-        self.progress = ProgressArrays(
+        self.progress = EnvProgressArrays(
             model.env_count,
             len(model.bodies),
             model.kinematic_radii_m,
@@ -130,7 +130,7 @@ class SolverParts:
         return (
             self.config.capture
             and self.linear.capturable
-            and (self.model.device.is_cuda or not self.model.plan.soft_to_soft)
+            and (self.model.device.is_cuda or not self.model.contact_plan.soft_to_soft)
         )
 
     @property
@@ -148,7 +148,7 @@ class SolverParts:
         model = self.model
         if model.affine.count and model.scene.soft_bodies and not model.contact_in_pattern:
             return initial_capacity(model.env_count)
-        return 32 if model.affine.count or model.plan.soft_to_soft else 1
+        return 32 if model.affine.count or model.contact_plan.soft_to_soft else 1
 
     def _energy_rounding(self) -> np.ndarray:
         """2e-17 of the shear modulus times the volume: a block of 20 mm and 1 MPa, turned, shows
