@@ -119,7 +119,7 @@ class SolverIPC(SolverParts):
         elif not self._separate.all():
             from taccel_lab.ipc.start_checks import overlapping
 
-            self._separate |= ~overlapping(self.model, state, ~self._separate)
+            self._separate[:] |= ~overlapping(self.model, state, ~self._separate)
 
     # Parts of a step -----------------------------------------------------------------------------
 
