@@ -16,8 +16,8 @@ import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
+from taccel_lab.ipc.start_checks import check_start
 from taccel_lab.model import Model
-from taccel_lab.scene.checks import check_start
 from taccel_lab.solvers import EnvStatus, SolverIPC, StepReport
 from taccel_lab.state import initial_state
 

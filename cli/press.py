@@ -18,11 +18,6 @@ if TYPE_CHECKING:
     from taccel_lab.envs import Indenter, PressOutcome, PressPhysics
     from taccel_lab.geometry import TetMesh
     from taccel_lab.profile import SensorProfile
-    from taccel_lab.signals.color_model import ColorModel
-
-
-PREDICTED_PX = 640
-"""Longest side of the picture that the optical model predicts."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,12 @@ class Press:
 
         from taccel_lab.envs import PressPath, parse_indenter, profile_material, simulate_press
         from taccel_lab.envs.fitted_physics import physics_difference
+        from taccel_lab.envs.press import check_depth
+        from taccel_lab.envs.press_files import write_press
+        from taccel_lab.model.devices import require_device
         from taccel_lab.output import atomic_directory, require_replaceable
+        from taccel_lab.sensors.profile import load_sensor
+        from taccel_lab.signals.color_model import ColorModel
         from taccel_lab.signals.rest_surface import rest_surface
 
         require_replaceable(self.out)
@@ -102,7 +102,7 @@ class Press:
         if note is not None:
             console.print(f"note: {note}", highlight=False)
         check_depth(self.depth_mm, profile)
-        model = _color_model(profile)
+        model = ColorModel.from_profile(profile)
         gel = self._mesh(profile, indenter, physics)
         material = profile_material(profile.material, gel)
         started = time.perf_counter()
@@ -125,7 +125,15 @@ class Press:
         if model is not None and profile.background_rgb is not None:
             rgb = outcome.render(model, profile.background_rgb)
         with atomic_directory(self.out) as folder:
-            _write(folder, self, profile, outcome, rgb, friction, seconds, note)
+            about = {
+                "sensor": self.sensor,
+                "indenter": self.indenter,
+                "at_mm": self.at_mm,
+                "friction_coefficient": friction,
+                "differs_from_calibration": note,
+                "seconds": seconds,
+            }
+            write_press(folder, outcome, profile, rgb, about)
         return outcome, rgb
 
     def _physics(self) -> PressPhysics:
@@ -164,61 +172,6 @@ class Press:
             ) from error
 
 
-def load_sensor(name: str) -> SensorProfile:
-    """A profile folder, or the default design of a catalogue sensor."""
-    from taccel_lab.profile import load_profile
-    from taccel_lab.sensors.profile import catalogue_profile
-    from taccel_lab.sensors.registry import sensor_families
-
-    if Path(name).exists():
-        return load_profile(Path(name))
-    if name in sensor_families():
-        return catalogue_profile(name)
-    raise InputError(
-        f"{name!r} is neither a profile folder nor a sensor of the catalogue "
-        f"({', '.join(sorted(sensor_families()))})"
-    )
-
-
-def check_depth(depth_mm: float, profile: SensorProfile) -> None:
-    """Refuse a depth that no place of the pad allows, before a mesh is made for it."""
-    from taccel_lab.envs.press import MAX_DEPTH_FRACTION
-
-    thickness_mm = profile.gel.thickness_mm
-    if not depth_mm <= MAX_DEPTH_FRACTION * thickness_mm:
-        raise InputError(
-            f"depth {depth_mm:g} mm goes past the gel, which is {thickness_mm:g} mm thick; at most "
-            f"{MAX_DEPTH_FRACTION * thickness_mm:.3g} mm ({MAX_DEPTH_FRACTION:.0%}) is allowed"
-        )
-
-
-def require_device(name: str) -> None:
-    """Refuse a device that this machine does not have."""
-    import warp as wp
-
-    try:
-        wp.get_device(name)
-    except ValueError:
-        known = ", ".join(device.alias for device in wp.get_devices())
-        raise InputError(f"device {name!r} is not there; this machine has: {known}") from None
-
-
-def _color_model(profile: SensorProfile) -> ColorModel | None:
-    """The profile's colour model, None when it has none."""
-    if profile.color is None or profile.background_rgb is None or profile.color_weights is None:
-        return None
-    from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
-
-    config = ColorModelConfig.from_dict(profile.color.architecture)
-    camera = profile.camera
-    if (config.width_px, config.height_px) != (camera.width_px, camera.height_px):
-        raise InputError(
-            f"color.architecture is for {config.width_px}x{config.height_px} px but the camera "
-            f"block says {camera.width_px}x{camera.height_px} px; both have to agree"
-        )
-    return ColorModel(config, profile.color_weights)
-
-
 def step_progress(console: Console, title: str) -> Any:
     """A bar over the steps of a press, with the figures of the latest step beside it."""
     from contextlib import contextmanager
@@ -249,118 +202,6 @@ def step_progress(console: Console, title: str) -> Any:
             yield update
 
     return bar()
-
-
-def _write(
-    folder: Path,
-    options: Press,
-    profile: SensorProfile,
-    outcome: PressOutcome,
-    rgb: Any,
-    friction: float,
-    seconds: float,
-    note: str | None,
-) -> None:
-    import numpy as np
-
-    from taccel_lab import __version__
-    from taccel_lab.geometry import Region
-    from taccel_lab.geometry.vtu import write_mesh_vtu
-    from taccel_lab.output import write_json
-    from taccel_lab.report import (
-        draw_contact_forces,
-        draw_force_depth,
-        draw_height_map,
-        draw_image,
-        draw_normals,
-        save_figure,
-    )
-    from taccel_lab.report.model import ForceDepth
-
-    grid = profile.grid()
-    arrays: dict[str, Any] = {
-        "height_m": outcome.height_m,
-        "rest_height_m": outcome.rest_height_m,
-        "normals": outcome.normals,
-        "rest_normals": outcome.rest_normals,
-        "contact_mask": outcome.contact_mask,
-        "contact_forces_n": outcome.contact_forces_n,
-        "contact_pressures_pa": outcome.contact_pressures_pa,
-    }
-    if rgb is not None:
-        arrays["rgb"] = np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
-        save_figure(draw_image(rgb, grid), folder / "image.png")
-        import cv2
-
-        cv2.imwrite(str(folder / "image_raw.png"), arrays["rgb"][..., ::-1])
-    else:
-        _write_predicted(folder / "predicted.png", profile, outcome)
-    np.savez_compressed(folder / "signals.npz", **arrays)
-    write_mesh_vtu(
-        folder / "gel.vtu",
-        outcome.mesh,
-        positions_m=outcome.positions_m,
-        point_data={
-            "displacement_m": outcome.positions_m - outcome.mesh.nodes_m,
-            "contact_force_n": outcome.contact_forces_n,
-            "contact_pressure_pa": outcome.contact_pressures_pa,
-        },
-    )
-    save_figure(draw_height_map(outcome.height_m, grid), folder / "height_map.png")
-    save_figure(draw_normals(outcome.normals, grid), folder / "normals.png")
-    faces = outcome.mesh.region_faces(Region.CONTACT)
-    save_figure(
-        draw_contact_forces(
-            outcome.positions_m, faces, outcome.contact_forces_n, outcome.contact_pressures_pa
-        ),
-        folder / "contact_pressure.png",
-    )
-    down = [s for s in outcome.steps if s.shear_mm == (0.0, 0.0) and s.twist_deg == 0.0]
-    curve = ForceDepth(
-        label=options.indenter,
-        depth_mm=np.array([0.0] + [s.depth_mm for s in down]),
-        force_n=np.array([0.0] + [s.wrench[2] for s in down]),
-    )
-    save_figure(draw_force_depth(curve), folder / "force_depth.png")
-    write_json(
-        folder / "press.json",
-        {
-            "sensor": options.sensor,
-            "indenter": options.indenter,
-            "at_mm": options.at_mm,
-            "path": {
-                "depth_mm": options.depth_mm,
-                "shear_mm": options.shear_mm,
-                "twist_deg": options.twist_deg,
-            },
-            "friction_coefficient": friction,
-            "material": profile.material.model_dump(
-                include={"young_modulus_pa", "poisson_ratio", "layers"}, exclude_defaults=True
-            ),
-            "mesh": {"node_count": outcome.mesh.node_count, "tet_count": outcome.mesh.tet_count},
-            "physics": outcome.physics.record(),
-            "differs_from_calibration": note,
-            "press": outcome.figures(),
-            "indenter_pose": outcome.indenter_pose,
-            "seconds": seconds,
-            "tool_version": __version__,
-        },
-    )
-
-
-def _write_predicted(path: Path, profile: SensorProfile, outcome: PressOutcome) -> None:
-    """The picture that the optical model of an uncalibrated sensor expects, if it has one."""
-    design = profile.optical_design()
-    if design is None:
-        return
-    import cv2
-
-    from taccel_lab.optics.render import OpticalModel
-
-    size = design.camera.size_within(PREDICTED_PX)
-    markers = None if profile.markers is None else profile.markers.grid()
-    model = OpticalModel(design, outcome.mesh, size_px=size, markers=markers)
-    cv2.imwrite(str(path), model.render(outcome.positions_m).rgb[..., ::-1])
 
 
 def _print_outcome(console: Console, outcome: PressOutcome) -> None:

@@ -99,8 +99,8 @@ class Study:
         return shlex.join(words)
 
     def _evaluate(self, study: StudyToRun, root: Path, file: Path, console: Console) -> Outcome:
-        from taccel_lab.cli.press import require_device
         from taccel_lab.cli.study_progress import StudyProgress
+        from taccel_lab.model.devices import require_device
         from taccel_lab.studies.runner import run_study
 
         require_device(self.device or study.spec.run.device)

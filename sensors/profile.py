@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Literal
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import MeshQuality, measure_quality, require_quality
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import (
     Block,
@@ -26,10 +28,11 @@ from taccel_lab.profile import (
     SensorBlock,
     SensorProfile,
     WindowBlock,
+    load_profile,
 )
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
-from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.sensors.registry import sensor_families, sensor_family
 
 _GRID = ("width_px", "height_px", "mm_per_px", "mm_per_px_y")
 _METHOD = "defaults of the catalogue's family, with the overrides given"
@@ -158,3 +161,15 @@ def catalogue_profile(name: str, overrides: Mapping[str, Any] | None = None) -> 
     quality = measure_quality(mesh, parameters.pad())
     require_quality(mesh, quality)
     return designed_profile(family, parameters, mesh, quality, mesher="structured")
+
+
+def load_sensor(name: str) -> SensorProfile:
+    """A profile folder, or the default design of a catalogue sensor."""
+    if Path(name).exists():
+        return load_profile(Path(name))
+    if name in sensor_families():
+        return catalogue_profile(name)
+    raise InputError(
+        f"{name!r} is neither a profile folder nor a sensor of the catalogue "
+        f"({', '.join(sorted(sensor_families()))})"
+    )

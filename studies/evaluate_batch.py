@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import taccel_lab
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.studies.design_batch import DesignBatch
@@ -20,6 +19,7 @@ from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.spec import Output
 from taccel_lab.studies.study import Evaluate
 from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.version import __version__
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def _row(
         result,
         {name: evaluation.figure_keys[name] for name in batch.metrics},
         {name: evaluation.press_keys[name] for name in batch.presses},
-        taccel_lab.__version__,
+        __version__,
         now(),
     )
     if row.unbuildable:
@@ -115,7 +115,7 @@ def broken_row(design: DesignPoint, metrics: tuple[str, ...], cause: str) -> Des
         status="broken",
         figures=dict.fromkeys(metrics),
         causes={"design": cause},
-        tool_version=taccel_lab.__version__,
+        tool_version=__version__,
         finished=now(),
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 from taccel_lab.envs import PressEnv, layered_material, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
-from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Material
 from taccel_lab.signals import ContactSurface

@@ -8,14 +8,52 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from taccel_lab.bodies.scene_description import TimeScheme
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.affine.embedding import control_positions, embed_vertices, rotate
-from taccel_lab.ipc.kinematics import place_kinematic_nodes
-from taccel_lab.ipc.potentials.inertia import StepHistory
 from taccel_lab.model import Model
-from taccel_lab.scene.description import TimeScheme
+from taccel_lab.model.embedding import control_positions, embed_vertices, rotate
+from taccel_lab.model.kinematics import place_kinematic_nodes
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass
+class StepHistory:
+    """The step before the last one; BDF2 needs it, implicit Euler does not."""
+
+    positions: wp.array
+    """Node positions one step earlier [m], vec3d, shape [env_count, node_count]."""
+    velocities: wp.array
+    """Node velocities one step earlier [m/s], vec3d, shape [env_count, node_count]."""
+    dts: wp.array
+    """Length of the last step [s], float64, shape [env_count]; 0 where there was none, and after an
+    impact."""
+    forces: wp.array
+    """Sum of the magnitudes of the contact forces on the nodes of each body at the end of the last
+    step [N], float64, shape [env_count, body_count]."""
+
+    @classmethod
+    def empty(cls, model: Model) -> StepHistory:
+        """No past in any environment."""
+        shape = (model.env_count, model.node_count)
+        return cls(
+            positions=wp.zeros(shape, dtype=wp.vec3d, device=model.device),
+            velocities=wp.zeros(shape, dtype=wp.vec3d, device=model.device),
+            dts=wp.zeros(model.env_count, dtype=wp.float64, device=model.device),
+            forces=wp.zeros(
+                (model.env_count, len(model.bodies)), dtype=wp.float64, device=model.device
+            ),
+        )
+
+    def arrays(self) -> list[wp.array]:
+        """All of it."""
+        return [self.positions, self.velocities, self.dts, self.forces]
+
+    def forget(self, mask: np.ndarray) -> None:
+        """Leave the environments of ``mask`` (bool, [env_count]) without a past."""
+        dts = self.dts.numpy()
+        dts[mask] = 0.0
+        self.dts.assign(dts)
 
 
 @dataclass

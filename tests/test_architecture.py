@@ -94,6 +94,16 @@ def test_public_names_exist() -> None:
 
     for name in taccel_lab.__all__:
         assert getattr(taccel_lab, name) is not None
+    assert set(dir(taccel_lab)) == set(taccel_lab.__all__)
+    from taccel_lab import Scene, SignalTactile, SolverIPC, State  # loaded on first use
+    from taccel_lab.scene import Scene as OfItsRoom
+
+    assert Scene is OfItsRoom
+    assert [c.__name__ for c in (SignalTactile, SolverIPC, State)] == [
+        "SignalTactile",
+        "SolverIPC",
+        "State",
+    ]
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = taccel_lab.nonsense
 

@@ -12,9 +12,9 @@ import numpy as np
 from taccel_lab.benchmarks.report.plots import save
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import build_scene
+from taccel_lab.bodies.primitives import sphere_mesh
 from taccel_lab.model import BodyKind
 from taccel_lab.scene import Ball
-from taccel_lab.scene.primitives import sphere_mesh
 
 MOMENTS = {
     "peg": (160, (1.3, -1.0, 0.6)),

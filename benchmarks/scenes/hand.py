@@ -189,8 +189,8 @@ def _touch(place: Place) -> tuple[np.ndarray, np.ndarray]:
 
 def overlapping_gels(bench: BenchScene) -> list[tuple[str, str]]:
     """Pairs of gels whose meshes cross at the end of the motion, though they may not touch."""
-    from taccel_lab.scene.crossings import crossing_pairs
-    from taccel_lab.scene.primitives import unique_edges
+    from taccel_lab.bodies.crossings import crossing_pairs
+    from taccel_lab.bodies.primitives import unique_edges
 
     poses = bench.path[-1]
     placed = []

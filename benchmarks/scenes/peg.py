@@ -18,6 +18,7 @@ import numpy as np
 
 from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_stl, read_vtk
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
+from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.scene import (
@@ -31,7 +32,6 @@ from taccel_lab.scene import (
     TimeStepping,
     TriangleMesh,
 )
-from taccel_lab.scene.mass_properties import mass_properties
 from taccel_lab.solvers import SolverConfig
 
 DT_S = 1 / 50

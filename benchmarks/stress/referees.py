@@ -15,10 +15,10 @@ import numpy as np
 from taccel_lab.benchmarks.stress.balance import Balance, Snapshot
 from taccel_lab.benchmarks.stress.case import Case
 from taccel_lab.benchmarks.stress.crossings import really_cross
+from taccel_lab.ipc.gaps import SurfacePairs
 from taccel_lab.ipc.intersection import IntersectionKind, find_intersections
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
-from taccel_lab.scene.gaps import SurfacePairs
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.state import State

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab import __version__
 from taccel_lab.calibration.kept import read_kept, write_kept
 from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
 from taccel_lab.output import atomic_file, cache_folder, content_key
+from taccel_lab.version import __version__
 
 RECIPE = 4
 """Raised whenever the same press comes out otherwise."""

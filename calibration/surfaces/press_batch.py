@@ -151,7 +151,7 @@ def surfaces_of(
     at heights of their own, and a surface through them is bumpy by 2 to 3 degrees under deep
     presses, which no image shows.
     """
-    from taccel_lab.scene.bodies import nodal_mesh
+    from taccel_lab.bodies.bodies import nodal_mesh
     from taccel_lab.signals import SignalFusedSurface, SignalHeightMap, SphereSurface
     from taccel_lab.signals.rest_surface import RestCorrection
 

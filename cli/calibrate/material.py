@@ -58,9 +58,9 @@ class CalibrateMaterial:
         from taccel_lab.calibration.material.report import material_page
         from taccel_lab.cli.calibrate.base import open_job
         from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.press import require_device
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.envs.physics import PHYSICS, Accuracy
+        from taccel_lab.model.devices import require_device
 
         wp.config.log_level = wp.LOG_WARNING
         require_device(self.device)

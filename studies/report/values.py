@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-import taccel_lab
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.ranking import (
     directed,
@@ -22,6 +21,7 @@ from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.report.sensitivity import Sensitivity, sensitivity
 from taccel_lab.studies.runner import Outcome
 from taccel_lab.studies.table import table_rows
+from taccel_lab.version import __version__
 
 COMPARED = 3
 """Best and worst designs that the page shows side by side, of each at most."""
@@ -192,6 +192,6 @@ def _cost(outcome: Outcome) -> dict[str, Any]:
         "processes": outcome.processes,
         "device": outcome.device,
         "machine": f"{platform.system()} {platform.machine()}",
-        "tool_version": taccel_lab.__version__,
+        "tool_version": __version__,
         "versions_of_rows": sorted({row.tool_version for row in rows}),
     }

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,6 +39,9 @@ from taccel_lab.scene import (
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
 
 MAX_DEPTH_FRACTION = 0.9
 """Deepest press as a part of the gel's thickness."""
@@ -343,4 +347,14 @@ class PressEnv:
         return PressError(
             FORCE_ERROR_SHARE[type(self._shape)] * share * np.abs(self.press_force[:, 2]),
             HEIGHT_ERROR_SHARE * share * depth,
+        )
+
+
+def check_depth(depth_mm: float, profile: SensorProfile) -> None:
+    """Refuse a depth that no place of the pad allows, before a mesh is made for it."""
+    thickness_mm = profile.gel.thickness_mm
+    if not depth_mm <= MAX_DEPTH_FRACTION * thickness_mm:
+        raise InputError(
+            f"depth {depth_mm:g} mm goes past the gel, which is {thickness_mm:g} mm thick; at most "
+            f"{MAX_DEPTH_FRACTION * thickness_mm:.3g} mm ({MAX_DEPTH_FRACTION:.0%}) is allowed"
         )

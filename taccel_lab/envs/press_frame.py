@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.model.embedding import rotate
 
 
 def normal_frame(point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.scene import Ball, TriangleMesh
-from taccel_lab.scene.primitives import unique_edges
 
 _CHUNK = 512
 

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import taccel_lab
 from taccel_lab.errors import InputError
 from taccel_lab.interop import (
     gs_sdk,
@@ -26,6 +25,7 @@ from taccel_lab.interop.formats import FORMATS
 from taccel_lab.interop.record import ExportRecord
 from taccel_lab.output import OUTPUT_MARKER, atomic_directory, require_replaceable, write_json
 from taccel_lab.profile import SensorProfile
+from taccel_lab.version import __version__
 
 RECORD_FILE = "export.json"
 
@@ -82,7 +82,7 @@ def export_profile(
             "format": to,
             "description": FORMATS[to],
             "peer": exporter.peer,
-            "tool_version": taccel_lab.__version__,
+            "tool_version": __version__,
             "sensor": profile.sensor.name,
             "files": files,
             "carries": dict(sorted(record.carries.items())),

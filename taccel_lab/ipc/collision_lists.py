@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.bodies.surface_topology import NO_BALL_INSET
 from taccel_lab.ipc.distance.closest_pair import ClosestPair
 from taccel_lab.ipc.distance.edge_edge import closest_edge_edge
 from taccel_lab.ipc.distance.point_edge import closest_point_edge
@@ -20,7 +21,6 @@ from taccel_lab.ipc.distance.point_plane import closest_point_plane
 from taccel_lab.ipc.distance.point_point import closest_point_point
 from taccel_lab.ipc.distance.point_triangle import closest_point_triangle
 from taccel_lab.model import Model
-from taccel_lab.scene.surface_topology import NO_BALL_INSET
 
 wp.set_module_options({"enable_backward": False})
 

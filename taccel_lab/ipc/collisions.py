@@ -163,7 +163,7 @@ class Collisions(GrowingList):
     def collect(self, active: wp.array, positions: wp.array, candidates: Candidates) -> None:
         """Collect the collisions among ``candidates`` at ``positions``, for active environments;
         the lists of others stay as they are."""
-        model, plan = self.model, self.model.plan
+        model, plan = self.model, self.model.contact_plan
         self.clear(active)
         common = [positions, self.geometry, self._surface]
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.bodies.bodies import SoftBody
+from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.ipc.distance.point_triangle import point_triangle_distance_sq
 from taccel_lab.model import Model
-from taccel_lab.scene import SoftBody
-from taccel_lab.scene.primitives import unique_edges
 
 wp.set_module_options({"enable_backward": False})
 
@@ -100,7 +100,7 @@ def self_ranges(model: Model, dhat: float) -> wp.array:
     """
     shape, device = (model.rest_count, model.node_count), model.device
     ranges = wp.full(shape, dhat, dtype=wp.float64, device=device)
-    touching_itself = [a for a, b in model.plan.pairs if a == b]
+    touching_itself = [a for a, b in model.contact_plan.pairs if a == b]
     if not touching_itself:
         return ranges
     rest = model.rest_positions.numpy()

@@ -17,16 +17,16 @@ from enum import StrEnum
 
 import numpy as np
 
+from taccel_lab.bodies.bodies import SoftBody
+from taccel_lab.bodies.crossings import crossing_pairs, self_crossings
+from taccel_lab.bodies.mass_properties import winding_number
+from taccel_lab.bodies.mesh_checks import first_of
+from taccel_lab.bodies.primitives import Ball, unique_edges
+from taccel_lab.bodies.surface_topology import ball_insets
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.quadratic import TET_EDGES
+from taccel_lab.ipc.gaps import point_triangle_distances
 from taccel_lab.model import BodyKind, Model
-from taccel_lab.scene import SoftBody
-from taccel_lab.scene.crossings import crossing_pairs, self_crossings
-from taccel_lab.scene.gaps import point_triangle_distances
-from taccel_lab.scene.mass_properties import winding_number
-from taccel_lab.scene.mesh_checks import first_of
-from taccel_lab.scene.primitives import Ball, unique_edges
-from taccel_lab.scene.surface_topology import ball_insets
 from taccel_lab.state import State
 
 
@@ -139,7 +139,7 @@ def _intersections(
     for part, body in zip(model.bodies, model.scene.bodies, strict=True):
         if isinstance(body, SoftBody):
             found += _inverted_tets(part.name, x[part.node_slice][body.nodal_mesh.tets])
-    for i, j in model.plan.pairs:
+    for i, j in model.contact_plan.pairs:
         if present[i] and present[j]:
             found += _itself(bodies[i]) if i == j else _overlaps(bodies[i], bodies[j])
     return found

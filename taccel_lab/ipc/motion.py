@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.affine.embedding import embed_vertices, pull_back
+from taccel_lab.ipc.affine.pull_back import pull_back
 from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
 from taccel_lab.model import Model
+from taccel_lab.model.embedding import embed_vertices
 
 wp.set_module_options({"enable_backward": False})
 

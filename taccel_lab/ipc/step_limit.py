@@ -265,11 +265,11 @@ def limit_step(
             lambda: against(_edge_edge_kernel, candidates.edge_edges, [model.surface.edges]),
         ],
     )
-    if len(model.plan.node_plane):
+    if len(model.contact_plan.node_plane):
         wp.launch(
             _node_plane_kernel,
-            dim=(model.env_count, len(model.plan.node_plane)),
-            inputs=[active, model.plan.node_plane, model.present, positions, displacements]
+            dim=(model.env_count, len(model.contact_plan.node_plane)),
+            inputs=[active, model.contact_plan.node_plane, model.present, positions, displacements]
             + [geometry, slackness],
             outputs=[limits],
             device=model.device,

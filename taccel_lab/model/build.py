@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.pattern import block_pattern
-from taccel_lab.model.contact_plan import BodySurface, contact_plan
-from taccel_lab.model.elastic import SoftDiscretization, build_element_groups, discretize
-from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
-from taccel_lab.model.surface import Put, surface_arrays, surface_trees
-from taccel_lab.scene.bodies import KinematicBody, Plane
-from taccel_lab.scene.description import Scene
-from taccel_lab.scene.element import Element
-from taccel_lab.scene.mass_properties import MassProperties, mass_properties
-from taccel_lab.scene.primitives import Ball, TriangleMesh
-from taccel_lab.scene.surface_topology import (
+from taccel_lab.bodies.bodies import KinematicBody, Plane
+from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.mass_properties import MassProperties, mass_properties
+from taccel_lab.bodies.primitives import Ball, TriangleMesh
+from taccel_lab.bodies.scene_description import SceneDescription
+from taccel_lab.bodies.surface_topology import (
     SurfaceTopology,
     face_reaches_sq,
     surface_areas,
     surface_topology,
 )
+from taccel_lab.model.contact_plan import BodySurface, contact_plan
+from taccel_lab.model.elastic import SoftDiscretization, build_element_groups, discretize
+from taccel_lab.model.matrix_pattern import block_pattern
+from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
+from taccel_lab.model.surface import Put, surface_arrays, surface_trees
 
 MAX_CONTACT_COUPLES = 400
 """Surface nodes beside affine bodies up to which their contact has blocks in the matrix."""
@@ -46,7 +46,7 @@ class _Part:
 class _Layout:
     """Where the nodes of each body are."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: SceneDescription) -> None:
         self.scene = scene
         self.soft: list[SoftDiscretization] = [discretize(body) for body in scene.soft_bodies]
         self.properties: list[MassProperties] = [
@@ -210,7 +210,7 @@ def _targets(layout: _Layout, device: wp.Device, put: Put) -> list[RigidTarget]:
     return targets
 
 
-def _node_marks(scene: Scene, layout: _Layout) -> dict[str, np.ndarray]:
+def _node_marks(scene: SceneDescription, layout: _Layout) -> dict[str, np.ndarray]:
     """Body, radius, ball flag and plane normal of each node."""
     marks = {
         "bodies": np.full(layout.node_count, -1),
@@ -232,7 +232,7 @@ def _node_marks(scene: Scene, layout: _Layout) -> dict[str, np.ndarray]:
     return marks
 
 
-def _affine_arrays(scene: Scene, layout: _Layout, put: Put) -> AffineArrays:
+def _affine_arrays(scene: SceneDescription, layout: _Layout, put: Put) -> AffineArrays:
     first = len(layout.soft)
     ranges = [layout.node_range(first + i) for i in range(layout.affine_count)]
     ends = [ranges[-1][1]] if ranges else []
@@ -265,7 +265,7 @@ def _affine_arrays(scene: Scene, layout: _Layout, put: Put) -> AffineArrays:
     )
 
 
-def _affine_connectivity(scene: Scene, layout: _Layout) -> np.ndarray:
+def _affine_connectivity(scene: SceneDescription, layout: _Layout) -> np.ndarray:
     """Which control nodes may couple: groups of eight (two bodies) or four."""
     control = layout.control_nodes()
     count = layout.affine_count
@@ -286,7 +286,9 @@ def _affine_connectivity(scene: Scene, layout: _Layout) -> np.ndarray:
     return np.concatenate([couples, padded]) if alone else couples
 
 
-def _contact_couples(scene: Scene, layout: _Layout, free_index: np.ndarray) -> np.ndarray:
+def _contact_couples(
+    scene: SceneDescription, layout: _Layout, free_index: np.ndarray
+) -> np.ndarray:
     """Surface nodes of gels, each with the control nodes of an affine body to touch, [n, 5]."""
     control = layout.control_nodes()
     couples = [np.zeros((0, 5), dtype=np.int64)]
@@ -300,7 +302,9 @@ def _contact_couples(scene: Scene, layout: _Layout, free_index: np.ndarray) -> n
     return np.concatenate(couples)
 
 
-def build_model(scene: Scene, device: str, contact_in_pattern: bool | None = None) -> Model:
+def build_model(
+    scene: SceneDescription, device: str, contact_in_pattern: bool | None = None
+) -> Model:
     """Put a scene on a device; see ``Scene.finalize``.
 
     ``contact_in_pattern``: whether what contact of gels and affine bodies adds to the matrix has
@@ -402,7 +406,7 @@ def build_model(scene: Scene, device: str, contact_in_pattern: bool | None = Non
         ),
         affine=_affine_arrays(scene, layout, put),
         targets=_targets(layout, wp_device, put),
-        plan=plan,
+        contact_plan=plan,
         present=put(present, wp.int32),
         pair_friction=put(friction, wp.float64),
         largest_thickness_m=max(

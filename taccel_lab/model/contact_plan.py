@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from taccel_lab.bodies.bodies import KinematicBody, Plane, SoftBody
+from taccel_lab.bodies.primitives import Ball
+from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.model.surface import Put
-from taccel_lab.scene.bodies import KinematicBody, Plane, SoftBody
-from taccel_lab.scene.description import Scene
-from taccel_lab.scene.primitives import Ball
 
 
 @dataclass
@@ -67,7 +67,7 @@ def _joined(parts: list[np.ndarray]) -> np.ndarray:
     return np.concatenate(parts) if parts else np.zeros((0, 2))
 
 
-def contact_plan(scene: Scene, surfaces: list[BodySurface], put: Put) -> ContactPlan:
+def contact_plan(scene: SceneDescription, surfaces: list[BodySurface], put: Put) -> ContactPlan:
     """Search jobs of all pairs of bodies that may touch.
 
     Of two stiff bodies the one with fewer faces is carried into the frame of the other; kinematic

@@ -10,13 +10,13 @@ from functools import cached_property
 import numpy as np
 import warp as wp
 
+from taccel_lab.bodies.bodies import SoftBody
+from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region
-from taccel_lab.ipc.linear.pattern import BlockGather, node_gather
+from taccel_lab.model.matrix_pattern import BlockGather, node_gather
 from taccel_lab.model.surface import Put
-from taccel_lab.scene.bodies import SoftBody
-from taccel_lab.scene.element import Element
-from taccel_lab.scene.material import MaterialModel
 
 
 @dataclass

@@ -27,12 +27,12 @@ from enum import IntEnum
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.pattern import BlockPattern
+from taccel_lab.bodies.mass_properties import MassProperties
+from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.model.contact_plan import ContactPlan
 from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.model.matrix_pattern import BlockPattern
 from taccel_lab.model.surface import SurfaceArrays, SurfaceTrees
-from taccel_lab.scene.description import Scene
-from taccel_lab.scene.mass_properties import MassProperties
 
 
 class BodyKind(IntEnum):
@@ -101,7 +101,7 @@ class RigidTarget:
 class Model:
     """Static data of a scene; shapes beside each field."""
 
-    scene: Scene
+    scene: SceneDescription
     device: wp.Device
     env_count: int
     bodies: list[BodyRange]
@@ -136,7 +136,7 @@ class Model:
     affine: AffineArrays
     targets: list[RigidTarget]
     """Affine bodies, then kinematic bodies: those with a frame; index is the frame's number."""
-    plan: ContactPlan
+    contact_plan: ContactPlan
     present: wp.array
     """1 where a body is present, int32, shape [env_count, body_count]."""
     pair_friction: wp.array

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.scene.surface_topology import SurfaceTopology
+from taccel_lab.bodies.surface_topology import SurfaceTopology
 
 Put = Callable[[np.ndarray, Any], wp.array]
 """Copies a host array to the device as a Warp type."""

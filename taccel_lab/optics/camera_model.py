@@ -76,12 +76,6 @@ class CameraModel:
         """
         return self.position_mm, self.directions_from_pixels(uv_px) @ self.gel_from_camera.T
 
-    def unproject(self, uv_px: np.ndarray, depth_mm: np.ndarray | float) -> np.ndarray:
-        """Points in air at a depth along the optical axis [mm], [..., 2] -> [..., 3]."""
-        directions = self.directions_from_pixels(uv_px)
-        in_camera = directions / directions[..., 2:] * np.asarray(depth_mm)[..., None]
-        return in_camera @ self.gel_from_camera.T + self.position_mm
-
     def _distort_fisheye(self, directions: np.ndarray) -> np.ndarray:
         radius = np.hypot(directions[..., 0], directions[..., 1])
         theta = np.arctan2(radius, directions[..., 2])

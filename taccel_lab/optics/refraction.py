@@ -222,9 +222,3 @@ class DomeMedia:
 
 Media = FlatMedia | DomeMedia
 """What lies between the camera and the gel."""
-
-
-def apparent_depth_mm(heights_mm: list[float], indices: list[float]) -> float:
-    """Depth at which a point under flat layers appears from straight above: ``sum h_i / n_i``,
-    seen from the medium of index 1 (Hecht, "Optics", section 4.4)."""
-    return float(sum(h / n for h, n in zip(heights_mm, indices, strict=True)))

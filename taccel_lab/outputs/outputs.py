@@ -92,12 +92,6 @@ class Outputs:
     # Stress ----------------------------------------------------------------------------------
 
     @cached_property
-    def element_stresses(self) -> list[wp.array]:
-        """Cauchy stress of the elements of each group of ``Model.elastic`` [Pa], mat33d, shape
-        [env_count, element_count]."""
-        return [reader.stresses for reader in self._read_stress()]
-
-    @cached_property
     def nodal_stresses(self) -> wp.array:
         """Cauchy stress at the nodes of soft bodies [Pa], mat33d, shape [env_count, node_count];
         zero elsewhere."""

@@ -15,14 +15,14 @@ from functools import cache
 import numpy as np
 import warp as wp
 
+from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
 from taccel_lab.ipc.potentials.element_data import ElementData
 from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
 from taccel_lab.ipc.potentials.quadratic_shape import common_deformation, point_deformation
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
-from taccel_lab.scene.element import Element
-from taccel_lab.scene.material import MaterialModel
 
 wp.set_module_options({"enable_backward": False})
 

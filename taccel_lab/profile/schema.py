@@ -30,9 +30,9 @@ from pydantic import (
     model_validator,
 )
 
-import taccel_lab
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.version import __version__
 
 SCHEMA_VERSION = 5
 
@@ -73,7 +73,7 @@ class Frozen(BaseModel):
 class Provenance(Frozen):
     """Where a block comes from and how far it can be trusted."""
 
-    tool_version: Name = Field(default_factory=lambda: taccel_lab.__version__)
+    tool_version: Name = Field(default_factory=lambda: __version__)
     """Version of taccel-lab that made the block."""
     created: AwareDatetime = Field(default_factory=lambda: datetime.now(UTC).replace(microsecond=0))
     """When it was made, UTC."""

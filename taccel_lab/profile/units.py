@@ -19,11 +19,6 @@ def m_from_mm(value_mm: T) -> T:
     return value_mm / 1000.0  # type: ignore[operator]
 
 
-def mm_from_m(value_m: T) -> T:
-    """Metres to millimetres."""
-    return value_m * 1000.0  # type: ignore[operator]
-
-
 def rad_from_deg(value_deg: T) -> T:
     """Degrees to radians."""
     return value_deg * (math.pi / 180.0)  # type: ignore[operator]

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Host-side description of a scene: bodies, materials, motion. ``Scene.finalize`` makes a Model."""
+"""Scenes, and what they are made of: bodies, materials, joints, shapes of ``taccel_lab.bodies``."""
 
-from taccel_lab.scene.bodies import AffineBody, KinematicBody, Plane, SoftBody, Surface
-from taccel_lab.scene.description import Scene, TimeScheme, TimeStepping
-from taccel_lab.scene.element import Element
-from taccel_lab.scene.joints import (
+from taccel_lab.bodies.bodies import AffineBody, KinematicBody, Plane, SoftBody, Surface
+from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.joints import (
     FixedJoint,
     Joint,
     PositionDrive,
@@ -12,14 +11,16 @@ from taccel_lab.scene.joints import (
     RevoluteJoint,
     VelocityDrive,
 )
-from taccel_lab.scene.material import Material, MaterialField, MaterialModel
-from taccel_lab.scene.primitives import (
+from taccel_lab.bodies.material import Material, MaterialField, MaterialModel
+from taccel_lab.bodies.primitives import (
     Ball,
     TriangleMesh,
     box_mesh,
     cylinder_mesh,
     sphere_mesh,
 )
+from taccel_lab.bodies.scene_description import TimeScheme, TimeStepping
+from taccel_lab.scene.scene import Scene
 
 __all__ = [
     "AffineBody",

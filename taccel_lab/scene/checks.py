@@ -1,36 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes and starts that cannot be solved, refused before the first step.
-
-``check_scene`` looks at the meshes and sizes of all bodies, ``check_start`` at a state: is it
-finite, is nothing inverted, do no two bodies overlap, is there a gap between those that may touch.
-"""
+"""Meshes and sizes of bodies that no simulation can use, refused before a model is built."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from taccel_lab.errors import InputError
-from taccel_lab.scene.bodies import AffineBody, SoftBody
-from taccel_lab.scene.mesh_checks import check_extent, check_surface, check_tets, first_of
-from taccel_lab.scene.primitives import TriangleMesh
-
-if TYPE_CHECKING:
-    from taccel_lab.model import Model
-    from taccel_lab.scene.description import Scene
-    from taccel_lab.state import State
+from taccel_lab.bodies.bodies import AffineBody, SoftBody
+from taccel_lab.bodies.mesh_checks import check_extent, check_surface, check_tets
+from taccel_lab.bodies.primitives import TriangleMesh
+from taccel_lab.bodies.scene_description import SceneDescription
 
 SOFT_EXTENT_M = (1e-5, 10.0)
 """Sizes of a soft body: a gel of 20 m was meant in millimetres."""
 RIGID_EXTENT_M = (1e-6, 100.0)
 """Sizes of an affine or kinematic body."""
-LEAST_GAP_OVER_DHAT = 1e-4
-"""Smallest gap at the start, as a part of dhat: below, the barrier is so stiff that its forces
-drown in rounding."""
 
 
-def check_scene(scene: Scene) -> None:
+def check_scene(scene: SceneDescription) -> None:
     """Refuse bodies whose meshes or sizes no simulation can use; a shared mesh is checked once."""
     seen: set[tuple[int, bool]] = set()
     for index, body in enumerate(scene.bodies):
@@ -54,91 +38,3 @@ def _is_new(seen: set[tuple[int, bool]], mesh: object, closed: bool) -> bool:
         return False
     seen.add(key)
     return True
-
-
-def check_start(model: Model, state: State, dhat_m: float) -> None:
-    """Refuse a state that a step cannot start from.
-
-    Environments whose nodes are bitwise those of an earlier one are not looked at again.
-
-    Raises:
-        InputError: NaN, inverted tets, bodies that overlap, or gaps below a ten-thousandth of
-            ``dhat_m`` between bodies that may touch; with environment, bodies and ids.
-    """
-    check_state(model, state)
-    from taccel_lab.ipc.intersection import require_separated
-
-    require_separated(model, state)
-    check_gaps(model, state, LEAST_GAP_OVER_DHAT * dhat_m)
-
-
-def overlapping(model: Model, state: State, who: np.ndarray) -> np.ndarray:
-    """Environments of ``who`` (bool, [env_count]) in which bodies that may touch overlap.
-
-    Those that are not finite are none of them. Equal environments are looked at once.
-    """
-    from taccel_lab.ipc.intersection import overlaps
-
-    positions = state.positions.numpy()
-    present = model.present.numpy() != 0
-    found = np.zeros(model.env_count, dtype=bool)
-    if not model.plan.pairs:
-        return found
-    known: dict[tuple[bytes, bytes], bool] = {}
-    for env in np.flatnonzero(who & np.isfinite(positions).all(axis=(1, 2))):
-        key = (positions[env].tobytes(), present[env].tobytes())
-        if key not in known:
-            known[key] = bool(overlaps(model, positions[env], present[env], int(env)))
-        found[env] = known[key]
-    return found
-
-
-def check_state(model: Model, state: State) -> None:
-    """Refuse a state with NaN or infinite values, naming environment, body and node."""
-    bodies = model.surface.node_bodies.numpy()
-    for name in ("positions", "velocities", "external_forces"):
-        array = getattr(state, name)
-        if array is None:
-            continue
-        bad = np.argwhere(~np.isfinite(array.numpy()).all(axis=2))
-        if len(bad):
-            env, node = bad[0]
-            raise InputError(
-                f"state.{name} holds {len(bad)} NaN or infinite vectors: environment {env}, "
-                f"node {node} of {model.bodies[bodies[node]].name!r}"
-            )
-    for name in ("poses", "wrenches"):
-        array = getattr(state, name)
-        if array is None:
-            continue
-        value = array.numpy().reshape(model.env_count, -1)
-        bad = np.flatnonzero(~np.isfinite(value).all(axis=1))
-        if len(bad):
-            raise InputError(
-                f"state.{name} holds NaN or infinite values in environments {first_of(bad)}"
-            )
-
-
-def check_gaps(model: Model, state: State, least_m: float) -> None:
-    """Refuse gaps below ``least_m`` between bodies that may touch, naming faces, nodes, edges."""
-    from taccel_lab.scene.gaps import SurfacePairs
-
-    pairs = SurfacePairs(model)
-    positions = state.positions.numpy()
-    present = model.present.numpy() != 0
-    seen: set[tuple[bytes, bytes]] = set()
-    for env in range(model.env_count):
-        key = (positions[env].tobytes(), present[env].tobytes())
-        if key in seen:
-            continue
-        seen.add(key)
-        near = pairs.nearer_than(positions[env], present[env], least_m, int(env))
-        if len(near.gaps_m):
-            worst = int(near.gaps_m.argmin())
-            first, second = (model.bodies[body].name for body in near.bodies[worst])
-            raise InputError(
-                f"{first!r} and {second!r} start too close in environment {env}: a gap of "
-                f"{near.gaps_m[worst]:.3g} m between {near.where(worst)} (and "
-                f"{len(near.gaps_m) - 1} other pairs); at least {least_m:.3g} m is needed, "
-                "thickness and radius of a ball taken off"
-            )

@@ -14,10 +14,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from taccel_lab.bodies.bodies import Body, Surface
+from taccel_lab.bodies.joints import Drive, Joint
 from taccel_lab.errors import InputError
-from taccel_lab.scene.bodies import Body, Surface
-from taccel_lab.scene.description import Scene
-from taccel_lab.scene.joints import Drive, Joint
+from taccel_lab.scene.scene import Scene
 
 T = TypeVar("T")
 
@@ -56,11 +56,6 @@ def shard_of(scene: Scene, rank: int, world_size: int) -> Scene:
     """The part of a scene that process ``rank`` of ``world_size`` simulates."""
     part = shard_slice(scene.env_count, rank, world_size)
     return cut_scene(scene, part.start, part.stop)
-
-
-def split_scene(scene: Scene, count: int) -> list[Scene]:
-    """A scene in ``count`` parts of about the same size, in the order of its environments."""
-    return [shard_of(scene, rank, count) for rank in range(max(count, 1))]
 
 
 def cut_scene(scene: Scene, first: int, last: int) -> Scene:

@@ -7,7 +7,7 @@ for many environments; the others give numpy arrays, in FP64.
 """
 
 from taccel_lab.signals.contact_surface import ContactSurface
-from taccel_lab.signals.forces import SignalWrench, resultant_wrench
+from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.signals.height_map import SignalHeightMap, SurfaceMode
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.normals import normals_from_height, normals_from_slopes
@@ -23,7 +23,6 @@ __all__ = [
     "SignalFusedSurface",
     "SignalHeightMap",
     "SignalTactile",
-    "SignalWrench",
     "SphereSurface",
     "SurfaceMode",
     "normals_from_height",

@@ -27,6 +27,8 @@ from taccel_lab.signals.position_encoding import encode_position, require_bands
 if TYPE_CHECKING:
     import torch
 
+    from taccel_lab.profile import SensorProfile
+
 INPUT_NAMES = ("u", "v", "normal_x", "normal_y", "normal_z", "displacement_mm")
 ACTIVATIONS = ("silu", "tanh", "relu")
 CHUNK_PIXELS = 32_768
@@ -130,6 +132,23 @@ class ColorModel:
             raise InputError(f"color model weights have shapes {found}, expected {expected}")
         if not all(np.isfinite(value).all() for value in self.weights.values()):
             raise InputError("color model weights hold NaN or infinite values")
+
+    @classmethod
+    def from_profile(cls, profile: SensorProfile) -> ColorModel | None:
+        """The colour model of a profile's sensor; None when it has none, or no background.
+
+        Raises InputError when it is for images of another size than those of the camera.
+        """
+        if profile.color is None or profile.background_rgb is None or profile.color_weights is None:
+            return None
+        config = ColorModelConfig.from_dict(profile.color.architecture)
+        camera = profile.camera
+        if (config.width_px, config.height_px) != (camera.width_px, camera.height_px):
+            raise InputError(
+                f"color.architecture is for {config.width_px}x{config.height_px} px but the camera "
+                f"block says {camera.width_px}x{camera.height_px} px; both have to agree"
+            )
+        return cls(config, profile.color_weights)
 
     def predict(
         self,

@@ -31,24 +31,6 @@ def resultant_wrench(positions: Any, forces: Any) -> np.ndarray:
     return np.concatenate([f.sum(axis=1), np.cross(x, f).sum(axis=1)], axis=1)
 
 
-class SignalWrench:
-    """Contact wrench on the gel: ``update(positions, forces)``, then read ``wrench`` [env, 6]."""
-
-    def __init__(self) -> None:
-        self._wrench: np.ndarray | None = None
-
-    def update(self, positions: Any, forces: Any) -> None:
-        """Read node positions [m] and contact forces [N], shape [env, node, 3]."""
-        self._wrench = resultant_wrench(positions, forces)
-
-    @property
-    def wrench(self) -> np.ndarray:
-        """(Fx, Fy, Fz, Mx, My, Mz) about the gel frame's origin [N, N m], shape [env, 6]."""
-        if self._wrench is None:
-            raise RuntimeError("update() must be called before a signal is read")
-        return self._wrench
-
-
 def _as_array(name: str, value: Any) -> np.ndarray:
     array = value.numpy() if hasattr(value, "numpy") else np.asarray(value)
     array = array.astype(np.float64, copy=False)

@@ -21,7 +21,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.device_color import DeviceColorModel
 from taccel_lab.signals.height_map import SurfaceMode
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
@@ -142,9 +142,9 @@ class SignalTactile:
             options: Further arguments of ``SignalTactile``, such as ``markers`` and ``device``.
         """
         color: dict[str, Any] = {}
-        if profile.color is not None and profile.background_rgb is not None:
-            config = ColorModelConfig.from_dict(profile.color.architecture)
-            color["color_model"] = ColorModel(config, profile.color_weights or {})
+        model = ColorModel.from_profile(profile)
+        if model is not None:
+            color["color_model"] = model
             color["background_rgb"] = profile.background_rgb
         return cls(profile.mesh, profile.grid(), env_count=env_count, **color, **options)
 

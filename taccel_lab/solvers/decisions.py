@@ -6,8 +6,8 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.capacity import ListRoom, overflows
-from taccel_lab.ipc.kinematics import chord_error, turn_between
-from taccel_lab.solvers.progress import Progress, Rules
+from taccel_lab.model.kinematics import chord_error, turn_between
+from taccel_lab.solvers.env_progress import EnvProgress, Rules
 from taccel_lab.solvers.report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
@@ -26,7 +26,7 @@ _SKIPPED = wp.constant(int(EnvStatus.SKIPPED))
 
 
 @wp.func
-def stop(env: int, status: int, p: Progress):
+def stop(env: int, status: int, p: EnvProgress):
     """End the step of an environment."""
     p.status[env] = status
     p.active[env] = 0
@@ -35,7 +35,7 @@ def stop(env: int, status: int, p: Progress):
 
 
 @wp.func
-def weigh(env: int, p: Progress, r: Rules):
+def weigh(env: int, p: EnvProgress, r: Rules):
     """Find the largest force residual of a body, the largest one over what is allowed that body (at
     most 1 where all have converged), and the contact force of the environment.
 
@@ -74,7 +74,7 @@ def begin_kernel(
     end_poses: wp.array2d(dtype=wp.transformd),
     start_poses: wp.array2d(dtype=wp.transformd),
     origin_poses: wp.array2d(dtype=wp.transformd),
-    p: Progress,
+    p: EnvProgress,
     r: Rules,
 ):
     """Nothing is done yet; how far frames go and turn."""
@@ -135,7 +135,7 @@ def begin_nodes_kernel(
     velocities: wp.array2d(dtype=wp.vec3d),
     previous: wp.array2d(dtype=wp.vec3d),
     origin: wp.array2d(dtype=wp.vec3d),
-    p: Progress,
+    p: EnvProgress,
 ):
     """Keep where the nodes are; an environment with a number that is not finite stops."""
     env, node = wp.tid()
@@ -151,7 +151,7 @@ def begin_nodes_kernel(
 
 
 @wp.kernel
-def stop_inverted_kernel(p: Progress):
+def stop_inverted_kernel(p: EnvProgress):
     """An elastic energy (in ``before``) that is infinite tells an inverted element."""
     env = wp.tid()
     if p.active[env] != 0 and wp.isinf(p.before[env]):
@@ -159,7 +159,7 @@ def stop_inverted_kernel(p: Progress):
 
 
 @wp.kernel
-def stop_overflowed_kernel(mask: wp.array(dtype=wp.int32), room: ListRoom, p: Progress):
+def stop_overflowed_kernel(mask: wp.array(dtype=wp.int32), room: ListRoom, p: EnvProgress):
     """Stop environments of ``mask`` whose list was too short."""
     env = wp.tid()
     if mask[env] != 0 and overflows(env, room):
@@ -167,7 +167,7 @@ def stop_overflowed_kernel(mask: wp.array(dtype=wp.int32), room: ListRoom, p: Pr
 
 
 @wp.kernel
-def close_kernel(p: Progress):
+def close_kernel(p: EnvProgress):
     """``active`` becomes those that have converged, ``chosen`` those that are to be rolled back.
 
     What has converged with an element turned inside out by this step is no result, nor is a step of
@@ -195,7 +195,7 @@ def begin_gradient_kernel(
     mask: wp.array(dtype=wp.int32),
     gradient: wp.array2d(dtype=wp.vec3d),
     contact_gradient: wp.array2d(dtype=wp.vec3d),
-    p: Progress,
+    p: EnvProgress,
 ):
     env, node = wp.tid()
     if mask[env] == 0:
@@ -207,7 +207,7 @@ def begin_gradient_kernel(
 
 
 @wp.func
-def go_on(env: int, p: Progress, r: Rules):
+def go_on(env: int, p: EnvProgress, r: Rules):
     """Stop where the iterations are used up; ``running`` says whether anything goes on."""
     if p.active[env] != 0:
         if p.newton[env] >= r.max_newton:
@@ -217,7 +217,7 @@ def go_on(env: int, p: Progress, r: Rules):
 
 
 @wp.func
-def settle(env: int, p: Progress, r: Rules):
+def settle(env: int, p: EnvProgress, r: Rules):
     """Stop what has converged; with friction, choose where it is frozen anew.
 
     ``chosen``: environments whose joints are open. While freezing anew still changes forces,
@@ -245,7 +245,7 @@ def settle(env: int, p: Progress, r: Rules):
 
 
 @wp.kernel
-def judge_kernel(p: Progress, r: Rules):
+def judge_kernel(p: EnvProgress, r: Rules):
     """Stop what cannot go on; with joints, choose the environments whose are to be looked at.
 
     Without joints and without friction, all that follows is decided at once.
@@ -270,7 +270,7 @@ def judge_kernel(p: Progress, r: Rules):
 
 
 @wp.kernel
-def judge_joints_kernel(violations: wp.array(dtype=wp.float64), p: Progress, r: Rules):
+def judge_joints_kernel(violations: wp.array(dtype=wp.float64), p: EnvProgress, r: Rules):
     """``chosen``: environments in which Newton has converged; then those with open joints."""
     env = wp.tid()
     if p.chosen[env] == 0:
@@ -286,7 +286,7 @@ def judge_joints_kernel(violations: wp.array(dtype=wp.float64), p: Progress, r: 
 
 
 @wp.kernel
-def settle_kernel(p: Progress, r: Rules):
+def settle_kernel(p: EnvProgress, r: Rules):
     """After the joints were looked at."""
     env = wp.tid()
     if p.active[env] != 0:
@@ -295,7 +295,7 @@ def settle_kernel(p: Progress, r: Rules):
 
 
 @wp.kernel
-def judge_friction_kernel(p: Progress, r: Rules):
+def judge_friction_kernel(p: EnvProgress, r: Rules):
     """Only the residual with the friction that was frozen anew counts as converged.
 
     Freezing is a fixed-point iteration. Where it alternates instead of shrinking (a node leaning on
@@ -322,7 +322,7 @@ def judge_friction_kernel(p: Progress, r: Rules):
 
 
 @wp.kernel
-def go_on_kernel(p: Progress, r: Rules):
+def go_on_kernel(p: EnvProgress, r: Rules):
     """After friction was frozen anew."""
     env = wp.tid()
     go_on(env, p, r)

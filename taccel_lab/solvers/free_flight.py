@@ -8,24 +8,20 @@ way and the energy is lower; else Newton starts from where the bodies are, as ev
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import warp as wp
 
-from taccel_lab.ipc.affine.embedding import embed_vertices
 from taccel_lab.ipc.affine.prediction import predict_affine
 from taccel_lab.ipc.motion import advance_positions, copy_rows, subtract_rows
 from taccel_lab.ipc.step_limit import limit_step
+from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.solvers import search_decisions
-
-if TYPE_CHECKING:
-    from taccel_lab.solvers.newton import StepRun
+from taccel_lab.solvers.step_launches import StepLaunches
 
 _SMALL_TURN_SQ = 1e-6
 """Angle squared below which straight steps are as good."""
 
 
-def start_in_free_flight(run: StepRun) -> None:
+def start_in_free_flight(run: StepLaunches) -> None:
     """Move the state of the active environments to free flight where that is a better start."""
     s, p, x = run.s, run.p, run.state.positions
     if s.inertia is None or s.affine is None:
@@ -41,7 +37,7 @@ def start_in_free_flight(run: StepRun) -> None:
     wp.capture_if(p.any_flight, on_true=fly)
 
 
-def _fly(run: StepRun) -> None:
+def _fly(run: StepLaunches) -> None:
     """Try the flight of the chosen environments, whose control nodes are in ``trial``."""
     s, p, x, poses = run.s, run.p, run.state.positions, run.state.poses
     if s.joints is not None:

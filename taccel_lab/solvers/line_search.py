@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import warp as wp
 
 from taccel_lab.ipc.affine.bent_step import (
@@ -14,18 +12,16 @@ from taccel_lab.ipc.affine.bent_step import (
     find_pivots,
     measure_turns,
 )
-from taccel_lab.ipc.affine.embedding import embed_vertices
-from taccel_lab.ipc.kinematics import place_kinematic_nodes, place_poses_between
 from taccel_lab.ipc.motion import advance_positions, subtract_rows
 from taccel_lab.ipc.reduce import slopes
 from taccel_lab.ipc.step_limit import limit_step
+from taccel_lab.model.embedding import embed_vertices
+from taccel_lab.model.kinematics import place_kinematic_nodes, place_poses_between
 from taccel_lab.solvers import search_decisions
-
-if TYPE_CHECKING:
-    from taccel_lab.solvers.newton import StepRun
+from taccel_lab.solvers.step_launches import StepLaunches
 
 
-def search_line(run: StepRun) -> None:
+def search_line(run: StepLaunches) -> None:
     """Take the longest fraction of the direction that is free of collisions and lowers the energy.
 
     While frames are still on their way the energy may rise: they do work.
@@ -52,7 +48,7 @@ def search_line(run: StepRun) -> None:
     run.commit(p.active, s.trial, s.trial_poses)
 
 
-def _try(run: StepRun) -> None:
+def _try(run: StepLaunches) -> None:
     """Try the fraction ``alpha`` in the environments that are waiting."""
     s, p, state = run.s, run.p, run.state
 

@@ -9,22 +9,17 @@ are, and takes the frames along.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from taccel_lab.ipc.affine.embedding import embed_vertices
 from taccel_lab.ipc.motion import advance_positions, aim_prescribed, coast, keep_steady
 from taccel_lab.ipc.step_limit import limit_step
+from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.solvers import search_decisions
-
-if TYPE_CHECKING:
-    from taccel_lab.solvers.newton import StepRun
-
+from taccel_lab.solvers.step_launches import StepLaunches
 
 _LARGEST_CHANGE = 0.5
 """Change of the frames' way from one step to the next up to which they move steadily."""
 
 
-def start_with_momentum(run: StepRun) -> None:
+def start_with_momentum(run: StepLaunches) -> None:
     """Move bodies by their velocities and frames to their targets where both are free to go."""
     s, p, state = run.s, run.p, run.state
     x = state.positions

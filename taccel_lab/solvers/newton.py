@@ -13,16 +13,9 @@ loops and branches are conditional nodes, so that the whole step can be one capt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
-
 import warp as wp
 
-from taccel_lab.ipc.affine.embedding import embed_vertices
-from taccel_lab.ipc.branches import side_by_side
-from taccel_lab.ipc.capacity import GrowingList
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP
-from taccel_lab.ipc.kinematics import place_poses_between
 from taccel_lab.ipc.motion import (
     aim_prescribed,
     begin_rhs,
@@ -33,29 +26,19 @@ from taccel_lab.ipc.motion import (
     zero_rows,
 )
 from taccel_lab.ipc.pair_hessian import HESSIAN_PSD
-from taccel_lab.ipc.potentials.energy import sum_energies
-from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.ipc.potentials.inversion import find_inversions
 from taccel_lab.ipc.reduce import force_sums
+from taccel_lab.model.embedding import embed_vertices
+from taccel_lab.model.kinematics import place_poses_between
 from taccel_lab.solvers import decisions, search_decisions
 from taccel_lab.solvers.free_flight import start_in_free_flight
 from taccel_lab.solvers.line_search import search_line
 from taccel_lab.solvers.momentum_start import start_with_momentum
-from taccel_lab.state import State
-
-if TYPE_CHECKING:
-    from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.solvers.step_launches import StepLaunches
 
 
-class StepRun:
+class StepRun(StepLaunches):
     """The launches of one step of the environments in ``progress.who``."""
-
-    def __init__(self, solver: SolverIPC, state: State) -> None:
-        self.s = solver
-        self.model = solver.model
-        self.state = state
-        self.p = solver.progress.data
-        self.rules = solver.rules
 
     def run(self) -> None:
         """From the state at the start of the step to that at its end."""
@@ -64,10 +47,6 @@ class StepRun:
         self.judge()
         wp.capture_while(self.p.running, self._iterate)
         self.finish()
-
-    def decide(self, kernel: wp.Kernel, *inputs: object) -> None:
-        """Launch one thread an environment."""
-        wp.launch(kernel, dim=self.model.env_count, inputs=list(inputs), device=self.model.device)
 
     # Parts of a step -----------------------------------------------------------------------
 
@@ -149,47 +128,7 @@ class StepRun:
         else:
             measure_velocities(p.active, s.origin, state.positions, s.dts, state.velocities)
 
-    def commit(self, mask: wp.array, positions: wp.array, poses: wp.array) -> None:
-        """Take over positions and poses in the environments of ``mask``."""
-        state = self.state
-        wp.launch(
-            search_decisions.commit_kernel,
-            dim=(self.model.env_count, max(positions.shape[1], poses.shape[1])),
-            inputs=[mask, positions, poses, state.positions, state.poses],
-            device=self.model.device,
-        )
-
-    # Contacts --------------------------------------------------------------------------------
-
-    def find_candidates(self, poses: wp.array, reach: wp.array) -> None:
-        """Pairs within ``reach`` of the way of ``displacements`` and of the frames to ``poses``."""
-        s, state, p = self.s, self.state, self.p
-        s.candidates.search(p.active, state.positions, s.displacements, state.poses, poses, reach)
-
-    def collide(self, mask: wp.array, positions: wp.array) -> None:
-        """Collisions at ``positions`` in the environments of ``mask``."""
-        self.s.collisions.collect(mask, positions, self.s.candidates)
-
-    def check_room(self, mask: wp.array, lists: Sequence[GrowingList]) -> None:
-        """Stop environments whose contacts did not fit; the host makes room for the next try."""
-        for part in lists:
-            if part.capacity > 1:
-                self.decide(decisions.stop_overflowed_kernel, mask, part.room, self.p)
-
     # Has it converged? -----------------------------------------------------------------------
-
-    def motion(
-        self, positions: wp.array | None = None, poses: wp.array | None = None
-    ) -> StepMotion:
-        """Motion since the start of the step, to the state or to a trial."""
-        s, state = self.s, self.state
-        assert s.friction is not None
-        return s.friction.motion(
-            state.positions if positions is None else positions,
-            s.origin,
-            state.poses if poses is None else poses,
-            s.origin_poses,
-        )
 
     def evaluate_gradient(self, mask: wp.array) -> None:
         """Gradient, residual, contact force and smallest gap in the environments of ``mask``.
@@ -213,11 +152,8 @@ class StepRun:
         def of_contact() -> None:
             s.contact.add_gradient(mask, x, s.contact_gradient, self.p.min_distance)
 
-        self._together([of_bodies, of_contact, lambda: self._evaluate_friction(mask)])
+        self.together([of_bodies, of_contact, lambda: self._evaluate_friction(mask)])
         self._measure_residual(mask)
-
-    def _together(self, parts: Sequence[Callable[[], None]]) -> None:
-        side_by_side(self.model.device, parts)
 
     def _evaluate_friction(self, mask: wp.array) -> None:
         s = self.s
@@ -323,44 +259,5 @@ class StepRun:
                 part.gather_rim(p.active, system)
 
         # What adds by atomics first; what gathers in order adds to that.
-        self._together([of_contact, of_elements, of_friction, of_affine])
-        self._together([gather, gather_rim])
-
-    def energy(
-        self,
-        mask: wp.array,
-        positions: wp.array,
-        poses: wp.array,
-        base: wp.array,
-        totals: wp.array,
-        known: bool = False,
-    ) -> None:
-        """Total potential in the environments of ``mask`` [J]: without friction in ``base``, with
-        it in ``totals``. ``known``: the base is known already."""
-        s = self.s
-
-        def of_friction() -> None:
-            if s.friction is not None:
-                s.friction.write_energies(mask, self.motion(positions, poses))
-
-        if known:
-            of_friction()
-            sum_energies(mask, None, s.contact, s.friction, base, totals)
-            return
-        if s.joints is not None:
-            s.joints.set_frames(poses)
-        stiff = [term for term in (s.inertia, s.affine, s.joints, s.load) if term is not None]
-
-        def of_elements() -> None:
-            for part in [*s.elastic, *s.viscosity]:
-                part.write_energies(mask, positions)
-
-        def of_others() -> None:
-            for term in stiff:
-                term.write_energies(mask, positions)
-
-        def of_contact() -> None:
-            s.contact.write_energies(mask, positions)
-
-        self._together([of_elements, of_contact, of_friction, of_others])
-        sum_energies(mask, s.energies, s.contact, s.friction, base, totals)
+        self.together([of_contact, of_elements, of_friction, of_affine])
+        self.together([gather, gather_rim])

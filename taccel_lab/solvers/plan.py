@@ -4,12 +4,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from taccel_lab.model.model import BodyKind
-
-if TYPE_CHECKING:
-    from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.solvers.solver_parts import SolverParts
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ def _count(number: int, what: str) -> str:
     return f"{number:,} {what if number != 1 else one}"
 
 
-def _capture(solver: SolverIPC) -> tuple[bool, str]:
+def _capture(solver: SolverParts) -> tuple[bool, str]:
     """Whether steps become graphs, and why not."""
     if solver.captures:
         return True, "a step is one launch, from the second with the same state on"
@@ -61,10 +58,10 @@ def _capture(solver: SolverIPC) -> tuple[bool, str]:
     return False, "the host refits the trees of soft bodies that may touch"
 
 
-def make_plan(solver: SolverIPC) -> Plan:
+def make_plan(solver: SolverParts) -> Plan:
     """Read the plan off what the solver has built."""
     model, scene = solver.model, solver.model.scene
-    jobs, time = model.plan, model.scene.time
+    jobs, time = model.contact_plan, model.scene.time
     prescribed = [b for b in model.bodies if b.kind in (BodyKind.KINEMATIC, BodyKind.PLANE)]
     bonded = model.soft_count + 4 * model.affine.count - model.free_count
     mounted = [body.name for body in scene.soft_bodies if body.mount is not None]

@@ -7,9 +7,9 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.capacity import ListRoom, overflows
-from taccel_lab.ipc.kinematics import turn_within
+from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.decisions import stop
-from taccel_lab.solvers.progress import Progress, Rules
+from taccel_lab.solvers.env_progress import EnvProgress, Rules
 from taccel_lab.solvers.report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
@@ -25,7 +25,7 @@ LARGEST_BOOST = 64.0
 
 
 @wp.func
-def boosted(env: int, p: Progress) -> wp.float64:
+def boosted(env: int, p: EnvProgress) -> wp.float64:
     """Four times the last multiple after a full step that hardly lowered the residual, else one.
 
     Near a saddle, where a gel snaps over an edge, the projected matrix is stiffer than the body:
@@ -43,7 +43,7 @@ def boosted(env: int, p: Progress) -> wp.float64:
 
 
 @wp.kernel
-def aim_kernel(p: Progress, r: Rules, linear_tolerances: wp.array(dtype=wp.float64)):
+def aim_kernel(p: EnvProgress, r: Rules, linear_tolerances: wp.array(dtype=wp.float64)):
     """How far the frames try to go next, and how well the system has to be solved.
 
     CCD clears the chords. Over a large angle they leave the arcs far behind, and the body would
@@ -89,7 +89,7 @@ def count_solve_kernel(
     iterations: wp.array(dtype=wp.int32),
     breakdown: wp.array(dtype=wp.int32),
     extra: ListRoom,
-    p: Progress,
+    p: EnvProgress,
 ):
     """After a breakdown the last iterate still descends, unless there is none."""
     env = wp.tid()
@@ -108,7 +108,7 @@ def count_solve_kernel(
 
 
 @wp.kernel
-def bend_kernel(smallest: wp.float64, p: Progress):
+def bend_kernel(smallest: wp.float64, p: EnvProgress):
     """Note whether steps are bent, and how far they may lead off the straight ones."""
     env = wp.tid()
     if p.active[env] != 0 and p.bend[env] > smallest:
@@ -118,7 +118,7 @@ def bend_kernel(smallest: wp.float64, p: Progress):
 
 @wp.kernel
 def open_search_kernel(
-    largest_turn: wp.float64, node_faces: ListRoom, edge_edges: ListRoom, p: Progress
+    largest_turn: wp.float64, node_faces: ListRoom, edge_edges: ListRoom, p: EnvProgress
 ):
     """Start from the collision-free fraction."""
     env = wp.tid()
@@ -141,7 +141,7 @@ def open_search_kernel(
 
 
 @wp.kernel
-def begin_trial_kernel(p: Progress):
+def begin_trial_kernel(p: EnvProgress):
     env = wp.tid()
     if env == 0:
         p.searching[0] = 0
@@ -168,7 +168,7 @@ def adapted_stride(stride: wp.float64, fraction: wp.float64) -> wp.float64:
 
 
 @wp.kernel
-def accept_kernel(smallest_bend: wp.float64, collisions: ListRoom, p: Progress, r: Rules):
+def accept_kernel(smallest_bend: wp.float64, collisions: ListRoom, p: EnvProgress, r: Rules):
     """Accept a trial that lowers the energy, or halve its fraction.
 
     While frames are still on their way the energy may rise: they do work. A body that turns leaves
@@ -235,7 +235,7 @@ def commit_kernel(
 
 
 @wp.kernel
-def choose_flight_kernel(bends: wp.array(dtype=wp.float64), least: wp.float64, p: Progress):
+def choose_flight_kernel(bends: wp.array(dtype=wp.float64), least: wp.float64, p: EnvProgress):
     """Choose the environments in which a body bends its path by more than ``least``."""
     env = wp.tid()
     p.chosen[env] = 0
@@ -245,7 +245,7 @@ def choose_flight_kernel(bends: wp.array(dtype=wp.float64), least: wp.float64, p
 
 
 @wp.kernel
-def keep_free_flight_kernel(p: Progress):
+def keep_free_flight_kernel(p: EnvProgress):
     """Of the chosen, keep those with nothing in the way."""
     env = wp.tid()
     if p.chosen[env] != 0 and p.limit[env] < wp.float64(1.0):
@@ -253,7 +253,7 @@ def keep_free_flight_kernel(p: Progress):
 
 
 @wp.kernel
-def accept_flight_kernel(p: Progress):
+def accept_flight_kernel(p: EnvProgress):
     """Of the chosen, keep those whose energy falls."""
     env = wp.tid()
     if p.chosen[env] != 0 and not (wp.isfinite(p.after[env]) and p.after[env] < p.before[env]):
@@ -264,7 +264,7 @@ def accept_flight_kernel(p: Progress):
 
 
 @wp.kernel
-def choose_momentum_kernel(p: Progress):
+def choose_momentum_kernel(p: EnvProgress):
     """Choose the environments whose frames have yet to move; not in a step that is taken again,
     which has had its momentum."""
     env = wp.tid()
@@ -275,7 +275,7 @@ def choose_momentum_kernel(p: Progress):
 
 
 @wp.kernel
-def accept_momentum_kernel(p: Progress):
+def accept_momentum_kernel(p: EnvProgress):
     """Of the chosen, keep those without an inverted element; their frames have arrived."""
     env = wp.tid()
     if p.chosen[env] != 0:

@@ -24,7 +24,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.model import Model
-from taccel_lab.scene.description import Scene
+from taccel_lab.scene.scene import Scene
 from taccel_lab.scene.shards import shard_of, shard_slice
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import StepReport

@@ -4,15 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import warp as wp
 
 from taccel_lab.solvers.newton import StepRun
+from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.state import State
-
-if TYPE_CHECKING:
-    from taccel_lab.solvers.solver_ipc import SolverIPC
 
 _MOST = 2
 """Graphs that are kept, each for the arrays of one state."""
@@ -21,21 +19,11 @@ _MOST = 2
 class StepGraphs:
     """Launches whole steps; the first one with new arrays as they come, to load its kernels."""
 
-    def __init__(self, solver: SolverIPC) -> None:
+    def __init__(self, solver: SolverParts) -> None:
         self._solver = solver
         self._graphs: dict[tuple, wp.Graph | None] = {}
         self.launches = 0
         """Graphs launched so far."""
-
-    @property
-    def captures(self) -> bool:
-        """Whether steps of this solver become graphs."""
-        s = self._solver
-        return (
-            s.config.capture
-            and s.linear.capturable
-            and (s.model.device.is_cuda or not s.model.plan.soft_to_soft)
-        )
 
     def clear(self) -> None:
         """Forget all graphs: arrays that they use have moved."""
@@ -44,7 +32,7 @@ class StepGraphs:
     def launch(self, state: State) -> None:
         """Take a step of the environments in ``progress.who`` to ``end_poses``."""
         run = StepRun(self._solver, state)
-        if not self.captures:
+        if not self._solver.captures:
             run.run()
             return
         s = self._solver

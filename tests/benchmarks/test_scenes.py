@@ -16,10 +16,10 @@ from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.hand import overlapping_gels
 from taccel_lab.benchmarks.scenes.teddy import surface_value, teddy_mesh, without_pinches
 from taccel_lab.benchmarks.scenes.threads import PITCH_M, hexagon_nut, threaded_rod
+from taccel_lab.bodies.mass_properties import mass_properties
+from taccel_lab.bodies.mesh_checks import check_surface, check_tets
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.intersection import find_intersections
-from taccel_lab.scene.mass_properties import mass_properties
-from taccel_lab.scene.mesh_checks import check_surface, check_tets
 
 ROOT = Path(__file__).parents[2]
 STEPS = {"peg": 6, "press_239": 6, "squeeze": 3, "hand": 2, "bolt": 2}

@@ -256,7 +256,7 @@ def test_foreign_outputs_are_refused_before_any_work(
     (here / "mine" / "notes.txt").write_text("mine")
     for name in (
         "taccel_lab.calibration.capture.load_captures",
-        "taccel_lab.cli.press.load_sensor",
+        "taccel_lab.sensors.profile.load_sensor",
         "taccel_lab.sensors.design.gel_mesh",
     ):
         monkeypatch.setattr(name, never)

@@ -37,7 +37,7 @@ PREDICTED = {"predicted.png"}
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("taccel_lab.cli.press.PREDICTED_PX", 64)
+    monkeypatch.setattr("taccel_lab.envs.press_files.PREDICTED_PX", 64)
 
 
 def press(sensor: object, out: Path, *options: str) -> int:
@@ -192,6 +192,6 @@ def test_an_interrupted_press_leaves_nothing(
         raise KeyboardInterrupt
 
     # While the files are being written, after the press.
-    monkeypatch.setattr("taccel_lab.report.draw_normals", interrupt)
+    monkeypatch.setattr("taccel_lab.envs.press_files.draw_normals", interrupt)
     assert press("gelsight", tmp_path / "a" / "press", "--depth-mm", "0.2") == 130
     assert everything_below(tmp_path) == {}

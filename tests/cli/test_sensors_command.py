@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.cli import app
-from taccel_lab.cli.sensor_picture import pad_section, sight_paths
 from taccel_lab.sensors.registry import sensor_families, sensor_family
+from taccel_lab.studies.sensor_picture import pad_section, sight_paths
 
 NAMES = sorted(sensor_families())
 

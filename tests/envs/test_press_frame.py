@@ -15,7 +15,7 @@ from taccel_lab.envs.touch import gel_below_m
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.model.embedding import rotate
 from taccel_lab.solvers import SolverConfig
 from tests.envs.pads import GEL, pad
 

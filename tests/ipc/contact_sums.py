@@ -13,7 +13,7 @@ from collections import Counter
 import ipctk
 import numpy as np
 
-from taccel_lab.scene.primitives import unique_edges
+from taccel_lab.bodies.primitives import unique_edges
 
 
 def log_barrier(distance: float, reach: float) -> float:

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.bodies.surface_topology import NO_BALL_INSET, ball_insets, face_reaches_sq
 from taccel_lab.ipc.collisions import GUARD_FRACTION, POINT_POINT
+from taccel_lab.ipc.gaps import SurfacePairs
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.ipc.step_limit import limit_step
 from taccel_lab.model import Model
@@ -24,8 +26,6 @@ from taccel_lab.scene import (
     TriangleMesh,
     box_mesh,
 )
-from taccel_lab.scene.gaps import SurfacePairs
-from taccel_lab.scene.surface_topology import NO_BALL_INSET, ball_insets, face_reaches_sq
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import State, initial_state
 from tests.ipc.contact_sums import log_barrier

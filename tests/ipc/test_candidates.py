@@ -8,12 +8,12 @@ import warp as wp
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.broad_phase.held_patches import hull_corners
-from taccel_lab.ipc.kinematics import interpolate_poses
 from taccel_lab.model import Model
+from taccel_lab.model.kinematics import interpolate_poses
 from taccel_lab.scene import Ball, KinematicBody
-from taccel_lab.scene.primitives import unique_edges
 from taccel_lab.state import initial_state
 from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 

@@ -11,7 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from taccel_lab.bodies.bodies import Surface
 from taccel_lab.errors import InputError
+from taccel_lab.ipc.gaps import point_triangle_distances
 from taccel_lab.ipc.intersection import (
     Intersection,
     IntersectionKind,
@@ -32,8 +34,6 @@ from taccel_lab.scene import (
     box_mesh,
     sphere_mesh,
 )
-from taccel_lab.scene.bodies import Surface
-from taccel_lab.scene.gaps import point_triangle_distances
 from taccel_lab.state import initial_state
 from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 from tests.verification.curved_tets import CURVED, curved

@@ -11,13 +11,8 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.ipc.affine.embedding import rotate
-from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
-from taccel_lab.ipc.joints.rows import COORDINATE_ROW, ROW_COUNT
-from taccel_lab.ipc.potentials.joints import JointPotential
-from taccel_lab.scene.bodies import AffineBody, KinematicBody, Surface
-from taccel_lab.scene.description import Scene, TimeStepping
-from taccel_lab.scene.joints import (
+from taccel_lab.bodies.bodies import AffineBody, KinematicBody, Surface
+from taccel_lab.bodies.joints import (
     FixedJoint,
     Joint,
     PositionDrive,
@@ -25,7 +20,12 @@ from taccel_lab.scene.joints import (
     RevoluteJoint,
     VelocityDrive,
 )
-from taccel_lab.scene.primitives import box_mesh
+from taccel_lab.bodies.primitives import box_mesh
+from taccel_lab.bodies.scene_description import Scene, TimeStepping
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
+from taccel_lab.ipc.joints.rows import COORDINATE_ROW, ROW_COUNT
+from taccel_lab.ipc.potentials.joints import JointPotential
+from taccel_lab.model.embedding import rotate
 from taccel_lab.state import initial_state
 from tests.ipc.dense_system import Dense, differences, empty_system
 

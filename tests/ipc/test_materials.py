@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE, principal_block
 from taccel_lab.ipc.svd import signed_svd_3x3
-from taccel_lab.scene.material import MaterialModel
 
 MODELS = list(MaterialModel)
 FINITE = [MaterialModel.STABLE_NEO_HOOKEAN, MaterialModel.ST_VENANT_KIRCHHOFF]

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.ipc.gaps import SurfacePairs, edge_edge_distances, point_triangle_distances
+from taccel_lab.ipc.start_checks import check_gaps, check_state
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
@@ -29,8 +31,7 @@ from taccel_lab.scene import (
     box_mesh,
     sphere_mesh,
 )
-from taccel_lab.scene.checks import check_gaps, check_scene, check_state
-from taccel_lab.scene.gaps import SurfacePairs, edge_edge_distances, point_triangle_distances
+from taccel_lab.scene.checks import check_scene
 from taccel_lab.state import State, initial_state
 from tests.verification.blocks import everywhere, pose
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taccel_lab.bodies.mass_properties import mass_properties, winding_number
+from taccel_lab.bodies.primitives import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
 from taccel_lab.errors import InputError
-from taccel_lab.scene.mass_properties import mass_properties, winding_number
-from taccel_lab.scene.primitives import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
 
 RHO = 1234.0
 TET = TriangleMesh(

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from taccel_lab.bodies.box_pairs import box_pairs
+from taccel_lab.bodies.crossings import self_crossings
+from taccel_lab.bodies.mesh_checks import check_extent, check_surface, check_tets
+from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.scene import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
-from taccel_lab.scene.box_pairs import box_pairs
-from taccel_lab.scene.crossings import self_crossings
-from taccel_lab.scene.mesh_checks import check_extent, check_surface, check_tets
-from taccel_lab.scene.primitives import unique_edges
 from tests.verification.blocks import bumpy_body
 
 BALL = sphere_mesh(1e-3, 5e-4)

@@ -36,7 +36,6 @@ from taccel_lab.scene.shards import (
     cut_scene,
     shard_of,
     shard_slice,
-    split_scene,
 )
 
 MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
@@ -150,7 +149,7 @@ def rows_of(scene: Scene, env: int) -> dict[str, object]:
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
 def test_parts_hold_the_rows_of_the_whole(count: int) -> None:
     whole = full_scene(5)
-    parts = split_scene(whole, count)
+    parts = [shard_of(whole, rank, count) for rank in range(count)]
     assert sum(part.env_count for part in parts) == 5
     env = 0
     for part in parts:
@@ -171,7 +170,7 @@ def test_a_cut_scene_passes_the_checks_of_a_scene_that_is_made_anew() -> None:
 def test_the_scene_that_is_cut_stays_as_it_is() -> None:
     whole = full_scene(3)
     before = [rows_of(whole, env) for env in range(3)]
-    split_scene(whole, 2)
+    shard_of(whole, 1, 2)
     assert whole.env_count == 3
     assert [rows_of(whole, env) for env in range(3)] == before
 
@@ -192,9 +191,9 @@ def test_slices_cover_all_environments_evenly(env_count: int, world_size: int) -
 def test_wrong_parts_are_refused() -> None:
     scene = Scene(SoftBody(MESH, GEL, element=Element.LINEAR), env_count=3)
     with pytest.raises(InputError, match="at least 1 part, got 0"):
-        split_scene(scene, 0)
+        shard_of(scene, 0, 0)
     with pytest.raises(InputError, match="3 environments cannot be split into 4 parts"):
-        split_scene(scene, 4)
+        shard_of(scene, 0, 4)
     for rank in (-1, 2):
         with pytest.raises(InputError, match=rf"rank must lie in \[0, 1\], got {rank}"):
             shard_of(scene, rank, 2)

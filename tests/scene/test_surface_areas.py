@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from taccel_lab.bodies.surface_topology import surface_areas, surface_topology
 from taccel_lab.scene import SoftBody, box_mesh, sphere_mesh
-from taccel_lab.scene.surface_topology import surface_areas, surface_topology
 from tests.verification.blocks import block_mesh
 
 

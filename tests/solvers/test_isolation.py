@@ -10,6 +10,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.ipc.start_checks import check_start
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
@@ -24,7 +25,6 @@ from taccel_lab.scene import (
     TimeStepping,
     box_mesh,
 )
-from taccel_lab.scene.checks import check_start
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.solver_ipc import SolverIPC

@@ -67,7 +67,7 @@ def test_one_description_may_stand_for_two_bodies_that_meet() -> None:
     solver, state = run(scene, 20)
     assert (heights(solver, state, "upper") - heights(solver, state, "ball") > 1.9 * SIDE).all()
     same = Scene(affine_bodies=[ball, ball], time=dynamic())
-    assert (0, 1) in same.finalize().plan.pairs
+    assert (0, 1) in same.finalize().contact_plan.pairs
 
 
 def test_layers_decide_who_meets() -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.bodies.primitives import TriangleMesh, sphere_mesh
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, free_block, grid_tets, labelled
 from taccel_lab.scene import Element, KinematicBody, Material, Scene, SoftBody, TimeStepping
-from taccel_lab.scene.primitives import TriangleMesh, sphere_mesh
 
 __all__ = [
     "block_mesh",

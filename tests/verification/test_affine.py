@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import AffineBody, Plane, TimeScheme, TriangleMesh
 from taccel_lab.solvers import SolverConfig
 from tests.verification.affine_scenes import DOWN, G, Run, affine_scene, box, turned

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.bodies.bodies import Surface
+from taccel_lab.bodies.crossings import self_crossings
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.ipc.collisions import EDGE_EDGE
 from taccel_lab.ipc.intersection import find_intersections
@@ -26,8 +28,6 @@ from taccel_lab.scene import (
     TriangleMesh,
     box_mesh,
 )
-from taccel_lab.scene.bodies import Surface
-from taccel_lab.scene.crossings import self_crossings
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -162,7 +162,7 @@ def test_thick_gels_keep_their_distance() -> None:
     )
     for z in (5e-5, -1e-4):
         run.step(upside_down(0, z))
-    from taccel_lab.scene.gaps import SurfacePairs
+    from taccel_lab.ipc.gaps import SurfacePairs
 
     gaps = SurfacePairs(run.model).nearer_than(
         run.state.positions.numpy()[0], np.ones(3, dtype=bool), DHAT

@@ -21,7 +21,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from taccel_lab.scene.primitives import cylinder_mesh
+from taccel_lab.bodies.primitives import cylinder_mesh
 from taccel_lab.solvers import SolverConfig
 from tests.verification.half_space import DOMAIN_OVER_RADIUS, GROWTH, HalfSpace
 from tests.verification.half_space_mesh import half_space_mesh

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.ipc.affine.embedding import rotate
 from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import (
     AffineBody,
     Ball,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.scene import (
@@ -18,7 +19,6 @@ from taccel_lab.scene import (
     SoftBody,
     TimeStepping,
 )
-from taccel_lab.scene.material import MaterialModel
 from taccel_lab.signals import SignalHeightMap
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import EnvStatus

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.scene import AffineBody, Plane, RevoluteJoint, TimeScheme, sphere_mesh
-from taccel_lab.scene.mass_properties import mass_properties
 from taccel_lab.solvers import SolverConfig
 from tests.verification.affine_scenes import G, Run, affine_scene, box, turned
 

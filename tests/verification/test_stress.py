@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.ipc.intersection import find_intersections
-from taccel_lab.ipc.kinematics import interpolate_poses
+from taccel_lab.model.kinematics import interpolate_poses
 from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh, cylinder_mesh
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC

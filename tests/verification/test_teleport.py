@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from taccel_lab.bodies.crossings import crossing_pairs
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.ipc.gaps import SurfacePairs
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -25,8 +27,6 @@ from taccel_lab.scene import (
     TriangleMesh,
     box_mesh,
 )
-from taccel_lab.scene.crossings import crossing_pairs
-from taccel_lab.scene.gaps import SurfacePairs
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC

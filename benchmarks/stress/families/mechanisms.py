@@ -19,6 +19,7 @@ from taccel_lab.benchmarks.stress.families.common import (
     settings,
 )
 from taccel_lab.benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape
+from taccel_lab.bodies.bodies import Surface
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
@@ -36,7 +37,6 @@ from taccel_lab.scene import (
     VelocityDrive,
     box_mesh,
 )
-from taccel_lab.scene.bodies import Surface
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import State
 

@@ -47,7 +47,7 @@ class Candidates:
 
     def __init__(self, model: Model, capacity: int | None = None, limit: int = 1 << 20) -> None:
         self.model = model
-        plan, device, env_count = model.plan, model.device, model.env_count
+        plan, device, env_count = model.contact_plan, model.device, model.env_count
         soft = plan.soft_to_soft
         faces = len(plan.node_target) + len(plan.face_target) + len(plan.ball_face)
         if capacity is None:
@@ -72,7 +72,7 @@ class Candidates:
     def _gates_of_balls(self) -> wp.array:
         """Gate of each job of a ball, int32, shape [job_count]."""
         model = self.model
-        jobs = model.plan.ball_face.numpy().reshape(-1, 2)
+        jobs = model.contact_plan.ball_face.numpy().reshape(-1, 2)
         corners = model.surface.faces.numpy()[jobs[:, 1]]
         balls = model.surface.node_bodies.numpy()[jobs[:, 0]]
         gates = self._patches.gates_of(corners, balls)
@@ -148,7 +148,7 @@ class Candidates:
         self._patches.update(active, margins, positions, displacements, self._frames)
         are_open = self._patches.are_open
         run_search(self._stiff, model, active, path, self._frames, are_open, node_face + edge_edge)
-        balls = model.plan.ball_face
+        balls = model.contact_plan.ball_face
         if len(balls):
             wp.launch(
                 BALL_JOBS,

@@ -145,7 +145,9 @@ class HeldPatches:
         kinds = [body.kind for body in model.bodies]
         stiff = (BodyKind.AFFINE, BodyKind.KINEMATIC)
         pairs = [
-            (i, j) for i, j in model.plan.pairs if kinds[i] is BodyKind.SOFT and kinds[j] in stiff
+            (i, j)
+            for i, j in model.contact_plan.pairs
+            if kinds[i] is BodyKind.SOFT and kinds[j] in stiff
         ]
         frames = {target.body: index for index, target in enumerate(model.targets)}
         is_ball = model.surface.node_is_ball.numpy()

@@ -191,10 +191,10 @@ class SoftTrees:
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        self._faces = self._nodes_of(model.surface.faces, model.plan.soft_faces)
-        self._edges = self._nodes_of(model.surface.edges, model.plan.soft_edges)
-        self._face_boxes = self._boxes(len(model.plan.soft_faces))
-        self._edge_boxes = self._boxes(len(model.plan.soft_edges))
+        self._faces = self._nodes_of(model.surface.faces, model.contact_plan.soft_faces)
+        self._edges = self._nodes_of(model.surface.edges, model.contact_plan.soft_edges)
+        self._face_boxes = self._boxes(len(model.contact_plan.soft_faces))
+        self._edge_boxes = self._boxes(len(model.contact_plan.soft_edges))
         self._trees: list[wp.Bvh] = []
         soft = [body.nodes for body in model.bodies[: len(model.scene.soft_bodies)]]
         ends = [start for start, _ in soft] + [soft[-1][1]]
@@ -232,7 +232,7 @@ class SoftTrees:
         wp.launch(
             _near_kernel,
             dim=shape,
-            inputs=[active, self.model.plan.may_touch, margins, self._lower, self._upper],
+            inputs=[active, self.model.contact_plan.may_touch, margins, self._lower, self._upper],
             outputs=[self._near, self._any_near],
             device=device,
         )
@@ -285,7 +285,7 @@ class SoftTrees:
         node_face: list[wp.array],
         edge_edge: list[wp.array],
     ) -> None:
-        model, plan, surface = self.model, self.model.plan, self.model.surface
+        model, plan, surface = self.model, self.model.contact_plan, self.model.surface
         rules = [surface.node_bodies, plan.may_touch, margins, positions, displacements]
         wp.launch(
             _node_kernel,

@@ -64,7 +64,7 @@ class StiffSearch:
 
 def stiff_search(model: Model, patches: HeldPatches) -> StiffSearch:
     """Nodes and faces against faces and vertices, edges against edges, as the plan says."""
-    plan, surface = model.plan, model.surface
+    plan, surface = model.contact_plan, model.surface
     bodies = [model.bodies[target.body] for target in model.targets]
 
     def put(values: Sequence | np.ndarray, dtype: type) -> wp.array:

@@ -12,6 +12,7 @@ from typing import Any
 
 import warp as wp
 
+from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity import (
     dilatation,
     mooney_rivlin,
@@ -20,7 +21,6 @@ from taccel_lab.ipc.elasticity import (
     stable_neo_hookean,
 )
 from taccel_lab.ipc.elasticity.principal import PrincipalHessian
-from taccel_lab.scene.material import MaterialModel
 
 wp.set_module_options({"enable_backward": False})
 

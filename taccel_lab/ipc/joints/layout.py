@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.affine.embedding import control_positions, rotate
+from taccel_lab.bodies.joints import Joint, VelocityDrive
+from taccel_lab.bodies.mass_properties import MassProperties
 from taccel_lab.model import Model
-from taccel_lab.scene.joints import Joint, VelocityDrive
-from taccel_lab.scene.mass_properties import MassProperties
+from taccel_lab.model.embedding import control_positions, rotate
 
 STIFFNESS = 1e4
 """Penalty over (inertia of the mechanism / dt^2)."""

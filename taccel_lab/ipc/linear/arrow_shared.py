@@ -18,7 +18,6 @@ from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, te
 from taccel_lab.ipc.linear.elimination import Elimination, border_codes, eliminate
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.packed_rows import RowSlices, pack_slices, row_slices
-from taccel_lab.ipc.linear.pattern import BlockPattern
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import scalars
 from taccel_lab.ipc.linear.row_plan import RowPlan
@@ -31,6 +30,7 @@ from taccel_lab.ipc.linear.shared_lists import (
     shared_program,
 )
 from taccel_lab.ipc.linear.shared_solve import get_shared, put_shared, solve_shared
+from taccel_lab.model.matrix_pattern import BlockPattern
 
 wp.set_module_options({"enable_backward": False})
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.ipc.linear.pattern import BlockPattern
+from taccel_lab.model.matrix_pattern import BlockPattern
 
 
 @dataclass(frozen=True)

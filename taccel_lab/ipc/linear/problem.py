@@ -6,8 +6,8 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
-from taccel_lab.ipc.linear.pattern import BlockPattern
 from taccel_lab.ipc.scratch import Scratch
+from taccel_lab.model.matrix_pattern import BlockPattern
 
 
 class LinearProblem:

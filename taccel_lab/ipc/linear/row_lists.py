@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.pattern import BlockPattern
+from taccel_lab.model.matrix_pattern import BlockPattern
 
 SEGMENT_LENGTH = 12
 """Most blocks in a segment: rows of linear tets have about 7 to 16, of quadratic ones 15 to 60."""

@@ -13,12 +13,12 @@ from taccel_lab.ipc.linear.arrow_shared import ArrowShared, fits_shared
 from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.block_ops import team
 from taccel_lab.ipc.linear.dense_cholesky import DenseCholesky
-from taccel_lab.ipc.linear.pattern import BlockPattern
 from taccel_lab.ipc.linear.pipelined_cg import TASKS_PER_ROW, PipelinedCG
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.ssor_cg import SsorCG
 from taccel_lab.ipc.scratch import Scratch
+from taccel_lab.model.matrix_pattern import BlockPattern
 
 
 class Solver(Protocol):

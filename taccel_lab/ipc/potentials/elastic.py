@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
+from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.laws import LAWS
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.potentials.element_data import ElementKernels, ElementSum
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
-from taccel_lab.scene.element import Element
-from taccel_lab.scene.material import MaterialModel
 
 __all__ = ["PSD_CLAMP", "PSD_NONE", "ElasticPotential", "elastic_kernels"]
 

@@ -21,14 +21,13 @@ by implicit Euler, and so is the next one, which has no past then.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
-import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
+from taccel_lab.state import StepHistory
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,45 +38,6 @@ JUMP = wp.constant(wp.float64(0.5))
 where contact begins or ends it is 1. Cubes that fall, stiff and soft, flat and tilted, gain no
 energy with 0.5, 0.25 or 0.1, in steps of a tenth of a contact to a whole one; where only the first
 touch counts they gain up to 14 % of m g h in a step."""
-
-
-@dataclass
-class StepHistory:
-    """The step before the last one; BDF2 needs it, implicit Euler does not."""
-
-    positions: wp.array
-    """Node positions one step earlier [m], vec3d, shape [env_count, node_count]."""
-    velocities: wp.array
-    """Node velocities one step earlier [m/s], vec3d, shape [env_count, node_count]."""
-    dts: wp.array
-    """Length of the last step [s], float64, shape [env_count]; 0 where there was none, and after an
-    impact."""
-    forces: wp.array
-    """Sum of the magnitudes of the contact forces on the nodes of each body at the end of the last
-    step [N], float64, shape [env_count, body_count]."""
-
-    @classmethod
-    def empty(cls, model: Model) -> StepHistory:
-        """No past in any environment."""
-        shape = (model.env_count, model.node_count)
-        return cls(
-            positions=wp.zeros(shape, dtype=wp.vec3d, device=model.device),
-            velocities=wp.zeros(shape, dtype=wp.vec3d, device=model.device),
-            dts=wp.zeros(model.env_count, dtype=wp.float64, device=model.device),
-            forces=wp.zeros(
-                (model.env_count, len(model.bodies)), dtype=wp.float64, device=model.device
-            ),
-        )
-
-    def arrays(self) -> list[wp.array]:
-        """All of it."""
-        return [self.positions, self.velocities, self.dts, self.forces]
-
-    def forget(self, mask: np.ndarray) -> None:
-        """Leave the environments of ``mask`` (bool, [env_count]) without a past."""
-        dts = self.dts.numpy()
-        dts[mask] = 0.0
-        self.dts.assign(dts)
 
 
 @wp.func

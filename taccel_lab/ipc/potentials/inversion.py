@@ -12,12 +12,12 @@ from collections.abc import Sequence
 
 import warp as wp
 
+from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.volume_bounds import is_inside_out
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementSum
 from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
 from taccel_lab.ipc.potentials.quadratic_shape import corner_deformation
-from taccel_lab.scene.element import Element
-from taccel_lab.scene.material import MaterialModel
 
 wp.set_module_options({"enable_backward": False})
 

@@ -7,6 +7,7 @@ from functools import cache
 
 import warp as wp
 
+from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.dilatation import volume_growth
 from taccel_lab.ipc.elasticity.laws import LAWS
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
@@ -16,7 +17,6 @@ from taccel_lab.ipc.potentials.quadratic_kernels import (
     PointLaw,
     create_quadratic_kernels,
 )
-from taccel_lab.scene.material import MaterialModel
 
 wp.set_module_options({"enable_backward": False})
 

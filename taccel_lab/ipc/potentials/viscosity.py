@@ -17,6 +17,7 @@ from functools import cache
 
 import warp as wp
 
+from taccel_lab.bodies.element import Element
 from taccel_lab.ipc.elasticity.dilatation import half_square, strain_trace_slope
 from taccel_lab.ipc.elasticity.principal import lifted_matrix
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
@@ -32,7 +33,6 @@ from taccel_lab.ipc.potentials.quadratic_shape import POINT_COUNT, quadratic_def
 from taccel_lab.ipc.svd import matrix_column
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
-from taccel_lab.scene.element import Element
 
 wp.set_module_options({"enable_backward": False})
 

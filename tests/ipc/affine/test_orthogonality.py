@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from taccel_lab.bodies.bodies import AffineBody
+from taccel_lab.bodies.primitives import box_mesh
+from taccel_lab.bodies.scene_description import Scene, TimeStepping
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.potentials.affine import AffinePotential
-from taccel_lab.scene.bodies import AffineBody
-from taccel_lab.scene.description import Scene, TimeStepping
-from taccel_lab.scene.primitives import box_mesh
 from taccel_lab.state import initial_state
 from tests.ipc.dense_system import Dense, differences
 

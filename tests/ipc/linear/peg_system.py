@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.pattern import BlockPattern, block_pattern
 from taccel_lab.ipc.linear.system import LinearSystem
+from taccel_lab.model.matrix_pattern import BlockPattern, block_pattern
 
 YOUNG_PA = 1.5e5
 POISSON = 0.46

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.pattern import BlockPattern, block_pattern
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.system import LinearSystem
+from taccel_lab.model.matrix_pattern import BlockPattern, block_pattern
 
 BACKENDS = ("ssor", "cg", "pipelined", "arrow", "arrow-shared")
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.ipc.linear.pattern import block_pattern, element_pairs, node_gather
+from taccel_lab.model.matrix_pattern import block_pattern, element_pairs, node_gather
 
 NODE_COUNT, FREE_COUNT = 14, 9
 

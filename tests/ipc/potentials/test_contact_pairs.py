@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.bodies.bodies import Surface
 from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.ipc.affine.embedding import embed_vertices
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.collisions import (
     EDGE_EDGE,
@@ -24,6 +24,7 @@ from taccel_lab.ipc.contact_roles import body_ranks, self_ranges
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.contact import ContactPotential
 from taccel_lab.model import Model
+from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.scene import (
     AffineBody,
     Element,
@@ -35,7 +36,6 @@ from taccel_lab.scene import (
     TimeStepping,
     box_mesh,
 )
-from taccel_lab.scene.bodies import Surface
 from taccel_lab.state import initial_state
 from tests.ipc.contact_sums import edge_pair_sum, log_barrier, node_face_sum
 from tests.ipc.dense_system import Dense, dense, differences, empty_system

@@ -10,10 +10,11 @@ import pytest
 import warp as wp
 
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.potentials.inertia import InertiaPotential, StepHistory
+from taccel_lab.ipc.potentials.inertia import InertiaPotential
 from taccel_lab.model import Model
 from taccel_lab.scene import TimeStepping
 from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.state import StepHistory
 from tests.verification.assembly import Assembly, central_difference, coordinate_probe
 from tests.verification.blocks import scene
 

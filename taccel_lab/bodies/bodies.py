@@ -9,11 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
+from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.material import Material, MaterialField
+from taccel_lab.bodies.primitives import Ball, TriangleMesh
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh, quadratic_mesh
-from taccel_lab.scene.element import Element
-from taccel_lab.scene.material import Material, MaterialField
-from taccel_lab.scene.primitives import Ball, TriangleMesh
 
 ALL_LAYERS = 0xFFFFFFFF
 """Mask of a body that may touch every layer."""

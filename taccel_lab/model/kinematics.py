@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.model import Model
+from taccel_lab.model.model import Model
 
 wp.set_module_options({"enable_backward": False})
 

@@ -9,15 +9,12 @@ curved face may reach into a ball by an inset (``surface_topology``), its nodes 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.scene.box_pairs import box_pairs
-from taccel_lab.scene.surface_topology import ball_insets
-
-if TYPE_CHECKING:
-    from taccel_lab.model import Model
+from taccel_lab.bodies.box_pairs import box_pairs
+from taccel_lab.bodies.surface_topology import ball_insets
+from taccel_lab.model import Model
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ class SurfacePairs:
         self.points = np.union1d(np.unique(self.faces), balls)
         """Nodes that can touch something."""
         self.may_touch = np.zeros((len(model.bodies), len(model.bodies)), dtype=bool)
-        for i, j in model.plan.pairs:
+        for i, j in model.contact_plan.pairs:
             self.may_touch[i, j] = self.may_touch[j, i] = i != j
 
     def nearer_than(self, x: np.ndarray, present: np.ndarray, limit_m: float, env: int = 0) -> Gaps:

@@ -17,9 +17,9 @@ from itertools import permutations
 
 import numpy as np
 
+from taccel_lab.bodies.mesh_checks import check_edges
+from taccel_lab.bodies.primitives import TriangleMesh
 from taccel_lab.errors import InputError
-from taccel_lab.scene.mesh_checks import check_edges
-from taccel_lab.scene.primitives import TriangleMesh
 
 _FLAT = 1e-13
 """Volume over (area * extent) that is rounding error; a 10 um foil of 1 m has 1e-5."""

@@ -30,7 +30,7 @@ class Rules:
 
 
 @wp.struct
-class Progress:
+class EnvProgress:
     """Arrays of shape [env_count]; masks are 0 or 1."""
 
     who: wp.array(dtype=wp.int32)
@@ -152,8 +152,8 @@ _REPORTED_FLOATS = ("residual", "excess", "contact_force", "min_distance") + (
 )
 
 
-class ProgressArrays:
-    """The arrays of a ``Progress``, laid out so that a report takes one copy to the host."""
+class EnvProgressArrays:
+    """The arrays of an ``EnvProgress``, laid out so that a report takes one copy to the host."""
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ class ProgressArrays:
         energy_rounding_j: np.ndarray,
         device: wp.Device,
     ) -> None:
-        self.data = Progress()
+        self.data = EnvProgress()
         """For kernels."""
         # Two rows of integers take the place of one of floating point numbers.
         int_rows = -(-len(_REPORTED_INTS) // 2)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.scene.primitives import unique_edges
+from taccel_lab.bodies.primitives import unique_edges
 
 
 def self_crossings(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -32,7 +32,7 @@ def crossing_pairs(
 
     With node ids ([n, 2] and [m, 3]) given, pairs that share a node are left out.
     """
-    from taccel_lab.scene.box_pairs import box_pairs
+    from taccel_lab.bodies.box_pairs import box_pairs
 
     a, b = box_pairs(
         (segments.min(axis=1), segments.max(axis=1)), (triangles.min(axis=1), triangles.max(axis=1))

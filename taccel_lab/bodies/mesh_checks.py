@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.bodies.crossings import self_crossings
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.scene.crossings import self_crossings
 
 COINCIDENT = 1e-9
 """Distance over extent at which vertices count as the same."""

@@ -4,16 +4,13 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.errors import InputError
-from taccel_lab.scene.bodies import (
+from taccel_lab.bodies.bodies import (
     AffineBody,
     Body,
     KinematicBody,
@@ -22,10 +19,8 @@ from taccel_lab.scene.bodies import (
     check_friction,
     combined_friction,
 )
-from taccel_lab.scene.joints import Joint, check_joints
-
-if TYPE_CHECKING:
-    from taccel_lab.model import Model
+from taccel_lab.bodies.joints import Joint, check_joints
+from taccel_lab.errors import InputError
 
 
 class TimeScheme(StrEnum):
@@ -64,8 +59,8 @@ class TimeStepping:
 
 
 @dataclass(frozen=True, init=False)
-class Scene:
-    """Bodies and how they meet, in ``env_count`` copies.
+class SceneDescription:
+    """Bodies and how they meet, in ``env_count`` copies; ``scene.Scene`` puts it on a device.
 
     Copies share connectivity and differ in rest shape, state, kinematic poses, and in which of the
     affine and kinematic bodies are present.
@@ -213,15 +208,3 @@ class Scene:
         if any(isinstance(body, KinematicBody) and body.shape is None for body in (first, second)):
             return False
         return first.surface.meets(second.surface)
-
-    def finalize(self, device: str | None = None) -> Model:
-        """Build the device arrays; raises InputError for meshes that cannot be used.
-
-        ``device``: "cpu" or "cuda:0", "cuda:1", ...; when None what the environment variable
-        TACCEL_LAB_DEVICE says, else the CPU.
-        """
-        from taccel_lab.model import build_model
-        from taccel_lab.scene.checks import check_scene
-
-        check_scene(self)
-        return build_model(self, device or os.environ.get("TACCEL_LAB_DEVICE", "cpu"))

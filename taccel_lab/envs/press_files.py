@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a press: signals, pictures, deformed mesh, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.envs.press_outcome import PressOutcome
+from taccel_lab.geometry import Region
+from taccel_lab.geometry.vtu import write_mesh_vtu
+from taccel_lab.optics.render import OpticalModel
+from taccel_lab.output import write_json
+from taccel_lab.report import (
+    draw_contact_forces,
+    draw_force_depth,
+    draw_height_map,
+    draw_image,
+    draw_normals,
+    save_figure,
+)
+from taccel_lab.report.model import ForceDepth
+from taccel_lab.version import __version__
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
+
+PREDICTED_PX = 640
+"""Longest side of the picture that the optical model predicts."""
+
+
+def write_press(
+    folder: Path,
+    outcome: PressOutcome,
+    profile: SensorProfile,
+    rgb: np.ndarray | None,
+    about: Mapping[str, Any],
+) -> None:
+    """Write arrays, pictures, the deformed mesh and ``press.json`` of a press.
+
+    Args:
+        folder: To write to; it exists.
+        outcome: The press.
+        profile: Of the sensor that was pressed.
+        rgb: Tactile image, levels; when None the picture that the optical model predicts is
+            written, if the sensor has one.
+        about: What the caller knows of the press, first in ``press.json``; ``indenter`` labels the
+            curve of the force.
+    """
+    import cv2
+
+    grid = profile.grid()
+    arrays: dict[str, Any] = {
+        "height_m": outcome.height_m,
+        "rest_height_m": outcome.rest_height_m,
+        "normals": outcome.normals,
+        "rest_normals": outcome.rest_normals,
+        "contact_mask": outcome.contact_mask,
+        "contact_forces_n": outcome.contact_forces_n,
+        "contact_pressures_pa": outcome.contact_pressures_pa,
+    }
+    if rgb is not None:
+        arrays["rgb"] = np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
+        save_figure(draw_image(rgb, grid), folder / "image.png")
+        cv2.imwrite(str(folder / "image_raw.png"), arrays["rgb"][..., ::-1])
+    else:
+        _write_predicted(folder / "predicted.png", profile, outcome)
+    np.savez_compressed(folder / "signals.npz", **arrays)
+    write_mesh_vtu(
+        folder / "gel.vtu",
+        outcome.mesh,
+        positions_m=outcome.positions_m,
+        point_data={
+            "displacement_m": outcome.positions_m - outcome.mesh.nodes_m,
+            "contact_force_n": outcome.contact_forces_n,
+            "contact_pressure_pa": outcome.contact_pressures_pa,
+        },
+    )
+    save_figure(draw_height_map(outcome.height_m, grid), folder / "height_map.png")
+    save_figure(draw_normals(outcome.normals, grid), folder / "normals.png")
+    faces = outcome.mesh.region_faces(Region.CONTACT)
+    save_figure(
+        draw_contact_forces(
+            outcome.positions_m, faces, outcome.contact_forces_n, outcome.contact_pressures_pa
+        ),
+        folder / "contact_pressure.png",
+    )
+    down = [s for s in outcome.steps if s.shear_mm == (0.0, 0.0) and s.twist_deg == 0.0]
+    curve = ForceDepth(
+        label=about["indenter"],
+        depth_mm=np.array([0.0] + [s.depth_mm for s in down]),
+        force_n=np.array([0.0] + [s.wrench[2] for s in down]),
+    )
+    save_figure(draw_force_depth(curve), folder / "force_depth.png")
+    write_json(
+        folder / "press.json",
+        {
+            **about,
+            "path": {
+                "depth_mm": outcome.path.depth_mm,
+                "shear_mm": outcome.path.shear_mm,
+                "twist_deg": outcome.path.twist_deg,
+            },
+            "material": profile.material.model_dump(
+                include={"young_modulus_pa", "poisson_ratio", "layers"}, exclude_defaults=True
+            ),
+            "mesh": {"node_count": outcome.mesh.node_count, "tet_count": outcome.mesh.tet_count},
+            "physics": outcome.physics.record(),
+            "press": outcome.figures(),
+            "indenter_pose": outcome.indenter_pose,
+            "tool_version": __version__,
+        },
+    )
+
+
+def _write_predicted(path: Path, profile: SensorProfile, outcome: PressOutcome) -> None:
+    """The picture that the optical model of an uncalibrated sensor expects, if it has one."""
+    design = profile.optical_design()
+    if design is None:
+        return
+    import cv2
+
+    size = design.camera.size_within(PREDICTED_PX)
+    markers = None if profile.markers is None else profile.markers.grid()
+    model = OpticalModel(design, outcome.mesh, size_px=size, markers=markers)
+    cv2.imwrite(str(path), model.render(outcome.positions_m).rgb[..., ::-1])

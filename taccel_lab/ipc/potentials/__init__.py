@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Launches of each term of the incremental potential."""

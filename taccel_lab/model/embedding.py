@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Vertices of affine bodies as weighted sums of control nodes.
+
+A vertex is x = y0 + sum_k w_k y_k with constant weights [Lan et al. 2022, eq. 2], so positions and
+displacements follow alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.bodies.mass_properties import MassProperties
+from taccel_lab.model.model import Model
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _embed_kernel(
+    first: int,
+    parents: wp.array(dtype=wp.int32),
+    weights: wp.array(dtype=wp.vec4d),
+    values: wp.array2d(dtype=wp.vec3d),
+):
+    env, i = wp.tid()
+    node = first + i
+    y = parents[node]
+    w = weights[node]
+    values[env, node] = (
+        w[0] * values[env, y]
+        + w[1] * values[env, y + 1]
+        + w[2] * values[env, y + 2]
+        + w[3] * values[env, y + 3]
+    )
+
+
+def embed_vertices(model: Model, values: wp.array) -> None:
+    """Overwrite positions or displacements [m] of affine vertices from their control nodes."""
+    affine = model.affine
+    if affine.count == 0:
+        return
+    first = affine.first_control + 4 * affine.count
+    last = model.bodies[len(model.scene.soft_bodies) + affine.count - 1].nodes[1]
+    wp.launch(
+        _embed_kernel,
+        dim=(model.env_count, last - first),
+        inputs=[first, model.parents, model.weights],
+        outputs=[values],
+        device=model.device,
+    )
+
+
+def control_positions(solid: MassProperties, pose: np.ndarray) -> np.ndarray:
+    """Control nodes y0..y3 [m] of a body at poses [..., 7], shape [..., 4, 3]."""
+    local = np.concatenate([solid.center_m[None], solid.radius_m * solid.axes.T])
+    turned = rotate(pose[..., None, 3:], local)
+    turned[..., 0, :] += pose[..., :3]
+    return turned
+
+
+def rotate(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Vectors [..., 3] turned by unit quaternions (x, y, z, w) [..., 4]."""
+    axis, scalar = quaternion[..., :3], quaternion[..., 3:]
+    twice = 2 * np.cross(axis, vector)
+    return vector + scalar * twice + np.cross(axis, twice)

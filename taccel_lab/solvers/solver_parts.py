@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a solver holds for a model: the potentials that its scene needs, contacts, arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.capacity import GrowingList, initial_capacity
+from taccel_lab.ipc.collisions import Collisions
+from taccel_lab.ipc.linear.system import LinearSystem
+from taccel_lab.ipc.potentials.contact import ContactPotential
+from taccel_lab.ipc.potentials.elastic import ElasticPotential
+from taccel_lab.ipc.potentials.energy import Potential, share_buffer
+from taccel_lab.ipc.potentials.external import ExternalLoad
+from taccel_lab.ipc.potentials.friction import FrictionPotential
+from taccel_lab.ipc.potentials.inertia import InertiaPotential
+from taccel_lab.ipc.potentials.inversion import BEARS_INVERSION, may_hide_inversion
+from taccel_lab.ipc.scratch import Scratch
+from taccel_lab.model import Model
+from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.env_progress import EnvProgressArrays, make_rules
+
+
+class SolverParts:
+    """Potentials, contact search, linear solver and arrays; what the scene does not need is not
+    built."""
+
+    def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
+        self.model = model
+        self.config = config or SolverConfig()
+        scene = model.scene
+        self.elastic = [ElasticPotential(model, group) for group in model.elastic]
+        """One for each group of elements that share a law and a kind."""
+        self.invertible = [part for part in self.elastic if part.group.law in BEARS_INVERSION]
+        """Those that may start with elements inside out, as their energy bears it."""
+        self.silent = [part for part in self.elastic if may_hide_inversion(part)]
+        """Those whose energy does not tell that a step has turned an element inside out."""
+        self.inertia = None if scene.time.quasi_static else InertiaPotential(model)
+        self.viscosity = self._viscosity()
+        self.affine = None
+        if scene.affine_bodies:
+            from taccel_lab.ipc.potentials.affine import AffinePotential
+
+            self.affine = AffinePotential(model)
+        self.joints = None
+        if scene.joints:
+            from taccel_lab.ipc.potentials.joints import JointPotential
+
+            self.joints = JointPotential(model)
+        self.load: ExternalLoad | None = None
+        """Built by the first step of a state with external forces."""
+        limit = self.config.max_collisions
+        self.candidates = Candidates(model, limit=limit)
+        self.collisions = Collisions(model, self.config.kappa_pa, self.config.dhat_m, limit=limit)
+        self.contact = ContactPotential(model, self.collisions)
+        static_range = self.config.static_range_m(scene.time)
+        self.friction = (
+            FrictionPotential(model, self.collisions, static_range) if model.rubs else None
+        )
+        # Where gels make up most of the unknowns CG is quicker, stiff bodies or not.
+        stiff = 8 * model.affine.count >= model.free_count
+        first = model.free_count - 4 * model.affine.count
+        self.linear = LinearSystem(
+            model.pattern,
+            model.env_count,
+            model.device,
+            stiff,
+            method=self.config.linear_method,
+            clusters=[(first + 4 * i, first + 4 * i + 4) for i in range(model.affine.count)],
+            extra_capacity=self._extra_capacity(),
+            scratch=self._scratch(),
+        )
+        shape, device = (model.env_count, model.node_count), model.device
+
+        def nodal() -> wp.array:
+            return wp.zeros(shape, dtype=wp.vec3d, device=device)
+
+        self.gradient, self.trial, self.previous = nodal(), nodal(), nodal()
+        self.displacements = nodal()
+        self.origin = nodal()
+        """Where the nodes were when the step began [m]: sliding counts from there. Other than
+        ``previous`` in a step that is taken again from where it had ended."""
+        self.contact_gradient = nodal()
+        """d(barrier)/dx at the end of the step [N]; the force on a node is its negative."""
+        self.friction_gradient = nodal()
+        """d(friction)/dx at the end of the step [N]; the force on a node is its negative."""
+        self.path = nodal() if model.kinematic or self.affine else self.trial
+        """Way of a trial in which a body turns [m]."""
+        pivots = (model.env_count, model.affine.count)
+        self.pivots = wp.zeros(pivots, dtype=wp.vec3d, device=device)
+        """What each affine body turns about in a step, from its centre [m]."""
+        self.reduced = wp.zeros((model.env_count, model.free_count), dtype=wp.vec3d, device=device)
+        """Gradient of the total energy by the unknowns [N]."""
+        self.dts = wp.zeros(model.env_count, dtype=wp.float64, device=device)
+        self._dt = 0.0
+        self._who = np.zeros(model.env_count, dtype=bool)
+        self._separate = np.zeros(model.env_count, dtype=bool)
+        """Environments known to have started without overlaps."""
+        poses = (model.env_count, len(model.kinematic))
+        self.trial_poses = wp.zeros(poses, dtype=wp.transformd, device=device)
+        self.target_poses = wp.zeros_like(self.trial_poses)
+        self.start_poses = wp.zeros_like(self.trial_poses)
+        self.end_poses = wp.zeros_like(self.trial_poses)
+        self.origin_poses = wp.zeros_like(self.trial_poses)
+        self.body_rows = wp.array(model.body_rows(), dtype=wp.vec2i, device=device)
+        """Range of each body in ``reduced``, vec2i, shape [body_count]."""
+        ranges = [body.nodes for body in model.bodies]
+        self.body_nodes = wp.array(ranges, dtype=wp.vec2i, device=device)
+        """Range of each body in the nodes, vec2i, shape [body_count]."""
+        self.progress = EnvProgressArrays(
+            model.env_count,
+            len(model.bodies),
+            model.kinematic_radii_m,
+            self._energy_rounding(),
+            device,
+        )
+        self.rules = make_rules(
+            self.config,
+            self.affine.rounding_n if self.affine else 0.0,
+            self.joints.tolerance_m if self.joints else None,
+            self.friction is not None,
+        )
+        self.share_energies()
+
+    @property
+    def captures(self) -> bool:
+        """Whether steps become graphs."""
+        return (
+            self.config.capture
+            and self.linear.capturable
+            and (self.model.device.is_cuda or not self.model.contact_plan.soft_to_soft)
+        )
+
+    @property
+    def active(self) -> wp.array:
+        """Mask of the environments that a step works on, int32, shape [env_count]."""
+        return self.progress.data.active
+
+    def _scratch(self) -> Scratch:
+        """Memory of the elements, which are idle during a solve."""
+        idle = [part.idle_memory for part in [*self.elastic, *self.viscosity]]
+        return Scratch(max(idle, key=lambda memory: memory.capacity) if idle else None)
+
+    def _extra_capacity(self) -> int:
+        """Room for contact of two free bodies that does not fit the pattern of the matrix."""
+        model = self.model
+        if model.affine.count and model.scene.soft_bodies and not model.contact_in_pattern:
+            return initial_capacity(model.env_count)
+        return 32 if model.affine.count or model.contact_plan.soft_to_soft else 1
+
+    def _energy_rounding(self) -> np.ndarray:
+        """2e-17 of the shear modulus times the volume: a block of 20 mm and 1 MPa, turned, shows
+        about a sixth of that."""
+        model = self.model
+        total = np.zeros(model.rest_count)
+        for group in model.elastic:
+            total += (group.volumes.numpy() * group.mu.numpy()).sum(axis=1)
+        return 2e-17 * np.tile(total, model.env_count // model.rest_count)
+
+    def share_energies(self) -> None:
+        """One buffer for the energies of all terms; graphs that used the old one are stale."""
+        model = self.model
+        self.energies = share_buffer(list(self.potentials.values()), model.env_count, model.device)
+        """Energies of all items of ``potentials`` [J], [env_count, all items]."""
+
+    def _viscosity(self) -> list:
+        groups = [group for group in self.model.elastic if group.damped]
+        if not groups:
+            return []
+        from taccel_lab.ipc.potentials.viscosity import ViscousPotential
+
+        return [ViscousPotential(self.model, group) for group in groups]
+
+    @property
+    def potentials(self) -> dict[str, Potential]:
+        """Terms of the energy by name, without contact and friction."""
+        terms: dict[str, Potential | None] = {}
+        for i, part in enumerate(self.elastic):
+            terms["elastic" if i == 0 else f"elastic {i + 1}"] = part
+        for i, part in enumerate(self.viscosity):
+            terms["viscous" if i == 0 else f"viscous {i + 1}"] = part
+        terms |= {
+            "inertia": self.inertia,
+            "affine": self.affine,
+            "joints": self.joints,
+            "external": self.load,
+        }
+        return {name: term for name, term in terms.items() if term is not None}
+
+    @property
+    def lists(self) -> list[GrowingList]:
+        """Lists of contacts, which grow when they are too short."""
+        return [*self.candidates.lists, self.collisions, self.linear.extra]
