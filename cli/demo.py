@@ -45,11 +45,13 @@ class Demo:
         from taccel_lab.calibration.color.fit_options import ColorFitOptions
         from taccel_lab.calibration.demo import BATCH_PIXELS, DEMO_SENSOR, calibrate_demo
         from taccel_lab.calibration.demo_report import build_report
-        from taccel_lab.cli.press import Press, check_depth, load_sensor
+        from taccel_lab.cli.press import Press
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.envs import PressPath
+        from taccel_lab.envs.press import check_depth
         from taccel_lab.output import atomic_directory, require_replaceable
         from taccel_lab.report import write_report
+        from taccel_lab.sensors.profile import load_sensor
 
         wp.config.log_level = wp.LOG_WARNING
         console = Console(stderr=True)

@@ -64,12 +64,12 @@ class Refuse:
             raise ModuleNotFoundError(name)
 
 sys.meta_path.insert(0, Refuse())
-from taccel_lab.benchmarks import compare, error, peers, quick, scaling, skips, speed
+from taccel_lab.benchmarks import compare, error, images, multi_gpu, peers, quick, scaling, skips
 from taccel_lab.benchmarks.command_line import main, parse
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 for name in SCENES:
     assert build_scene(name, SceneOptions(source="generated")).steps > 10
-assert parse(["run", "speed", "--envs", "1,16", "--scene", "peg,hand"]).envs == (1, 16)
+assert parse(["speed", "--envs", "1", "16", "--scene", "peg", "hand"]).envs == (1, 16)
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
