@@ -165,7 +165,9 @@ def fit_flow(
 
 def _remarks(name: str, solution: Solution, rms_mm: float, moved_mm: float) -> list[Remark]:
     remarks = []
-    for key, title in (("ln_mu", "friction"), ("nu", "Poisson's ratio")):
+    titles = {"ln_mu": "friction", "nu": "Poisson's ratio"}
+    codes = {"ln_mu": "flow_friction_undetermined", "nu": "flow_nu_undetermined"}
+    for key, title in titles.items():
         profile = solution.profiles.get(key)
         if profile is None or profile.closed:
             continue
@@ -176,11 +178,8 @@ def _remarks(name: str, solution: Solution, rms_mm: float, moved_mm: float) -> l
             text = f"only shows that {title} is " + (
                 f"above {low:.3g}" if profile.open_high else f"below {high:.3g}"
             )
-        remarks.append(
-            Remark(
-                Severity.INFO, f"flow_{key}_undetermined", f"{name} {text}; move the tool farther"
-            )
-        )
+        text = f"{name} {text}; move the tool farther"
+        remarks.append(Remark(Severity.INFO, codes[key], text))
     if rms_mm > 0.3 * moved_mm:
         remarks.append(
             Remark(

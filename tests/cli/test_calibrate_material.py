@@ -33,7 +33,7 @@ def captures(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
     """A press, and a slide of a flat punch there and back."""
     monkeypatch.setenv("TACCEL_LAB_CACHE", str(cache))
     monkeypatch.setitem(PHYSICS, Accuracy.FAST, FAST)
-    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 5)
+    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 4)
     gel = Gel.of_profile(catalogue_profile("gelsight_mini"), physics=FAST).with_law(POISSON)
     tool = gel.tool(ToolEntry(kind="sphere", radius_mm=5.0))
     table = force_table(gel, tool, (0.15, 1.2), free_nu=False, friction=FRICTION)

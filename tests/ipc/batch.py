@@ -10,23 +10,17 @@ import warp as wp
 
 from taccel_lab.ipc import barrier as barrier_module
 from taccel_lab.ipc import ccd, friction, psd, tangent
-from taccel_lab.ipc.distance import (
-    ClosestPair,
-    closest_edge_edge,
-    closest_point_edge,
-    closest_point_point,
-    closest_point_triangle,
-    distance_gradient,
-    distance_sq_gradient,
-    distance_sq_hessian,
+from taccel_lab.ipc.distance.closest_pair import ClosestPair
+from taccel_lab.ipc.distance.edge_edge import closest_edge_edge, edge_edge_distance_sq
+from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_cross_sq,
-    edge_edge_distance_sq,
     edge_edge_mollifier,
-    edge_edge_mollifier_gradient,
-    edge_edge_mollifier_hessian,
     edge_edge_mollifier_threshold,
-    point_edge_distance_sq,
-    point_point_distance_sq,
+)
+from taccel_lab.ipc.distance.point_edge import closest_point_edge, point_edge_distance_sq
+from taccel_lab.ipc.distance.point_point import closest_point_point, point_point_distance_sq
+from taccel_lab.ipc.distance.point_triangle import (
+    closest_point_triangle,
     point_triangle_distance_sq,
 )
 from taccel_lab.ipc.matrix_types import mat23d, mat43d, mat55d, mat1212d
@@ -36,10 +30,16 @@ from taccel_lab.ipc.mollified_edge_edge import (
     mollifier_terms,
 )
 from taccel_lab.ipc.pair_hessian import (
-    PairHessian,
     pair_gradient,
     pair_hessian,
-    pair_hessian_block,
+)
+from tests.ipc.whole_derivatives import (
+    distance_gradient,
+    distance_sq_gradient,
+    distance_sq_hessian,
+    edge_edge_mollifier_gradient,
+    edge_edge_mollifier_hessian,
+    hessian_matrix,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -97,19 +97,6 @@ def _query_pairs_kernel(
     hessian_sq[i] = distance_sq_hessian(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3])
 
 
-@wp.func
-def _hessian_matrix(h: PairHessian) -> mat1212d:
-    """All 16 blocks [N/m]."""
-    matrix = mat1212d()
-    block_count = int(16)
-    for k in range(block_count):
-        block = pair_hessian_block(h, k // 4, k % 4)
-        for a in range(3):
-            for b in range(3):
-                matrix[3 * (k // 4) + a, 3 * (k % 4) + b] = block[a, b]
-    return matrix
-
-
 @wp.kernel
 def _pair_energy_kernel(
     kind: wp.int32,
@@ -124,7 +111,7 @@ def _pair_energy_kernel(
     pair = _closest(kind, x[i, 0], x[i, 1], x[i, 2], x[i, 3])
     gradient[i] = pair_gradient(pair, e1[i])
     h = pair_hessian(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3], e1[i], e2[i], mode)
-    hessian[i] = _hessian_matrix(h)
+    hessian[i] = hessian_matrix(h)
 
 
 @wp.kernel
@@ -167,7 +154,7 @@ def _mollified_energy_kernel(
     m = edge_edge_mollifier(edge_edge_cross_sq(x[i, 0], x[i, 1], x[i, 2], x[i, 3]), e)
     h = pair_hessian(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3], m * e1, m * e2, mode)
     terms = mollifier_terms(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3], e, e0, e1, mode)
-    matrix = _hessian_matrix(h)
+    matrix = hessian_matrix(h)
     block_count = int(16)
     for k in range(block_count):
         block = mollifier_block(terms, k // 4, k % 4)

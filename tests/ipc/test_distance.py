@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from taccel_lab.ipc.distance import EdgeEdgeRegion, PointTriangleRegion
+from taccel_lab.ipc.distance.edge_edge import EdgeEdgeRegion
+from taccel_lab.ipc.distance.point_triangle import PointTriangleRegion
 from tests.ipc import batch
 from tests.ipc.batch import Array
 from tests.ipc.stencils import (

@@ -83,8 +83,8 @@ class ImageSet:
             draft.set_background(background)
         elif options.background is None:
             draft.notes.append(
-                f"no background: {self.backgrounds[0]} is missing; give one with --background, or "
-                "--background median for that of the presses"
+                f"no background: {self.backgrounds[0].replace('*', 'png')} is missing; give one "
+                "with --background, or --background median for that of the presses"
             )
         draft.set_ball(self.ball_radius_mm)
         draft.set_scale(self.mm_per_px)

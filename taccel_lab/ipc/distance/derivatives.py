@@ -16,7 +16,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.distance.closest_pair import ClosestPair, combine
-from taccel_lab.ipc.matrix_types import mat43d, mat1212d
+from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.tangent import tangent_basis
 
 wp.set_module_options({"enable_backward": False})
@@ -46,18 +46,6 @@ def pair_normal(pair: ClosestPair) -> wp.vec3d:
 def outer_rows(weights: wp.vec4d, v: wp.vec3d) -> mat43d:
     """Rows w_i v."""
     return wp.outer(weights, v)
-
-
-@wp.func
-def distance_gradient(pair: ClosestPair) -> mat43d:
-    """Derivative of the distance by the nodes [-], row i = w_i n."""
-    return outer_rows(pair.weights, pair_normal(pair))
-
-
-@wp.func
-def distance_sq_gradient(pair: ClosestPair) -> mat43d:
-    """Derivative of the squared distance by the nodes [m], row i = 2 w_i r."""
-    return outer_rows(pair.weights, wp.float64(2.0) * pair.offset)
 
 
 @wp.func
@@ -91,34 +79,3 @@ def pair_frame(
             n = wp.where(wp.dot(face, pair.offset) < wp.float64(0.0), -face, face)
     frame.axes = wp.matrix_from_cols(n, t1, t2)
     return frame
-
-
-@wp.func
-def distance_sq_hessian(
-    pair: ClosestPair, x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d
-) -> mat1212d:
-    """Second derivative of the squared distance by the nodes [-]."""
-    frame = pair_frame(pair, x0, x1, x2, x3)
-    t1 = wp.vec3d(frame.axes[0, 1], frame.axes[1, 1], frame.axes[2, 1])
-    t2 = wp.vec3d(frame.axes[0, 2], frame.axes[1, 2], frame.axes[2, 2])
-    two = wp.float64(2.0)
-    hessian = mat1212d()
-    block_count = int(16)  # a variable, so that Warp does not unroll the loop
-    for k in range(block_count):
-        i = k // 4
-        j = k % 4
-        wi = pair.weights[i]
-        wj = pair.weights[j]
-        block = wi * wj * wp.identity(n=3, dtype=wp.float64)
-        if pair.free_count > 0:
-            left = wi * t1 + frame.slide_1[i] * pair.offset
-            right = wj * t1 + frame.slide_1[j] * pair.offset
-            block -= wp.outer(left, right)
-        if pair.free_count > 1:
-            left = wi * t2 + frame.slide_2[i] * pair.offset
-            right = wj * t2 + frame.slide_2[j] * pair.offset
-            block -= wp.outer(left, right)
-        for a in range(3):
-            for b in range(3):
-                hessian[3 * i + a, 3 * j + b] = two * block[a, b]
-    return hessian

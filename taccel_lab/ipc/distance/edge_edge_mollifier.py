@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.matrix_types import mat43d, mat1212d
+from taccel_lab.ipc.matrix_types import mat43d
 
 wp.set_module_options({"enable_backward": False})
 
@@ -106,34 +106,3 @@ def cross_sq_hessian_block(
         else:
             block += bend
     return edge_sign(i) * edge_sign(j) * block
-
-
-@wp.func
-def edge_edge_mollifier_gradient(
-    ea0: wp.vec3d, ea1: wp.vec3d, eb0: wp.vec3d, eb1: wp.vec3d, threshold: wp.float64
-) -> mat43d:
-    """Derivative of the mollifier by the nodes [1/m]."""
-    slope = edge_edge_mollifier_d1(edge_edge_cross_sq(ea0, ea1, eb0, eb1), threshold)
-    return slope * edge_edge_cross_sq_gradient(ea0, ea1, eb0, eb1)
-
-
-@wp.func
-def edge_edge_mollifier_hessian(
-    ea0: wp.vec3d, ea1: wp.vec3d, eb0: wp.vec3d, eb1: wp.vec3d, threshold: wp.float64
-) -> mat1212d:
-    """Second derivative of the mollifier by the nodes [1/m^2], exact."""
-    cross_sq = edge_edge_cross_sq(ea0, ea1, eb0, eb1)
-    slope = edge_edge_mollifier_d1(cross_sq, threshold)
-    bend = edge_edge_mollifier_d2(cross_sq, threshold)
-    gradient = edge_edge_cross_sq_gradient(ea0, ea1, eb0, eb1)
-    hessian = mat1212d()
-    block_count = int(16)
-    for k in range(block_count):
-        i = k // 4
-        j = k % 4
-        block = slope * cross_sq_hessian_block(ea1 - ea0, eb1 - eb0, i, j, wp.float64(1.0))
-        block += bend * wp.outer(gradient[i], gradient[j])
-        for a in range(3):
-            for b in range(3):
-                hessian[3 * i + a, 3 * j + b] = block[a, b]
-    return hessian

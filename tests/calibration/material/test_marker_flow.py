@@ -17,7 +17,7 @@ from taccel_lab.calibration.material.press_plans import simulate
 from taccel_lab.calibration.material.tool_path import ToolPath
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
-from tests.calibration.material.physics import COARSE, DEFAULT, FAST
+from tests.calibration.material.physics import COARSE, COARSER, DEFAULT, FAST
 
 FRICTION, POISSON = 0.5, 0.475
 X, Y = np.meshgrid(np.linspace(-4, 4, 7), np.linspace(-3, 3, 5))
@@ -52,8 +52,8 @@ def flow_of(
 
 @pytest.fixture(autouse=True)
 def few_coefficients(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tables of four coefficients of friction instead of eight."""
-    nodes = (0.2, 0.33, 0.56, 0.9)
+    """Tables of three coefficients of friction instead of eight."""
+    nodes = (0.3, 0.45, 0.7)
     monkeypatch.setattr("taccel_lab.calibration.material.marker_flow_table.MU_NODES", nodes)
 
 
@@ -79,11 +79,11 @@ def test_friction_from_the_slip_of_markers(
 
 def test_a_press_alone_leaves_friction_open(gel: Gel, tool: Tool, press_cache: Path) -> None:
     way = path(0.0)
-    flow = flow_of(gel, tool, way, 0.05, COARSE)
-    coarse = gel.with_law(POISSON).with_physics(COARSE)
+    flow = flow_of(gel, tool, way, 0.05, COARSER)
+    coarse = gel.with_law(POISSON).with_physics(COARSER)
     fit = fit_flow(flow, way, coarse, tool, free_nu=False)
     assert not fit.friction_determined
-    assert any(remark.code == "flow_ln_mu_undetermined" for remark in fit.remarks)
+    assert any(remark.code == "flow_friction_undetermined" for remark in fit.remarks)
 
 
 @pytest.mark.slow
