@@ -150,9 +150,6 @@ def test_every_block_of_a_calibration_has_the_same_shape() -> None:
             for node in fit.body
             if isinstance(node, ast.FunctionDef) and node.name == f"calibrate_{block.name}"
         )
-        assert [argument.arg for argument in verb.args.args] == [
-            "folder",
-            "base",
-            "options",
-            "progress",
-        ]
+        options = [] if block.options is None else ["options"]
+        arguments = [argument.arg for argument in verb.args.args]
+        assert arguments == ["folder", "base", *options, "progress"]

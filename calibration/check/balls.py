@@ -27,6 +27,7 @@ from taccel_lab.calibration.check.findings import Finding, error, name_some, war
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.fit import find_contacts
+from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.geometry import PixelGrid
 
 TRAVEL_SLACK = 1.35
@@ -176,7 +177,7 @@ def _check_rates(frames: Sequence[FrameFigures], ball_radius_mm: float | None) -
     if len(balls) > 1:
         return _check_stated_ratio(rates[known], radii[known], balls)
     middle = float(np.median(rates[known]))
-    spread = float(np.exp(np.median(np.abs(np.log(rates[known] / middle))) * 1.4826))
+    spread = float(np.exp(spread_about_zero(np.log(rates[known] / middle))))
     limit = max(ODD_RATE, spread**4)
     odd = known & ((rates > limit * middle) | (rates < middle / limit))
     if not odd.any() or odd.sum() > 0.4 * known.sum():

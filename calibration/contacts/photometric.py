@@ -25,6 +25,7 @@ from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.contacts.circle_arrays import circle_of
 from taccel_lab.calibration.contacts.rings import RingSamples
 from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO, SKIRT, slope_law
+from taccel_lab.calibration.robust_spread import spread_about_zero
 
 ITERATIONS = 14
 STEP_PX = 0.2
@@ -254,7 +255,7 @@ class _JointFit:
     def _weigh(self, press: _State, left: np.ndarray, number: int) -> None:
         distance = np.linalg.norm(left, axis=1)
         press.rms = float(np.sqrt(np.mean(distance**2) / 3))
-        scale = 1.4826 * float(np.median(distance)) + 1e-6
+        scale = spread_about_zero(distance) + 1e-6
         if number > 1:  # The first map has seen only starting circles.
             press.robust = np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(distance, 1e-9)))
 

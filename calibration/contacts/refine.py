@@ -9,6 +9,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.contacts.circle_arrays import circle_array, circle_of
+from taccel_lab.calibration.robust_spread import spread_about_zero
 
 Misfit = Callable[[ContactCircle], np.ndarray]
 """Modelled less seen levels at fixed pixels, were the contact this circle, shape [n]."""
@@ -47,7 +48,7 @@ def refine_circle(
         r = misfit(circle_of(p))
         ahead = [(misfit(circle_of(p + step)) - r) / STEP_PX for step in STEP_PX * np.eye(3)]
         jacobian = np.stack(ahead, axis=-1)
-        scale = max(1.0, 1.4826 * float(np.median(np.abs(r))))
+        scale = max(1.0, spread_about_zero(r))
         weight = share / scale**2 / np.maximum(1.0, np.abs(r) / max(ROBUST_LEVELS, scale))
         normal = (jacobian * weight[:, None]).T @ jacobian + known
         gradient = jacobian.T @ (weight * r) + (p - middle) / prior_sigma_px**2

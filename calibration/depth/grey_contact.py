@@ -19,6 +19,7 @@ from scipy import ndimage
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.contacts.rim import RAY_COUNT, circle_on_rays, sample_rays
+from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -60,7 +61,7 @@ def find_grey_contact(
         size = (values.shape[1], max(2, round(values.shape[0] * ratio)))
         values = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
     smooth = cv2.GaussianBlur(values, (0, 0), SMOOTHING_PX)
-    noise = 1.4826 * float(np.median(np.abs(values - smooth))) + 0.05
+    noise = spread_about_zero(values - smooth) + 0.05
     peak = float(smooth.max())
     if peak < MIN_DROP_LEVELS or peak < MIN_DROP_OVER_NOISE * noise:
         raise InputError(

@@ -20,6 +20,7 @@ from taccel_lab.calibration.dots.grey_picture import (
     local_contrast,
     reduced,
 )
+from taccel_lab.calibration.robust_spread import spread_about_zero
 
 DISC_RESPONSE = 2.0 / np.e
 """Answer of the filter of the right width to a disc of contrast one."""
@@ -104,7 +105,7 @@ def find_blobs(answer: np.ndarray, sigma_px: float, sign: int, least: float) -> 
 
 def noise_contrast(answer: np.ndarray) -> float:
     """Robust standard deviation of an answer, from its half nearest to zero."""
-    return float(np.median(np.abs(answer)) / 0.6745)
+    return spread_about_zero(answer)
 
 
 def split_by_gap(contrast: np.ndarray) -> tuple[int, float]:

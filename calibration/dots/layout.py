@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from taccel_lab.calibration.dots.lattice import Lattice
+from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import lattice_middle, lattice_steps
 
@@ -108,13 +109,13 @@ def fit_layout(
         start,
         jac=lambda p: _slopes(p, steps, weight),  # type: ignore[arg-type]
         loss="soft_l1",
-        f_scale=_spread(_misses(start, steps, found, weight)) * 2.0 + 1e-12,
+        f_scale=spread_about_zero(_misses(start, steps, found, weight)) * 2.0 + 1e-12,
         x_scale=[1.0, 1.0, 0.01, 1.0, 1.0],
         xtol=1e-14, ftol=1e-14, gtol=1e-14,
     )  # fmt: skip
     miss = found - _grid_points(fit.x, steps)
     distance = np.hypot(*miss.T)
-    inlier = distance <= 4.0 * max(_spread(miss.ravel()), 1e-9) * np.sqrt(2.0)
+    inlier = distance <= 4.0 * max(spread_about_zero(miss.ravel()), 1e-9) * np.sqrt(2.0)
     residual = np.full(np.shape(points), np.nan)
     residual[numbered] = miss
     kept = np.zeros(len(residual), dtype=bool)
@@ -170,10 +171,6 @@ def _affine_start(steps: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, flo
     skew = float((across - along + np.pi) % (2 * np.pi) - np.pi)
     start = np.array([np.hypot(*a), np.hypot(*b), along + 0.5 * skew, *centre])
     return start, skew
-
-
-def _spread(values: np.ndarray) -> float:
-    return float(np.median(np.abs(values)) / 0.6745)
 
 
 def _covariance(

@@ -14,6 +14,7 @@ from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.bonded_layer import layer_young_modulus_pa
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 
 PLAUSIBLE_PA = (1e4, 1e7)
@@ -262,7 +263,7 @@ def _drops(points: IndentationPoints) -> Remark | None:
         limit = 0.05 * force.max()
     else:
         second = np.diff(force, 2)
-        noise = 1.4826 * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6)
+        noise = spread_about_median(second) / np.sqrt(6)
         worst = float(np.diff(force).min())
         limit = max(5 * noise, 0.05 * force.max())
     if worst >= -limit:

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from taccel_lab.calibration.result import NORMAL_95, Estimate
+from taccel_lab.calibration.robust_spread import spread_about_zero
 
 MOST_CORRELATED = 0.98
 
@@ -41,7 +42,7 @@ def robust_regression(columns: np.ndarray, target: np.ndarray) -> Regression:
     independent: it grows by (1 + r) / (1 - r) for a correlation r of neighbours (Bartlett 1935).
     """
     start = np.linalg.lstsq(columns, target, rcond=None)[0]
-    spread = 1.4826 * float(np.median(np.abs(target - columns @ start)))
+    spread = spread_about_zero(target - columns @ start)
     scale = max(spread, 1e-9 * float(np.abs(target).max()))
     found = least_squares(
         lambda x: columns @ x - target, start, loss="soft_l1", f_scale=scale, x_scale="jac"

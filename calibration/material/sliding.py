@@ -20,6 +20,7 @@ import numpy as np
 from taccel_lab.calibration.capture import ForceRecord
 from taccel_lab.calibration.material.robust_statistics import combined, robust_regression
 from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 
 MIN_STROKE = 8
@@ -335,7 +336,7 @@ def _slips(
         steps = np.diff(ratio)
         if len(steps) < MIN_STROKE:
             continue
-        spread = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+        spread = spread_about_median(steps)
         limit = max(DROP_SIGMAS * spread, DROP_PART * float(np.median(ratio)))
         falls = np.flatnonzero(steps < -limit)
         if len(falls) < 3:

@@ -22,6 +22,7 @@ import numpy as np
 
 from taccel_lab.calibration.light.fit import biweight
 from taccel_lab.calibration.light.light import Light, unit_position
+from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.errors import InputError
 
 FRAME_PIXELS = 12_000
@@ -171,7 +172,7 @@ def _biweight_fit(
     step = np.zeros(design.shape[1])
     for _ in range(ITERATIONS):
         left = np.abs(change - design @ step)
-        scale = max(1.4826 * float(np.median(left)), 0.05)
+        scale = max(spread_about_zero(left), 0.05)
         weight = inside * biweight(left, BIWEIGHT * scale)
         weighed = design * weight[:, None]
         prior = np.diag((scale / prior_sigma) ** 2)

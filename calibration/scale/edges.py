@@ -14,6 +14,7 @@ from taccel_lab.calibration.camera.board import hashes_by_name
 from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.schema import LineEntry
 from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
@@ -92,7 +93,7 @@ def scale_from_edges(
     used = np.ones(len(measured), dtype=bool)
     while True:
         scale, left = _fit(measured, used)
-        spread = 1.4826 * float(np.median(np.abs(left[used]))) + _noise(measured, scale)
+        spread = spread_about_zero(left[used]) + _noise(measured, scale)
         short = used & (left > _TOO_SHORT_SIGMAS * spread)
         if not short.any() or used.sum() <= max(3, len(measured) // 2):
             break

@@ -25,6 +25,7 @@ from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
+from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -143,7 +144,7 @@ def _with_depths(
     # a^2 s^2 = beta d (2 R - d): with q = s^2 / beta, a = sqrt(d (2R - d) / q).
     shape = np.sqrt(np.maximum(depth * (2 * ball - depth), 0.0))
     start = float(np.median(radius / np.maximum(shape, 1e-9)))
-    spread = max(1.4826 * float(np.median(np.abs(radius - start * shape) / sigma)), 0.5)
+    spread = max(spread_about_zero((radius - start * shape) / sigma), 0.5)
     slope = float(
         least_squares(
             lambda x: (radius - x[0] * shape) / sigma, [start], loss="cauchy", f_scale=3 * spread
