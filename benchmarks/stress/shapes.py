@@ -8,7 +8,7 @@ import numpy as np
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh, grid_tets
 from taccel_lab.geometry.tet_mesh import boundary_faces
-from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import TriangleMesh, box_mesh, sphere_mesh
 
 

@@ -16,7 +16,6 @@ import torch
 from taccel_lab.calibration.base_profile import lost_blocks, on_grid
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.check.block_findings import joined, refusing_with
-from taccel_lab.calibration.check.findings import error, info, warning
 from taccel_lab.calibration.normals import fit
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.cli.app import main
@@ -172,9 +171,11 @@ def test_blocks_that_do_not_go_with_the_captures_are_named() -> None:
 
 def test_a_refusal_names_what_else_was_found() -> None:
     found = [
-        error("channels_swapped", "p3 has red and blue exchanged", "normals"),
-        error("no_contact", "again", "normals"),
-        info("some", "told elsewhere", "normals"),
+        Remark(
+            Severity.ERROR, "channels_swapped", "p3 has red and blue exchanged", blocks=("normals",)
+        ),
+        Remark(Severity.ERROR, "no_contact", "again", blocks=("normals",)),
+        Remark(Severity.INFO, "some", "told elsewhere", blocks=("normals",)),
     ]
     with pytest.raises(InputError) as refusal, refusing_with(found):
         raise InputError("p3: no contact found")
@@ -186,7 +187,10 @@ def test_a_refusal_names_what_else_was_found() -> None:
 
 
 def test_the_graver_of_two_remarks_on_one_thing_is_kept() -> None:
-    found = [warning("few", "check", "normals"), error("other", "check", "normals")]
+    found = [
+        Remark(Severity.WARNING, "few", "check", blocks=("normals",)),
+        Remark(Severity.ERROR, "other", "check", blocks=("normals",)),
+    ]
     fitted = [Remark(Severity.ERROR, "few", "fit"), Remark(Severity.WARNING, "other", "fit")]
     kept = joined(found, [*fitted, Remark(Severity.INFO, "third", "fit")])
     assert [(r.code, r.message) for r in kept] == [

@@ -7,8 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from taccel_lab.cad.mesh.structured import structured_gel_mesh
 
+from taccel_lab.cad.mesh.focus import FocusOptions
+from taccel_lab.cad.mesh.gel_mesh import focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.scene import Element, Material
@@ -28,7 +29,7 @@ class LayerPress:
 
 def press(element: Element, layers: int, poisson_ratio: float) -> LayerPress:
     """Press the ball into the gel, one step a depth."""
-    mesh = structured_gel_mesh(
+    mesh = focused_gel_mesh(
         GelPad(
             length_x_mm=24.0,
             length_y_mm=24.0,
@@ -37,13 +38,15 @@ def press(element: Element, layers: int, poisson_ratio: float) -> LayerPress:
             window_x_mm=18.0,
             window_y_mm=18.0,
         ),
-        focus_mm=(0.0, 0.0),
-        focus_radius_mm=3.5,
-        focus_size_mm=1.4 / layers,
-        core=2 * layers,
-        rings=max(5, round(2.3 * layers)),
-        layers=layers,
-        layer_ratio=1.15,
+        FocusOptions(
+            at_mm=(0.0, 0.0),
+            radius_mm=3.5,
+            size_mm=1.4 / layers,
+            core=2 * layers,
+            rings=max(5, round(2.3 * layers)),
+            layers=layers,
+            layer_ratio=1.15,
+        ),
     )
     env = PressEnv(
         mesh,

@@ -25,7 +25,7 @@ from taccel_lab.benchmarks.stress.shapes import (
     reach,
     stiff_shape,
 )
-from taccel_lab.ipc.affine.embedding import rotate
+from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody
 
 GEL = (6e-3, 6e-3, 2e-3)

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from taccel_lab.calibration.background.average import average_background
 
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.color.fit import fit_color
@@ -18,6 +17,7 @@ from taccel_lab.calibration.color.folds import fold_fits
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.light.average import average_background
 from taccel_lab.calibration.light.fit import fit_light_beside
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces import PressSurface

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from taccel_lab.bodies.bodies import AffineBody
 from taccel_lab.bodies.primitives import box_mesh
-from taccel_lab.bodies.scene_description import Scene, TimeStepping
+from taccel_lab.bodies.scene_description import TimeStepping
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.potentials.affine import AffinePotential
+from taccel_lab.scene import Scene
 from taccel_lab.state import initial_state
 from tests.ipc.dense_system import Dense, differences
 
