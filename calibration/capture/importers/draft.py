@@ -110,7 +110,7 @@ class Draft:
         if options.radius_mm is not None:
             self.set_ball(options.radius_mm)
         if options.mm_per_px_y is not None and options.mm_per_px_x is None:
-            raise InputError("mm_per_px_y was given without mm_per_px_x; give both, or x for both")
+            raise InputError("mm-per-px-y was given without mm-per-px-x; give both, or x for both")
         if options.mm_per_px_x is not None:
             self.set_scale(options.mm_per_px_x, options.mm_per_px_y)
         if options.edge_mm is not None:
