@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.gel_frame import GelFrame, gel_frame, scale_range
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
@@ -21,7 +22,7 @@ from taccel_lab.calibration.camera.plane_fit import (
     plane_rotation,
 )
 from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics.refraction import FlatMedia
@@ -160,16 +161,11 @@ def fit_on_gel(
         straight = choose_plane([refracted.fit, in_air.fit])[0] is in_air.fit
         used = in_air if straight else refracted
     spread = scale_range(chosen, views, pitch)
-    remarks = _remarks(chosen, fits, frame, spread, pitch, views, center)
+    said = _remarks(chosen, fits, frame, spread, pitch, views, center)
     if straight and in_air is not None and refracted is not None:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "no_refraction",
-                f"the board is explained to {in_air.fit.heldout_px:.3f} px by straight sight "
-                f"lines, to {refracted.fit.heldout_px:.3f} px through the profile's window and "
-                "gel: the pose is that of straight sight lines. The profile's thicknesses are "
-                "wrong, or the lens was calibrated through the gel already",
+        said.append(
+            remarks.NO_REFRACTION(
+                straight_px=in_air.fit.heldout_px, refracted_px=refracted.fit.heldout_px
             )
         )
     return OnGel(
@@ -183,7 +179,7 @@ def fit_on_gel(
         in_air,
         refracted,
         spread,
-        tuple(remarks),
+        tuple(said),
     )
 
 
@@ -236,69 +232,25 @@ def _remarks(
     views: Sequence[BoardView],
     center: tuple[float, float],
 ) -> list[Remark]:
-    remarks = []
+    said = []
     size = views[0].size_px
     if spread[1] - spread[0] > DISTORTED:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "distorted",
-                f"the scale runs from {spread[0]:.2f} to {spread[1]:.2f} of its value at the "
-                "board's middle: mm/px hold about the middle of the raw image, and everywhere "
-                "only in images that are rectified (--maps)",
-            )
-        )
+        said.append(remarks.DISTORTED(least=spread[0], largest=spread[1]))
     if abs(frame.shear) > MAX_SHEAR:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "shear",
-                f"the image's axes are {np.degrees(frame.shear):.2f} degrees off a right angle; "
-                "the camera looks at the gel askew, rectify the images (--maps)",
-            )
-        )
+        said.append(remarks.SHEAR(angle=np.degrees(frame.shear)))
     pixel_pitch = pitch / frame.mm_per_px_x.value
     if chosen.heldout_px > LARGE_ERROR_PITCHES * pixel_pitch:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "large_error",
-                f"points of the board that were left out are {chosen.heldout_px:.2f} px off, "
-                f"{chosen.heldout_px / pixel_pitch:.1%} of its pitch; the board is bent, or its "
-                "dots are blurred",
-            )
-        )
+        share = chosen.heldout_px / pixel_pitch
+        said.append(remarks.BOARD_ERROR(error_px=chosen.heldout_px, share=share))
     found, expected = len(views[0].index), views[0].expected
     if found < 0.8 * expected:
-        remarks.append(
-            Remark(
-                Severity.INFO,
-                "missing_points",
-                f"{found} of {expected} points of the board were found",
-            )
-        )
+        said.append(remarks.MISSING_POINTS(found=found, expected=expected))
     points = np.concatenate([view.uv_px for view in views])
     if not (points.min(axis=0) <= center).all() or not (points.max(axis=0) >= center).all():
-        remarks.append(
-            Remark(
-                Severity.ERROR,
-                "off_center",
-                f"the gel frame's origin at pixel ({center[0]:.0f}, {center[1]:.0f}) is not under "
-                f"the board, so that the scale there is extrapolated; lay the board over the "
-                f"middle of the image of {size[0]}x{size[1]} px",
-            )
-        )
+        said.append(remarks.OFF_CENTER(u=center[0], v=center[1], width=size[0], height=size[1]))
     poses = [fit for fit in fits if isinstance(fit.model, CameraPose)]
     free = min((f.heldout_px for f in fits if not isinstance(f.model, CameraPose)), default=np.inf)
     if poses and min(fit.heldout_px for fit in poses) > _POSE_WORSE * free:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "pose_disagrees",
-                f"the calibrated lens explains the board on the gel to "
-                f"{min(fit.heldout_px for fit in poses):.2f} px, a free map to {free:.2f} px: "
-                "what lies before the gel bends the light otherwise, or focus or crop changed "
-                "between the views. The scale is that of the free map",
-            )
-        )
-    return remarks
+        best = min(fit.heldout_px for fit in poses)
+        said.append(remarks.POSE_DISAGREES(lens_px=best, free_px=free))
+    return said

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import hashes_by_name
 from taccel_lab.calibration.camera.board_on_gel import OnGel, fit_on_gel
 from taccel_lab.calibration.camera.find_boards import Detections, detect_views
@@ -23,7 +24,7 @@ from taccel_lab.calibration.camera.pixel_grid import (
 )
 from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.optics.media import OUTSIDE_INDEX
 from taccel_lab.optics.refraction import FlatMedia
@@ -153,58 +154,35 @@ def _remarks(
     on_gel: OnGel | None,
     folder: CaptureFolder,
 ) -> list[Remark]:
-    remarks = []
+    said = []
     if detections.refused:
         count, total = len(detections.refused), len(detections.refused) + len(detections.views)
-        remarks.append(
-            Remark(
-                Severity.WARNING if count * 3 > total else Severity.INFO,
-                "boards_refused",
-                f"the board was not used in {count} of {total} images: "
-                + "; ".join(detections.refused[:3])
-                + ("; ..." if count > 3 else ""),
+        reasons = "; ".join(detections.refused[:3]) + ("; ..." if count > 3 else "")
+        said.append(
+            remarks.BOARDS_REFUSED(
+                count=count, total=total, reasons=reasons, grave=count * 3 > total
             )
         )
-    for warning in detections.warnings:
-        remarks.append(Remark(Severity.WARNING, "maybe_mirrored", warning))
+    said += [remarks.MAYBE_MIRRORED(reason=warning) for warning in detections.warnings]
     if intrinsics is not None:
-        remarks += intrinsics.remarks
+        said += intrinsics.remarks
         if on_gel is None:
-            remarks.append(
-                Remark(
-                    Severity.INFO,
-                    "no_board_on_gel",
-                    "no board lies on the gel (on_gel = true): the lens is calibrated; mm/px and "
-                    "the camera's pose are those of the profile it was applied to",
-                )
-            )
+            said.append(remarks.NO_BOARD_ON_GEL())
     if on_gel is not None:
-        remarks += on_gel.remarks
+        said += on_gel.remarks
         if intrinsics is None:
-            remarks.append(
-                Remark(
-                    Severity.INFO,
-                    "no_views",
-                    "no views of a board in air: the scale is calibrated; focal length and pose "
-                    "of the camera stay as designed, one flat board cannot tell them apart",
-                )
-            )
-        remarks += _size_remarks(on_gel, folder)
-        if (on_gel.grid.width_px, on_gel.grid.height_px) == on_gel.views[0].size_px:
+            said.append(remarks.NO_VIEWS())
+        said += _size_remarks(on_gel, folder)
+        size, raw = (on_gel.grid.width_px, on_gel.grid.height_px), on_gel.views[0].size_px
+        if size == raw:
             frame = on_gel.frame
             measured = {"x": frame.mm_per_px_x, "y": frame.mm_per_px_y}
-            remarks += stated_scale_remarks(folder, measured)
-        size, raw = (on_gel.grid.width_px, on_gel.grid.height_px), on_gel.views[0].size_px
-        if size != raw:
-            remarks.append(
-                Remark(
-                    Severity.INFO,
-                    "cropped",
-                    f"the pixel grid is that of the rectified image of {size[0]}x{size[1]} px, cut "
-                    f"out of {raw[0]}x{raw[1]} px as the profile says; --maps writes the maps",
-                )
+            said += stated_scale_remarks(folder, measured)
+        else:
+            said.append(
+                remarks.CROPPED(width=size[0], height=size[1], raw_width=raw[0], raw_height=raw[1])
             )
-    return remarks
+    return said
 
 
 def _size_remarks(on_gel: OnGel, folder: CaptureFolder) -> list[Remark]:
@@ -215,10 +193,7 @@ def _size_remarks(on_gel: OnGel, folder: CaptureFolder) -> list[Remark]:
     if (width, height) == size:
         return []
     return [
-        Remark(
-            Severity.ERROR,
-            "size_differs",
-            f"the board was seen in images of {size[0]}x{size[1]} px, the background has "
-            f"{width}x{height} px: the scale holds for images of the board's size only",
+        remarks.SIZE_DIFFERS(
+            width=size[0], height=size[1], background_width=width, background_height=height
         )
     ]

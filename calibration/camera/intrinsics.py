@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.bundle import BundleFit
 from taccel_lab.calibration.camera.heldout import LensScore, compare_lenses, score_lenses
 from taccel_lab.calibration.camera.lens import LENSES, Lens, chosen_lenses
 from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS, fit_lenses
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 
@@ -146,87 +147,51 @@ def _remarks(
     coverage: float,
     tilt: tuple[float, float],
 ) -> list[Remark]:
-    remarks = []
+    said = []
     width = views[0].size_px[0]
     focal, sigma = chosen.fit.parameters[:2], chosen.fit.sigma[:2]
     spread = _spread_deg(chosen.fit)
     if outliers:
-        remarks.append(
-            Remark(
-                Severity.WARNING
-                if len(outliers) > MAX_OUTLIER_SHARE * (len(outliers) + len(views))
-                else Severity.INFO,
-                "outlier_views",
-                f"{len(outliers)} of {len(outliers) + len(views)} views were left out of "
-                f"the fit; they count in the held-out error of {chosen.heldout_all_px:.2f} px "
-                f"({chosen.heldout_robust_px:.2f} px robust): " + "; ".join(outliers[:3]),
+        total = len(outliers) + len(views)
+        said.append(
+            remarks.OUTLIER_VIEWS(
+                count=len(outliers),
+                total=total,
+                heldout_px=chosen.heldout_all_px,
+                robust_px=chosen.heldout_robust_px,
+                names="; ".join(outliers[:3]),
+                grave=len(outliers) > MAX_OUTLIER_SHARE * total,
             )
         )
     if not chosen.fit.converged:
-        remarks.append(
-            Remark(Severity.ERROR, "not_converged", "the fit of the lens did not converge")
-        )
+        said.append(remarks.NOT_CONVERGED())
     if len(views) < 10:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "few_views",
-                f"only {len(views)} views of the board; 20 or more, spread over the image, "
-                "determine the distortion",
-            )
-        )
+        said.append(remarks.FEW_LENS_VIEWS(count=len(views)))
     if coverage < MIN_COVERAGE:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "coverage",
-                f"the board covers {coverage:.0%} of the image; the distortion is unknown beyond. "
-                "Show the board in the corners too",
-            )
-        )
+        said.append(remarks.LENS_COVERAGE(share=coverage))
     if tilt[1] < MIN_TILT_DEG:
-        remarks.append(
-            Remark(
-                Severity.ERROR,
-                "no_tilt",
-                f"no view is tilted by more than {tilt[1]:.1f} degrees, so that the focal length "
-                "cannot be told from the distance; tilt the board by 20 to 45 degrees",
-            )
-        )
+        said.append(remarks.NO_TILT(tilt=tilt[1]))
     elif spread < MIN_TILT_DEG:
-        remarks.append(
-            Remark(
-                Severity.ERROR,
-                "views_alike",
-                f"all views show the board from one side, within {spread:.1f} degrees, so that "
-                "the focal length cannot be told from the distance; tilt it to all sides",
-            )
-        )
+        said.append(remarks.VIEWS_ALIKE(spread=spread))
     if (sigma > MAX_FOCAL_SIGMA * focal).any():
-        unknown = (sigma > LOST_FOCAL_SIGMA * focal).any()
-        remarks.append(
-            Remark(
-                Severity.ERROR if unknown else Severity.WARNING,
-                "focal_uncertain",
-                f"the focal length is known to {100 * float((sigma / focal).max()):.1f} % only; "
-                "take more views with more tilt",
+        said.append(
+            remarks.FOCAL_UNCERTAIN(
+                percent=100 * float((sigma / focal).max()),
+                grave=bool((sigma > LOST_FOCAL_SIGMA * focal).any()),
             )
         )
     usual = MAX_RMS_SHARE * width
     # Views that are outliers have a remark of their own.
     if chosen.heldout_robust_px > usual:
         wrong = chosen.heldout_robust_px > WRONG_RMS * usual
-        remarks.append(
-            Remark(
-                Severity.ERROR if wrong else Severity.WARNING,
-                "large_error",
-                f"held-out views are {chosen.heldout_robust_px:.2f} px off, usual are less than "
-                f"{usual:.1f} px; "
-                + (
-                    "the points are not those of the board: check its kind, columns and rows"
-                    if wrong
-                    else "the board is bent, or no model fits the lens"
-                ),
+        said.append(
+            remarks.LENS_ERROR(
+                error_px=chosen.heldout_robust_px,
+                usual_px=usual,
+                cause="the points are not those of the board: check its kind, columns and rows"
+                if wrong
+                else "the board is bent, or no model fits the lens",
+                grave=wrong,
             )
         )
-    return remarks
+    return said

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from taccel_lab.calibration.camera.remarks import STATED_SCALE_DIFFERS
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.result import Estimate, Remark
 from taccel_lab.profile import CameraBlock, SensorProfile
 
 STATED_SIGMAS, STATED_SHARE = 3.0, 0.02
@@ -57,11 +58,8 @@ def stated_scale_remarks(folder: CaptureFolder, measured: Mapping[str, Estimate]
         off = stated - found.value
         if abs(off) > max(STATED_SIGMAS * found.sigma, STATED_SHARE * stated):
             remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "stated_scale_differs",
-                    f"the captures state mm_per_px_{axis} = {stated:g}, measured is {found}: "
-                    f"{off / found.value:+.1%}",
+                STATED_SCALE_DIFFERS(
+                    axis=axis, stated=stated, measured=found, off=off / found.value
                 )
             )
     return remarks

@@ -6,11 +6,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from taccel_lab.calibration.comparison import remarks
 from taccel_lab.calibration.comparison.fields import FieldDifference, compare_fields
 from taccel_lab.calibration.comparison.figures import draw_backgrounds, draw_color_responses
 from taccel_lab.calibration.comparison.responses import ResponseDifference, compare_responses
 from taccel_lab.calibration.report import Page, Picture, Table
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
 from taccel_lab.profile import SensorProfile
 
 COLOR_SHARE = 0.15
@@ -85,38 +86,22 @@ def _remarks(
     fields: list[FieldDifference],
     responses: ResponseDifference,
 ) -> list[Remark]:
-    remarks = []
     if not fields and not (responses.background_l1_levels or responses.color_l1_levels):
-        return [Remark(Severity.INFO, "equal", "the profiles hold the same values")]
+        return [remarks.EQUAL()]
+    said = []
     if a.sensor.family != b.sensor.family:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "other_family",
-                f"different families: {a.sensor.family} and {b.sensor.family}",
-            )
+        said.append(remarks.OTHER_FAMILY(a=a.sensor.family, b=b.sensor.family))
+    said += [
+        remarks.SIGNIFICANT(
+            block=found.block, field=found.field, difference=found.difference, z=abs(found.z or 0)
         )
-    for found in fields:
-        if found.significant:
-            remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "significant",
-                    f"{found.block}.{found.field} differs by {found.difference:.4g}, "
-                    f"{abs(found.z or 0):.1f} standard deviations: more than the spreads explain",
-                )
-            )
+        for found in fields
+        if found.significant
+    ]
     share = _color_share(responses)
     if share is not None and share > COLOR_SHARE:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "other_colors",
-                f"the colour responses differ by {share:.0%} of their size: a model of one unit "
-                "does not serve the other",
-            )
-        )
-    return remarks
+        said.append(remarks.OTHER_COLORS(share=share))
+    return said
 
 
 def _color_share(responses: ResponseDifference) -> float | None:

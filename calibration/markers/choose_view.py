@@ -16,7 +16,8 @@ from taccel_lab.calibration.markers.gel_view import (
     grid_view,
     pixel_jacobian,
 )
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.markers.remarks import MARKER_SCALE_DISAGREES, SCALE_ASSUMED
+from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -58,14 +59,7 @@ def choose_view(
     if chosen is not None:
         return ChosenView(chosen, _disagreements(chosen, stated, size_px))
     assumed = grid_view(profile, size_px)
-    remark = Remark(
-        Severity.WARNING,
-        "scale_assumed",
-        f"millimetres rest on {assumed.description}, which nobody measured on this unit; state "
-        "mm_per_px_x and mm_per_px_y or the dots' pitch_x_mm in captures.toml, or give a profile "
-        "with a calibrated scale as --base",
-    )
-    return ChosenView(assumed, (remark,))
+    return ChosenView(assumed, (SCALE_ASSUMED(scale=assumed.description),))
 
 
 def _has_pose(profile: SensorProfile) -> bool:
@@ -129,12 +123,15 @@ def _disagreements(
         allowed = max(_AGREE, 2.0 * float(np.hypot(chosen.scale_sigma, other.scale_sigma)))
         if other is not chosen and np.abs(off).max() > allowed:
             remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "scale_disagrees",
-                    f"{other.description} gives {theirs[0]:.4f} x {theirs[1]:.4f} mm/px, "
-                    f"{chosen.description} {ours[0]:.4f} x {ours[1]:.4f}: {100 * off[0]:+.1f} and "
-                    f"{100 * off[1]:+.1f} %; the latter was used",
+                MARKER_SCALE_DISAGREES(
+                    other=other.description,
+                    other_x=theirs[0],
+                    other_y=theirs[1],
+                    used=chosen.description,
+                    used_x=ours[0],
+                    used_y=ours[1],
+                    off_x_percent=100 * off[0],
+                    off_y_percent=100 * off[1],
                 )
             )
     return tuple(remarks)

@@ -16,11 +16,11 @@ from taccel_lab.calibration.dots.layout import LayoutFit, fit_layout
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.calibration.markers.choose_view import choose_view
 from taccel_lab.calibration.markers.gel_view import GelView, pixel_jacobian
-from taccel_lab.calibration.markers.remarks import layout_remarks, track_remarks
+from taccel_lab.calibration.markers.judgement import layout_remarks, track_remarks
+from taccel_lab.calibration.markers.remarks import MARKER_VIDEO_CUT_SHORT
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -65,7 +65,7 @@ def calibrate_markers(
         *chosen.remarks,
         *(remark for video in videos for remark in track_remarks(video.figures)),
         *(
-            Remark(Severity.WARNING, "video_cut_short", fault)
+            MARKER_VIDEO_CUT_SHORT(reason=fault)
             for video in videos
             if (fault := cut_short(video.video)) is not None
         ),

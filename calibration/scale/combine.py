@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import chi2
 
-from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.result import Estimate, Remark
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.scale.remarks import CONTACTS_EXCEED_BALL, SCALE_DISAGREES
 
 DISAGREES = 0.01
 """Probability of so large a chi-square by chance below which estimates contradict each other."""
@@ -78,28 +79,12 @@ def agreement_remarks(
                 for estimate in estimates
                 if (found := estimate.along(axis)) is not None
             )
-            remarks.append(
-                Remark(
-                    Severity.ERROR,
-                    "scale_disagrees",
-                    f"the scales along {axis} contradict each other ({said}): {each}. One of the "
-                    "stated lengths is wrong, or the images are not of one size and crop; the mean "
-                    "is given with a wider interval, do not rely on it",
-                )
-            )
+            remarks.append(SCALE_DISAGREES(axis=axis, pairs=said, scales=each))
     combined = axes.get("x")
     for estimate in estimates:
         if estimate.upper_x is None or combined is None:
             continue
         low = combined.estimate.value - LIMIT_SIGMAS * combined.estimate.sigma
         if low > estimate.upper_x:
-            remarks.append(
-                Remark(
-                    Severity.ERROR,
-                    "ball_too_small",
-                    f"contacts of the ball are larger than the ball at {combined.estimate}: at "
-                    f"most {estimate.upper_x:.5f} mm/px would fit. The ball's radius is stated too "
-                    "small (a diameter is no radius), or the scale is wrong",
-                )
-            )
+            remarks.append(CONTACTS_EXCEED_BALL(scale=combined.estimate, limit=estimate.upper_x))
     return remarks

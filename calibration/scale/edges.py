@@ -13,8 +13,9 @@ from scipy.optimize import least_squares
 from taccel_lab.calibration.camera.board import hashes_by_name
 from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.schema import LineEntry
-from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.result import Estimate, Remark
 from taccel_lab.calibration.robust_spread import spread_about_zero
+from taccel_lab.calibration.scale import remarks
 from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
@@ -181,37 +182,20 @@ def _short(source: str) -> str:
 
 
 def _remarks(measured: Sequence[MeasuredEdge], used: np.ndarray, scale: np.ndarray) -> list[Remark]:
-    remarks = []
+    said = []
     chosen = [edge for edge, ok in zip(measured, used, strict=True) if ok]
     if len(chosen) < len(measured):
         names = [_short(edge.name) for edge, ok in zip(measured, used, strict=True) if not ok]
-        remarks.append(
-            Remark(
-                Severity.INFO,
-                "edges_short",
-                f"{len(names)} of {len(measured)} edges touched with a part of their length only "
-                f"and were left out: {', '.join(names[:5])}",
-            )
+        said.append(
+            remarks.EDGES_SHORT(short=len(names), count=len(measured), names=", ".join(names[:5]))
         )
     if len(chosen) < 4:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "few_edges",
-                f"only {len(chosen)} presses of the edge; 8 or more, along x and along y, show how "
-                "well they agree",
-            )
-        )
+        said.append(remarks.FEW_EDGES(count=len(chosen)))
     angles = np.radians([edge.line.angle_deg for edge in chosen])
-    for axis, share in (("x", np.cos(angles) ** 2), ("y", np.sin(angles) ** 2)):
+    for kind, share in (
+        (remarks.EDGES_NOT_ALONG_X, np.cos(angles) ** 2),
+        (remarks.EDGES_NOT_ALONG_Y, np.sin(angles) ** 2),
+    ):
         if share.max(initial=0.0) < 0.5:
-            other = "y" if axis == "x" else "x"
-            remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    f"edges_not_along_{axis}",
-                    f"no edge lies along {axis}: the scale there is that of {other}, pixels taken "
-                    f"to be square within {SQUARE_SIGMA:.0%}. Press the edge along {axis} too",
-                )
-            )
-    return remarks
+            said.append(kind(share=SQUARE_SIGMA))
+    return said

@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from taccel_lab.calibration.camera.pixel_grid import stated_scale_remarks
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.scale import remarks
 from taccel_lab.calibration.scale.combine import CombinedAxis, agreement_remarks, combine_axis
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
@@ -79,7 +80,6 @@ def calibrate_scale(
         raise InputError(
             f"{folder.source}: no known length could be measured:\n" + "\n".join(failures.values())
         )
-    remarks = _remarks(folder, estimates, axes, failures)
     return ScaleCalibration(
         folder.source,
         _image_size(folder),
@@ -87,7 +87,7 @@ def calibrate_scale(
         axes,
         failures,
         folder.provenance,
-        tuple(remarks),
+        tuple(_remarks(folder, estimates, axes, failures)),
     )
 
 
@@ -109,15 +109,7 @@ def _stated(folder: CaptureFolder, mm_per_px: tuple[float, float]) -> ScaleEstim
         inputs={"captures": folder.provenance["manifest_sha256"]}
         if "manifest_sha256" in folder.provenance
         else {},
-        remarks=(
-            Remark(
-                Severity.WARNING,
-                "scale_stated",
-                "nothing in the captures measures the scale: it is the one that they state, taken "
-                f"to be right within {STATED_ERROR:.0%} (published figures of one sensor differ by "
-                "more). Add a board on the gel, presses of an edge, or markers of known pitch",
-            ),
-        ),
+        remarks=(remarks.SCALE_STATED(share=STATED_ERROR),),
     )
 
 
@@ -163,38 +155,16 @@ def _remarks(
     axes: dict[str, CombinedAxis],
     failures: dict[str, str],
 ) -> list[Remark]:
-    remarks = [remark for estimate in estimates for remark in estimate.remarks]
-    remarks += agreement_remarks(axes, estimates)
-    for name, reason in failures.items():
-        remarks.append(Remark(Severity.WARNING, "method_failed", f"no scale from {name}: {reason}"))
+    said = [remark for estimate in estimates for remark in estimate.remarks]
+    said += agreement_remarks(axes, estimates)
+    said += [remarks.METHOD_FAILED(method=name, reason=failures[name]) for name in failures]
     for axis, found in axes.items():
         share = found.estimate.sigma / found.estimate.value
         if share > UNSURE_SHARE:
-            remarks.append(
-                Remark(
-                    Severity.ERROR,
-                    "scale_unsure",
-                    f"the scale along {axis} is known to {share:.0%} only; add a board on the gel, "
-                    "an edge or markers of known pitch",
-                )
-            )
-    remarks += stated_scale_remarks(folder, {axis: found.estimate for axis, found in axes.items()})
+            said.append(remarks.SCALE_UNSURE(axis=axis, share=share))
+    said += stated_scale_remarks(folder, {axis: found.estimate for axis, found in axes.items()})
     if len(axes) == 1:
-        known = next(iter(axes))
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "one_axis",
-                f"only the scale along {known} was measured; pixels are taken to be square",
-            )
-        )
+        said.append(remarks.ONE_AXIS(axis=next(iter(axes))))
     if axes and max(found.freedom for found in axes.values()) == 0:
-        remarks.append(
-            Remark(
-                Severity.INFO,
-                "one_method",
-                "the scale rests on one kind of capture; a second one would show whether its "
-                "stated length is right",
-            )
-        )
-    return remarks
+        said.append(remarks.ONE_METHOD())
+    return said

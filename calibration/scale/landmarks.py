@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import LandmarkCapture
-from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.scale.remarks import LANDMARKS_OFF
 from taccel_lab.errors import InputError
 
 CLICK_SIGMA_PX = 1.0
@@ -39,14 +40,7 @@ def scale_from_landmarks(capture: LandmarkCapture, method: str = "landmarks") ->
     sigma = np.sqrt(variance)
     remarks = []
     if rms > 3 * CLICK_SIGMA_PX:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "landmarks_off",
-                f"the landmarks of {capture.frame.name} are {rms:.1f} px off the map that they "
-                "define; one of them is mistaken",
-            )
-        )
+        remarks.append(LANDMARKS_OFF(name=capture.frame.name, error_px=rms))
     return ScaleEstimate(
         method,
         Estimate(float(scale[0]), float(sigma[0]), "mm/px"),

@@ -10,8 +10,9 @@ from taccel_lab.calibration.camera.find_boards import detect_views
 from taccel_lab.calibration.camera.pixel_grid import origin_px
 from taccel_lab.calibration.capture.folder import BoardCaptures, MarkerCaptures
 from taccel_lab.calibration.dots.marker_picture import marker_pitch_px
-from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.scale.remarks import MARKER_PITCH
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 
@@ -75,11 +76,5 @@ def scale_from_markers(markers: MarkerCaptures) -> ScaleEstimate:
             "pitch_sigma_px": sigma,
             "pitch_share_sigma": PITCH_SIGMA,
         },
-        remarks=(
-            Remark(
-                Severity.INFO,
-                "marker_pitch",
-                f"the markers' distance on the gel is taken to be right within {PITCH_SIGMA:.0%}",
-            ),
-        ),
+        remarks=(MARKER_PITCH(share=PITCH_SIGMA),),
     )

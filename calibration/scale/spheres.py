@@ -24,9 +24,10 @@ from scipy.optimize import least_squares
 from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.contacts.fit import detect_contact
-from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
+from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.scale.remarks import DEPTHS_DISAGREE, SPHERES_LIMIT
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -108,16 +109,7 @@ def scale_from_spheres(
             "largest_radius_px": max(contact.radius_px for contact in contacts),
             "upper_limit_by_ball_mm": {f"{ball:g}": limit for ball, limit in limits.items()},
         },
-        remarks=(
-            Remark(
-                Severity.INFO,
-                "spheres_limit",
-                "the colours of ball presses do not tell the ball's radius in pixels: every radius "
-                "explains them, with another law from slope to colour. No contact is larger than "
-                f"its ball, so that the scale is at most {upper:.5f} mm/px (95 %). With depth_mm "
-                "of the presses, or a board, an edge or markers, it is determined",
-            ),
-        ),
+        remarks=(SPHERES_LIMIT(limit=upper),),
         refused=tuple(refused),
     )
     with_depth = [contact for contact in contacts if contact.press.depth_mm]
@@ -168,14 +160,7 @@ def _with_depths(
     correlation = float(np.corrcoef(shape, radius)[0, 1]) if len(contacts) > 2 else 1.0
     remarks = [*estimate.remarks]
     if correlation < 0.5:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "depths_disagree",
-                f"contact radii hardly grow with the stated depths (correlation "
-                f"{correlation:.2f}); check depth_mm: travel past first touch, in millimetres",
-            )
-        )
+        remarks.append(DEPTHS_DISAGREE(correlation=correlation))
     return replace(
         estimate,
         x=x,

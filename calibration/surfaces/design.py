@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
+from taccel_lab.calibration.surfaces import remarks
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.quarter_turn import quarter_turned
@@ -58,19 +59,11 @@ def fitted_design(
     turned = _turned(sensor, grid)
     found = {**turned, **given}
     if turned:
-        remarks = [
-            Remark(
-                Severity.INFO,
-                "pad_turned",
-                f"the images are upright, the catalogue's {sensor} lies down: its pad was turned "
-                "by a quarter, and its camera, lights and housing with it (which way round, the "
-                "catalogue cannot know)",
-            )
-        ]
-        return FittedDesign(_upright(sensor, found), found, remarks)
+        said = [remarks.PAD_TURNED(sensor=sensor)]
+        return FittedDesign(_upright(sensor, found), found, said)
     across = turn_remark(sensor, grid)
-    remarks = [] if across is None else [across]
-    return FittedDesign(catalogue_profile(sensor, found), found, remarks)
+    said = [] if across is None else [across]
+    return FittedDesign(catalogue_profile(sensor, found), found, said)
 
 
 def _upright(sensor: str, overrides: Mapping[str, Any]) -> SensorProfile:
@@ -100,19 +93,8 @@ def _made_to_measure(grid: PixelGrid) -> dict[str, Any]:
 
 
 def _assumed_pad(profile: SensorProfile, given: Mapping[str, Any]) -> Remark:
-    thickness = profile.gel.thickness_mm
-    if "thickness_mm" in given:
-        return Remark(
-            Severity.INFO, "flat_pad", f"the gel is taken as flat and {thickness:g} mm thick"
-        )
-    return Remark(
-        Severity.WARNING,
-        "flat_pad",
-        f"flat_pad stands for a sensor that is not in the catalogue: its gel is taken as flat, "
-        f"bonded to a plate and {thickness:g} mm thick. The thickness shapes the sunk gel beside a "
-        "contact only; give yours with --set thickness_mm=... (docs/calibration_color.md has what "
-        "it changes)",
-    )
+    kind = remarks.FLAT_GEL if "thickness_mm" in given else remarks.FLAT_PAD
+    return kind(thickness_mm=profile.gel.thickness_mm)
 
 
 def lies_across(sensor: str, grid: PixelGrid) -> bool:
@@ -132,13 +114,7 @@ def turn_remark(sensor: str, grid: PixelGrid) -> Remark | None:
         return None
     width, height = grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y
     lie = "lie down" if width > height else "stand upright"
-    return Remark(
-        Severity.WARNING,
-        "images_across",
-        f"the images {lie} ({width:.1f} x {height:.1f} mm), the pad of a {sensor} lies across them "
-        "and is curved: its shape at rest is then wrong. Turn all images by a quarter, unless they "
-        "are a crop",
-    )
+    return remarks.IMAGES_ACROSS(lie=lie, width_mm=width, height_mm=height, sensor=sensor)
 
 
 def _turned(sensor: str, grid: PixelGrid) -> dict[str, Any]:

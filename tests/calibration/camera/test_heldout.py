@@ -37,7 +37,7 @@ def test_views_that_no_fit_takes_count_in_the_headline() -> None:
     # It does not bend the lens, nor call it a lens of another board.
     assert np.abs(found.parameters[:4] - TRUTHS["k1"][:4]).max() < 2.0
     codes = {remark.code: remark.message for remark in found.remarks}
-    assert "large_error" not in codes
+    assert "lens_error" not in codes
     assert f"{found.chosen.heldout_all_px:.2f} px" in codes["outlier_views"]
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.markers.judgement import track_remarks
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
-from taccel_lab.calibration.markers.remarks import track_remarks
 from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.calibration.markers.tracks import MarkerTracks, Status

@@ -168,7 +168,7 @@ def test_a_wrong_pitch_and_a_wrong_ball_are_said_to_be_so(tmp_path: Path) -> Non
     folder = write_folder(tmp_path / "bad", (0.085, 0.082), marker_error=1.12, ball_mm=2.0)
     result = calibrated(folder)
     codes = [remark.code for remark in result.remarks]
-    assert codes.count("scale_disagrees") == 2 and "ball_too_small" in codes
+    assert codes.count("scale_disagrees") == 2 and "contacts_exceed_ball" in codes
     worst = max(result.axes["x"].pairs.items(), key=lambda item: abs(item[1]))
     assert "markers" in worst[0] and abs(worst[1]) > 4
     assert judge(result.remarks) == "weak"
@@ -202,4 +202,4 @@ def test_a_stated_scale_is_taken_with_a_warning_and_checked_by_the_ball(tmp_path
         result = calibrated(tmp_path)
         assert result.scale == (0.05, 0.051)
         codes = [remark.code for remark in result.remarks]
-        assert "scale_stated" in codes and ("ball_too_small" in codes) is contradicts
+        assert "scale_stated" in codes and ("contacts_exceed_ball" in codes) is contradicts
