@@ -1,45 +1,99 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results that are slow to make, in files of the cache folder."""
+"""Results that are slow to make, kept in files of the user's cache folder.
+
+A file is named by the content key of its recipe, which holds all that the result depends on. A
+damaged file is reported with a warning, and the result is made again.
+"""
 
 from __future__ import annotations
 
 import warnings
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Generic, TypeVar
+
+import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.output import CACHE_VARIABLE
+from taccel_lab.output import CACHE_VARIABLE, atomic_file, cache_folder, content_key
 
 Result = TypeVar("Result")
 
 
-def read_kept(path: Path, read: Callable[[Path], Result], what: str) -> Result | None:
-    """What ``read`` makes of a file; None without one, or with a warning when it is damaged.
+@dataclass(frozen=True)
+class KeptFile(Generic[Result]):
+    """The file of one result."""
 
-    ``what`` names such results, in the plural. ``read`` raises ValueError or KeyError on a file
-    that holds something else.
-    """
-    if not path.exists():
-        return None
-    try:
-        return read(path)
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        warnings.warn(f"kept {what} {path} are damaged ({error}): made again", stacklevel=3)
-        return None
+    what: str
+    """Names such results, in the plural; also the name of their folder."""
+    recipe: Mapping[str, Any]
+    """All that the result depends on: plain values and arrays."""
+    load: Callable[[Path], Result]
+    """Reads a file; raises ValueError, KeyError or TypeError when it holds something else."""
+    save: Callable[[Path, Result], None]
+    """Writes a file."""
+    suffix: str = ".npz"
+
+    @property
+    def path(self) -> Path:
+        """Where it is, or would be."""
+        return cache_folder() / self.what / f"{content_key(self.recipe)}{self.suffix}"
+
+    def exists(self) -> bool:
+        """Whether there is a file; a damaged one counts."""
+        return self.path.exists()
+
+    def read(self) -> Result | None:
+        """What is kept; None without a file, or with a warning when it is damaged."""
+        path = self.path
+        if not path.exists():
+            return None
+        try:
+            return self.load(path)
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            warnings.warn(
+                f"kept {self.what} {path} are damaged ({error}): made again", stacklevel=3
+            )
+            return None
+
+    def write(self, result: Result) -> None:
+        """Keep a result.
+
+        Raises:
+            InputError: The cache folder cannot be written.
+        """
+        path = self.path
+        try:
+            with atomic_file(path) as staging:
+                self.save(staging, result)
+        except OSError as error:
+            raise InputError(
+                f"cannot write the cache of {self.what} {path.parent} ({error.strerror}); set "
+                f"{CACHE_VARIABLE} to a folder that can be written"
+            ) from error
+
+    def read_or_make(self, make: Callable[[], Result]) -> Result:
+        """What is kept, or else ``make()``, which is then kept."""
+        found = self.read()
+        if found is None:
+            found = make()
+            self.write(found)
+        return found
 
 
-def write_kept(path: Path, write: Callable[[Path], None], what: str) -> None:
-    """Have ``write`` make the file.
+def kept_arrays(what: str, recipe: Mapping[str, Any]) -> KeptFile[dict[str, np.ndarray]]:
+    """The file of a result that is arrays by their names."""
+    return KeptFile(what, recipe, load_arrays, save_arrays)
 
-    Raises:
-        InputError: The cache folder cannot be written.
-    """
-    try:
-        write(path)
-    except OSError as error:
-        raise InputError(
-            f"cannot write the cache of {what} {path.parent} ({error.strerror}); set "
-            f"{CACHE_VARIABLE} to a folder that can be written"
-        ) from error
+
+def load_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of a file by their names."""
+    with np.load(path, allow_pickle=False) as stored:
+        return {name: stored[name] for name in stored.files}
+
+
+def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays by their names."""
+    np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType]

@@ -23,7 +23,7 @@ from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.captures import check_radius
 from taccel_lab.calibration.surfaces.analytic import analytic_surface
 from taccel_lab.calibration.surfaces.depth_search import EQUATOR_SHARE
-from taccel_lab.calibration.surfaces.outcome_cache import keep_outcome, kept_outcome
+from taccel_lab.calibration.surfaces.outcome_cache import kept_outcome
 from taccel_lab.calibration.surfaces.press_batch import (
     RADIUS_TOLERANCE_PX,
     BatchOutcome,
@@ -196,7 +196,7 @@ class _KnownSurfaces:
         )  # fmt: skip
         left = []
         for batch in batches:
-            kept = kept_outcome(batch) if self.cache else None
+            kept = kept_outcome(batch).read() if self.cache else None
             if kept is None:
                 left.append(batch)
             else:
@@ -217,7 +217,7 @@ class _KnownSurfaces:
 
     def _keep(self, batch: PressBatch, outcome: BatchOutcome) -> None:
         if self.cache:
-            keep_outcome(batch, outcome)
+            kept_outcome(batch).write(outcome)
         self._place_batch(batch, outcome)
 
     def _place_batch(self, batch: PressBatch, outcome: BatchOutcome) -> None:

@@ -13,15 +13,14 @@ import json
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import taccel_lab.calibration.contacts
 import taccel_lab.calibration.light
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts, Refusal
-from taccel_lab.calibration.kept import read_kept, write_kept
-from taccel_lab.output import cache_folder, content_key, write_json
+from taccel_lab.calibration.kept import KeptFile
+from taccel_lab.output import to_jsonable
 from taccel_lab.progress import Progress, silent
 
 
@@ -33,19 +32,14 @@ def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundC
     Raises:
         InputError: The cache folder cannot be written.
     """
-    path = contacts_path(captures)
+    return kept_contacts(captures).read_or_make(lambda: find_contacts(captures, progress))
+
+
+def kept_contacts(captures: CaptureSet) -> KeptFile[FoundContacts]:
+    """The file of the contacts of ``captures``."""
     count = len(captures.presses)
-    kept = read_kept(path, lambda path: _read(path, count), "contacts")
-    if kept is not None:
-        return kept
-    found = find_contacts(captures, progress)
-    write_kept(path, lambda path: write_json(path, _to_dict(found)), "contacts")
-    return found
-
-
-def contacts_path(captures: CaptureSet) -> Path:
-    """File that the contacts of ``captures`` are kept in."""
-    key = content_key(
+    return KeptFile(
+        "contacts",
         {
             "code": _code_sha256(),
             "background": captures.background,
@@ -63,9 +57,11 @@ def contacts_path(captures: CaptureSet) -> Path:
                 }
                 for press in captures.presses
             ],
-        }
+        },
+        lambda path: _load(path, count),
+        _save,
+        ".json",
     )
-    return cache_folder() / "contacts" / f"{key}.json"
 
 
 @cache
@@ -77,14 +73,15 @@ def _code_sha256() -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
-def _to_dict(found: FoundContacts) -> dict[str, Any]:
-    return {
+def _save(path: Path, found: FoundContacts) -> None:
+    values = {
         "contacts": [None if contact is None else asdict(contact) for contact in found.contacts],
         "refusals": {str(i): asdict(refusal) for i, refusal in found.refusals.items()},
     }
+    path.write_text(json.dumps(to_jsonable(values), allow_nan=False), encoding="utf-8")
 
 
-def _read(path: Path, count: int) -> FoundContacts:
+def _load(path: Path, count: int) -> FoundContacts:
     values = json.loads(path.read_text(encoding="utf-8"))
     contacts = [
         None

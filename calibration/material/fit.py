@@ -24,12 +24,17 @@ from taccel_lab.calibration.material.marker_flow import FlowFit, fit_flow
 from taccel_lab.calibration.material.marker_videos import flows_of_folder, videos_with_path
 from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.relaxation import DampingFit, check_relaxation, fit_damping
+from taccel_lab.calibration.material.remarks import (
+    FRICTION_UNSIMULATED,
+    RELAXATION_MODULUS,
+    YOUNG_OF_SHEAR,
+)
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.robust_statistics import combined
 from taccel_lab.calibration.material.sliding import SlideFit, fit_slide
 from taccel_lab.calibration.material.stiffness import KnownLaw, Stiffness, fit_stiffness
 from taccel_lab.calibration.material.tangential import TangentialFit, fit_tangential
-from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.result import Estimate, Remark
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -168,14 +173,7 @@ def _with_stiffness(captures: _Captures, known: _Known, frictions: Sequence[floa
         except SimulationError as error:
             if not tables:
                 raise
-            remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "friction_unsimulated",
-                    f"whether the tool rubs with the profile's coefficient of {mu:g} is not "
-                    f"known, and presses with it could not be simulated: {error}",
-                )
-            )
+            remarks.append(FRICTION_UNSIMULATED(friction=mu, reason=error))
     found = fit_stiffness(
         points, tables, law, start_pa=start, touch_sigma_mm=options.touch_sigma_mm
     )
@@ -220,14 +218,7 @@ def _with_friction(captures: _Captures, known: _Known) -> _Known:
             value = math.exp(fit.solution.value("ln_e"))
             relative = math.hypot(fit.solution.sigma_of("ln_e"), fit.table.error, 0.02)
             known = replace(known, young=Estimate(value, relative * value, "Pa"))
-            remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "young_of_shear",
-                    f"Young's modulus of {value:.4g} Pa comes from the normal force of "
-                    f"{fit.name} alone, at one depth; record an indentation",
-                )
-            )
+            remarks.append(YOUNG_OF_SHEAR(young_pa=value, name=fit.name))
     videos, said = flows_of_folder(captures.folder, captures.base)
     remarks += said
     flows = []
@@ -293,12 +284,10 @@ def _damping(captures: _Captures, known: _Known, record: ForceRecord) -> Damping
     fit = fit_damping(record, tool, table, gain)
     if known.young is None or 0.8 < fit.young_modulus_pa / known.young.value < 1.25:
         return fit
-    remark = Remark(
-        Severity.WARNING,
-        "relaxation_modulus",
-        f"{fit.name} alone gives {fit.young_modulus_pa:.4g} Pa, "
-        f"{fit.young_modulus_pa / known.young.value:.2f} times that of the indentations; speed, "
-        "touch point or tool differ",
+    remark = RELAXATION_MODULUS(
+        name=fit.name,
+        modulus_pa=fit.young_modulus_pa,
+        ratio=fit.young_modulus_pa / known.young.value,
     )
     return replace(fit, remarks=(*fit.remarks, remark))
 

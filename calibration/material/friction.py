@@ -12,9 +12,14 @@ from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.material.ball_slide import simulate_ball_slide
 from taccel_lab.calibration.material.gel import Gel
 from taccel_lab.calibration.material.likelihood import Solution
+from taccel_lab.calibration.material.remarks import (
+    BALL_LEANS,
+    FRICTION_DISAGREES,
+    LEANING_UNKNOWN,
+)
 from taccel_lab.calibration.material.robust_statistics import combined, scatter
 from taccel_lab.calibration.material.sliding import SlideFit, friction_of_slides
-from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
+from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark
 from taccel_lab.progress import Progress
 
 LEANING_ERROR = 0.02
@@ -89,14 +94,7 @@ def friction_of_records(
     values = [item.value for item in each]
     if len(each) > 1 and scatter(each) > 6 and np.ptp(values) > 0.15 * mean.value:
         text = ", ".join(f"{name} {item.value:.3g}" for name, item in found.items())
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "friction_disagrees",
-                f"records disagree on friction ({text}); speed, load or a coating that wears "
-                "may differ. Their weighted mean is used, its error widened",
-            )
-        )
+        remarks.append(FRICTION_DISAGREES(each=text))
     half = NORMAL_95 * mean.sigma
     # Two digits: presses with it are simulated, and the profile says what they had.
     stated = float(f"{mean.value:.2g}")
@@ -125,19 +123,8 @@ def _without_leaning(
         if slide is not None:
             mu = slide.friction(ratio.value)
             sigma = math.hypot(ratio.sigma * mu / ratio.value, LEANING_ERROR * mu)
-            remark = Remark(
-                Severity.INFO,
-                "ball_leans",
-                f"tangential over normal force is {ratio.value:.3g} while the ball slides; "
-                f"simulated at {slide.depth_mm:.2g} mm depth, a coefficient of {mu:.3g} makes it, "
-                "since the ball leans on the gel before it",
-            )
+            remark = BALL_LEANS(ratio=ratio.value, depth_mm=slide.depth_mm, friction=mu)
             return Estimate(mu, sigma), [remark]
         note = "slides with so much friction do not converge"
-    remark = Remark(
-        Severity.WARNING,
-        "leaning_unknown",
-        f"{note}, so what the ball leans on the gel is not taken off; friction may be up to 15 % "
-        "lower than the ratio of the forces. A flat punch does not lean",
-    )
+    remark = LEANING_UNKNOWN(reason=note)
     return Estimate(ratio.value, math.hypot(ratio.sigma, UNCORRECTED_ERROR * ratio.value)), [remark]

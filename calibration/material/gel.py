@@ -41,6 +41,9 @@ COMPARED = {
 
 RUBBING_LIMITS = {"max_substep_halvings": 3, "max_friction_lags": 60}
 """Of iterations, on which no result depends."""
+RECIPE_VERSION = 2
+"""Raised when the solver or the way of simulating changes forces, so that none are taken from the
+cache that were made otherwise."""
 
 
 @dataclass(frozen=True)
@@ -216,6 +219,7 @@ class GelBench:
     def recipe(self, what: str, gel: Gel, way: Mapping[str, Any]) -> dict[str, Any]:
         """All that a press of ``gel`` here depends on."""
         return {
+            "version": RECIPE_VERSION,
             "what": what,
             "gel": gel.recipe(),
             "tool": self.tool.description,

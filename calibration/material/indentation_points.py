@@ -13,7 +13,8 @@ from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.bonded_layer import layer_young_modulus_pa
 from taccel_lab.calibration.material.gel import Gel, Tool
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.material.remarks import FORCE_DROPS, UNLOADING, UNUSUAL_MODULUS
+from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 
@@ -70,14 +71,7 @@ def points_of_record(record: ForceRecord, gel: Gel, ball_mm: float | None) -> In
     keep, unloading = loading_branch(depth)
     if unloading is not None:
         lost = hysteresis(depth[keep], force[keep], depth[unloading], force[unloading])
-        remarks.append(
-            Remark(
-                Severity.INFO,
-                "unloading",
-                f"{record.source}: {int(unloading.sum())} rows of the way up are not fitted; the "
-                f"press loses {lost:.0%} of its work between down and up",
-            )
-        )
+        remarks.append(UNLOADING(source=record.source, count=int(unloading.sum()), lost=lost))
     points = _checked(
         record.source.replace("\\", "/").rsplit("/", 1)[-1],
         record.source,
@@ -171,12 +165,12 @@ def require_plausible(
             )
         if not USUAL_PA[0] <= modulus <= USUAL_PA[1]:
             remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "unusual_modulus",
-                    f"{item.name}: about {modulus:.3g} Pa is unusual for a gel of a tactile sensor "
-                    f"({USUAL_PA[0]:g} to {USUAL_PA[1]:g} Pa); check units and tool. "
-                    f"{_guess(item, thickness_mm, poisson_ratio)}",
+                UNUSUAL_MODULUS(
+                    name=item.name,
+                    modulus_pa=modulus,
+                    low_pa=USUAL_PA[0],
+                    high_pa=USUAL_PA[1],
+                    guess=_guess(item, thickness_mm, poisson_ratio),
                 )
             )
         moduli.append(modulus)
@@ -269,9 +263,4 @@ def _drops(points: IndentationPoints) -> Remark | None:
     if worst >= -limit:
         return None
     where = float(points.depth_mm[order][int(np.argmin(np.diff(force)))])
-    return Remark(
-        Severity.WARNING,
-        "force_drops",
-        f"{points.name}: the force drops by {-worst:.3g} N while the depth rises past {where:.3g} "
-        "mm; the tool slipped, the gel broke loose, or rows are out of order",
-    )
+    return FORCE_DROPS(name=points.name, drop_n=-worst, depth_mm=where)

@@ -10,7 +10,18 @@ import numpy as np
 
 from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
 from taccel_lab.calibration.material.predicted_forces import HeldOut
-from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.material.remarks import (
+    FEW_DEGREES_OF_FREEDOM,
+    FRICTION_ASSUMED,
+    LAW_MISFIT,
+    NOISE_UNDERSTATED,
+    PRESS_DEPTH,
+    RECORDS_DISAGREE,
+    TOUCH_SHIFT,
+    YOUNG_UNCERTAIN,
+    YOUNG_WITH_NU,
+)
+from taccel_lab.calibration.result import Estimate, Remark
 
 MISFIT = 0.05
 """Root mean square residual, as a part of the force, that calls for a remark."""
@@ -38,23 +49,7 @@ def young_with_nu(fit: IndentationFit) -> list[Remark]:
     correlation = float(fit.solution.correlation[names.index("ln_e"), names.index("nu")])
     if abs(correlation) < CORRELATED:
         return []
-    return [
-        Remark(
-            Severity.INFO,
-            "young_with_nu",
-            f"Young's modulus is known only together with Poisson's ratio (correlation "
-            f"{correlation:+.3f}) and is uncertain by {sigma:.0%} for that; "
-            f"{SECOND_TOOL}, or nu held with --fix nu=..., gives it to about 1 %",
-        )
-    ]
-
-
-SECOND_TOOL = (
-    "records of two tools in the same folder, a ball with a radius of at most half of the gel's "
-    "thickness, and a flat punch about as wide as the gel is thick or a ball of two to four times "
-    "the thickness"
-)
-"""What separates E and nu (docs/calibration_material.md)."""
+    return [YOUNG_WITH_NU(correlation=correlation, sigma=sigma)]
 
 
 def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark]:
@@ -67,47 +62,25 @@ def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[
         residual = np.array(own) if own else residual
         rms = float(np.sqrt(np.mean(residual**2)))
         if rms > MISFIT:
-            remarks.append(
-                Remark(
-                    Severity.ERROR if rms > BAD_MISFIT else Severity.WARNING,
-                    "law_misfit",
-                    f"{item.name}: the simulated curve misses forces that it was not fitted to by "
-                    f"{rms:.1%} (root mean square above a tenth of the largest); check the radius, "
-                    "the gel's thickness and where the depth is counted from",
-                )
-            )
+            remarks.append(LAW_MISFIT(name=item.name, rms=rms, grave=rms > BAD_MISFIT))
         touch = fit.touch_mm(i)
         if abs(touch) > TOUCH_SAID_MM:
             low, high = fit.touch_interval_mm(i)
             remarks.append(
-                Remark(
-                    Severity.INFO,
-                    "press_depth",
-                    f"{item.name}: a press of the profile gives its forces at depths "
-                    f"{abs(touch):.3f} mm {'larger' if touch < 0 else 'smaller'} than recorded: "
-                    f"first touch lies {touch:+.3f} mm from the record's zero "
-                    f"({low:+.3f} to {high:+.3f})",
+                PRESS_DEPTH(
+                    name=item.name,
+                    shift_mm=abs(touch),
+                    larger_or_smaller="larger" if touch < 0 else "smaller",
+                    touch_mm=touch,
+                    low_mm=low,
+                    high_mm=high,
                 )
             )
         if abs(touch) > 0.1 and abs(touch) > 3 * fit.solution.sigma_of(f"touch_{i}"):
-            remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "touch_shift",
-                    f"{item.name}: first touch lies {touch:+.2f} mm from where the record counts "
-                    "its depth; the fit allows for it, but look at how touch was detected",
-                )
-            )
+            remarks.append(TOUCH_SHIFT(name=item.name, touch_mm=touch))
     remarks += young_with_nu(fit)
     if fit.solution.misfit and fit.solution.chi2_per_dof is not None:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "noise_understated",
-                f"residuals are {math.sqrt(fit.solution.chi2_per_dof):.1f} times the stated noise "
-                "of the forces; intervals are widened to match",
-            )
-        )
+        remarks.append(NOISE_UNDERSTATED(factor=math.sqrt(fit.solution.chi2_per_dof)))
     return remarks
 
 
@@ -130,18 +103,17 @@ def records_disagree(fit: IndentationFit, touches_mm: Sequence[float]) -> list[R
         others = float(np.min(sigma))
         if abs(one - middle) > max(math.log1p(DISAGREEMENT), 3 * math.hypot(own, others)):
             remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "records_disagree",
-                    f"{item.name} alone gives {math.exp(one):.4g} Pa, the records together "
-                    f"{fit.young_modulus_pa:.4g} Pa; check the radius of {item.tool.description}, "
-                    "its units and its touch point",
+                RECORDS_DISAGREE(
+                    name=item.name,
+                    own_pa=math.exp(one),
+                    young_pa=fit.young_modulus_pa,
+                    tool=item.tool.description,
                 )
             )
     return remarks
 
 
-def few_points(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark]:
+def few_degrees_of_freedom(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark]:
     """That a fit meets few points says little; how far each is from what the others predict."""
     count = sum(len(item.depth_mm) for item in fit.points)
     if count - len(fit.solution.names) >= FEW or not predicted:
@@ -149,14 +121,13 @@ def few_points(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark
     miss = np.array([item.relative for item in predicted])
     inside = sum(a.interval_n[0] <= a.force_n <= a.interval_n[1] for a in predicted)
     return [
-        Remark(
-            Severity.WARNING,
-            "few_points",
-            f"{count} points and {len(fit.solution.names)} fitted numbers: how close the fit comes "
-            f"to them says little. Predicted from the others, points are off by "
-            f"{np.sqrt(np.mean(miss**2)):.1%} (root mean square; {np.abs(miss).max():.1%} at most; "
-            f"{inside} of {len(predicted)} in the 95 % interval stated for them). Record eight "
-            "depths or more",
+        FEW_DEGREES_OF_FREEDOM(
+            count=count,
+            fitted=len(fit.solution.names),
+            rms=np.sqrt(np.mean(miss**2)),
+            worst=np.abs(miss).max(),
+            inside=inside,
+            predicted=len(predicted),
         )
     ]
 
@@ -167,14 +138,7 @@ def young_uncertain(young: Estimate) -> list[Remark]:
     half = 0.5 * (high - low) / young.value
     if half <= UNCERTAIN:
         return []
-    return [
-        Remark(
-            Severity.WARNING,
-            "young_uncertain",
-            f"Young's modulus is only known to {half:.0%} ({low:.3g} to {high:.3g} Pa); record "
-            "more depths, and deeper ones, or a second tool",
-        )
-    ]
+    return [YOUNG_UNCERTAIN(half=half, low_pa=low, high_pa=high)]
 
 
 def friction_assumed(
@@ -195,12 +159,7 @@ def friction_assumed(
         text += f" (the points exclude {', '.join(f'{mu:g}' for mu in excluded)})"
     else:
         text += "; the points do not tell which, so intervals hold for both"
-    return Remark(
-        Severity.WARNING,
-        "friction_assumed",
-        f"friction is not measured: the presses fit best with a coefficient of {chosen:g}, which "
-        f"is what the profile now says and what presses of it take; {text}. Record a slide",
-    )
+    return FRICTION_ASSUMED(friction=chosen, others=text)
 
 
 def _rms(fit: IndentationFit) -> float:

@@ -23,8 +23,13 @@ from taccel_lab.calibration.material.marker_flow_table import (
     flow_likelihood,
     flow_table,
 )
+from taccel_lab.calibration.material.remarks import (
+    FLOW_FRICTION_UNDETERMINED,
+    FLOW_MISFIT,
+    FLOW_NU_UNDETERMINED,
+)
 from taccel_lab.calibration.material.tool_path import ToolPath
-from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
+from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.registry import sensor_family
@@ -165,30 +170,19 @@ def fit_flow(
 
 def _remarks(name: str, solution: Solution, rms_mm: float, moved_mm: float) -> list[Remark]:
     remarks = []
-    titles = {"ln_mu": "friction", "nu": "Poisson's ratio"}
-    codes = {"ln_mu": "flow_friction_undetermined", "nu": "flow_nu_undetermined"}
-    for key, title in titles.items():
+    kinds = {"ln_mu": FLOW_FRICTION_UNDETERMINED, "nu": FLOW_NU_UNDETERMINED}
+    for key, kind in kinds.items():
         profile = solution.profiles.get(key)
         if profile is None or profile.closed:
             continue
         low, high = (math.exp(v) if key == "ln_mu" else v for v in profile.interval)
         if profile.open_low and profile.open_high:
-            text = f"does not determine {title}"
+            remarks.append(kind(name=name, verb="does not determine", bounds=""))
         else:
-            text = f"only shows that {title} is " + (
-                f"above {low:.3g}" if profile.open_high else f"below {high:.3g}"
-            )
-        text = f"{name} {text}; move the tool farther"
-        remarks.append(Remark(Severity.INFO, codes[key], text))
+            bounds = f" is above {low:.3g}" if profile.open_high else f" is below {high:.3g}"
+            remarks.append(kind(name=name, verb="only shows that", bounds=bounds))
     if rms_mm > 0.3 * moved_mm:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "flow_misfit",
-                f"{name}: the simulated motion of the markers leaves {rms_mm:.3f} mm of "
-                f"{moved_mm:.3f} mm; check path, tool, scale and the gel's shape",
-            )
-        )
+        remarks.append(FLOW_MISFIT(name=name, rms_mm=rms_mm, moved_mm=moved_mm))
     return remarks
 
 

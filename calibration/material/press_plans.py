@@ -14,8 +14,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from taccel_lab.calibration.kept import KeptFile, kept_arrays
 from taccel_lab.calibration.material.gel_presses import GelPresses, Stop
-from taccel_lab.calibration.material.press_cache import is_kept, keep, kept
 from taccel_lab.errors import SimulationError
 from taccel_lab.progress import Progress, silent
 
@@ -41,6 +41,11 @@ class PressPlan:
     must_reach: int = 0
     """How many of the stops that are read have to be reached; beyond them, what was not reached is
     NaN."""
+
+    @property
+    def kept(self) -> KeptFile[dict[str, np.ndarray]]:
+        """The file of its arrays in the cache."""
+        return kept_arrays("responses", self.recipe)
 
 
 class PressBench(Protocol):
@@ -150,7 +155,7 @@ def simulate(bench: PressBench, plan: PressPlan) -> dict[str, np.ndarray]:
             raise SimulationError(found.failure)
         return plan.arrays(found.rows[0]) | {"seconds": np.array(found.seconds)}
 
-    return kept(plan.recipe, alone)
+    return plan.kept.read_or_make(alone)
 
 
 def prepare(
@@ -166,7 +171,7 @@ def prepare(
     many.
     """
     size = batch_size(bench.device)
-    missing = [plan for plan in plans if not is_kept(plan.recipe)]
+    missing = [plan for plan in plans if not plan.kept.exists()]
     if size < 2 or len(missing) < 2:
         return
     for first in range(0, len(missing), size):
@@ -180,4 +185,4 @@ def prepare(
         seconds = np.array(found.seconds / len(part))
         for plan, rows, converged in zip(part, found.rows, found.converged, strict=True):
             if converged:
-                keep(plan.recipe, plan.arrays(rows) | {"seconds": seconds})
+                plan.kept.write(plan.arrays(rows) | {"seconds": seconds})

@@ -23,8 +23,9 @@ from taccel_lab.calibration.capture import ForceRecord
 from taccel_lab.calibration.material.force_table import ForceTable
 from taccel_lab.calibration.material.gel import Tool
 from taccel_lab.calibration.material.indentation_points import record_sigma
+from taccel_lab.calibration.material.remarks import DAMPING_UNDETERMINED, RELAXES
 from taccel_lab.calibration.material.robust_statistics import robust_regression
-from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.result import Estimate, Remark
 from taccel_lab.errors import InputError
 
 MIN_ROWS = 12
@@ -147,25 +148,16 @@ def fit_damping(
     remarks: list[Remark] = []
     if relaxation is not None:
         remarks.append(
-            Remark(
-                Severity.WARNING,
-                "relaxes",
-                f"{name}: at held depth the force falls by {relaxation.part:.1%} within about "
-                f"{relaxation.time_s:.3g} s; the solver's damping (Kelvin-Voigt) cannot relax, so "
-                f"no damping time is set. {modulus:.4g} Pa is the modulus of the force that is "
-                "left; a press that is faster than the relaxation is stiffer",
+            RELAXES(
+                name=name,
+                part=relaxation.part,
+                time_s=relaxation.time_s,
+                modulus_pa=modulus,
             )
         )
         estimate = None
     elif low <= 0:
-        remarks.append(
-            Remark(
-                Severity.INFO,
-                "damping_undetermined",
-                f"{name}: the force does not depend on the speed (up to {fastest:.3g} mm/s) by "
-                f"more than its noise; the damping time is below {high:.2g} s",
-            )
-        )
+        remarks.append(DAMPING_UNDETERMINED(name=name, fastest=fastest, high_s=high))
         estimate = None
     fitted = columns @ fit.values
     level = float(np.abs(force[use]).mean())

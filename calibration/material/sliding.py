@@ -18,8 +18,15 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture import ForceRecord
+from taccel_lab.calibration.material.remarks import (
+    FRICTION_BY_LOAD,
+    NEVER_SLID,
+    OFFSET_UNDETERMINED,
+    PARTLY_SLID,
+    STICK_SLIP,
+)
 from taccel_lab.calibration.material.robust_statistics import combined, robust_regression
-from taccel_lab.calibration.result import Estimate, Remark, Severity
+from taccel_lab.calibration.result import Estimate, Remark
 from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 
@@ -143,14 +150,7 @@ def friction_of_slides(fits: Sequence[SlideFit]) -> tuple[Estimate, list[Remark]
     if len(fits) >= 3 and np.ptp(load) > LOAD_RANGE * load.mean():
         power = float(np.polyfit(np.log(load), np.log(value), 1)[0])
         if abs(power) > 0.1:
-            remarks.append(
-                Remark(
-                    Severity.WARNING,
-                    "friction_by_load",
-                    f"friction goes with the load to the power {power:.2f} between {load.min():.3g}"
-                    f" and {load.max():.3g} N; Coulomb's law has one coefficient, here the mean",
-                )
-            )
+            remarks.append(FRICTION_BY_LOAD(power=power, low_n=load.min(), high_n=load.max()))
     return combined([fit.friction for fit in fits]), remarks
 
 
@@ -233,12 +233,7 @@ def _never_slid(
         float(np.percentile(np.abs(stroke.tangential_n / stroke.normal_n), 95))
         for stroke in strokes
     )
-    remark = Remark(
-        Severity.WARNING,
-        "never_slid",
-        f"{name}: the tangential force grows to the end of the stroke, the tool does not slide "
-        f"freely; friction is at least {least:.3g}. Move the tool farther sideways",
-    )
+    remark = NEVER_SLID(name=name, least=least)
     return SlideFit(
         name, record.source, record.sha256, Estimate(least, math.inf), 0.0, None, None,
         False, load, tuple(strokes), math.nan, (remark,),
@@ -277,35 +272,13 @@ def _slid(
             "slides; no gel is that slippery. Are both forces in newtons, and not swapped?"
         )
     if not two_unknowns:
-        remarks.append(
-            Remark(
-                Severity.INFO,
-                "offset_undetermined",
-                f"{name}: one direction and a steady load do not separate an offset of the "
-                f"tangential force from friction; 1 % of the load ({0.01 * normal.mean():.2g} N) "
-                "of offset would change the coefficient by 0.01. Slide back as well",
-            )
-        )
+        remarks.append(OFFSET_UNDETERMINED(name=name, offset_n=0.01 * normal.mean()))
     static, slip = _slips(sliding, sign, offset)
     if static is not None:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "stick_slip",
-                f"{name}: the tool sticks and slips every {slip:.2g} mm; friction reaches "
-                f"{static:.3g} before a slip and is {value:.3g} on average. The solver has one "
-                "coefficient: slide more slowly or more stiffly to separate them",
-            )
-        )
+        remarks.append(STICK_SLIP(name=name, slip_mm=slip, static=static, friction=value))
     partly = [s for s in strokes if s.climbing]
     if partly:
-        remarks.append(
-            Remark(
-                Severity.INFO,
-                "partly_slid",
-                f"{name}: {len(partly)} of {len(strokes)} strokes never slide and are left out",
-            )
-        )
+        remarks.append(PARTLY_SLID(name=name, left_out=len(partly), count=len(strokes)))
     level = float(np.abs(tangential - offset).mean())
     return SlideFit(
         name,

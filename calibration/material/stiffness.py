@@ -24,8 +24,7 @@ from taccel_lab.calibration.material.indentation import (
 )
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.indentation_remarks import (
-    SECOND_TOOL,
-    few_points,
+    few_degrees_of_freedom,
     friction_assumed,
     records_disagree,
     residual_remarks,
@@ -33,7 +32,14 @@ from taccel_lab.calibration.material.indentation_remarks import (
 )
 from taccel_lab.calibration.material.likelihood import Profile, Solution
 from taccel_lab.calibration.material.predicted_forces import HeldOut, force_interval_n, held_out
-from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark, Severity
+from taccel_lab.calibration.material.remarks import (
+    MOONEY_RATIO_UNDETERMINED,
+    NU_EXCLUDED,
+    NU_UNDETERMINED,
+    YOUNG_GIVEN_NU,
+)
+from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark
 
 USUAL_NU = (0.45, 0.495)
 """Poisson's ratios of most gels, over which an unknown one is varied to say what it does to E."""
@@ -248,11 +254,13 @@ def fit_stiffness(
     ratio_determined = law.free_ratio and profiles["mooney_ratio"].closed
     held = law.poisson_ratio
     if law.free_nu and not nu_determined:
-        remarks.append(_undetermined(profiles["nu"], "nu", free.tables[0].nu_range))
+        remarks.append(_undetermined(profiles["nu"], NU_UNDETERMINED, free.tables[0].nu_range))
         held, said = _held_nu(profiles["nu"], held)
         remarks += said
     if law.free_ratio and not ratio_determined:
-        remarks.append(_undetermined(profiles["mooney_ratio"], "mooney_ratio", (0.0, 1.0)))
+        remarks.append(
+            _undetermined(profiles["mooney_ratio"], MOONEY_RATIO_UNDETERMINED, (0.0, 1.0))
+        )
     if not nu_determined:
         # What the profile will hold decides which friction goes with it.
         likeliest = min(tables, key=lambda mu: fit(mu, False, ratio_determined, held).misfit)
@@ -282,7 +290,7 @@ def fit_stiffness(
 
     predicted = held_out(found, refit)
     remarks += residual_remarks(found, predicted)
-    remarks += few_points(found, predicted)
+    remarks += few_degrees_of_freedom(found, predicted)
     remarks += records_disagree(found, touches)
     if law.free_nu and not nu_determined:
         low, high = (
@@ -325,18 +333,14 @@ def _young(found: IndentationFit, left: Sequence[IndentationFit]) -> Estimate:
     return Estimate(value, value * math.log(high / low) / (2 * NORMAL_95), "Pa", (low, high))
 
 
-def _undetermined(profile: Profile, name: str, bounds: tuple[float, float]) -> Remark:
+def _undetermined(profile: Profile, kind: RemarkKind, bounds: tuple[float, float]) -> Remark:
     low, high = profile.interval
-    title = {"nu": "Poisson's ratio", "mooney_ratio": "the Mooney ratio"}[name]
     if profile.open_low and profile.open_high:
-        text = (
-            f"the records do not determine {title} (any from {bounds[0]:g} to {bounds[1]:g} fits)"
+        return kind(
+            verb="do not determine", bounds=f"(any from {bounds[0]:g} to {bounds[1]:g} fits)"
         )
-    elif profile.open_high:
-        text = f"the records only show that {title} is above {low:.3g}"
-    else:
-        text = f"the records only show that {title} is below {high:.3g}"
-    return Remark(Severity.INFO, f"{name}_undetermined", f"{text}; it is held, not calibrated")
+    bound = f"is above {low:.3g}" if profile.open_high else f"is below {high:.3g}"
+    return kind(verb="only show that", bounds=bound)
 
 
 def _held_nu(profile: Profile, base: float) -> tuple[float, list[Remark]]:
@@ -345,21 +349,16 @@ def _held_nu(profile: Profile, base: float) -> tuple[float, list[Remark]]:
     held = min(max(base, low), high)
     if held == base:
         return base, []
-    return held, [
-        Remark(
-            Severity.WARNING,
-            "nu_excluded",
-            f"nu = {base:g} of the base profile lies outside the interval {low:.3g} to "
-            f"{high:.3g} that the records leave; {held:.3g} is used",
-        )
-    ]
+    return held, [NU_EXCLUDED(base=base, low=low, high=high, held=held)]
 
 
 def _young_given_nu(found: IndentationFit, low: float, high: float) -> Remark:
-    return Remark(
-        Severity.INFO,
-        "young_given_nu",
-        f"Young's modulus holds for nu = {found.poisson_ratio:g}: it is {low:.4g} Pa for "
-        f"{USUAL_NU[0]:g} and {high:.4g} Pa for {USUAL_NU[1]:g}; its interval is over nu from "
-        f"{GEL_NU[0]:g} to {GEL_NU[1]:g}. {SECOND_TOOL[0].upper() + SECOND_TOOL[1:]} determine nu",
+    return YOUNG_GIVEN_NU(
+        nu=found.poisson_ratio,
+        low_pa=low,
+        low_nu=USUAL_NU[0],
+        high_pa=high,
+        high_nu=USUAL_NU[1],
+        least_nu=GEL_NU[0],
+        most_nu=GEL_NU[1],
     )

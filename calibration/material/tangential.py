@@ -17,12 +17,13 @@ from taccel_lab.calibration.material.friction import FrictionFit
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.indentation_points import record_sigma
 from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter, Solution
+from taccel_lab.calibration.material.remarks import FRICTION_UNDETERMINED, TANGENTIAL_MISFIT
 from taccel_lab.calibration.material.tangential_table import (
     Motion,
     TangentialTable,
     tangential_table,
 )
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 
@@ -194,23 +195,9 @@ def fit_tangential(
     remarks = []
     profile = solution.profiles["ln_mu"]
     if not profile.closed:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "friction_undetermined",
-                f"{name}: the contact hardly slips, so friction is only known to be at least "
-                f"{math.exp(profile.interval[0]):.3g}; move the tool farther, or record a slide",
-            )
-        )
+        remarks.append(FRICTION_UNDETERMINED(name=name, least=math.exp(profile.interval[0])))
     if residual > 0.1:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "tangential_misfit",
-                f"{name}: the simulated {motion} misses the record by {residual:.0%} of its "
-                "largest force; check the depth, the tool and its place",
-            )
-        )
+        remarks.append(TANGENTIAL_MISFIT(name=name, motion=motion, residual=residual))
     return TangentialFit(
         name, record.source, record.sha256, tool, motion, depth, solution, table, moved,
         tangential, normal, fitted, residual, tuple(remarks),

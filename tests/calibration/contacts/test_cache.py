@@ -10,7 +10,7 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.contacts import cache
-from taccel_lab.calibration.contacts.cache import cached_contacts, contacts_path
+from taccel_lab.calibration.contacts.cache import cached_contacts, kept_contacts
 from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.errors import InputError
 from taccel_lab.output import CACHE_VARIABLE
@@ -45,7 +45,7 @@ def test_cached_contacts_are_those_that_were_found(
 
 def test_nothing_is_kept_unless_asked(captures: CaptureSet) -> None:
     usable_presses(captures)
-    assert not contacts_path(captures).exists()
+    assert not kept_contacts(captures).path.exists()
 
 
 def test_anything_that_matters_asks_for_a_search(
@@ -81,7 +81,7 @@ def test_anything_that_matters_asks_for_a_search(
 def test_a_damaged_file_is_told_and_made_anew(captures: CaptureSet, text: str) -> None:
     captures = replace(captures, presses=captures.presses[:3])
     found = cached_contacts(captures)
-    contacts_path(captures).write_text(text)
+    kept_contacts(captures).path.write_text(text)
     with pytest.warns(UserWarning, match="are damaged"):
         again = cached_contacts(captures)
     assert again.contacts == found.contacts

@@ -17,7 +17,6 @@ from taccel_lab.calibration.material.gel_presses import (
     Stop,
     split_by_modulus,
 )
-from taccel_lab.calibration.material.press_cache import is_kept
 from taccel_lab.calibration.material.press_plans import PressPlan, follow, prepare, simulate
 from taccel_lab.calibration.material.tangential_table import tangential_and_normal
 from taccel_lab.envs import parse_indenter
@@ -192,7 +191,7 @@ def test_an_environment_that_fails_is_tried_again_alone(own_cache: None) -> None
     good, bad = plan(0.4, (0.02, 0.03)), plan(0.499, (0.02, 1.8), must=2)
     bench = Bench("cuda:0", hasty)
     prepare(bench, [good, bad])
-    assert is_kept(good.recipe) and not is_kept(bad.recipe)
+    assert good.kept.exists() and not bad.kept.exists()
     assert np.isfinite(simulate(bench, good)["force_n"]).all()
     with pytest.raises(SimulationError, match="did not converge"):
         simulate(bench, bad)
