@@ -12,13 +12,13 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import capture_findings, refusing_with
-from taccel_lab.calibration.check.findings import Finding
 from taccel_lab.calibration.contacts.fusion import choose_circles
 from taccel_lab.calibration.contacts.labels import compare_with_labels
+from taccel_lab.calibration.contacts.remarks import CIRCLES_FOUND
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.calibration.press_options import BallPressOptions
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -43,7 +43,7 @@ class BallPresses:
     """Where they were found in their images, in order."""
     lost: tuple[Remark, ...]
     """Blocks of the profile that do not go with the captures' grid."""
-    findings: tuple[Finding, ...]
+    findings: tuple[Remark, ...]
     """What the check of the captures says of the block, worst first."""
     remarks: tuple[Remark, ...]
     """Presses left out, and how far the circles found lie from labels."""
@@ -107,12 +107,12 @@ def _agreement(training: CaptureSet, found: list[DetectedContact]) -> list[Remar
     if agreement is None:
         return []
     return [
-        Remark(
-            Severity.INFO,
-            "circles_found",
-            f"found circles against {agreement.count} labels, median and 90th percentile: centre "
-            f"{agreement.center_median_px:.1f} and {agreement.center_p90_px:.1f} px, radius "
-            f"{agreement.radius_median_px:.1f} and {agreement.radius_p90_px:.1f} px",
+        CIRCLES_FOUND(
+            count=agreement.count,
+            center=agreement.center_median_px,
+            center_p90=agreement.center_p90_px,
+            radius=agreement.radius_median_px,
+            radius_p90=agreement.radius_p90_px,
         )
     ]
 

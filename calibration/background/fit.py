@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taccel_lab.calibration.background import remarks
 from taccel_lab.calibration.background.dust import dust_mask, speck_count
 from taccel_lab.calibration.background.result import BackgroundCalibration, FrameLight
 from taccel_lab.calibration.capture.folder import CaptureFolder
@@ -181,54 +182,21 @@ def _remarks(
     new_dust: np.ndarray,
     from_presses: bool,
 ) -> tuple[Remark, ...]:
-    remarks = []
+    found = []
     if from_presses:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "no_untouched_image",
-                f"no image of the untouched sensor: the background is the median of "
-                f"{len(sources)} presses; what they all touch is wrong. Record one",
-            )
-        )
+        found.append(remarks.NO_UNTOUCHED_IMAGE(count=len(sources)))
     if len(sources) == 1:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "single_frame",
-                "one frame: neither noise nor drift can be told; give more as untouched",
-            )
-        )
+        found.append(remarks.SINGLE_FRAME())
     if len(drifts) > 1:
-        remarks.append(drift_remark(drifts, reference))
+        found.append(drift_remark(drifts, reference))
     clipped = float(((reference <= 0.5) | (reference >= 254.5)).any(axis=-1).mean())
     if clipped > CLIPPED_SHARE:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "background_clipped",
-                f"{clipped:.0%} of the background's pixels are at 0 or 255 in a channel: their "
-                "change cannot be read. Change the exposure",
-            )
-        )
+        found.append(remarks.BACKGROUND_CLIPPED(clipped=clipped))
     specks = speck_count(new_dust)
     if specks:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "new_dust",
-                f"{specks} specks lie in the later frames and not in the background image: the gel "
-                "has collected dust since. Clean it, or record a new background",
-            )
-        )
+        found.append(remarks.NEW_DUST(specks=specks))
     crowded = [f.name for f in frames if f.seen_share < MIN_SEEN_SHARE]
     if crowded:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "little_untouched",
-                f"{', '.join(crowded[:6])}: less than {MIN_SEEN_SHARE:.0%} of the frame looks like "
-                "the background; left out",
-            )
-        )
-    return tuple(remarks)
+        names = ", ".join(crowded[:6])
+        found.append(remarks.LITTLE_UNTOUCHED(names=names, least=MIN_SEEN_SHARE))
+    return tuple(found)

@@ -23,10 +23,12 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.check.findings import Finding, error, name_some, warning
+from taccel_lab.calibration.check import remarks
+from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.fit import find_contacts
+from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.geometry import PixelGrid
 
@@ -49,7 +51,7 @@ def check_balls(
     grid: PixelGrid | None,
     ball_radius_mm: float | None,
     gel_thickness_mm: float | None,
-) -> list[Finding]:
+) -> list[Remark]:
     """Findings on the radius; ``grid`` only with a known scale, thickness of a known sensor."""
     found = list(_check_rates(frames, ball_radius_mm))
     if grid is not None and ball_radius_mm is not None:
@@ -67,7 +69,7 @@ def _check_size(
     grid: PixelGrid,
     ball_radius_mm: float,
     gel_thickness_mm: float | None,
-) -> list[Finding]:
+) -> list[Remark]:
     too_wide, too_deep, widest, deepest, measured = [], [], 0.0, 0.0, 0
     for frame in frames:
         smallest = _smallest_radius_px(frame)
@@ -86,29 +88,24 @@ def _check_size(
             deepest = max(deepest, float(depth))
     found = []
     if too_wide:
-        make = error if len(too_wide) > FEW_SHARE * measured else warning
         found.append(
-            make(
-                "ball_too_small",
-                f"{len(too_wide)} of {measured} contacts are wider than the ball: a radius of "
-                f"up to {widest:.2f} mm at {grid.mm_per_px_x:g} mm/px, the ball has "
-                f"{ball_radius_mm:g} mm ({name_some(too_wide)}). The ball's radius is too small "
-                "(a diameter taken for it?), or the scale too large",
-                "color",
-                "normals",
-                "scale",
+            remarks.BALL_TOO_SMALL(
+                wider=len(too_wide),
+                count=measured,
+                widest=widest,
+                mm_per_px=grid.mm_per_px_x,
+                stated=ball_radius_mm,
+                names=name_some(too_wide),
                 frames=too_wide,
+                grave=len(too_wide) > FEW_SHARE * measured,
             )
         )
     if too_deep:
         found.append(
-            error(
-                "ball_too_deep",
-                f"{len(too_deep)} contacts of the stated ball would be up to {deepest:.1f} mm deep "
-                f"in a gel of {gel_thickness_mm:g} mm: radius or scale is wrong",
-                "color",
-                "normals",
-                "scale",
+            remarks.BALL_TOO_DEEP(
+                count=len(too_deep),
+                deepest=deepest,
+                gel=gel_thickness_mm,
                 frames=too_deep,
             )
         )
@@ -128,7 +125,7 @@ def _smallest_radius_px(frame: FrameFigures) -> float | None:
 
 def _check_travel(
     frames: Sequence[FrameFigures], grid: PixelGrid, ball_radius_mm: float
-) -> list[Finding]:
+) -> list[Remark]:
     ratios = []
     for frame in frames:
         circle, depth = frame.circle, frame.press.depth_mm
@@ -144,16 +141,7 @@ def _check_travel(
         return []
     low, high = ratio * ball_radius_mm / 2, ratio * ball_radius_mm
     return [
-        error(
-            "ball_against_travel",
-            f"contacts and travel of {len(ratios)} presses belong to a ball of {low:.2g} to "
-            f"{high:.2g} mm, stated is {ball_radius_mm:g} mm: the radius (a diameter taken for "
-            "it?), the scale or the travel is wrong",
-            "color",
-            "normals",
-            "scale",
-            "material",
-        )
+        remarks.BALL_AGAINST_TRAVEL(count=len(ratios), low=low, high=high, stated=ball_radius_mm)
     ]
 
 
@@ -165,7 +153,7 @@ def center_rate(frame: FrameFigures) -> float:
     return float(np.linalg.norm(frame.lamps)) / circle.radius_px
 
 
-def _check_rates(frames: Sequence[FrameFigures], ball_radius_mm: float | None) -> list[Finding]:
+def _check_rates(frames: Sequence[FrameFigures], ball_radius_mm: float | None) -> list[Remark]:
     rates = np.array([center_rate(frame) for frame in frames])
     radii = np.array([_radius_mm(frame, ball_radius_mm) or np.nan for frame in frames])
     if not np.isfinite(radii).any():
@@ -188,39 +176,21 @@ def _check_rates(frames: Sequence[FrameFigures], ball_radius_mm: float | None) -
     if not 1 / BALL_FACTOR < factor < BALL_FACTOR:
         as_ball = "a wrong circle, or hardly a contact"
     return [
-        warning(
-            "other_ball",
-            f"in {name_some(names)} the colour changes {1 / factor:.2g} times as fast over the "
-            f"contact as in the other presses: {as_ball}. State radius_mm of these presses, or "
-            "remove them",
-            "color",
-            "normals",
-            frames=names,
-        )
+        remarks.OTHER_BALL(names=name_some(names), factor=1 / factor, cause=as_ball, frames=names)
     ]
 
 
-def _check_stated_ratio(rates: np.ndarray, radii: np.ndarray, balls: np.ndarray) -> list[Finding]:
+def _check_stated_ratio(rates: np.ndarray, radii: np.ndarray, balls: np.ndarray) -> list[Remark]:
     """Whether presses of several balls differ as their stated radii do."""
     first, last = float(balls[0]), float(balls[-1])
     seen = float(np.median(rates[radii == first]) / np.median(rates[radii == last]))
     stated = last / first
     if 1 / ODD_RATE < seen / stated < ODD_RATE:
         return []
-    return [
-        error(
-            "ball_ratio",
-            f"balls of {first:g} and {last:g} mm are stated, a ratio of {stated:.2f}; by the "
-            f"colours over their contacts it is {seen:.2f}. One of the radii is wrong, or the "
-            "presses are mixed up",
-            "color",
-            "normals",
-            "scale",
-        )
-    ]
+    return [remarks.BALL_RATIO(first=first, last=last, stated=stated, seen=seen)]
 
 
-def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Finding]:
+def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
     """Whether the colours of up to twelve presses allow the stated ball."""
     plain = tuple(press for press in folder.presses if press.radius_mm is None)
     if len(plain) < MIN_PRESSES or folder.mm_per_px is None or folder.ball_radius_mm is None:
@@ -242,8 +212,7 @@ def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Finding]
     found = check_ball(chosen, find_contacts(chosen))
     if found is None:
         return []
-    remark = found.remark()
-    return [Finding(remark.severity, remark.code, remark.message, (), ("color", "normals"))]
+    return [found.remark(remarks.BY_COLOR)]
 
 
 def check_scale(
@@ -252,7 +221,7 @@ def check_scale(
     pad_mm: tuple[float, float] | None,
     usual_width_mm: float | None,
     family: str,
-) -> list[Finding]:
+) -> list[Remark]:
     """Whether the stated scale fits the sensor: its pad's plan, and its usual field of view."""
     width, height = size_px[0] * mm_per_px[0], size_px[1] * mm_per_px[1]
     longer, shorter = max(width, height), min(width, height)
@@ -264,29 +233,22 @@ def check_scale(
         and (longer > FIELD_SLACK * max(pad_mm) or shorter > FIELD_SLACK * min(pad_mm))
     ):
         return [
-            warning(
-                "scale_past_pad",
-                f"at {mm_per_px[0]:g} x {mm_per_px[1]:g} mm/px the image shows {width:.1f} x "
-                f"{height:.1f} mm, the pad of a {family} has {pad_mm[0]:g} x {pad_mm[1]:g} mm: the "
-                "scale is too large, or the image shows more than the gel",
-                "scale",
-                "color",
-                "normals",
-                "depth",
+            remarks.SCALE_PAST_PAD(
+                mm_per_px_x=mm_per_px[0],
+                mm_per_px_y=mm_per_px[1],
+                width=width,
+                height=height,
+                family=family,
+                pad_x=pad_mm[0],
+                pad_y=pad_mm[1],
             )
         ]
     if usual_width_mm is not None and not (
         1 / SCALE_FACTOR < longer / usual_width_mm < SCALE_FACTOR
     ):
         return [
-            warning(
-                "scale_unusual",
-                f"at {mm_per_px[0]:g} mm/px the image is {longer:.1f} mm long, that of a {family} "
-                f"usually {usual_width_mm:.1f} mm: check the scale, or the crop of the images",
-                "scale",
-                "color",
-                "normals",
-                "depth",
+            remarks.SCALE_UNUSUAL(
+                mm_per_px=mm_per_px[0], length=longer, family=family, usual=usual_width_mm
             )
         ]
     return []

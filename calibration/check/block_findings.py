@@ -63,8 +63,16 @@ def refusing_with(findings: Sequence[Remark]) -> Iterator[None]:
 
 
 def joined(findings: Sequence[Remark], remarks: Sequence[Remark]) -> tuple[Remark, ...]:
-    """Findings, then remarks of the fit; where both have one thing to say, the graver one does."""
-    said = {finding.code: RANK[finding.severity] for finding in findings}
+    """Findings, then remarks of the fit; where both have one thing to say, the graver one does.
+
+    A remark says what a finding says when it has its code, or that with the block before it:
+    ``normals_few_presses`` goes with ``few_presses``.
+    """
+    said = {code: RANK[finding.severity] for finding in findings for code in _codes(finding)}
     graver = [remark for remark in remarks if RANK[remark.severity] > said.get(remark.code, -1)]
     codes = {remark.code for remark in graver}
-    return (*(finding for finding in findings if finding.code not in codes), *graver)
+    return (*(finding for finding in findings if not _codes(finding) & codes), *graver)
+
+
+def _codes(finding: Remark) -> set[str]:
+    return {finding.code, *(f"{block}_{finding.code}" for block in finding.blocks)}

@@ -23,12 +23,7 @@ _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.INFO: 2}
 MAX_NAMES = 6
 
 
-Finding = Remark
-"""A remark about captures: it names the blocks that it concerns. This name and ``error`` and
-``warning`` go when the last checks take their kinds from ``check/remarks.py``."""
-
-
-def worst_first(findings: Sequence[Finding]) -> list[Finding]:
+def worst_first(findings: Sequence[Remark]) -> list[Remark]:
     """Errors, warnings, information; within each the ones about most images first."""
     return sorted(findings, key=lambda f: (_ORDER[f.severity], -len(f.frames)))
 
@@ -37,11 +32,3 @@ def name_some(names: Sequence[str]) -> str:
     """A few names and how many more there are."""
     shown = ", ".join(names[:MAX_NAMES])
     return shown + (f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else "")
-
-
-def error(code: str, message: str, *blocks: str, frames: Sequence[str] = ()) -> Finding:
-    return Finding(Severity.ERROR, code, message, tuple(frames), blocks)
-
-
-def warning(code: str, message: str, *blocks: str, frames: Sequence[str] = ()) -> Finding:
-    return Finding(Severity.WARNING, code, message, tuple(frames), blocks)

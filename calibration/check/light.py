@@ -11,8 +11,10 @@ from scipy.spatial.distance import squareform
 
 from taccel_lab.calibration.capture.framing import best_channel_order, misfit_levels, thumb
 from taccel_lab.calibration.capture.sensor_facts import handedness
-from taccel_lab.calibration.check.findings import Finding, error, name_some, warning
+from taccel_lab.calibration.check import remarks
+from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
+from taccel_lab.calibration.result import Remark
 
 CHROMA_LEVELS = 5.0
 """Change of the untouched gel's colour, apart from its brightness, that fixed settings never make.
@@ -36,7 +38,7 @@ HANDED = 0.7
 CHANNELS = "RGB"
 
 
-def check_light(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Finding]:
+def check_light(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Remark]:
     """All findings of this module that need presses and a background (small, RGB levels)."""
     swapped = check_channel_order(frames, background)
     if swapped:  # Drift and other sensors would be found as a consequence.
@@ -55,7 +57,7 @@ def is_grey(frames: Sequence[FrameFigures]) -> bool:
     return bool(values[1] < GREY_SHARE * values[0])
 
 
-def _check_drift(frames: Sequence[FrameFigures]) -> list[Finding]:
+def _check_drift(frames: Sequence[FrameFigures]) -> list[Remark]:
     shifts = np.stack([frame.shift_levels for frame in frames])
     brightness = shifts.mean(axis=1)
     chroma = shifts - brightness[:, None]
@@ -64,51 +66,40 @@ def _check_drift(frames: Sequence[FrameFigures]) -> list[Finding]:
     if spread > CHROMA_LEVELS:
         worst = np.argsort(-np.abs(chroma - np.median(chroma, axis=0)).max(axis=1))
         return [
-            warning(
-                "auto_white_balance",
-                f"the colour of the untouched gel changes by up to {spread:.0f} levels between "
-                f"frames (brightness by {exposure:.0f}): the camera's white balance was automatic. "
-                "Fix white balance and exposure and record again; until then the fits correct gain "
-                "and offset of each frame",
-                "color",
-                "normals",
+            remarks.AUTO_WHITE_BALANCE(
+                spread=spread,
+                exposure=exposure,
                 frames=[frames[i].press.name for i in worst[:MAX_LISTED]],
             )
         ]
     if exposure > EXPOSURE_LEVELS:
-        return [
-            warning(
-                "auto_exposure",
-                f"the brightness of the untouched gel changes by up to {exposure:.0f} levels "
-                "between frames: fix exposure and gain of the camera, or let the lamps warm up",
-                "color",
-                "normals",
-                "depth",
-            )
-        ]
+        return [remarks.AUTO_EXPOSURE(exposure=exposure)]
     return []
 
 
 MAX_LISTED = 8
 
 
-def _check_saturation(frames: Sequence[FrameFigures]) -> list[Finding]:
+def _check_saturation(frames: Sequence[FrameFigures]) -> list[Remark]:
     shares = np.array([frame.saturated_share for frame in frames])
     bad = np.flatnonzero(shares > SATURATED_SHARE)
     if len(bad) < max(1, 0.1 * len(frames)):
         return []
     worst = bad[np.argsort(-shares[bad])]
     names = [frames[i].press.name for i in worst]
-    message = (
-        f"{len(bad)} of {len(frames)} contacts have more than {SATURATED_SHARE:.0%} of their "
-        f"pixels at full level (up to {shares.max():.0%}): their colours are cut off. Lower the "
-        "exposure"
-    )
-    make = error if np.median(shares) > VERY_SATURATED_SHARE else warning
-    return [make("saturated", message, "color", "normals", frames=names)]
+    return [
+        remarks.SATURATED(
+            bad=len(bad),
+            count=len(frames),
+            limit=SATURATED_SHARE,
+            largest=shares.max(),
+            frames=names,
+            grave=bool(np.median(shares) > VERY_SATURATED_SHARE),
+        )
+    ]
 
 
-def check_channel_order(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Finding]:
+def check_channel_order(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Remark]:
     """Channels that are swapped in some frames, or between the frames and the background."""
     orders = [best_channel_order(frame.thumb, background) for frame in frames]
     swapped = [
@@ -125,23 +116,12 @@ def check_channel_order(frames: Sequence[FrameFigures], background: np.ndarray) 
         what = f"{len(swapped)} of {len(frames)} presses and the background"
     else:
         what = f"{name_some(names)} and the other images"
-    return [
-        error(
-            "channels_swapped",
-            f"the colour channels of {what} are in different orders: read as {order} the frames "
-            f"are {best:.0f} levels from the background, as they are {asis:.0f}. Save all images "
-            "through one program (OpenCV writes BGR)",
-            "color",
-            "normals",
-            "background",
-            frames=names,
-        )
-    ]
+    return [remarks.CHANNELS_SWAPPED(what=what, order=order, best=best, as_is=asis, frames=names)]
 
 
 def check_handedness(
     frames: Sequence[FrameFigures], family: str, expected: float | None
-) -> list[Finding]:
+) -> list[Remark]:
     """Channels that are swapped in all images alike, told by the order of the lamps.
 
     ``expected`` is the handedness of the family's lamps; None when it has no three colours.
@@ -154,18 +134,11 @@ def check_handedness(
         return []
     turn = {True: "clockwise", False: "counter-clockwise"}
     return [
-        warning(
-            "lamps_reversed",
-            f"red, green and blue light come {turn[found > 0]} round the contacts, on a {family} "
-            f"{turn[expected > 0]}: red and blue are swapped in all images (BGR saved as RGB), "
-            "the images are mirrored, or it is another sensor",
-            "color",
-            "normals",
-        )
+        remarks.LAMPS_REVERSED(found=turn[found > 0], family=family, expected=turn[expected > 0])
     ]
 
 
-def check_mixed(frames: Sequence[FrameFigures]) -> list[Finding]:
+def check_mixed(frames: Sequence[FrameFigures]) -> list[Remark]:
     """Frames of two sensors (or framings) in one folder."""
     if len(frames) < MIN_MIXED:
         return []
@@ -192,15 +165,11 @@ def check_mixed(frames: Sequence[FrameFigures]) -> list[Finding]:
     fewer, more = sorted((first, second), key=len)
     names = [frames[pick[i]].press.name for i in fewer]
     return [
-        error(
-            "mixed_sensors",
-            f"the untouched gel looks different in {name_some(names)} than in the other "
-            f"{len(more)} images compared: {between:.0f} levels apart where frames of one kind "
-            f"differ by {within:.0f}. They are of another sensor, another crop, or another lamp "
-            "setting; give each its own folder",
-            "color",
-            "normals",
-            "background",
+        remarks.MIXED_SENSORS(
+            names=name_some(names),
+            others=len(more),
+            between=between,
+            within=within,
             frames=names,
         )
     ]

@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.framing import fit_levels, thumb
-from taccel_lab.calibration.check.findings import Finding, error
+from taccel_lab.calibration.check.remarks import BACKGROUND_PRESSED
+from taccel_lab.calibration.result import Remark
 
 MIN_PRESSES = 5
 MIN_GHOST_LEVELS = 12.0
@@ -33,7 +34,7 @@ OPENING_SHARE = 1 / 40
 
 def find_pressed_background(
     background: np.ndarray, presses: Sequence[np.ndarray], mask: np.ndarray | None = None
-) -> Finding | None:
+) -> Remark | None:
     """An error when the background shows a contact that most of the presses do not.
 
     ``background`` and ``presses`` are RGB levels of one size, shape [height_px, width_px, 3];
@@ -67,15 +68,11 @@ def find_pressed_background(
         return None
     rows, columns = np.nonzero(ghost)
     scale = background.shape[1] / small.shape[1]
-    return error(
-        "background_pressed",
-        f"something touches the gel in the background, around ({columns.mean() * scale:.0f}, "
-        f"{rows.mean() * scale:.0f}) px: {int((elsewhere & alike).sum())} presses that lie "
-        f"elsewhere differ from it there alike, by {float(np.median(size[ghost])):.0f} levels. "
-        "Take an image of the untouched gel, or use capture import --background median",
-        "background",
-        "color",
-        "normals",
+    return BACKGROUND_PRESSED(
+        u=columns.mean() * scale,
+        v=rows.mean() * scale,
+        count=int((elsewhere & alike).sum()),
+        levels=float(np.median(size[ghost])),
     )
 
 

@@ -96,6 +96,63 @@ ONE_BACKGROUND = RemarkKind(
     "one image of the untouched sensor; five more at other times show noise and drift",
     ("background",),
 )
+BACKGROUND_PRESSED = RemarkKind(
+    "background_pressed",
+    Severity.ERROR,
+    "something touches the gel in the background, around ({u:.0f}, {v:.0f}) px: {count} presses "
+    "that lie elsewhere differ from it there alike, by {levels:.0f} levels. Take an image of the "
+    "untouched gel, or use capture import --background median",
+    BY_BACKGROUND,
+)
+
+# Light and channels.
+AUTO_WHITE_BALANCE = RemarkKind(
+    "auto_white_balance",
+    Severity.WARNING,
+    "the colour of the untouched gel changes by up to {spread:.0f} levels between frames "
+    "(brightness by {exposure:.0f}): the camera's white balance was automatic. Fix white balance "
+    "and exposure and record again; until then the fits correct gain and offset of each frame",
+    BY_COLOR,
+)
+AUTO_EXPOSURE = RemarkKind(
+    "auto_exposure",
+    Severity.WARNING,
+    "the brightness of the untouched gel changes by up to {exposure:.0f} levels between frames: "
+    "fix exposure and gain of the camera, or let the lamps warm up",
+    ("color", "normals", "depth"),
+)
+SATURATED = RemarkKind(
+    "saturated",
+    Severity.WARNING,
+    "{bad} of {count} contacts have more than {limit:.0%} of their pixels at full level (up to "
+    "{largest:.0%}): their colours are cut off. Lower the exposure",
+    BY_COLOR,
+    graver=Severity.ERROR,
+)
+CHANNELS_SWAPPED = RemarkKind(
+    "channels_swapped",
+    Severity.ERROR,
+    "the colour channels of {what} are in different orders: read as {order} the frames are "
+    "{best:.0f} levels from the background, as they are {as_is:.0f}. Save all images through one "
+    "program (OpenCV writes BGR)",
+    ("color", "normals", "background"),
+)
+LAMPS_REVERSED = RemarkKind(
+    "lamps_reversed",
+    Severity.WARNING,
+    "red, green and blue light come {found} round the contacts, on a {family} {expected}: red and "
+    "blue are swapped in all images (BGR saved as RGB), the images are mirrored, or it is another "
+    "sensor",
+    BY_COLOR,
+)
+MIXED_SENSORS = RemarkKind(
+    "mixed_sensors",
+    Severity.ERROR,
+    "the untouched gel looks different in {names} than in the other {others} images compared: "
+    "{between:.0f} levels apart where frames of one kind differ by {within:.0f}. They are of "
+    "another sensor, another crop, or another lamp setting; give each its own folder",
+    ("color", "normals", "background"),
+)
 
 # Ball presses.
 NO_CONTACT = RemarkKind(
@@ -161,6 +218,60 @@ NEAR_DUPLICATES = RemarkKind(
     "{count} pairs of frames show the same press: {names}. Keep one of each, so that held-out "
     "frames are new ones",
     BY_COLOR,
+)
+
+# The ball's radius and the scale.
+BALL_TOO_SMALL = RemarkKind(
+    "ball_too_small",
+    Severity.WARNING,
+    "{wider} of {count} contacts are wider than the ball: a radius of up to {widest:.2f} mm at "
+    "{mm_per_px:g} mm/px, the ball has {stated:g} mm ({names}). The ball's radius is too small (a "
+    "diameter taken for it?), or the scale too large",
+    ("color", "normals", "scale"),
+    graver=Severity.ERROR,
+)
+BALL_TOO_DEEP = RemarkKind(
+    "ball_too_deep",
+    Severity.ERROR,
+    "{count} contacts of the stated ball would be up to {deepest:.1f} mm deep in a gel of {gel:g} "
+    "mm: radius or scale is wrong",
+    ("color", "normals", "scale"),
+)
+BALL_AGAINST_TRAVEL = RemarkKind(
+    "ball_against_travel",
+    Severity.ERROR,
+    "contacts and travel of {count} presses belong to a ball of {low:.2g} to {high:.2g} mm, stated "
+    "is {stated:g} mm: the radius (a diameter taken for it?), the scale or the travel is wrong",
+    ("color", "normals", "scale", "material"),
+)
+OTHER_BALL = RemarkKind(
+    "other_ball",
+    Severity.WARNING,
+    "in {names} the colour changes {factor:.2g} times as fast over the contact as in the other "
+    "presses: {cause}. State radius_mm of these presses, or remove them",
+    BY_COLOR,
+)
+BALL_RATIO = RemarkKind(
+    "ball_ratio",
+    Severity.ERROR,
+    "balls of {first:g} and {last:g} mm are stated, a ratio of {stated:.2f}; by the colours over "
+    "their contacts it is {seen:.2f}. One of the radii is wrong, or the presses are mixed up",
+    ("color", "normals", "scale"),
+)
+SCALE_PAST_PAD = RemarkKind(
+    "scale_past_pad",
+    Severity.WARNING,
+    "at {mm_per_px_x:g} x {mm_per_px_y:g} mm/px the image shows {width:.1f} x {height:.1f} mm, the "
+    "pad of a {family} has {pad_x:g} x {pad_y:g} mm: the scale is too large, or the image shows "
+    "more than the gel",
+    ("scale", "color", "normals", "depth"),
+)
+SCALE_UNUSUAL = RemarkKind(
+    "scale_unusual",
+    Severity.WARNING,
+    "at {mm_per_px:g} mm/px the image is {length:.1f} mm long, that of a {family} usually "
+    "{usual:.1f} mm: check the scale, or the crop of the images",
+    ("scale", "color", "normals", "depth"),
 )
 
 # Boards and edges.

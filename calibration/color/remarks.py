@@ -7,6 +7,7 @@ import numpy as np
 
 from taccel_lab.calibration.color.heldout import mean_bare
 from taccel_lab.calibration.color.result import ColorCalibration
+from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.calibration.result import Remark, Severity
 
 LEAST_PRESSES = 4
@@ -26,6 +27,74 @@ FAR_LEVELS = 6.0
 UNSURE_SHARE = 0.5
 """Fits whose disagreement is more than this share of their error lack presses."""
 
+FEW_PRESSES = RemarkKind(
+    "color_few_presses",
+    Severity.ERROR,
+    "the model was fitted to {presses}: it holds at those places and depths at best. Give 30 to "
+    "50, spread over the gel",
+)
+ONLY_LEFT_OUT = RemarkKind(
+    "only_left_out",
+    Severity.INFO,
+    "no press was held out; presses left out of single fits are the only figures",
+)
+NOTHING_HELD_OUT = RemarkKind(
+    "nothing_held_out",
+    Severity.WARNING,
+    "no press was held out, so that nothing tells how well the model does on others; use "
+    "--holdout-every 4",
+)
+EXPLAINS_LITTLE = RemarkKind(
+    "explains_little",
+    Severity.ERROR,
+    "held-out presses are rendered at {model:.1f} dB, the bare background alone has {bare:.1f} dB: "
+    "circles, scale, ball or background are wrong, or the gel was not pressed where it is held out",
+)
+HELDOUT_FAILED = RemarkKind(
+    "color_heldout_failed",
+    Severity.WARNING,
+    "{failed} of {count} held-out presses could not be rendered and count as the bare background: "
+    "{reasons}",
+)
+OUTLIERS = RemarkKind(
+    "outliers",
+    Severity.WARNING,
+    "{worse} of {count} presses are predicted much worse than the median of {median:.1f} levels: "
+    "{names}; look at their images and circles (taccel-lab capture review), and leave out what is "
+    "not a clean ball press",
+)
+CIRCLES_OFF = RemarkKind(
+    "color_circles_off",
+    Severity.WARNING,
+    "all contact circles look too {size}: {scale:.3f} times their radii predict left-out presses "
+    "best. Labels that include the sunk rim do that; so do a wrong scale and a wrong ball radius, "
+    "which the colours alone cannot tell apart",
+)
+CIRCLES_MOVED = RemarkKind(
+    "circles_moved",
+    Severity.WARNING,
+    "the colours put {moved} of {count} contacts well away from their circles: {names}; correct "
+    "these circles (taccel-lab capture review)",
+)
+DRIFT_TAKEN_OFF = RemarkKind(
+    "drift_taken_off",
+    Severity.WARNING,
+    "the light drifts between the frames; it was taken off each of them{gain}. Fix exposure and "
+    "white balance of the camera: renders are in the light of the background image",
+)
+OFF_BACKGROUND = RemarkKind(
+    "off_background",
+    Severity.WARNING,
+    "captures differ from the background by {levels:.1f} levels where nothing touches: take a new "
+    "background with the same exposure and white balance, or calibrate with --drift on",
+)
+FITS_DISAGREE = RemarkKind(
+    "fits_disagree",
+    Severity.INFO,
+    "fits to different presses disagree by {spread:.1f} levels in the contacts, of {error:.1f} "
+    "that they are off: more presses would help",
+)
+
 
 def color_remarks(result: ColorCalibration) -> list[Remark]:
     """Remarks on a fit and its figures."""
@@ -44,36 +113,17 @@ def _few(result: ColorCalibration) -> list[Remark]:
     count = len(result.train_names)
     if count >= LEAST_PRESSES:
         return []
-    return [
-        Remark(
-            Severity.ERROR,
-            "few_presses",
-            f"the model was fitted to {count} press{'es' if count != 1 else ''}: it holds at those "
-            "places and depths at best. Give 30 to 50, spread over the gel",
-        )
-    ]
+    return [FEW_PRESSES(presses=f"{count} press{'es' if count != 1 else ''}")]
 
 
 def _against_background(result: ColorCalibration) -> list[Remark]:
     if not result.has_scores:
-        text = "no press was held out, so that nothing tells how well the model does on others"
-        if result.validated:
-            text = "no press was held out; presses left out of single fits are the only figures"
-            return [Remark(Severity.INFO, "nothing_held_out", text)]
-        return [Remark(Severity.WARNING, "nothing_held_out", f"{text}; use --holdout-every 4")]
+        return [ONLY_LEFT_OUT() if result.validated else NOTHING_HELD_OUT()]
     model = result.heldout_means()["crop_psnr_db"]
     bare = mean_bare(result.heldout, result.failures)["crop_psnr_db"]
     if model - bare >= LEAST_GAIN_DB:
         return []
-    return [
-        Remark(
-            Severity.ERROR,
-            "explains_little",
-            f"held-out presses are rendered at {model:.1f} dB, the bare background alone has "
-            f"{bare:.1f} dB: circles, scale, ball or background are wrong, or the gel was not "
-            "pressed where it is held out",
-        )
-    ]
+    return [EXPLAINS_LITTLE(model=model, bare=bare)]
 
 
 def _failures(result: ColorCalibration) -> list[Remark]:
@@ -81,14 +131,7 @@ def _failures(result: ColorCalibration) -> list[Remark]:
         return []
     named = "; ".join(f"{item.name}: {item.reason}" for item in result.failures)
     count = len(result.failures)
-    return [
-        Remark(
-            Severity.WARNING,
-            "heldout_failed",
-            f"{count} of {count + len(result.heldout)} held-out presses could not be rendered and "
-            f"count as the bare background: {named}",
-        )
-    ]
+    return [HELDOUT_FAILED(failed=count, count=count + len(result.heldout), reasons=named)]
 
 
 def _outliers(result: ColorCalibration) -> list[Remark]:
@@ -102,15 +145,7 @@ def _outliers(result: ColorCalibration) -> list[Remark]:
         return []
     named = ", ".join(f"{name} ({values[name]:.1f})" for name in worst[:5])
     more = f" and {len(worst) - 5} more" if len(worst) > 5 else ""
-    return [
-        Remark(
-            Severity.WARNING,
-            "outliers",
-            f"{len(worst)} of {len(values)} presses are predicted much worse than the median of "
-            f"{median:.1f} levels: {named}{more}; look at their images and circles "
-            "(taccel-lab capture review), and leave out what is not a clean ball press",
-        )
-    ]
+    return [OUTLIERS(worse=len(worst), count=len(values), median=median, names=f"{named}{more}")]
 
 
 def _circles(result: ColorCalibration) -> list[Remark]:
@@ -120,15 +155,7 @@ def _circles(result: ColorCalibration) -> list[Remark]:
     remarks = []
     if abs(found.scale - 1) > SCALE_OFF:
         size = "large" if found.scale < 1 else "small"
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "circles_off",
-                f"all contact circles look too {size}: {found.scale:.3f} times their radii predict "
-                "left-out presses best. Labels that include the sunk rim do that; so do a wrong "
-                "scale and a wrong ball radius, which the colours alone cannot tell apart",
-            )
-        )
+        remarks.append(CIRCLES_OFF(size=size, scale=found.scale))
     far = [
         name
         for name, a, b in zip(result.train_names, result.start_circles, result.circles, strict=True)
@@ -136,44 +163,22 @@ def _circles(result: ColorCalibration) -> list[Remark]:
     ]
     if far:
         named = ", ".join(far[:6]) + (f" and {len(far) - 6} more" if len(far) > 6 else "")
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "circles_moved",
-                f"the colours put {len(far)} of {len(result.circles)} contacts well away from "
-                f"their circles: {named}; correct these circles (taccel-lab capture review)",
-            )
-        )
+        remarks.append(CIRCLES_MOVED(moved=len(far), count=len(result.circles), names=named))
     return remarks
 
 
 def _light(result: ColorCalibration) -> list[Remark]:
     choice = result.drift_choice
     if result.drift_corrected:
-        text = "the light drifts between the frames; it was taken off each of them"
+        gain = ""
         if choice is not None and choice.disc_l1_off and choice.disc_l1_on:
-            text += (
+            gain = (
                 f" ({choice.disc_l1_on:.1f} instead of {choice.disc_l1_off:.1f} levels on left-out "
                 "presses)"
             )
-        return [
-            Remark(
-                Severity.WARNING,
-                "light_drifts",
-                f"{text}. Fix exposure and white balance of the camera: renders are in the light "
-                "of the background image",
-            )
-        ]
+        return [DRIFT_TAKEN_OFF(gain=gain)]
     if result.noise_floor_l1 > FAR_LEVELS:
-        return [
-            Remark(
-                Severity.WARNING,
-                "light_drifts",
-                f"captures differ from the background by {result.noise_floor_l1:.1f} levels where "
-                "nothing touches: take a new background with the same exposure and white balance, "
-                "or calibrate with --drift on",
-            )
-        ]
+        return [OFF_BACKGROUND(levels=result.noise_floor_l1)]
     return []
 
 
@@ -183,11 +188,4 @@ def _spread(result: ColorCalibration) -> list[Remark]:
     error = float(np.mean(list(result.left_out_l1.values())))
     if result.spread.disc_levels < UNSURE_SHARE * error:
         return []
-    return [
-        Remark(
-            Severity.INFO,
-            "fits_disagree",
-            f"fits to different presses disagree by {result.spread.disc_levels:.1f} levels in the "
-            f"contacts, of {error:.1f} that they are off: more presses would help",
-        )
-    ]
+    return [FITS_DISAGREE(spread=result.spread.disc_levels, error=error)]

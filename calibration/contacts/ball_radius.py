@@ -9,15 +9,17 @@ the gel beside the contact.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.contacts.photometric import fit_contacts
+from taccel_lab.calibration.contacts.remarks import BALL_RADIUS_FITS, WRONG_BALL_RADIUS
 from taccel_lab.calibration.contacts.result import FoundContacts
 from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
 
 FACTORS = (0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2)
 """Ball radii that are tried, over the stated one."""
@@ -49,28 +51,20 @@ class BallCheck:
         """The stated radius is allowed."""
         return self.stated_mm >= self.lowest_mm and self.pinned <= self.count / 4
 
-    def remark(self) -> Remark:
-        """What the check says, with figures."""
+    def remark(self, blocks: Sequence[str] = ()) -> Remark:
+        """What the check says, with figures; ``blocks`` are those that it concerns."""
         at = self.tried_mm.index(self.stated_mm)
         best = int(np.argmin(self.rms_levels))
-        figures = (
-            f"the joint fit leaves {self.rms_levels[at]:.2f} levels with the stated "
-            f"{self.stated_mm:g} mm and {self.rms_levels[best]:.2f} with "
-            f"{self.tried_mm[best]:.3g} mm"
-        )
-        if self.consistent:
-            return Remark(
-                Severity.INFO,
-                "ball_radius_fits",
-                f"the ball's radius fits the colours: {figures}; they allow {self.lowest_mm:.3g} "
-                "mm and more (a ball that is stated too large does not show in the colours)",
-            )
-        return Remark(
-            Severity.ERROR,
-            "wrong_ball_radius",
-            f"wrong ball radius or scale: {figures}; {self.pinned} of {self.count} contacts are as "
-            f"large as the ball, and the colours ask for at least {self.lowest_mm:.3g} mm. Measure "
-            "the ball, and check mm_per_px",
+        kind = BALL_RADIUS_FITS if self.consistent else WRONG_BALL_RADIUS
+        return kind(
+            rms=self.rms_levels[at],
+            stated=self.stated_mm,
+            best_rms=self.rms_levels[best],
+            best=self.tried_mm[best],
+            lowest=self.lowest_mm,
+            pinned=self.pinned,
+            count=self.count,
+            blocks=blocks,
         )
 
 

@@ -13,9 +13,10 @@ from taccel_lab.calibration.capture.overrides import CONTACTS_NAME
 from taccel_lab.calibration.contacts.ball_radius import BallCheck, check_ball
 from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
+from taccel_lab.calibration.contacts.remarks import LABELS_SHIFTED, PRESSES_REFUSED
 from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts
 from taccel_lab.calibration.light.drift import drift_remark
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
 from taccel_lab.progress import Progress, silent
 
 LOW_CONFIDENCE = 0.6
@@ -128,22 +129,19 @@ def _remarks(
     if found.refusals:
         names = ", ".join(found.refusals[i].name for i in sorted(found.refusals)[:8])
         remarks.append(
-            Remark(
-                Severity.WARNING,
-                "presses_refused",
-                f"{len(found.refusals)} of {len(captures.presses)} presses show no usable contact: "
-                f"{names}; the {CONTACTS_NAME} written here leaves them out",
+            PRESSES_REFUSED(
+                lost=len(found.refusals),
+                count=len(captures.presses),
+                names=names,
+                file=CONTACTS_NAME,
             )
         )
     if agreement is not None and np.hypot(agreement.shift_u_px, agreement.shift_v_px) > SHIFT_PX:
         remarks.append(
-            Remark(
-                Severity.WARNING,
-                "labels_shifted",
-                f"the given circles all lie to one side of the found ones, by "
-                f"({-agreement.shift_u_px:+.1f}, {-agreement.shift_v_px:+.1f}) px at the median; "
-                f"without that shift they differ by {agreement.center_median_shifted_px:.1f} px. "
-                "Check how they were made, or use the found ones",
+            LABELS_SHIFTED(
+                u=-agreement.shift_u_px,
+                v=-agreement.shift_v_px,
+                left=agreement.center_median_shifted_px,
             )
         )
     if ball is not None:

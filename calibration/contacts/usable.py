@@ -12,8 +12,9 @@ from taccel_lab.calibration.contacts.cache import cached_contacts
 from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.fusion import choose_circles
 from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
+from taccel_lab.calibration.contacts.remarks import PRESSES_LEFT_OUT
 from taccel_lab.calibration.contacts.result import DetectedContact
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 
@@ -47,11 +48,11 @@ def usable_presses(
         if contact is not None
     )
     names = ", ".join(refusal.name for refusal in refusals)
-    remark = Remark(
-        Severity.WARNING,
-        "presses_left_out",
-        f"{len(refusals)} of {len(captures.presses)} presses were left out: {names}. "
-        + "; ".join(refusal.message for refusal in refusals),
+    remark = PRESSES_LEFT_OUT(
+        lost=len(refusals),
+        count=len(captures.presses),
+        names=names,
+        reasons="; ".join(refusal.message for refusal in refusals),
     )
     provenance = {**captures.provenance, "left_out": names}
     return replace(captures, presses=kept, provenance=provenance), contacts, [remark]

@@ -11,7 +11,8 @@ import numpy as np
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.captures import CaptureSet, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.depth.remarks import SCALE_OF_PROFILE
+from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 
@@ -34,11 +35,8 @@ def grey_captures(
         scale = (base.camera.mm_per_px_x, base.camera.mm_per_px_y)
         kind = base.camera.provenance.kind
         remarks.append(
-            Remark(
-                Severity.INFO if kind in ("calibrated", "measured") else Severity.WARNING,
-                "scale_of_profile",
-                f"the captures state no scale; {scale[0]:.4g} mm/px is that of the profile "
-                f"({kind}). Calibrate the camera on a board (taccel-lab calibrate camera)",
+            SCALE_OF_PROFILE(
+                mm_per_px=scale[0], kind=kind, grave=kind not in ("calibrated", "measured")
             )
         )
         grid = base.camera.grid()

@@ -10,6 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.depth.result import DepthCalibration
+from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.geometry import PixelGrid
 
@@ -18,7 +19,7 @@ LABEL_OFF_SHARE, LABEL_OFF_PX = 0.18, 6.0
 the limits of the check of coloured captures."""
 ONE_SPOT_RADII = 1.0
 """Presses are at one spot when no two centres are this many contact radii apart."""
-LARGE_ERROR, WRONG_CURVE = 0.15, 0.35
+POOR_CURVE, WRONG_CURVE = 0.15, 0.35
 """Left-out error over the mean depth, from which a curve is only usable, or weak. Presses of one
 9DTact lie at 0.02 to 0.05, those of two different units under one curve at 0.1."""
 
@@ -28,6 +29,84 @@ SATURATED_LEVEL = 3.0
 """Pixels that brighten by more than this count as brightened."""
 CLEAR_R2 = 0.25
 """Share of the residuals' variance by which uneven light is told."""
+
+SCALE_OF_PROFILE = RemarkKind(
+    "scale_of_profile",
+    Severity.INFO,
+    "the captures state no scale; {mm_per_px:.4g} mm/px is that of the profile ({kind}). Calibrate "
+    "the camera on a board (taccel-lab calibrate camera)",
+    graver=Severity.WARNING,
+)
+LABELS_OFF = RemarkKind(
+    "depth_labels_off",
+    Severity.ERROR,
+    "{off} of {count} given circles lie away from the dark patch of their image: {gaps}. Calibrate "
+    "with the circles found (--circles detected), or correct them",
+)
+DUPLICATES = RemarkKind(
+    "depth_duplicates",
+    Severity.WARNING,
+    "{count} images are stored twice ({names}): they are one press, and leaving one out tells "
+    "nothing. Remove them",
+)
+ONE_SPOT = RemarkKind(
+    "depth_one_spot",
+    Severity.WARNING,
+    "all {count} presses lie within {reach:.0f} px: nothing says how the curve holds elsewhere on "
+    "the gel. Press in the middle and near the borders",
+)
+LARGE_ERROR = RemarkKind(
+    "depth_large_error",
+    Severity.WARNING,
+    "pixels of a left-out {left_out} are off by {error:.3f} mm, {share:.0%} of the mean depth: "
+    "grey does not tell depth well here. Check the circles and the balls' radii, and that all "
+    "presses are of one sensor under one light",
+    graver=Severity.ERROR,
+)
+FEW_PRESSES = RemarkKind(
+    "depth_few_presses",
+    Severity.WARNING,
+    "{count} press; nothing says how the curve holds elsewhere on the gel. Give three or more, one "
+    "in the middle and others near the borders",
+)
+ZERO_AT_NO_DROP = RemarkKind(
+    "zero_at_no_drop",
+    Severity.INFO,
+    "depths are counted from where the grey is that of untouched gel, {below:.2f} mm below the rim "
+    "that is seen; counted from the rim they would be that much larger, and the rim is known to "
+    "{sigma:.2f} mm. A press of known travel would settle it",
+)
+ZERO_AT_RIM = RemarkKind(
+    "zero_at_rim",
+    Severity.INFO,
+    "depths are counted from the contact's rim; the rim itself lies deeper than the untouched "
+    "face. The rim is known to {sigma:.2f} mm of depth",
+)
+TILTED_RESIDUAL = RemarkKind(
+    "tilted_residual",
+    Severity.WARNING,
+    "{name}: depths by grey tilt against the ball by {tilt:.2f} mm across the contact: its centre "
+    "is off, or the light is uneven",
+)
+BRIGHTENS = RemarkKind(
+    "brightens",
+    Severity.INFO,
+    "{share:.0%} of the pixels brighten, by up to {levels:.0f} levels, beside the contacts: the "
+    "slope of the gel throws light back. Such pixels read as untouched, and the rim of a contact "
+    "reads too shallow",
+)
+UNEVEN_LIGHT = RemarkKind(
+    "uneven_light",
+    Severity.WARNING,
+    "the light explains {share:.0%} of what the curve leaves over; dividing by the background "
+    "would leave {divided:.3f} mm instead of {error:.3f} mm",
+)
+COLOURED = RemarkKind(
+    "coloured",
+    Severity.ERROR,
+    "the channels differ by {levels:.0f} levels inside the contacts: this looks like a colour "
+    "sensor, whose colours tell slopes; use taccel-lab calibrate normals",
+)
 
 
 def label_remarks(
@@ -46,15 +125,8 @@ def label_remarks(
     if not off:
         return []
     off.sort(key=lambda name: -gaps[name])
-    return [
-        Remark(
-            Severity.ERROR,
-            "labels_off",
-            f"{len(off)} of {len(gaps)} given circles lie away from the dark patch of their image: "
-            + ", ".join(f"{name} by {gaps[name]:.0f} px" for name in off[:4])
-            + ". Calibrate with the circles found (--circles detected), or correct them",
-        )
-    ]
+    worst = ", ".join(f"{name} by {gaps[name]:.0f} px" for name in off[:4])
+    return [LABELS_OFF(off=len(off), count=len(gaps), gaps=worst)]
 
 
 def repeat_remarks(captures: CaptureSet, circles: Sequence[ContactCircle]) -> list[Remark]:
@@ -66,42 +138,24 @@ def repeat_remarks(captures: CaptureSet, circles: Sequence[ContactCircle]) -> li
             twins.append(f"{press.name} is {first[press.sha256]}")
         first.setdefault(press.sha256, press.name)
     if twins:
-        return [
-            Remark(
-                Severity.WARNING,
-                "duplicates",
-                f"{len(twins)} images are stored twice ({', '.join(twins[:4])}): they are one "
-                "press, and leaving one out tells nothing. Remove them",
-            )
-        ]
+        return [DUPLICATES(count=len(twins), names=", ".join(twins[:4]))]
     at = np.array([[c.u_px, c.v_px] for c in circles])
     reach = float(np.linalg.norm(at[:, None] - at[None], axis=-1).max())
     if len(circles) > 1 and reach < ONE_SPOT_RADII * float(
         np.median([c.radius_px for c in circles])
     ):
-        return [
-            Remark(
-                Severity.WARNING,
-                "one_spot",
-                f"all {len(circles)} presses lie within {reach:.0f} px: nothing says how the curve "
-                "holds elsewhere on the gel. Press in the middle and near the borders",
-            )
-        ]
+        return [ONE_SPOT(count=len(circles), reach=reach)]
     return []
 
 
 def error_remarks(left_out_mm: np.ndarray, depth_mm: np.ndarray, left_out: str) -> list[Remark]:
     """Whether left-out pixels lie far from the curve, for the depths that there are."""
     share = float(left_out_mm.mean() / max(float(depth_mm.mean()), 1e-9))
-    if share <= LARGE_ERROR:
+    if share <= POOR_CURVE:
         return []
     return [
-        Remark(
-            Severity.ERROR if share > WRONG_CURVE else Severity.WARNING,
-            "large_error",
-            f"pixels of a left-out {left_out} are off by {left_out_mm.mean():.3f} mm, {share:.0%} "
-            "of the mean depth: grey does not tell depth well here. Check the circles and the "
-            "balls' radii, and that all presses are of one sensor under one light",
+        LARGE_ERROR(
+            left_out=left_out, error=left_out_mm.mean(), share=share, grave=share > WRONG_CURVE
         )
     ]
 
@@ -115,65 +169,25 @@ def curve_remarks(result: DepthCalibration, drops: Sequence[np.ndarray]) -> list
     """Remarks on the curve and the images; ``drops`` are the presses' grey drops [levels]."""
     found: list[Remark] = []
     if len(result.presses) < 3:
-        found.append(
-            Remark(
-                Severity.WARNING,
-                "few_presses",
-                f"{len(result.presses)} press; nothing says how the curve holds elsewhere on the "
-                "gel. Give three or more, one in the middle and others near the borders",
-            )
-        )
+        found.append(FEW_PRESSES(count=len(result.presses)))
     if result.zero == "untouched":
-        rims = [press.rim_depth_mm for press in result.presses]
-        found.append(
-            Remark(
-                Severity.INFO,
-                "zero_at_no_drop",
-                "depths are counted from where the grey is that of untouched gel, "
-                f"{-np.mean(rims):.2f} mm below the rim that is seen; counted from the rim they "
-                f"would be that much larger, and the rim is known to {result.offset_sigma_mm:.2f} "
-                "mm. A press of known travel would settle it",
-            )
-        )
+        below = -np.mean([press.rim_depth_mm for press in result.presses])
+        found.append(ZERO_AT_NO_DROP(below=below, sigma=result.offset_sigma_mm))
     if result.zero == "rim":
-        found.append(
-            Remark(
-                Severity.INFO,
-                "zero_at_rim",
-                "depths are counted from the contact's rim; the rim itself lies deeper than the "
-                f"untouched face. The rim is known to {result.offset_sigma_mm:.2f} mm of depth",
-            )
-        )
+        found.append(ZERO_AT_RIM(sigma=result.offset_sigma_mm))
     worst = max(result.presses, key=lambda p: p.plane_mm)
     if worst.plane_mm > max(0.15 * worst.depth_mm, 0.05):
-        found.append(
-            Remark(
-                Severity.WARNING,
-                "tilted_residual",
-                f"{worst.name}: depths by grey tilt against the ball by {worst.plane_mm:.2f} mm "
-                "across the contact: its centre is off, or the light is uneven",
-            )
-        )
+        found.append(TILTED_RESIDUAL(name=worst.name, tilt=worst.plane_mm))
     share = np.mean([np.mean(d < -SATURATED_LEVEL) for d in drops])
     if share > 0.05:
         deepest = -min(float(np.percentile(d, 0.5)) for d in drops)
-        found.append(
-            Remark(
-                Severity.INFO,
-                "brightens",
-                f"{share:.0%} of the pixels brighten, by up to {deepest:.0f} levels, beside the "
-                "contacts: the slope of the gel throws light back. Such pixels read as untouched, "
-                "and the rim of a contact reads too shallow",
-            )
-        )
+        found.append(BRIGHTENS(share=share, levels=deepest))
     if result.light_r2 > CLEAR_R2 and result.normalised_mae_mm < 0.9 * result.left_out_mm.mean():
         found.append(
-            Remark(
-                Severity.WARNING,
-                "uneven_light",
-                f"the light explains {result.light_r2:.0%} of what the curve leaves over; dividing "
-                f"by the background would leave {result.normalised_mae_mm:.3f} mm instead of "
-                f"{result.left_out_mm.mean():.3f} mm",
+            UNEVEN_LIGHT(
+                share=result.light_r2,
+                divided=result.normalised_mae_mm,
+                error=result.left_out_mm.mean(),
             )
         )
     background = result.captures.background
@@ -183,12 +197,5 @@ def curve_remarks(result: DepthCalibration, drops: Sequence[np.ndarray]) -> list
     ]
     spread = float(np.mean([c.mean() for c in colors]))
     if spread > COLOR_LEVELS + 0.25 * max(float(d.max()) for d in drops):
-        found.append(
-            Remark(
-                Severity.ERROR,
-                "coloured",
-                f"the channels differ by {spread:.0f} levels inside the contacts: this looks like "
-                "a colour sensor, whose colours tell slopes; use taccel-lab calibrate normals",
-            )
-        )
+        found.append(COLOURED(levels=spread))
     return found

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.light.remarks import CHANNELS_DRIFT, LIGHT_DRIFTS, LIGHT_STEADY
+from taccel_lab.calibration.result import Remark
 
 NOTABLE_LEVELS = 2.0
 """Spread of the light over the frames above which a correction pays."""
@@ -65,29 +66,17 @@ def drift_spread(drifts: Sequence[Light], background: np.ndarray) -> DriftSpread
 def drift_remark(drifts: Sequence[Light], background: np.ndarray) -> Remark:
     """One remark on the drift over the frames, with figures and what to do."""
     found = drift_spread(drifts, background)
-    values = ", ".join(
+    changes = ", ".join(
         f"{name} {value:.1f}" for name, value in zip(CHANNELS, found.shift_levels, strict=True)
     )
-    figures = (
-        f"over {found.frame_count} frames the untouched gel changes by {values} levels (standard "
-        f"deviation), at most {found.largest_levels:.0f}"
-    )
-    if found.auto_white_balance:
-        return Remark(
-            Severity.WARNING,
-            "auto_white_balance",
-            f"the channels drift apart: {figures}. The camera's automatic white balance (or "
-            "exposure a channel) was on; it is corrected frame by frame, but switch it off",
-        )
     whole = max(found.shift_levels)
-    if whole > NOTABLE_LEVELS or max(map(abs, found.mean_shift_levels)) > 2 * NOTABLE_LEVELS:
-        return Remark(
-            Severity.WARNING,
-            "light_drifts",
-            f"the light drifts: {figures}; it is corrected frame by frame. Let lamps warm up, and "
-            "record the background right before the presses",
-        )
-    return Remark(Severity.INFO, "light_steady", f"the light is steady: {figures}")
+    if found.auto_white_balance:
+        kind = CHANNELS_DRIFT
+    elif whole > NOTABLE_LEVELS or max(map(abs, found.mean_shift_levels)) > 2 * NOTABLE_LEVELS:
+        kind = LIGHT_DRIFTS
+    else:
+        kind = LIGHT_STEADY
+    return kind(frame_count=found.frame_count, changes=changes, largest=found.largest_levels)
 
 
 def _triple(values: np.ndarray) -> tuple[float, float, float]:

@@ -9,9 +9,10 @@ import numpy as np
 
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import InverseFrame, Scene
+from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.calibration.result import Remark, Severity
 
-FEW_PRESSES, LEAST_PRESSES = 8, 4
+ENOUGH_PRESSES, LEAST_PRESSES = 8, 4
 """Fitted presses below which a model is only usable, or weak: it knows a few places and slopes."""
 GOOD_OVER_FLAT = 0.25
 WEAK_OVER_FLAT = 0.5
@@ -25,56 +26,84 @@ SEEN_SHARE = 0.35
 """Share of the image, per axis, that contacts should span."""
 GREY_LEVELS = 1.5
 
+FEW_PRESSES = RemarkKind(
+    "normals_few_presses",
+    Severity.WARNING,
+    "only {presses} fitted; give 30 to 50, spread over the image",
+    graver=Severity.ERROR,
+)
+NO_HELDOUT = RemarkKind(
+    "no_heldout",
+    Severity.WARNING,
+    "no press was held out, so nothing says how well unseen presses are read",
+)
+LARGE_ERROR = RemarkKind(
+    "normals_large_error",
+    Severity.WARNING,
+    "normals of held-out presses are off by {error:.1f} degrees, {share:.0%} of what a flat guess "
+    "is off; check the circles, the ball's radius and the scale, or give more presses",
+    graver=Severity.ERROR,
+)
+HELDOUT_FAILED = RemarkKind(
+    "normals_heldout_failed",
+    Severity.WARNING,
+    "{count} held-out presses could not be read and count as a flat guess: {reasons}",
+)
+UNCERTAINTY_OFF = RemarkKind(
+    "uncertainty_off",
+    Severity.WARNING,
+    "held-out errors are {ratio:.2f} times what the model expects of itself",
+)
+CIRCLES_OFF = RemarkKind(
+    "normals_circles_off",
+    Severity.INFO,
+    "{off} of {count} circles lie away from where the colours put the ball: {shifts}",
+    graver=Severity.WARNING,
+)
+ONE_SPOT = RemarkKind(
+    "normals_one_spot",
+    Severity.WARNING,
+    "contacts span {span:.0f} of {size} px along {axis}; elsewhere the model extrapolates. Press "
+    "near the borders too",
+)
+LIGHT_DRIFTS = RemarkKind(
+    "normals_light_drifts",
+    Severity.INFO,
+    "untouched gel differs from the background by {before:.1f} levels, {after:.1f} once each "
+    "frame's light is brought to it; the model needs that of new images too (the depth command "
+    "does it). Fix exposure and white balance if you can",
+)
+GREY = RemarkKind(
+    "grey",
+    Severity.ERROR,
+    "the colour channels change alike (to {levels:.1f} levels): a grey sensor tells no normals by "
+    "colour; use taccel-lab calibrate depth",
+)
+
 
 def remarks_of(
     result: NormalCalibration, training: Sequence[InverseFrame], scene: Scene
 ) -> tuple[Remark, ...]:
     """Remarks on the data and on how well the held-out presses are read."""
     found: list[Remark] = []
-
-    def remark(severity: Severity, code: str, message: str) -> None:
-        found.append(Remark(severity, code, message))
-
-    if len(training) < FEW_PRESSES:
+    if len(training) < ENOUGH_PRESSES:
         count = len(training)
-        remark(
-            Severity.ERROR if count < LEAST_PRESSES else Severity.WARNING,
-            "few_presses",
-            f"only {count} press{'es were' if count != 1 else ' was'} fitted; give 30 to 50, "
-            "spread over the image",
-        )
+        presses = f"{count} press{'es were' if count != 1 else ' was'}"
+        found.append(FEW_PRESSES(presses=presses, grave=count < LEAST_PRESSES))
     if not result.heldout:
-        remark(
-            Severity.WARNING,
-            "no_heldout",
-            "no press was held out, so nothing says how well unseen presses are read",
-        )
+        found.append(NO_HELDOUT())
     else:
         scores = result.heldout_means("used")
         share = scores["mean_deg"] / max(scores["flat_deg"], 1e-9)
         if share > GOOD_OVER_FLAT:
-            remark(
-                Severity.ERROR if share > WEAK_OVER_FLAT else Severity.WARNING,
-                "large_error",
-                f"normals of held-out presses are off by {scores['mean_deg']:.1f} degrees, "
-                f"{share:.0%} of what a flat guess is off; check the circles, the ball's radius "
-                "and the scale, or give more presses",
-            )
+            grave = share > WEAK_OVER_FLAT
+            found.append(LARGE_ERROR(error=scores["mean_deg"], share=share, grave=grave))
     if result.failures:
         reasons = "; ".join(f"{name}: {why}" for name, why in result.failures.items())
-        remark(
-            Severity.WARNING,
-            "heldout_failed",
-            f"{len(result.failures)} held-out presses could not be read and count as a flat guess: "
-            f"{reasons}",
-        )
+        found.append(HELDOUT_FAILED(count=len(result.failures), reasons=reasons))
     ratio = None if result.reliability is None else result.reliability.ratio()
     if ratio is not None and not 1 / SURE_RATIO < ratio < SURE_RATIO:
-        remark(
-            Severity.WARNING,
-            "uncertainty_off",
-            f"held-out errors are {ratio:.2f} times what the model expects of itself",
-        )
+        found.append(UNCERTAINTY_OFF(ratio=ratio))
     off = {
         name: shift
         for name, shift in result.fit.label_shifts.items()
@@ -82,40 +111,26 @@ def remarks_of(
     }
     if off:
         worst = sorted(off, key=lambda name: -off[name].length_px)[:4]
-        remark(
-            Severity.WARNING if len(off) > len(training) / 4 else Severity.INFO,
-            "circles_off",
-            f"{len(off)} of {len(training)} circles lie away from where the colours put the ball: "
-            + ", ".join(f"{name} by {off[name].length_px:.1f} px" for name in worst),
+        found.append(
+            CIRCLES_OFF(
+                off=len(off),
+                count=len(training),
+                shifts=", ".join(f"{name} by {off[name].length_px:.1f} px" for name in worst),
+                grave=len(off) > len(training) / 4,
+            )
         )
     for axis, size, at in (
         ("u", scene.grid.width_px, [frame.circle.u_px for frame in training]),
         ("v", scene.grid.height_px, [frame.circle.v_px for frame in training]),
     ):
         if np.ptp(at) < SEEN_SHARE * size:
-            remark(
-                Severity.WARNING,
-                "one_spot",
-                f"contacts span {np.ptp(at):.0f} of {size} px along {axis}; elsewhere the model "
-                "extrapolates. Press near the borders too",
-            )
+            found.append(ONE_SPOT(span=np.ptp(at), size=size, axis=axis))
     before, after = result.flat_noise_levels
     if result.fit.model.config.light_drift:
-        remark(
-            Severity.INFO,
-            "light_drifts",
-            f"untouched gel differs from the background by {before:.1f} levels, {after:.1f} once "
-            "each frame's light is brought to it; the model needs that of new images too (the "
-            "depth command does it). Fix exposure and white balance if you can",
-        )
+        found.append(LIGHT_DRIFTS(before=before, after=after))
     change = np.mean([_grey_share(frame, scene) for frame in training])
     if change < GREY_LEVELS:
-        remark(
-            Severity.ERROR,
-            "grey",
-            f"the colour channels change alike (to {change:.1f} levels): a grey sensor tells no "
-            "normals by colour; use taccel-lab calibrate depth",
-        )
+        found.append(GREY(levels=change))
     return tuple(found)
 
 

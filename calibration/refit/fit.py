@@ -20,6 +20,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.light.average import RunningMean
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.untouched import steady_pixels, untouched_pixels
+from taccel_lab.calibration.refit import remarks
 from taccel_lab.calibration.refit.frames import Surfaces, refit_frames
 from taccel_lab.calibration.refit.light_change import (
     LightChange,
@@ -28,7 +29,7 @@ from taccel_lab.calibration.refit.light_change import (
     fit_light_change,
 )
 from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
@@ -246,54 +247,20 @@ def _remarks(
         for name, r, s in zip(CHANNELS, change.response, sigma.response, strict=True)
     )
     before, after = (float(np.mean([getattr(e, n) for e in errors])) for n in ("before", "after"))
-    remarks = [
-        Remark(
-            Severity.INFO,
-            "response",
-            f"the colour change is now {values} of what it was; left-out frames are off by "
-            f"{after:.2f} levels instead of {before:.2f}",
-        )
-    ]
+    found = [remarks.RESPONSE(values=values, after=after, before=before)]
     rough = sigma.response / np.maximum(change.response, 1e-3)
     if rough.max() > ROUGH_RESPONSE_SIGMA:
         name = CHANNELS[int(np.argmax(rough))]
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "rough_response",
-                f"the frames disagree by {100 * rough.max():.0f} % on the response of {name}: more "
-                "presses, in steadier light, would tell it better",
-            )
-        )
+        found.append(remarks.ROUGH_RESPONSE(percent=100 * rough.max(), channel=name))
     if len(frames) < 5:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "few_frames",
-                f"{len(frames)} frames: the standard deviations are rough; 5 or more are better",
-            )
-        )
+        found.append(remarks.REFIT_FEW_FRAMES(count=len(frames)))
     worse = [error.name for error in errors if error.after > error.before + 0.5]
     if worse:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "some_worse",
-                f"{', '.join(worse)} fits worse than before when it is left out: the light changes "
-                "between the new frames, or a press is off",
-            )
-        )
+        found.append(remarks.SOME_WORSE(names=", ".join(worse)))
     moving = _between(frames, change, old, mask)
     if moving > FRAME_DRIFT_LEVELS:
-        remarks.append(
-            Remark(
-                Severity.WARNING,
-                "light_unsteady",
-                f"the light of the new frames differs by {moving:.1f} levels among themselves: one "
-                "correction cannot follow. Fix exposure and white balance",
-            )
-        )
-    return tuple(remarks)
+        found.append(remarks.LIGHT_UNSTEADY(levels=moving))
+    return tuple(found)
 
 
 def _between(

@@ -191,10 +191,13 @@ def test_the_graver_of_two_remarks_on_one_thing_is_kept() -> None:
         Remark(Severity.WARNING, "few", "check", blocks=("normals",)),
         Remark(Severity.ERROR, "other", "check", blocks=("normals",)),
     ]
-    fitted = [Remark(Severity.ERROR, "few", "fit"), Remark(Severity.WARNING, "other", "fit")]
+    fitted = [
+        Remark(Severity.ERROR, "normals_few", "fit"),
+        Remark(Severity.WARNING, "other", "fit"),
+    ]
     kept = joined(found, [*fitted, Remark(Severity.INFO, "third", "fit")])
     assert [(r.code, r.message) for r in kept] == [
         ("other", "check"),
-        ("few", "fit"),
+        ("normals_few", "fit"),
         ("third", "fit"),
     ]

@@ -12,8 +12,7 @@ import pytest
 
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.check import CaptureCheck, check_captures, check_page
-from taccel_lab.calibration.check.findings import Finding
-from taccel_lab.calibration.result import Severity
+from taccel_lab.calibration.result import Remark, Severity
 from tests.calibration.capture.capture_sets import (
     HEIGHT,
     WIDTH,
@@ -29,7 +28,7 @@ def check(maker: CaptureMaker, folder: Path) -> CaptureCheck:
     return check_captures(maker.load(folder), fit_ball=False)
 
 
-def by_code(found: CaptureCheck) -> dict[str, Finding]:
+def by_code(found: CaptureCheck) -> dict[str, Remark]:
     return {finding.code: finding for finding in found.findings}
 
 

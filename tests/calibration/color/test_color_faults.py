@@ -121,9 +121,9 @@ def test_drift_is_found_and_taken_off(sound: tuple[CaptureSet, list[PressSurface
     assert choice is not None and choice.remove and result.drift_corrected
     assert choice.disc_l1_on is not None and choice.disc_l1_off is not None
     assert choice.disc_l1_on < 0.7 * choice.disc_l1_off
-    assert codes(result) == {"light_drifts"}
+    assert codes(result) == {"drift_taken_off"}
     left_in = calibrate(drifting, surfaces, drift="off")
-    assert not left_in.drift_corrected and "light_drifts" in codes(left_in)
+    assert not left_in.drift_corrected and "off_background" in codes(left_in)
     assert heldout_l1(result) < 0.6 * heldout_l1(left_in)
     steady = calibrate(captures, surfaces, drift="auto")
     assert steady.drift_choice is not None and not steady.drift_choice.remove
@@ -199,7 +199,7 @@ def test_a_model_of_three_presses_is_weak(
     captures, surfaces = sound
     few = replace(captures, presses=captures.presses[:3])
     result = calibrate(few, surfaces[:3], holdout_every=0, options=replace(QUICK, steps=20))
-    assert {r.code: r.severity for r in result.remarks}["few_presses"] is Severity.ERROR
+    assert {r.code: r.severity for r in result.remarks}["color_few_presses"] is Severity.ERROR
 
 
 def test_the_page_shows_every_press(

@@ -154,7 +154,7 @@ def test_a_contact_too_large_for_its_light_fails_alone(
     first = next(i for i, text in enumerate(told) if name in text)
     assert first < told.index("fitting the colour model")
     assert len(result.heldout) == 2
-    assert "heldout_failed" in {remark.code for remark in result.remarks}
+    assert "color_heldout_failed" in {remark.code for remark in result.remarks}
     rendered = [item.placed["label"].score.crop_psnr_db for item in result.heldout]
     assert failure.background_only is not None
     assert result.heldout_means()["crop_psnr_db"] == pytest.approx(

@@ -111,7 +111,7 @@ def test_one_press_is_judged_by_its_eighths() -> None:
     result = fit_depth(captures_of(CIRCLES[:1], noise=1.0), DepthOptions(zero="rim"))
     assert result.left_out == "eighth of the contact"
     assert result.left_out_mm.mean() < 0.05
-    assert any(remark.code == "few_presses" for remark in result.remarks)
+    assert any(remark.code == "depth_few_presses" for remark in result.remarks)
 
 
 def codes(result: DepthCalibration) -> dict[str, str]:
@@ -121,7 +121,7 @@ def codes(result: DepthCalibration) -> dict[str, str]:
 def test_labels_off_the_dark_patch_are_weak() -> None:
     captures = captures_of(CIRCLES, noise=0.5)
     assert (
-        not {"labels_off", "duplicates", "one_spot", "large_error"}
+        not {"depth_labels_off", "depth_duplicates", "depth_one_spot", "depth_large_error"}
         & codes(fit_depth(captures)).keys()
     )
     moved = tuple(
@@ -130,7 +130,7 @@ def test_labels_off_the_dark_patch_are_weak() -> None:
         if p.circle is not None
     )
     result = fit_depth(replace(captures, presses=moved))
-    assert codes(result)["labels_off"] == "error"
+    assert codes(result)["depth_labels_off"] == "error"
     far = replace(CIRCLES[0], u_px=160.0, v_px=110.0)
     lost = replace(captures, presses=(replace(captures.presses[0], circle=far),))
     with pytest.raises(InputError, match="given circles lie away from the dark patch"):
@@ -139,9 +139,9 @@ def test_labels_off_the_dark_patch_are_weak() -> None:
 
 def test_repeats_are_one_press() -> None:
     captures = captures_of([CIRCLES[0]] * 3, noise=0.5)
-    assert codes(fit_depth(captures))["one_spot"] == "warning"
+    assert codes(fit_depth(captures))["depth_one_spot"] == "warning"
     same = tuple(replace(press, sha256="1" * 64) for press in captures.presses)
-    assert codes(fit_depth(replace(captures, presses=same)))["duplicates"] == "warning"
+    assert codes(fit_depth(replace(captures, presses=same)))["depth_duplicates"] == "warning"
 
 
 def test_presses_that_answer_differently_are_told() -> None:
@@ -151,7 +151,7 @@ def test_presses_that_answer_differently_are_told() -> None:
     dim = captures.background - 0.35 * (captures.background - dim)
     presses = (captures.presses[0], replace(captures.presses[1], read=partial(np.copy, dim)))
     result = fit_depth(replace(captures, presses=presses))
-    assert codes(result)["large_error"] in ("warning", "error")
+    assert codes(result)["depth_large_error"] in ("warning", "error")
 
 
 def test_sunk_rim_adds_to_every_depth() -> None:

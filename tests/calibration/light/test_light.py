@@ -107,4 +107,4 @@ def test_auto_white_balance_is_told_from_lamps_that_warm_up() -> None:
     assert drift_spread(balance, gel()).auto_white_balance
     assert not drift_spread(warming, gel()).auto_white_balance
     codes = [drift_remark(d, gel()).code for d in (balance, warming, steady)]
-    assert codes == ["auto_white_balance", "light_drifts", "light_steady"]
+    assert codes == ["channels_drift", "light_drifts", "light_steady"]

@@ -134,7 +134,7 @@ def test_a_few_presses_do_not_make_a_good_model(count: int, verdict: Verdict) ->
         options=replace(QUICK, steps=20),
         baseline=False,
     )
-    assert judge(r for r in result.remarks if r.code == "few_presses") is verdict
+    assert judge(r for r in result.remarks if r.code == "normals_few_presses") is verdict
 
 
 def test_wrong_circles_show_in_the_shifts() -> None:
@@ -146,7 +146,7 @@ def test_wrong_circles_show_in_the_shifts() -> None:
     worst = max(result.fit.label_shifts, key=lambda k: result.fit.label_shifts[k].length_px)
     assert worst == "p4"
     assert result.fit.label_shifts["p4"].du_px == pytest.approx(-5, abs=1.5)
-    assert any(remark.code == "circles_off" for remark in result.remarks)
+    assert any(remark.code == "normals_circles_off" for remark in result.remarks)
     assert any(remark.code == "no_heldout" for remark in result.remarks)
 
 
@@ -201,7 +201,7 @@ def test_held_out_images_reach_nothing_that_is_fitted_and_none_is_lost() -> None
     assert lost.heldout_means("used")["mean_deg"] == pytest.approx(
         (other.used.mean_deg + other.used.flat_deg) / 2
     )
-    assert "heldout_failed" in {remark.code for remark in lost.remarks}
+    assert "normals_heldout_failed" in {remark.code for remark in lost.remarks}
 
 
 def test_drifting_light_is_taken_off() -> None:
@@ -219,7 +219,7 @@ def test_drifting_light_is_taken_off() -> None:
     means = [np.mean([i.used.mean_deg for i in r.heldout]) for r in (on, off)]
     assert means[0] < 3.0
     assert means[0] < 0.6 * means[1]
-    assert any(remark.code == "light_drifts" for remark in on.remarks)
+    assert any(remark.code == "normals_light_drifts" for remark in on.remarks)
 
 
 def test_fit_is_deterministic() -> None:

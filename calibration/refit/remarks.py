@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the refit of a profile to the light of today can remark."""
+
+from __future__ import annotations
+
+from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.result import Severity
+
+RESPONSE = RemarkKind(
+    "response",
+    Severity.INFO,
+    "the colour change is now {values} of what it was; left-out frames are off by {after:.2f} "
+    "levels instead of {before:.2f}",
+)
+ROUGH_RESPONSE = RemarkKind(
+    "rough_response",
+    Severity.WARNING,
+    "the frames disagree by {percent:.0f} % on the response of {channel}: more presses, in "
+    "steadier light, would tell it better",
+)
+REFIT_FEW_FRAMES = RemarkKind(
+    "refit_few_frames",
+    Severity.WARNING,
+    "{count} frames: the standard deviations are rough; 5 or more are better",
+)
+SOME_WORSE = RemarkKind(
+    "some_worse",
+    Severity.WARNING,
+    "{names} fits worse than before when it is left out: the light changes between the new frames, "
+    "or a press is off",
+)
+LIGHT_UNSTEADY = RemarkKind(
+    "light_unsteady",
+    Severity.WARNING,
+    "the light of the new frames differs by {levels:.1f} levels among themselves: one correction "
+    "cannot follow. Fix exposure and white balance",
+)
