@@ -50,7 +50,7 @@ def refuse(*_: object) -> None:
 
 
 def replace_fit(monkeypatch: pytest.MonkeyPatch, name: str, fit: Any) -> None:
-    blocks = tuple(replace(b, fit=fit) if b.name == name else b for b in BLOCKS)
+    blocks = tuple(replace(b, verb=fit) if b.name == name else b for b in BLOCKS)
     monkeypatch.setattr(whole, "BLOCKS", blocks)
 
 
@@ -74,7 +74,7 @@ def test_blocks_build_on_one_another(captures: Path, tmp_path: Path) -> None:
     assert not found.unfit
     assert found.profile.background is not None and found.profile.perturbation is not None
     assert found.profile.background.provenance.kind == "calibrated"
-    assert {"checking the captures", "background: comparing the frames"} <= set(told)
+    assert {"checking the presses", "background: comparing the frames"} <= set(told)
 
     found.write_report(tmp_path / "report")
     assert (tmp_path / "report" / "background" / "report.html").is_file()

@@ -56,7 +56,7 @@ def test_a_block_that_refuses_ends_with_1(
     def refuse(*_: object) -> None:
         raise InputError("the light is off")
 
-    blocks = tuple(replace(b, fit=refuse) if b.name == "background" else b for b in BLOCKS)
+    blocks = tuple(replace(b, verb=refuse) if b.name == "background" else b for b in BLOCKS)
     monkeypatch.setattr("taccel_lab.calibration.calibrate.BLOCKS", blocks)
     out = tmp_path / "unit"
     assert run(str(captures), "--out", str(out), "--only", "background", "spread") == 1

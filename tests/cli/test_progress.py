@@ -17,17 +17,13 @@ def test_a_log_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "BEAT_S", 0.05)
     log = Console(file=io.StringIO(), width=100)
     threads = threading.active_count()
-    with progress.count_progress(log, "looking at the presses") as update:
-        assert "looking at the presses ...\n" in log.file.getvalue()  # type: ignore[attr-defined]
-        update(3, 7)
-        time.sleep(0.3)
-    assert "looking at the presses 3/7 (" in log.file.getvalue()  # type: ignore[attr-defined]
     with progress.stage_progress(log) as stage:
+        assert "reading ...\n" in log.file.getvalue()  # type: ignore[attr-defined]
         stage("finding boards", 1, 2)
         stage("fitting the lens", 4, 5)
         time.sleep(0.3)
     assert "fitting the lens 4/5 (" in log.file.getvalue()  # type: ignore[attr-defined]
-    with pytest.raises(ValueError, match="x"), progress.count_progress(log, "colours"):
+    with pytest.raises(ValueError, match="x"), progress.stage_progress(log):
         raise ValueError("x")
     assert threading.active_count() == threads
 
@@ -35,8 +31,8 @@ def test_a_log_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_terminal_gets_bars_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "BEAT_S", 0.05)
     screen = Console(file=io.StringIO(), width=100, force_terminal=True)
-    with progress.count_progress(screen, "looking") as update:
-        update(3, 7)
+    with progress.stage_progress(screen) as stage:
+        stage("looking", 3, 7)
         time.sleep(0.2)
     text = screen.file.getvalue()  # type: ignore[attr-defined]
-    assert "looking ...\n" not in text and "3/7 (" not in text and "looking" in text
+    assert "reading ...\n" not in text and "3/7 (" not in text and "looking" in text
