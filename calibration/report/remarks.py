@@ -21,7 +21,7 @@ MISSING_BLOCK = RemarkKind(
 BLOCKS_DROPPED = RemarkKind(
     "blocks_dropped",
     Severity.WARNING,
-    "{lost} of the base profile were dropped: they hold for {old_width}x{old_height} px at "
+    "dropped from the base profile: {lost}. The profile holds for {old_width}x{old_height} px at "
     "{old_x:.4g} x {old_y:.4g} mm/px, these captures have {width}x{height} px at {x:.4g} x "
     "{y:.4g}. State the same scale, or calibrate these blocks again",
 )

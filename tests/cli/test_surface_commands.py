@@ -165,7 +165,7 @@ def test_blocks_that_do_not_go_with_the_captures_are_named() -> None:
     other = replace(GRID, mm_per_px_x=0.11)
     (remark,) = lost_blocks(before, on_grid(before, other, {}))
     assert remark.severity is Severity.WARNING
-    assert "background went" in remark.message and "0.11" in remark.message
+    assert "base profile: background." in remark.message and "0.11" in remark.message
     assert lost_blocks(before, on_grid(before, GRID, {})) == []
 
 

@@ -21,12 +21,11 @@ from taccel_lab.bodies.joints import (
     VelocityDrive,
 )
 from taccel_lab.bodies.primitives import box_mesh
-from taccel_lab.bodies.scene_description import TimeStepping
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.joints.rows import COORDINATE_ROW, ROW_COUNT
 from taccel_lab.ipc.potentials.joints import JointPotential
 from taccel_lab.model.embedding import rotate
-from taccel_lab.scene import Scene
+from taccel_lab.scene import Scene, TimeStepping
 from taccel_lab.state import initial_state
 from tests.ipc.dense_system import Dense, differences, empty_system
 
