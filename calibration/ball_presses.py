@@ -12,18 +12,13 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import capture_findings, refusing_with
-from taccel_lab.calibration.contacts.fusion import choose_circles
-from taccel_lab.calibration.contacts.labels import compare_with_labels
+from taccel_lab.calibration.contacts.labels import LabelAgreement
 from taccel_lab.calibration.contacts.remarks import CIRCLES_FOUND
-from taccel_lab.calibration.contacts.result import DetectedContact
-from taccel_lab.calibration.contacts.usable import usable_presses
+from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.result import Remark
-from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
-
-TASK = "finding the contact circles"
 
 
 @dataclass(frozen=True)
@@ -39,8 +34,6 @@ class BallPresses:
     """Those to fit that show a contact."""
     circles: list[ContactCircle]
     """Where the training presses are taken to be, in order."""
-    found: list[DetectedContact]
-    """Where they were found in their images, in order."""
     lost: tuple[Remark, ...]
     """Blocks of the profile that do not go with the captures' grid."""
     findings: tuple[Remark, ...]
@@ -74,36 +67,22 @@ def ball_presses(
     with refusing_with(findings):
         captures, profile = presses_on_camera(folder, base)
         split = captures.split(options.holdout_every)
-        training = captures.only(split.train)
-        # All training presses are looked at, so that empty frames are told.
-        _require_labels(training, options)
-        progress(TASK, 0, 1)
-        training, found, left_out = usable_presses(training, cache=cache)
-        progress(TASK, 1, 1)
+        usable = usable_circles(
+            captures.only(split.train), options.circles, cache=cache, progress=progress
+        )
     return BallPresses(
         profile=profile,
         captures=captures,
         split=split,
-        training=training,
-        circles=choose_circles(training, found, options.circles),
-        found=found,
+        training=usable.captures,
+        circles=usable.circles,
         lost=tuple(lost_blocks(base, profile)),
         findings=tuple(findings),
-        remarks=(*left_out, *_agreement(training, found)),
+        remarks=(*usable.remarks, *_agreement(usable.agreement)),
     )
 
 
-def _require_labels(training: CaptureSet, options: BallPressOptions) -> None:
-    unlabelled = sum(press.circle is None for press in training.presses)
-    if options.circles == "labels" and unlabelled:
-        raise InputError(
-            f"{training.source}: {unlabelled} presses come without a contact circle; --circles "
-            "labels needs all of them, fused or detected does not"
-        )
-
-
-def _agreement(training: CaptureSet, found: list[DetectedContact]) -> list[Remark]:
-    agreement = compare_with_labels(training, found)
+def _agreement(agreement: LabelAgreement | None) -> list[Remark]:
     if agreement is None:
         return []
     return [

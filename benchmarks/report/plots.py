@@ -204,7 +204,7 @@ def draw_stress(document: dict[str, Any]) -> Figure:
         spread = np.random.default_rng(0).uniform(-0.3, 0.3, len(newton))
         right.plot(newton, place + spread, ".", ms=3, alpha=0.4, color="#34495e")
     right.set_xscale("log")
-    right.set_xlabel("Newton iterations of a step, one more")
+    right.set_xlabel("Newton iterations of a step + 1")
     for axis in (left, right):
         axis.spines[["top", "right"]].set_visible(False)
     return figure

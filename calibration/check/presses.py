@@ -37,8 +37,6 @@ USEFUL_TEXTURE = 0.25
 NEAR_DUPLICATE = 0.1
 """Images are the same press when they differ by less than this part of the contact's contrast."""
 MIN_DUPLICATE_LEVELS = 1.5
-LARGEST_ANGLE = 0.98
-"""Contact radius over ball radius beyond which a contact reaches the equator."""
 
 
 def check_contacts(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:

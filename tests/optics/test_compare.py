@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.optics.compare import compare_backgrounds, compare_press, pressed_top
+from tests.optics.compare import compare_backgrounds, compare_press, pressed_top
 
 
 def ramp(slope: tuple[float, float, float]) -> np.ndarray:

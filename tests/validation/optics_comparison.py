@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.optics.compare import (
+from taccel_lab.optics.render import OpticalModel, PreviewImage
+from taccel_lab.profile.optical_design import OpticalDesign
+from taccel_lab.sensors.registry import sensor_family
+from tests.optics.compare import (
     BackgroundMatch,
     PressMatch,
     compare_backgrounds,
     compare_press,
     pressed_top,
 )
-from taccel_lab.optics.render import OpticalModel, PreviewImage
-from taccel_lab.profile.optical_design import OpticalDesign
-from taccel_lab.sensors.registry import sensor_family
 from tests.validation.optics_captures import RealPress, RealSensor
 
 LONG_SIDE_PX = 240

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from taccel_lab.optics.compare import compare_press
+from tests.optics.compare import compare_press
 from tests.validation import optics_captures, optics_comparison
 from tests.validation.optics_captures import RealSensor
 
