@@ -8,7 +8,11 @@ mesh may begin.
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 import shutil
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,12 +21,37 @@ from taccel_lab.output import OUTPUT_MARKER
 from tests.cli.small_captures import never, write_captures, write_profile
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _all_imported() -> None:
+    """Commands import as late as they can: what is first imported while a test has replaced a
+    function would keep the replacement in every later test of the process."""
+    for room in ("calibration", "cad", "cli", "envs", "sensors", "studies"):
+        package = importlib.import_module(f"taccel_lab.{room}")
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if not module.name.endswith("__main__"):
+                importlib.import_module(module.name)
+
+
 @pytest.fixture
-def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
+def forbid(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Make a function, by its full name, fail the test wherever it is called from."""
+
+    def forbid(name: str) -> None:
+        home, _, function = name.rpartition(".")
+        forbidden = getattr(importlib.import_module(home), function)
+        for module_name, module in list(sys.modules.items()):
+            if module_name.startswith("taccel_lab") and vars(module).get(function) is forbidden:
+                monkeypatch.setattr(module, function, never)
+
+    return forbid
+
+
+@pytest.fixture
+def no_work(monkeypatch: pytest.MonkeyPatch, forbid: Callable[[str], None]) -> None:
     """Whatever takes long fails the test."""
     monkeypatch.setattr("taccel_lab.solvers.SolverIPC.step", never)
-    monkeypatch.setattr("taccel_lab.calibration.color.fit.fit_color", never)
-    monkeypatch.setattr("taccel_lab.cad.parts.pad_solid.labelled_solid", never)
+    forbid("taccel_lab.calibration.color.fit.fit_color")
+    forbid("taccel_lab.cad.parts.pad_solid.labelled_solid")
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.profile import SCHEMA_VERSION
-from tests.cli.small_captures import GRID, never, refuse
+from tests.cli.small_captures import GRID, refuse
 
 Change = Callable[[Path], None]
 
@@ -247,7 +247,7 @@ def test_bad_edge_length_of_a_design(
 def test_foreign_outputs_are_refused_before_any_work(
     here: Path,
     capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    forbid: Callable[[str], None],
     command: list[str],
     out: str,
     words: list[str],
@@ -259,7 +259,7 @@ def test_foreign_outputs_are_refused_before_any_work(
         "taccel_lab.sensors.profile.load_sensor",
         "taccel_lab.sensors.design.gel_mesh",
     ):
-        monkeypatch.setattr(name, never)
+        forbid(name)
     refuse(command, words, capsys, (out,))
 
 

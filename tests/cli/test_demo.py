@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from taccel_lab.cli.app import main
 from taccel_lab.geometry.vtu import read_mesh_vtu
 from taccel_lab.output import OUTPUT_MARKER
 from taccel_lab.profile import load_profile, validate_profile
-from tests.cli.small_captures import CIRCLES, GRID, everything_below, never, write_captures
+from tests.cli.small_captures import CIRCLES, GRID, everything_below, write_captures
 
 HELDOUT = ("p0",)
 """By the rule of ``taccel_lab.calibration.capture.split``."""
@@ -145,12 +146,12 @@ def test_interrupted_in_the_middle(
 def test_bad_options_are_refused_before_any_work(
     captures: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    forbid: Callable[[str], None],
     capsys: pytest.CaptureFixture[str],
     options: list[str],
     words: str,
 ) -> None:
-    monkeypatch.setattr("taccel_lab.sensors.design.design_sensor", never)
+    forbid("taccel_lab.sensors.design.design_sensor")
     assert run(captures, tmp_path / "demo", *options) == 2
     assert words in capsys.readouterr().err
     assert everything_below(tmp_path) == {}
@@ -165,7 +166,7 @@ def test_bad_options_are_refused_before_any_work(
 )
 def test_bad_captures_are_refused_before_any_work(
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    forbid: Callable[[str], None],
     capsys: pytest.CaptureFixture[str],
     old: str,
     new: str,
@@ -176,7 +177,7 @@ def test_bad_captures_are_refused_before_any_work(
     text = manifest.read_text()
     assert old in text
     manifest.write_text(text.replace(old, new))
-    monkeypatch.setattr("taccel_lab.sensors.design.design_sensor", never)
+    forbid("taccel_lab.sensors.design.design_sensor")
     assert run(folder, tmp_path / "demo") == 2
     message = capsys.readouterr().err
     assert words in message and str(folder) in message
@@ -184,21 +185,21 @@ def test_bad_captures_are_refused_before_any_work(
 
 
 def test_too_few_captures_to_hold_one_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, forbid: Callable[[str], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = write_captures(tmp_path / "captures")
     manifest = folder / "captures.toml"
     blocks = manifest.read_text().split("[[presses]]")
     manifest.write_text("[[presses]]".join(blocks[:4]))
-    monkeypatch.setattr("taccel_lab.sensors.design.design_sensor", never)
+    forbid("taccel_lab.sensors.design.design_sensor")
     assert run(folder, tmp_path / "demo") == 2
     assert "holds 3 presses, too few" in capsys.readouterr().err
 
 
 def test_foreign_folder_is_refused_before_any_work(
-    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    captures: Path, tmp_path: Path, forbid: Callable[[str], None]
 ) -> None:
-    monkeypatch.setattr("taccel_lab.calibration.capture.load_captures", never)
+    forbid("taccel_lab.calibration.capture.load_captures")
     (tmp_path / "notes.txt").write_text("mine")
     assert run(captures, tmp_path) == 2
     assert everything_below(tmp_path) == {"notes.txt": b"mine"}
