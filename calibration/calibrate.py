@@ -30,7 +30,7 @@ from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.calibration.report.remarks import BLOCK_UNFIT
 from taccel_lab.calibration.result import judge
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_directory
+from taccel_lab.output_folder import atomic_directory
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 

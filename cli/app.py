@@ -3,17 +3,22 @@
 
 Exit codes: 0 done, 1 ``doctor``, ``bench quick`` or ``capture check`` found something broken, a
 stage of ``calibrate all`` had unfit captures or no design of a ``study`` keeps its constraints,
-2 unusable input or usage, 3 a simulation that did not converge, 130 interrupted. Anything else that
-goes wrong is a bug and keeps its traceback. Command modules import heavy libraries inside ``run()``
-only, so that help is fast.
+2 unusable input or usage, or files that cannot be read or written, as on a full disk, 3 a
+simulation that did not converge, 130 interrupted, 143 asked to end (SIGTERM). Anything else that
+goes wrong is a bug and keeps its traceback. Command modules import heavy libraries inside
+``run()`` only, so that help is fast.
 """
 
 from __future__ import annotations
 
 import logging
+import os
+import signal
 import sys
-from collections.abc import Sequence
-from typing import Protocol
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import NoReturn, Protocol
 
 from taccel_lab.errors import InputError, SimulationError
 
@@ -92,16 +97,47 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``taccel-lab`` and return its exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     try:
-        parse(arguments).run()
+        with _terminable():
+            parse(arguments).run()
     except InputError as error:
         return _fail(2, f"error: {error}")
-    except (PermissionError, NotADirectoryError, IsADirectoryError) as error:
-        return _fail(2, f"error: {error.filename}: {error.strerror}")
+    except BrokenPipeError:
+        # Whoever read the output, such as `head`, has enough of it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except OSError as error:
+        if error.errno is None:
+            raise
+        named = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
+        return _fail(2, f"error: {named}{error.strerror}")
     except SimulationError as error:
         return _fail(3, f"simulation failed: {error}")
+    except _Terminated:
+        return _fail(143, "asked to end; unfinished outputs were removed")
     except KeyboardInterrupt:
         return _fail(130, "interrupted; unfinished outputs were removed")
     return 0
+
+
+class _Terminated(BaseException):
+    """SIGTERM, as a batch system sends it before it kills: what is unfinished is cleared away."""
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM unwind the command as Ctrl-C does; only the main thread may."""
+
+    def unwind(*_: object) -> NoReturn:
+        raise _Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    earlier = signal.signal(signal.SIGTERM, unwind)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, earlier)
 
 
 def _fail(code: int, message: str) -> int:

@@ -49,7 +49,7 @@ class Demo:
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.envs import PressPath
         from taccel_lab.envs.press import check_depth
-        from taccel_lab.output import atomic_directory, require_replaceable
+        from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.report import write_report
         from taccel_lab.sensors.profile import load_sensor
 

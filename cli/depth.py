@@ -52,7 +52,7 @@ class Depth:
         from taccel_lab.calibration.normals.read_surface import SurfaceReader
         from taccel_lab.calibration.normals.reading_files import read_mask, write_reading
         from taccel_lab.cli.console import print_json
-        from taccel_lab.output import atomic_directory, require_replaceable
+        from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.profile import load_profile
 
         require_replaceable(self.out)

@@ -53,7 +53,7 @@ class Export:
         from rich.console import Console
 
         from taccel_lab.cli.console import print_json
-        from taccel_lab.output import require_replaceable
+        from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
 
         require_replaceable(self.out)

@@ -85,7 +85,7 @@ class Press:
         from taccel_lab.envs.press import check_depth
         from taccel_lab.envs.press_files import write_press
         from taccel_lab.model.devices import require_device
-        from taccel_lab.output import atomic_directory, require_replaceable
+        from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.sensors.profile import load_sensor
         from taccel_lab.signals.color_model import ColorModel
         from taccel_lab.signals.rest_surface import rest_surface

@@ -49,7 +49,7 @@ class Preview:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import print_json
         from taccel_lab.model.devices import require_device
-        from taccel_lab.output import atomic_directory, require_replaceable
+        from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.sensors.registry import sensor_family
         from taccel_lab.studies.preview import preview_design, write_preview
 

@@ -105,7 +105,7 @@ class ProfileCompare:
         from taccel_lab.calibration.comparison import compare_profiles
         from taccel_lab.calibration.report import write_page
         from taccel_lab.cli.console import print_json
-        from taccel_lab.output import require_replaceable
+        from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
 
         if self.out is not None:
@@ -137,7 +137,7 @@ class ProfileReport:
 
         from taccel_lab.calibration.report import write_page
         from taccel_lab.calibration.report.profile_page import profile_page
-        from taccel_lab.output import require_replaceable
+        from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
 
         require_replaceable(self.out)

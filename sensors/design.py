@@ -15,7 +15,8 @@ from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_qualit
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.output import atomic_directory, require_replaceable, write_json
+from taccel_lab.output import write_json
+from taccel_lab.output_folder import atomic_directory, require_replaceable
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.profile import designed_profile

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.output import atomic_directory, require_replaceable, write_json
+from taccel_lab.output import write_json
+from taccel_lab.output_folder import atomic_directory, require_replaceable
 from taccel_lab.sensors.design import StageClock, refused_folder
 from taccel_lab.sensors.workshop import Workshop, check_parts
 

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Outputs that appear whole or not at all: written under a temporary name, then renamed.
-
-Also where results that are slow to make are kept, and the names that they are kept under.
-"""
+"""Files that appear whole or not at all, JSON, and the names that kept results have."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import hashlib
 import json
 import math
 import os
-import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -19,84 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.errors import InputError
-
 CACHE_VARIABLE = "TACCEL_LAB_CACHE"
 """Environment variable that names the cache folder."""
-OUTPUT_MARKER = ".taccel_lab_output"
-"""Empty file in every folder that a command wrote: only such folders are ever replaced."""
-
-
-def require_replaceable(target: Path | str) -> None:
-    """Refuse an output folder that exists, is not empty and was not written by a command.
-
-    Commands call this first, before any long work.
-    """
-    target = _folder_path(target)
-    if target.is_dir() and any(target.iterdir()) and not (target / OUTPUT_MARKER).exists():
-        raise InputError(
-            f"{target} holds files that taccel-lab did not write; name a new or empty folder"
-        )
-
-
-def _folder_path(target: Path | str) -> Path:
-    """The path, absolute where it goes through "." or ".."; refused where a file is in the way."""
-    target = Path(target)
-    if not target.name or ".." in target.parts:
-        target = Path(os.path.abspath(target))
-    for path in (target, *target.parents):
-        if path.exists() and not path.is_dir():
-            raise InputError(f"{path} is a file; an output folder is needed")
-    return target
-
-
-@contextmanager
-def atomic_directory(target: Path | str, *, own: bool = False) -> Iterator[Path]:
-    """Yield a temporary folder that replaces ``target`` when the block ends without an error.
-
-    An earlier folder at ``target`` stays untouched until then and is removed only after the new
-    one stands. A file, or a folder with files of somebody else, is refused; ``own`` says that the
-    caller has already made sure of the latter by other means.
-    """
-    target = _folder_path(target)
-    if not own:
-        require_replaceable(target)
-    new_parents = [path for path in target.parents if not path.exists()]
-    target.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        staging = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
-        try:
-            staging.chmod(0o755)
-            if not own:
-                (staging / OUTPUT_MARKER).touch()
-            yield staging
-            _swap(staging, target)
-        finally:
-            if staging.exists():
-                shutil.rmtree(staging)
-    except BaseException:
-        for path in new_parents:
-            if not any(path.iterdir()):
-                path.rmdir()
-        raise
-
-
-def _swap(staging: Path, target: Path) -> None:
-    """Put ``staging`` in the place of ``target``; an earlier one comes back if that fails."""
-    if not target.exists():
-        os.replace(staging, target)
-        return
-    shelf = Path(tempfile.mkdtemp(prefix=f".{target.name}.old.", dir=target.parent))
-    earlier = shelf / target.name
-    try:
-        os.replace(target, earlier)
-        os.replace(staging, target)
-    except BaseException:
-        if earlier.exists() and not target.exists():
-            os.replace(earlier, target)
-        raise
-    finally:
-        shutil.rmtree(shelf)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
 from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_directory
+from taccel_lab.output_folder import atomic_directory
 
 
 def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) -> list[str]:

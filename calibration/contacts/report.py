@@ -13,7 +13,8 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_text
 from taccel_lab.calibration.contacts.review import Review, ReviewedPress
 from taccel_lab.calibration.result import judge
-from taccel_lab.output import atomic_directory, write_json
+from taccel_lab.output import write_json
+from taccel_lab.output_folder import atomic_directory
 from taccel_lab.report.build import data_url, report_environment
 
 PICTURE_PX = 480

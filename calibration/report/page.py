@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.calibration.result import Remark, judge
-from taccel_lab.output import atomic_directory, write_json
+from taccel_lab.output import write_json
+from taccel_lab.output_folder import atomic_directory
 from taccel_lab.report.build import data_url, report_environment
 from taccel_lab.report.style import save_figure
 

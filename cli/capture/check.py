@@ -43,7 +43,7 @@ class CaptureCheckCommand:
         from taccel_lab.calibration.report import write_page
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import stage_progress
-        from taccel_lab.output import require_replaceable
+        from taccel_lab.output_folder import require_replaceable
 
         console = Console(stderr=True)
         if self.report is not None:

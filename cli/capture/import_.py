@@ -59,7 +59,7 @@ class CaptureImport:
         )
         from taccel_lab.calibration.capture.importers import AUTO, detect_layout
         from taccel_lab.cli.console import print_json
-        from taccel_lab.output import require_replaceable
+        from taccel_lab.output_folder import require_replaceable
         from taccel_lab.sensors import sensor_family
 
         if self.sensor is not None:

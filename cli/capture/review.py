@@ -38,7 +38,7 @@ class CaptureReview:
         from taccel_lab.calibration.result import Severity, judge
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import stage_progress
-        from taccel_lab.output import require_replaceable
+        from taccel_lab.output_folder import require_replaceable
 
         console = Console(stderr=True)
         require_replaceable(self.out)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_directory
+from taccel_lab.output_folder import atomic_directory
 from taccel_lab.profile import arrays
 from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
 from taccel_lab.profile.migrate import migrate
@@ -75,7 +75,7 @@ def save_profile(profile: SensorProfile, path: Path | str) -> None:
     for key, block in profile.blocks().items():
         document[key] = _toml_table(block)
     text = _HEADER + tomli_w.dumps(document)
-    with atomic_directory(path, own=True) as staging:
+    with atomic_directory(path, check=require_profile_folder) as staging:
         for name, data in files.items():
             (staging / name).write_bytes(data)
         (staging / PROFILE_FILE).write_text(text, encoding="utf-8", newline="\n")

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.output import OUTPUT_MARKER
+from taccel_lab.output_folder import atomic_directory
 from tests.cli.small_captures import never, write_captures, write_profile
 
 
@@ -66,9 +66,8 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def here(originals: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_work: None) -> Path:
     """A working folder with sound ``captures`` and ``profile`` and earlier outputs."""
     shutil.copytree(originals, tmp_path, dirs_exist_ok=True)
-    (tmp_path / "earlier").mkdir()
-    (tmp_path / "earlier" / OUTPUT_MARKER).touch()
-    (tmp_path / "earlier" / "press.json").write_text("{}")
+    with atomic_directory(tmp_path / "earlier") as earlier:
+        (earlier / "press.json").write_text("{}")
     shutil.copytree(originals / "profile", tmp_path / "earlier_profile")
     monkeypatch.chdir(tmp_path)
     return tmp_path

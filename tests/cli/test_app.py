@@ -7,6 +7,7 @@ import ast
 import itertools
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 
 from taccel_lab.cli import app
 from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.output_folder import atomic_directory
 
 ROOT = Path(__file__).parents[2]
 
@@ -38,6 +40,8 @@ class Raises:
         (SimulationError("no descent in step 4"), 3, "simulation failed: no descent in step 4"),
         (KeyboardInterrupt(), 130, "interrupted"),
         (PermissionError(13, "Permission denied", "/out"), 2, "error: /out: Permission denied"),
+        (OSError(28, "No space left on device"), 2, "error: No space left on device"),
+        (OSError(30, "Read-only file system", b"/out"), 2, "error: /out: Read-only file system"),
     ],
 )
 def test_exit_codes(
@@ -55,9 +59,10 @@ def test_exit_codes(
     assert "Traceback" not in captured.err
 
 
-def test_bugs_keep_their_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(app, "parse", lambda arguments: Raises(ZeroDivisionError()))
-    with pytest.raises(ZeroDivisionError):
+@pytest.mark.parametrize("error", [ZeroDivisionError(), OSError("image file is truncated")])
+def test_bugs_keep_their_traceback(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    monkeypatch.setattr(app, "parse", lambda arguments: Raises(error))
+    with pytest.raises(type(error)):
         app.main([])
 
 
@@ -138,3 +143,46 @@ def test_help_is_fast_and_light() -> None:
         assert done.returncode == 0, f"help imports {done.stderr}"
         assert "calibrate" in done.stdout
     assert best < 1.0, f"help took {best:.2f} s"
+
+
+TERMINATED = """
+    import os, signal, sys
+    from pathlib import Path
+    from taccel_lab.cli import app
+    from taccel_lab.output_folder import atomic_directory
+
+    class Command:
+        def run(self):
+            with atomic_directory(sys.argv[1]) as folder:
+                (folder / "half.txt").write_text("half")
+                os.kill(os.getpid(), signal.SIGTERM)
+                (folder / "more.txt").write_text("more")
+
+    app.parse = lambda arguments: Command()
+    sys.exit(app.main([]))
+"""
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+def test_asked_to_end_it_clears_away_what_is_unfinished(tmp_path: Path, earlier: bool) -> None:
+    out = tmp_path / "out"
+    if earlier:
+        with atomic_directory(out) as folder:
+            (folder / "a.txt").write_text("old")
+    before = sorted(path.name for path in tmp_path.rglob("*"))
+    command = [sys.executable, "-c", textwrap.dedent(TERMINATED), str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (
+        143,
+        "asked to end; unfinished outputs were removed\n",
+    )
+    assert sorted(path.name for path in tmp_path.rglob("*")) == before
+
+
+def test_a_reader_that_has_enough_ends_it_quietly() -> None:
+    command = (
+        f"{sys.executable} -m taccel_lab.cli.app sensors list | head -c 1; echo ${{PIPESTATUS[0]}}"
+    )
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert done.stdout[1:].strip() in ("0", "141")
