@@ -17,6 +17,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
 from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import inner_path
 from taccel_lab.output_folder import atomic_directory
 
 
@@ -154,9 +155,9 @@ class _Writer:
 
     def copy(self, name: str) -> None:
         """Copy a file as it is."""
-        path = self._target / name
+        path = inner_path(self._target, name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(self._source / name, path)
+        shutil.copyfile(inner_path(self._source, name), path)
 
 
 def _write_manifest(document: dict[str, Any], target: Path) -> None:

@@ -26,6 +26,7 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME, CaptureManifest
 from taccel_lab.calibration.capture.taxim_pack import load_taxim_folder
 from taccel_lab.calibration.capture.video import load_markers
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import inner_path
 
 MIN_SIZE_PX = 32
 
@@ -93,7 +94,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
     folder = manifest_path.parent
     background = None
     if manifest.background is not None:
-        background = _frame(folder / manifest.background)
+        background = _frame(folder, manifest.background)
         height, width = background.image().shape[:2]
         if min(height, width) < MIN_SIZE_PX:
             raise InputError(
@@ -102,7 +103,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
             )
     presses = []
     for entry in manifest.presses:
-        frame = _frame(folder / entry.image, background)
+        frame = _frame(folder, entry.image, background)
         circle = None
         if entry.contact is not None:
             circle = ContactCircle(**entry.contact.model_dump())
@@ -139,7 +140,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         sensor=manifest.sensor,
         unit=manifest.unit,
         background=background,
-        untouched=tuple(_frame(folder / name, background) for name in manifest.untouched),
+        untouched=tuple(_frame(folder, name, background) for name in manifest.untouched),
         mask=_load_mask(folder, manifest.mask, background),
         mm_per_px=None if scale[0] is None or scale[1] is None else (scale[0], scale[1]),
         ball_radius_mm=None if manifest.indenter is None else manifest.indenter.radius_mm,
@@ -147,16 +148,16 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         boards=tuple(
             BoardCaptures(
                 entry,
-                tuple(_frame(folder / name) for name in entry.images),
-                background if entry.reference is None else _frame(folder / entry.reference),
+                tuple(_frame(folder, name) for name in entry.images),
+                background if entry.reference is None else _frame(folder, entry.reference),
             )
             for entry in manifest.boards
         ),
         edges=tuple(
-            EdgeCapture(entry, _frame(folder / entry.image, background)) for entry in manifest.edges
+            EdgeCapture(entry, _frame(folder, entry.image, background)) for entry in manifest.edges
         ),
         landmarks=tuple(
-            LandmarkCapture(entry, _frame(folder / entry.image, background))
+            LandmarkCapture(entry, _frame(folder, entry.image, background))
             for entry in manifest.landmarks
         ),
         markers=None
@@ -185,16 +186,18 @@ def _heldout(manifest: CaptureManifest, path: Path) -> tuple[str, ...] | None:
 def _load_mask(folder: Path, name: str | None, background: Frame | None) -> np.ndarray | None:
     if name is None:
         return None
-    grey = decode(folder / name, cv2.IMREAD_GRAYSCALE)
+    path = inner_path(folder, name)
+    grey = decode(path, cv2.IMREAD_GRAYSCALE)
     if background is not None:
-        _check_size(grey, background.image(), folder / name, Path(background.source))
+        _check_size(grey, background.image(), path, Path(background.source))
     if not (grey > 0).any():
-        raise InputError(f"{folder / name} masks every pixel; some have to be non-zero")
+        raise InputError(f"{path} masks every pixel; some have to be non-zero")
     return grey > 0
 
 
-def _frame(path: Path, like: Frame | None = None) -> Frame:
+def _frame(folder: Path, name: str, like: Frame | None = None) -> Frame:
     """An image file, read once to check it and, where given, that its size is that of ``like``."""
+    path = inner_path(folder, name)
     image = read_image(path)
     if like is not None:
         _check_size(image, like.image(), path, Path(like.source))

@@ -13,16 +13,14 @@ import hashlib
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.schema import Finite
 from taccel_lab.errors import InputError
 
 CONTACTS_NAME = "contacts.toml"
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 HEADER = """\
 # Contact circles of {source}

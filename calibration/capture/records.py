@@ -14,6 +14,7 @@ from taccel_lab.calibration.capture.images import file_sha256
 from taccel_lab.calibration.capture.record_checks import check_record
 from taccel_lab.calibration.capture.schema import RecordEntry
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import inner_path
 
 COLUMNS = {
     "indentation": ("depth_mm", "force_n"),
@@ -27,7 +28,7 @@ COLUMNS = {
 
 def load_record(folder: Path, entry: RecordEntry) -> ForceRecord:
     """Read one record; InputError names the file, the column or row, and what is allowed."""
-    path = folder / entry.file
+    path = inner_path(folder, entry.file)
     columns = read_columns(path)
     missing = [name for name in COLUMNS[entry.kind] if name not in columns]
     if missing:

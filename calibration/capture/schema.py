@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from taccel_lab.inner_path import require_inner_name
 
 MANIFEST_NAME = "captures.toml"
 SCHEMA_VERSION = 2
@@ -17,7 +19,10 @@ SCHEMA_VERSION = 2
 MAX_MM_PER_PX = 1.0
 MIN_MM_PER_PX = 1e-4
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+"""A number, written as one: neither "0.5" nor true."""
+FileName = Annotated[str, Field(min_length=1), AfterValidator(require_inner_name)]
+"""A file of the folder, relative to the manifest."""
 
 
 class _Strict(BaseModel):
@@ -46,7 +51,7 @@ class CircleEntry(_Strict):
 class PressEntry(_Strict):
     """One image of one press."""
 
-    image: str = Field(min_length=1)
+    image: FileName
     """Image file, relative to the manifest."""
     name: str | None = Field(default=None, min_length=1)
     """Name used in reports; the file's stem when missing."""
@@ -82,8 +87,8 @@ class BoardEntry(_Strict):
     on_gel: bool = False
     """The board lies on, or is pressed into, the contact face: it gives scale and pose of the gel.
     Otherwise it is shown to the camera from many sides: intrinsics and distortion."""
-    images: list[str] = Field(min_length=1)
-    reference: str | None = None
+    images: list[FileName] = Field(min_length=1)
+    reference: FileName | None = None
     """Image without contact that a pressed board is compared with; ``background`` if missing."""
 
 
@@ -100,7 +105,7 @@ class LineEntry(_Strict):
 class EdgeEntry(_Strict):
     """A press of a straight edge of known length."""
 
-    image: str = Field(min_length=1)
+    image: FileName
     length_mm: Finite = Field(gt=0.1, le=200.0)
     """Length of the edge that touches [mm]."""
     dihedral_deg: Finite = Field(default=90.0, gt=0.0, lt=180.0)
@@ -122,28 +127,28 @@ class LandmarkPoint(_Strict):
 class LandmarkEntry(_Strict):
     """Points of known place in one image: corners of a pressed cuboid, a ruled pattern."""
 
-    image: str = Field(min_length=1)
+    image: FileName
     points: list[LandmarkPoint] = Field(min_length=3)
 
 
 class VideoEntry(_Strict):
     """Frames of one motion, in order: a video file, or images."""
 
-    file: str | None = None
-    frames: list[str] = Field(default_factory=list)
+    file: FileName | None = None
+    frames: list[FileName] = Field(default_factory=list)
     """Images relative to the manifest; a single entry may hold wildcards (``video/*.png``)."""
     fps: Finite | None = Field(default=None, gt=0.0, le=1e4)
     motion: Literal["press", "shear", "twist", "free"] = "free"
-    poses: str | None = None
+    poses: FileName | None = None
     """CSV of the indenter's path: ``time_s, x_mm, y_mm, z_mm, angle_deg`` (all or some)."""
 
 
 class MarkersEntry(_Strict):
     """Dots painted on the gel."""
 
-    rest: str | None = None
+    rest: FileName | None = None
     """Image at rest; the background if missing."""
-    labels: str | None = None
+    labels: FileName | None = None
     """CSV ``u_px, v_px, du_px, dv_px``: dots of the image at rest that somebody has measured, and
     how far they lie from where they are without any load. For validation."""
     pitch_x_mm: Finite | None = Field(default=None, gt=0.0, le=50.0)
@@ -164,7 +169,7 @@ class ToolEntry(_Strict):
 class RecordEntry(_Strict):
     """A record of forces: a CSV with a header, columns named with their unit."""
 
-    file: str = Field(min_length=1)
+    file: FileName
     kind: Literal["indentation", "slide", "shear", "twist", "relaxation"]
     """Columns: indentation ``depth_mm, force_n``; slide ``shift_mm, normal_n, tangential_n``;
     shear ``depth_mm, shift_mm, normal_n, tangential_n``; twist ``depth_mm, angle_deg, torque_nmm``;
@@ -189,11 +194,11 @@ class CaptureManifest(_Strict):
     """Sensor family in the catalogue, such as ``gelsight``."""
     unit: str | None = Field(default=None, min_length=1)
     """Serial number or nickname of this very sensor."""
-    background: str | None = Field(default=None, min_length=1)
+    background: FileName | None = None
     """Image of the untouched sensor, relative to the manifest."""
-    untouched: list[str] = Field(default_factory=list)
+    untouched: list[FileName] = Field(default_factory=list)
     """Further images of the untouched sensor, at other times: noise and drift."""
-    mask: str | None = Field(default=None, min_length=1)
+    mask: FileName | None = None
     """Grey image of the same size; pixels that are 0 are never used (dust, markers, frame)."""
     mm_per_px_x: Finite | None = Field(default=None, ge=MIN_MM_PER_PX, le=MAX_MM_PER_PX)
     """Scale along the image's rows [mm/px], where it is known."""

@@ -15,6 +15,7 @@ from taccel_lab.calibration.capture.images import file_sha256, read_image
 from taccel_lab.calibration.capture.records import read_columns
 from taccel_lab.calibration.capture.schema import MarkersEntry, VideoEntry
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import inner_path
 
 LOST_SHARE = 0.95
 """Share of the frames that a file states, of which as many have to decode."""
@@ -23,7 +24,7 @@ LOST_SHARE = 0.95
 def load_markers(folder: Path, entry: MarkersEntry, background: Frame | None) -> MarkerCaptures:
     """The dots at rest and their videos; InputError when neither rest nor background is there."""
     if entry.rest is not None:
-        path = folder / entry.rest
+        path = inner_path(folder, entry.rest)
         read_image(path)
         rest = Frame(path.stem, str(path), file_sha256(path), partial(read_image, path))
     elif background is not None:
@@ -31,7 +32,7 @@ def load_markers(folder: Path, entry: MarkersEntry, background: Frame | None) ->
     else:
         raise InputError(f"{folder}: markers need an image at rest: markers.rest or background")
     videos = tuple(load_video(folder, video) for video in entry.videos)
-    labels = {} if entry.labels is None else read_columns(folder / entry.labels)
+    labels = {} if entry.labels is None else read_columns(inner_path(folder, entry.labels))
     missing = {"u_px", "v_px", "du_px", "dv_px"} - labels.keys()
     if labels and missing:
         raise InputError(f"{folder / str(entry.labels)} lacks {', '.join(sorted(missing))}")
@@ -42,9 +43,9 @@ def load_video(folder: Path, entry: VideoEntry) -> Video:
     """One motion; InputError when it does not decode or holds fewer than two frames."""
     if (entry.file is None) == (not entry.frames):
         raise InputError(f"{folder}: a video needs either a file or frames, and not both")
-    poses = {} if entry.poses is None else read_columns(folder / entry.poses)
+    poses = {} if entry.poses is None else read_columns(inner_path(folder, entry.poses))
     if entry.file is not None:
-        path = folder / entry.file
+        path = inner_path(folder, entry.file)
         frames = read_video(path)
         return Video(
             entry, str(path), file_sha256(path), len(frames), partial(read_video, path), poses
@@ -94,7 +95,10 @@ def cut_short(video: Video) -> str | None:
 
 
 def _expand(folder: Path, name: str) -> list[Path]:
-    return sorted(folder.glob(name)) if any(c in name for c in "*?[") else [folder / name]
+    """Files of a name, which may hold wildcards."""
+    wild = any(c in name for c in "*?[")
+    paths = sorted(folder.glob(name)) if wild else [folder / name]
+    return [inner_path(folder, path.relative_to(folder).as_posix()) for path in paths]
 
 
 def _read_images(paths: list[Path]) -> list[np.ndarray]:

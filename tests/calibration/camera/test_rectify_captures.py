@@ -137,3 +137,16 @@ def test_maps_that_do_not_go_with_the_captures_are_refused(captures: Path, tmp_p
     with pytest.raises(InputError, match="a scale needs a board on the gel"):
         rectify_captures(raw, lens, tmp_path / "even")
     assert not (tmp_path / "even").exists()
+
+
+@pytest.mark.parametrize("place", ["../evil.csv", "{absolute}"])
+def test_nothing_is_written_beside_the_output(captures: Path, tmp_path: Path, place: str) -> None:
+    evil = tmp_path / "evil.csv"
+    (captures / "press.csv").replace(evil)
+    text = (captures / "captures.toml").read_text()
+    name = place.format(absolute=evil)
+    (captures / "captures.toml").write_text(text.replace('"press.csv"', f'"{name}"'))
+    before = evil.read_bytes()
+    with pytest.raises(InputError, match="folder"):
+        rectify_captures(load_capture_folder(captures), cropping_maps(), tmp_path / "even")
+    assert evil.read_bytes() == before and not (tmp_path / "even").exists()

@@ -157,6 +157,52 @@ def test_refusals(folder: Path, old: str, new: str, message: str) -> None:
     assert str(folder) in str(caught.value)
 
 
+NAMED_FILES = ["background.png", "later.png", "a.png", "board.png", "edge.png", "dots.csv",
+               "video/*.png", "poses.csv", "force.csv"]  # fmt: skip
+"""Every way in which the manifest names a file."""
+
+
+@pytest.mark.parametrize("name", NAMED_FILES)
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("../", "'..' leads out of it"),
+        ("video/../../", "'..' leads out of it"),
+        ("/etc/", "relative to the folder, not by an absolute path"),
+        ("C:/", "relative to the folder, not by an absolute path"),
+    ],
+)
+def test_files_outside_of_the_folder_are_refused(
+    folder: Path, name: str, place: str, message: str
+) -> None:
+    edit(folder, f'"{name}"', f'"{place}{name}"')
+    with pytest.raises(InputError, match=message):
+        load_capture_folder(folder)
+
+
+@pytest.mark.parametrize("name", NAMED_FILES)
+def test_links_out_of_the_folder_are_refused(
+    folder: Path, name: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = folder / name.replace("*", "1")
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / path.name
+    path.rename(elsewhere)
+    path.symlink_to(elsewhere)
+    with pytest.raises(InputError, match=r"is a link out of .*; put the file itself there"):
+        load_capture_folder(folder)
+    path.unlink()
+    elsewhere.rename(folder / f"real_{path.name}")
+    path.symlink_to(folder / f"real_{path.name}")
+    assert load_capture_folder(folder).contents()["force_records"] == 1
+
+
+@pytest.mark.parametrize("value", ['"0.5"', "true"])
+def test_a_number_is_written_as_one(folder: Path, value: str) -> None:
+    edit(folder, "depth_mm = 0.5", f"depth_mm = {value}")
+    with pytest.raises(InputError, match=r"presses\.0\.depth_mm: Input should be a valid number"):
+        load_capture_folder(folder)
+
+
 def test_a_video_file(folder: Path) -> None:
     writer = cv2.VideoWriter(str(folder / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
     if not writer.isOpened():
