@@ -2,10 +2,11 @@
 """The force residual at the end of a step, put together anew in numpy.
 
 Elastic and viscous forces, inertia, weight and the stiffness of affine bodies are computed here
-from the scene; forces of contact and friction are those that a user reads (``Outputs``). What is
-left on the unknowns is compared with the tolerance that the step claims to have met. Bodies with
-joints are left out (their forces are the joints' own), and steps of a dynamic scene that were taken
-in parts (the velocities between the parts are not kept).
+from the scene; forces of contact and friction are those that a user reads (``Outputs``), which
+``contact_law`` holds against their laws. What is left on the unknowns is compared with the
+tolerance that the step claims to have met. Bodies with joints are left out (their forces are the
+joints' own), and steps of a dynamic scene that were taken in parts (the velocities between the
+parts are not kept).
 """
 
 from __future__ import annotations
@@ -116,6 +117,21 @@ class Balance:
         ``normal``, ``friction``: forces of contact on each node [N], [node_count, 3]; ``load``: the
         same of what the user set. Only for steps taken as a whole, or quasi-static.
         """
+        ratios = (0.0,) if self.scene.time.quasi_static else self._step_ratios(env, before)
+        given = (env, before, now, normal, friction, load)
+        return min((self._residual(*given, ratio) for ratio in ratios), key=_part)
+
+    def _residual(
+        self,
+        env: int,
+        before: Snapshot,
+        now: Snapshot,
+        normal: np.ndarray,
+        friction: np.ndarray,
+        load: np.ndarray,
+        ratio: float,
+    ) -> tuple[float, float]:
+        """``residual`` of a step with one of ``_step_ratios``."""
         x, dt = now.positions[env], self.scene.time.dt_s
         total = -(normal + friction + load)
         noise = 0.0
@@ -127,7 +143,7 @@ class Balance:
             share = 1 + body.damping_time_s / dt
             noise += share * body.stiffness_n_m * np.abs(x[nodes]).max()
         if not self.scene.time.quasi_static:
-            total += self._inertia(env, before, now)
+            total += self._inertia(env, before, now, ratio)
         total, stiff = self._reduced(total, x)
         noise += stiff
         noise *= 8 * np.finfo(float).eps
@@ -141,17 +157,22 @@ class Balance:
                 worst = max(worst, (float(sizes[rows].sum()), float(allowed)), key=_part)
         return worst
 
-    def _inertia(self, env: int, before: Snapshot, now: Snapshot) -> np.ndarray:
+    def _step_ratios(self, env: int, before: Snapshot) -> tuple[float, ...]:
+        """Length of the step over that of the one before as BDF2 may have taken it, 0 for implicit
+        Euler: so is a step without a past taken, one that has become much longer, and one in which
+        BDF2 met an impact, which nothing here tells."""
+        dt = self.scene.time.dt_s
+        if self.scene.time.scheme is TimeScheme.BDF2 and before.history:
+            last = before.history[2][env]
+            if last > 0 and dt <= (1 + 2**0.5) * last:
+                return (dt / last, 0.0)
+        return (0.0,)
+
+    def _inertia(self, env: int, before: Snapshot, now: Snapshot, ratio: float) -> np.ndarray:
         """Mass times acceleration, less the weight [N]."""
         x = now.positions[env]
         dt = self.scene.time.dt_s
         x0, v0 = before.positions[env], before.velocities[env]
-        ratio = 0.0
-        if self.scene.time.scheme is TimeScheme.BDF2 and before.history:
-            last = before.history[2][env]
-            # A step over an impact is one of implicit Euler, and leaves no past.
-            if last > 0 and now.history[2][env] > 0 and dt <= (1 + 2**0.5) * last:
-                ratio = dt / last
         span, carry = dt * (1 + ratio) / (1 + 2 * ratio), ratio**2 / (1 + 2 * ratio)
         if carry > 0:
             past, fast = before.history[0][env], before.history[1][env]

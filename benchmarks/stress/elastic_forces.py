@@ -3,7 +3,8 @@
 
 Stresses P = d psi / dF of the four materials by their textbook formulas (sources in
 ``taccel_lab/ipc/elasticity``). A linear tet has one F; a quadratic one takes the shape part at four
-points, the volumetric part of their mean, and a guard at its corners (see ``docs/solver.md``).
+points, the volumetric part of their mean, and a guard at its corners and along its edges (see
+``docs/solver.md``).
 """
 
 from __future__ import annotations
@@ -18,6 +19,14 @@ from taccel_lab.scene import MaterialModel, SoftBody
 
 _POINTS = np.full((4, 4), (5 - 5**0.5) / 20) + np.eye(4) * (5**0.5 / 5)
 """Barycentric coordinates of the quadrature points of a quadratic tet."""
+_EDGE_PARTS = (1 / 6, 2 / 5, 3 / 5, 5 / 6)
+_GUARDED_POINTS = np.concatenate(
+    [np.eye(4)]
+    + [[(1 - t) * np.eye(4)[i] + t * np.eye(4)[j] for t in _EDGE_PARTS] for i, j in TET_EDGES]
+)
+"""Barycentric coordinates of the points where a quadratic tet is guarded: corners, and edges."""
+_GUARD_WEIGHT = 1 / 40
+"""Part of the volume that each of them stands for."""
 _GUARDED = 0.2
 _LOGARITHMIC = (MaterialModel.NEO_HOOKEAN, MaterialModel.MOONEY_RIVLIN)
 """Materials that cannot be inverted."""
@@ -83,7 +92,8 @@ class Law:
         return (self.lam - self.shape_lam) * slope
 
     def guard(self, f: np.ndarray) -> np.ndarray:
-        """Stress of the guard at corners F [..., 3, 3] over V mu / 40."""
+        """Stress of the guard at points with F [..., 3, 3] over mu and the volume they stand
+        for."""
         j = np.linalg.det(f)
         if self.model not in _LOGARITHMIC:
             return np.zeros_like(f)
@@ -112,7 +122,9 @@ class SoftForces:
             _quadratic_gradients(slopes, _POINTS) if self.quadratic else slopes[:, None]
         )
         """Gradients of the shape functions at the points [tet, point, node, 3]."""
-        self.corner_gradients = _quadratic_gradients(slopes, np.eye(4)) if self.quadratic else None
+        self.guarded_gradients = (
+            _quadratic_gradients(slopes, _GUARDED_POINTS) if self.quadratic else None
+        )
         count = len(self.tets)
         material = body.material
         mu, lam = (
@@ -131,12 +143,12 @@ class SoftForces:
         return np.einsum("tia,tqib->tqab", x[self.tets], self.gradients)
 
     def volume_ratios(self, x: np.ndarray) -> np.ndarray:
-        """det F at all points, and at the corners of quadratic tets; shape [n]."""
+        """det F at all points, and where quadratic tets are guarded; shape [n]."""
         ratios = np.linalg.det(self.deformations(x)).ravel()
-        if self.corner_gradients is None:
+        if self.guarded_gradients is None:
             return ratios
-        corners = np.einsum("tia,tqib->tqab", x[self.tets], self.corner_gradients)
-        return np.concatenate([ratios, np.linalg.det(corners).ravel()])
+        guarded = np.einsum("tia,tqib->tqab", x[self.tets], self.guarded_gradients)
+        return np.concatenate([ratios, np.linalg.det(guarded).ravel()])
 
     def bears_inversion(self) -> bool:
         """Whether the energy stays finite through inversion."""
@@ -151,10 +163,11 @@ class SoftForces:
         e, slope = self.law.dilatation(f)
         pressure = self.law.pressure(e.mean(axis=1, keepdims=True))
         total = self._assembled(shape + _times(pressure, slope), self.gradients)
-        assert self.corner_gradients is not None
-        corners = np.einsum("tia,tqib->tqab", x[self.tets], self.corner_gradients)
-        guard = _times(self.law.mu / 10, self.law.guard(corners))
-        return total + self._assembled(guard, self.corner_gradients)
+        assert self.guarded_gradients is not None
+        f = np.einsum("tia,tqib->tqab", x[self.tets], self.guarded_gradients)
+        share = _GUARD_WEIGHT * len(_GUARDED_POINTS)
+        guard = _times(share * self.law.mu, self.law.guard(f))
+        return total + self._assembled(guard, self.guarded_gradients)
 
     def viscous_gradient(self, x: np.ndarray, before: np.ndarray, dt: float) -> np.ndarray:
         """Force of damping over one step from ``before`` to ``x`` [N], shape [node, 3]."""

@@ -14,9 +14,16 @@ import numpy as np
 
 from taccel_lab.benchmarks.stress.balance import Balance, Snapshot
 from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.contact_law import (
+    SurfaceMotion,
+    contact_forces,
+    friction_forces,
+    friction_limits,
+)
 from taccel_lab.benchmarks.stress.crossings import really_cross
 from taccel_lab.ipc.gaps import SurfacePairs
 from taccel_lab.ipc.intersection import IntersectionKind, find_intersections
+from taccel_lab.ipc.potentials.friction import FrozenContacts
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
@@ -29,6 +36,10 @@ ENERGY_SLACK = 0.25
 """Part of the energy by which it may rise in a step of implicit Euler on which nothing works. For
 convex energies that is zero; where elements buckle or a body tips from facet to facet, tenths of
 a per cent, and rarely a tenth, are gained."""
+
+LAW_ROUNDING = 1e-6
+"""Part of all forces by which they may differ from their laws. Coordinates near 0.1 m resolve the
+smallest gaps that occur (1e-11 m) to that."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +68,12 @@ class Taken:
     friction: np.ndarray
     load: np.ndarray
     """Force of the user on each node [N]."""
+    pairs: list[dict[str, np.ndarray]]
+    """What is in contact in each environment at the end (``Collisions.snapshot``)."""
+    frozen: FrozenContacts | None
+    """Friction as it was frozen last; None without."""
+    static_m: np.ndarray
+    """Sliding in the step below which friction is static [m], [env_count]."""
     energies: dict[str, np.ndarray]
     """Stored and kinetic energies by name [J], [env_count] each; empty when not watched."""
     energies_before: dict[str, np.ndarray]
@@ -94,6 +111,7 @@ class Referees:
             found += missed_target(taken, env)
             found += self.gaps(taken, env)
             found += reaction(taken, env)
+            found += self.laws(taken, env)
             found += self.energy(taken, env)
             inverted = self.volumes(taken, env)
             # Forces of what is inside out are not numbers.
@@ -176,6 +194,26 @@ class Referees:
         says += f" (the report says {taken.report.residual_n[env]:.3g} N)"
         return [Finding("residual", env, says)]
 
+    def laws(self, taken: Taken, env: int) -> list[Finding]:
+        """Forces of contact and friction that are not those of their laws."""
+        pairs, x = taken.pairs[env], taken.now.positions[env]
+        contact = contact_forces(pairs, x, self.model)
+        found = differs("contact law", env, taken.normal[env], contact.on_nodes)
+        if taken.frozen is None:
+            return found + differs("friction law", env, taken.friction[env], np.zeros_like(x))
+        # Where a step was taken in parts only the last one counts, whose start is not kept.
+        if taken.report.substeps[env] != 1:
+            return found
+        before = taken.before
+        motion = SurfaceMotion(
+            x - before.positions[env],
+            *(p[env].reshape(-1, 7) for p in (before.poses, taken.now.poses)),
+        )
+        rubbing = friction_forces(taken.frozen, env, motion, taken.static_m[env], self.model)
+        found += differs("friction law", env, taken.friction[env], rubbing.on_nodes)
+        said, right = rubbing.of_pairs, friction_limits(pairs, contact.of_pairs, self.model)
+        return found + differs("friction limit", env, np.sort(said), np.sort(right))
+
     def energy(self, taken: Taken, env: int) -> list[Finding]:
         """Energy that nothing has given."""
         if not (self.case.watches_energy and taken.energies and taken.energies_before):
@@ -246,6 +284,17 @@ def reaction(taken: Taken, env: int) -> list[Finding]:
     return found
 
 
+def differs(referee: str, env: int, said: np.ndarray, right: np.ndarray) -> list[Finding]:
+    """Forces that are off by more than rounding [N]."""
+    if said.shape != right.shape:
+        return [Finding(referee, env, f"{len(said)} forces where there are {len(right)}")]
+    scale = max(np.abs(said).sum(), np.abs(right).sum())
+    off = np.abs(said - right).sum()
+    if off <= LAW_ROUNDING * scale + 1e-15:
+        return []
+    return [Finding(referee, env, f"{off:.3g} N of {scale:.3g} N are not those of the law")]
+
+
 def take(
     solver: SolverIPC,
     outputs: Outputs,
@@ -258,12 +307,15 @@ def take(
     before = Snapshot.of(state)
     report = solver.step(state, target)
     outputs.update(state)
-    load = state.external_forces
+    load, friction = state.external_forces, solver.friction
     return Taken(
         report=report,
         before=before,
         now=Snapshot.of(state),
         target=target,
+        pairs=[solver.collisions.snapshot(env) for env in range(solver.model.env_count)],
+        frozen=None if friction is None else friction.frozen,
+        static_m=np.zeros(0) if friction is None else friction.eps_u_m.numpy().copy(),
         normal=outputs.normal_forces.numpy(),
         friction=outputs.friction_forces.numpy(),
         load=np.zeros_like(before.positions) if load is None else load.numpy().copy(),

@@ -56,6 +56,30 @@ def test_elastic_forces_are_the_solvers(law: MaterialModel, element: Element) ->
     np.testing.assert_allclose(theirs.numpy()[0], mine, atol=1e-10 * scale)
 
 
+@pytest.mark.parametrize("law", [MaterialModel.NEO_HOOKEAN, MaterialModel.MOONEY_RIVLIN])
+def test_guards_along_edges_are_the_solvers(law: MaterialModel) -> None:
+    ratio = 0.2 if law is MaterialModel.MOONEY_RIVLIN else 0.0
+    box = soft_box((2, 2, 2), (3e-3, 3e-3, 3e-3), 0.2, 1)
+    body = SoftBody(box, Material(1e5, 0.42, 1000.0, law, ratio), FREE)
+    model = Scene(body, time=TimeStepping(quasi_static=False)).finalize()
+    solver, state = SolverIPC(model), initial_state(model)
+    balance, rest = Balance(model, SolverConfig()), state.positions.numpy()[0]
+    rng = np.random.default_rng(0)
+    guarded = 0
+    for size in np.linspace(2e-5, 2e-4, 120):
+        moved = rest + rng.normal(0, size, rest.shape)
+        ratios = balance.volume_ratios(0, moved)[0][1]
+        if ratios.min() < 0.01:
+            continue
+        guarded += (ratios < 0.2).sum()
+        mine = balance.soft[0][0].elastic_gradient(moved)
+        positions = wp.array(moved[None], dtype=wp.vec3d)
+        theirs = wp.zeros_like(positions)
+        solver.potentials["elastic"].add_gradient(wp.full(1, 1, dtype=wp.int32), positions, theirs)
+        np.testing.assert_allclose(theirs.numpy()[0], mine, atol=1e-10 * np.abs(mine).max())
+    assert guarded > 10
+
+
 @pytest.mark.parametrize("element", Element)
 @pytest.mark.parametrize("scheme", ["quasi-static", "damped", *TimeScheme])
 def test_the_residual_of_a_converged_step_and_of_a_wrong_one(scheme: str, element: Element) -> None:

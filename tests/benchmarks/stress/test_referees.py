@@ -36,13 +36,17 @@ DHAT = 5e-5
 class Step:
     """A box presses a gel in one dynamic step; faults are planted into what it left."""
 
-    def __init__(self, shape: object = None, expect: Callable | None = None) -> None:
+    def __init__(
+        self, shape: object = None, expect: Callable | None = None, friction: float = 0.0
+    ) -> None:
         gel = SoftBody(
             block_mesh((3, 3, 2), (4e-3, 4e-3, 2e-3), 0.1),
             Material(1e5, 0.4),
             element=Element.LINEAR,
+            friction_coefficient=friction,
         )
-        body = KinematicBody(shape or box_mesh((1.1e-3, 1.2e-3, 1e-3)))  # type: ignore[arg-type]
+        tool = shape or box_mesh((1.1e-3, 1.2e-3, 1e-3))
+        body = KinematicBody(tool, friction_coefficient=friction)  # type: ignore[arg-type]
         time = TimeStepping(quasi_static=False, dt_s=1e-2)
         config = SolverConfig(dhat_m=DHAT)
         self.case = Case(
@@ -57,7 +61,8 @@ class Step:
         still = self.state.poses.numpy().reshape(1, 1, 7).copy()
         first = take(self.solver, outputs, self.state, still, True, None)
         assert self.referees.judge(first, self.state, 0) == []
-        target = pose((0, 0, 3e-4))[None, None]
+        aside = 1e-4 if friction else 0.0
+        target = pose((aside, 0, 3e-4))[None, None]
         self.taken: Taken = take(self.solver, outputs, self.state, target, True, first)
         assert self.taken.report.converged.all()
         self.taken = replace(self.taken, energies_before=self.taken.energies)
@@ -157,6 +162,39 @@ def test_forces_without_reaction(step: Step) -> None:
     normal[0, step.model.bodies[1].node_slice] *= 1.001
     step.taken = replace(step.taken, normal=normal)
     assert "reaction" in step.judged()
+
+
+@pytest.mark.parametrize("factor", [1.001, 0.5, -1.0])
+@pytest.mark.parametrize("what", ["normal", "friction"])
+def test_forces_that_are_not_those_of_their_law(what: str, factor: float) -> None:
+    step = Step(friction=0.5)
+    assert step.findings() == []
+    forces = getattr(step.taken, what)
+    assert np.abs(forces).max() > 0
+    step.taken = replace(step.taken, **{what: factor * forces})
+    law = {"normal": "contact law", "friction": "friction law"}[what]
+    assert law in step.judged()
+
+
+def test_friction_beyond_its_limit() -> None:
+    step = Step(friction=0.5)
+    frozen = step.taken.frozen
+    assert frozen is not None
+    frozen.mu_lambdas.assign(0.5 * frozen.mu_lambdas.numpy())
+    assert {"friction law", "friction limit"} <= step.judged()
+
+
+def test_friction_of_a_ball_that_turns() -> None:
+    step = Step(Ball(5.5e-4), friction=0.5)
+    assert step.findings() == []
+    assert np.abs(step.taken.friction).max() > 0
+
+
+def test_a_pair_that_was_dropped() -> None:
+    step = Step(friction=0.5)
+    pairs = [{name: values[1:] for name, values in step.taken.pairs[0].items()}]
+    step.taken = replace(step.taken, pairs=pairs)
+    assert {"contact law", "friction limit"} <= step.judged()
 
 
 def test_a_missed_target(step: Step) -> None:
