@@ -18,9 +18,6 @@ from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
 NO_FIGURE = "assumption: no source states it for this sensor"
 """The source of a default that no source states."""
 
-NO_FIGURE = "assumption: no source states it for this sensor"
-"""The source of a default that no source states."""
-
 
 @dataclass(frozen=True)
 class GelMaterial:
