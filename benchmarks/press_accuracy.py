@@ -22,6 +22,7 @@ import numpy as np
 
 from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.results import ResultFile
+from taccel_lab.benchmarks.scenes.peg import prism
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.envs import (
     PHYSICS,
@@ -151,11 +152,8 @@ def triangle_prism(side_m: float = 5e-3, height_m: float = 3e-3) -> TriangleMesh
     """What a user's STL might be: a prism over a triangle, its flat side down."""
     angle = np.radians([90.0, 210.0, 330.0])
     corners = side_m / math.sqrt(3) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    low, high = (np.column_stack([corners, np.full(3, z)]) for z in (-height_m / 2, height_m / 2))
-    faces = [[0, 2, 1], [3, 4, 5]]
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        faces += [[i, j, j + 3], [i, j + 3, i + 3]]
-    return TriangleMesh(np.concatenate([low, high]), np.array(faces))
+    above = prism(corners, [(0, 1, 2)], height_m)
+    return TriangleMesh(above.vertices_m - [0, 0, height_m / 2], above.faces)
 
 
 # The rows of a case follow one another and share its reference.

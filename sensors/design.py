@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
@@ -20,9 +20,6 @@ from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.profile import designed_profile
 from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, check_parts
-
-if TYPE_CHECKING:
-    from taccel_lab.cad.moulds import MouldOptions
 
 MESHERS = ("structured", "tetwild")
 DEFAULT_MESHER = "structured"
@@ -60,7 +57,6 @@ def design_sensor(
     edge_mm: float = 1.0,
     *,
     parts: Sequence[str] = WORKSHOP_PARTS,
-    mould_options: MouldOptions | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> DesignResult:
     """Build a sensor of ``family`` and write everything to ``out_dir``, whole or not at all.
@@ -125,7 +121,7 @@ def design_sensor(
             if kind in parts:
                 tell(kind)
                 with _hint(parts, kind):
-                    workshop.write((kind,), mould_options)
+                    workshop.write((kind,))
         tell("files")
         workshop.write_mesh(mesh, mesher)
         save_profile(profile, workshop.path("profile", "profile"))

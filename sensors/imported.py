@@ -16,7 +16,6 @@ from taccel_lab.sensors.design import StageClock, refused_folder
 from taccel_lab.sensors.workshop import Workshop, check_parts
 
 if TYPE_CHECKING:
-    from taccel_lab.cad.moulds import MouldOptions
     from taccel_lab.cad.step_import import FaceSelection, ImportedGel
 
 IMPORT_PARTS = ("pad", "mould", "drawing")
@@ -44,7 +43,6 @@ def import_design(
     edge_mm: float = 1.0,
     *,
     parts: Sequence[str] = IMPORT_PARTS,
-    mould_options: MouldOptions | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> ImportResult:
     """Import the gel of a STEP file, mesh it with fTetWild and write everything to ``out_dir``.
@@ -81,7 +79,7 @@ def import_design(
         workshop = Workshop(gel.name, folder, gel.part, gel.surface, {"gel": gel.part})
         for kind in parts:
             tell(kind)
-            workshop.write((kind,), mould_options)
+            workshop.write((kind,))
         tell("files")
         workshop.write_mesh(mesh, "tetwild")
         tell(None)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from build123d import Compound, Pos
+from build123d import Pos
 from small_sensor import CAMERA, LEDS, PAD, WINDOW, housing, small_sensor
 
 from taccel_lab.cad.assembly import Assembly, require_no_overlap
@@ -82,12 +82,6 @@ def test_an_led_inside_the_window_is_a_warning() -> None:
     sensor = small_sensor(leds=(LedShape(pose, "led_inside"),))
     (words,) = require_no_overlap(sensor.clearances())
     assert words.startswith("window and led_inside interpenetrate by 0.6 mm^3")
-
-
-def test_compound_is_labelled_and_coloured(sensor: Assembly) -> None:
-    whole = sensor.compound()
-    assert isinstance(whole, Compound) and whole.label == "small"
-    assert [child.label for child in whole.children] == [part.name for part in sensor.parts]
 
 
 @pytest.mark.parametrize(
