@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-from build123d import Location, RigidJoint, Solid
+from build123d import Color, Compound, Location, RigidJoint, Solid
 
 from taccel_lab.cad.parts.part import Part
 from taccel_lab.cad.parts.solids import common_volume_mm3
@@ -51,6 +51,15 @@ class Assembly:
             if part.name == name:
                 return part
         raise KeyError(f"no part {name!r}; there are {', '.join(p.name for p in self.parts)}")
+
+    def compound(self) -> Compound:
+        """The assembly as build123d keeps it, a labelled and coloured child for each part."""
+        children = []
+        for part in self.parts:
+            child = part.solid
+            child.label, child.color = part.name, Color(*part.color)
+            children.append(child)
+        return Compound(label=self.name, children=children)
 
     def clearances(self) -> list[Clearance]:
         """Gap and common volume of every two parts that come within 5 mm of each other."""
