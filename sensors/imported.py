@@ -12,6 +12,7 @@ from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_qualit
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.output import atomic_directory, require_replaceable, write_json
+from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.design import StageClock, refused_folder
 from taccel_lab.sensors.workshop import Workshop, check_parts
 
@@ -43,7 +44,7 @@ def import_design(
     edge_mm: float = 1.0,
     *,
     parts: Sequence[str] = IMPORT_PARTS,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress = silent,
 ) -> ImportResult:
     """Import the gel of a STEP file, mesh it with fTetWild and write everything to ``out_dir``.
 
@@ -106,7 +107,7 @@ def _description(
     return {
         "file": path.name,
         "body": gel.name,
-        "selection": {**vars(selection)},
+        "selection": selection.model_dump(),
         "gel_from_file": {"rotation_and_scale": gel.rotation, "shift_mm": gel.shift_mm},
         "min_thickness_mm": gel.min_thickness_mm,
         "thickness_mm": gel.thickness_mm,
