@@ -22,6 +22,7 @@ from taccel_lab.errors import InputError, SimulationError
 COMMANDS = {
     "speed": "speed:Speed",
     "error": "error:Error",
+    "press_accuracy": "press_accuracy:PressAccuracy",
     "scaling": "scaling:Scaling",
     "skips": "skips:Skips",
     "stress": "stress.suite:Stress",

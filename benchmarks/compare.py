@@ -14,6 +14,7 @@ from taccel_lab.errors import InputError
 IDENTITY = {
     "speed": ("scene", "source", "envs", "lag", "steps"),
     "error": ("group", "value"),
+    "press_accuracy": ("family", "tool", "depth_mm", "poisson_ratio", "friction", "setting"),
     "scaling": ("series", "size"),
     "skips": ("skip",),
     "peers": ("name", "envs"),

@@ -218,28 +218,6 @@ def errors(signal: SignalTactile, positions: np.ndarray, env_count: int) -> dict
     }
 
 
-def stages(signal: SignalTactile, positions: wp.array, repeats: int) -> dict[str, Any]:
-    """Times of the parts of one chunk [s]."""
-    signal.update(positions)
-    signal.read("rgb")
-    sampler, painter = signal._sampler, signal._painter
-    assert sampler is not None and painter is not None
-    count = signal.chunk_envs
-    part = positions[:count]
-    frames = wp.empty(0, dtype=wp.transformd, device=signal.device)
-    image = signal.rgb[:count]
-    samples = sampler.sample(part, frames)
-    walk = (sampler._points[:count], sampler._patches, sampler._folded[:count])
-    work: dict[str, Callable[[], Any]] = {
-        "gradients": lambda: sampler.gradients(count),
-        "pixels": lambda: sampler._walk.sample(*walk, samples),
-        "all of the surface": lambda: sampler.sample(part, frames),
-        "colour": lambda: painter.render(samples, image),
-    }
-    times = {name: timed(each, signal.device, repeats) for name, each in work.items()}
-    return {"environments": count, **times}
-
-
 def replay_agrees(signal: SignalTactile, env_count: int) -> bool | None:
     """Whether a captured read of other positions gives what a plain one does; None on the CPU."""
     if not signal.device.is_cuda:
@@ -289,7 +267,6 @@ def measure(
 
     for name, reads in READS.items():
         row[name] = speed(signal, on_device, *reads)
-    row["stages"] = stages(signal, on_device, repeats)
     if env_count <= 64:
         row["captured_equals_eager"] = replay_agrees(signal, env_count)
     del signal
@@ -344,12 +321,7 @@ def describe(row: dict[str, Any]) -> str:
     ]
     if row.get("captured_equals_eager") is not None:
         lines.append(f"  captured equals eager: {row['captured_equals_eager']}")
-    parts = {name: value for name, value in row["stages"].items() if isinstance(value, dict)}
-    lines.append(
-        f"  a chunk of {row['stages']['environments']}: "
-        + ", ".join(f"{name} {value['median'] * 1e3:.3f} ms" for name, value in parts.items())
-        + f"; built and first read in {row['build_and_first_read_s']:.2f} s"
-    )
+    lines.append(f"  built and first read in {row['build_and_first_read_s']:.2f} s")
     return "\n".join(lines)
 
 

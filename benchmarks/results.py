@@ -163,11 +163,11 @@ class Ticker:
         self._last = 0.0
         self._on = sys.stderr.isatty()
 
-    def __call__(self, done: int, total: int) -> None:
+    def __call__(self, task: str, done: int, total: int) -> None:
         now = time.perf_counter()
         if not self._on or (now - self._last < 0.2 and done < total):
             return
         self._last = now
         end = "\r\033[K" if done == total else ""
-        sys.stderr.write(f"\r\033[K{self._label}: {done}/{total}{end}")
+        sys.stderr.write(f"\r\033[K{self._label}, {task}: {done}/{total}{end}")
         sys.stderr.flush()

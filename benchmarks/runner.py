@@ -18,6 +18,7 @@ from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
 from taccel_lab.ipc.start_checks import check_start
 from taccel_lab.model import Model
+from taccel_lab.progress import Progress, silent
 from taccel_lab.solvers import EnvStatus, SolverIPC, StepReport
 from taccel_lab.state import initial_state
 
@@ -181,7 +182,7 @@ class Runner:
         steps: int | None = None,
         *,
         keep_forces: bool = False,
-        progress: Callable[[int, int], None] | None = None,
+        progress: Progress = silent,
         after_step: Callable[[int, StepReport], None] | None = None,
     ) -> Motion:
         """The first ``steps`` of the motion, all of it when None, from the start."""
@@ -200,6 +201,5 @@ class Runner:
                 motion.forces_n.append(forces.copy())
             if after_step is not None:
                 after_step(step, report)
-            if progress is not None:
-                progress(step, count)
+            progress("steps", step, count)
         return motion

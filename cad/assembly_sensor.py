@@ -13,9 +13,16 @@ from taccel_lab.cad.parts.housing import HousingParts, Seat, housing_parts
 from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.outline import base_outline
 from taccel_lab.cad.parts.part import Part
-from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, camera_part, led_part
-from taccel_lab.cad.parts.window import WindowShape, window_part
+from taccel_lab.cad.parts.placeholders import (
+    camera_location,
+    camera_part,
+    led_location,
+    led_names,
+    led_part,
+)
+from taccel_lab.cad.parts.window import window_part
 from taccel_lab.errors import InputError
+from taccel_lab.profile.optical_design import Camera, Light, Window
 
 _LEDGE_MM, _LEAST_LEDGE_MM = 1.0, 0.3
 
@@ -25,10 +32,10 @@ def sensor_assembly(
     gel: tuple[Part, ...],
     thickness_mm: float,
     *,
-    window: WindowShape | None = None,
+    window: Window | None = None,
     housing: HousingShape | None = None,
-    camera: CameraShape | None = None,
-    leds: tuple[LedShape, ...] = (),
+    camera: Camera | None = None,
+    leds: tuple[Light, ...] = (),
     view_mm: tuple[float, float] = (0.0, 0.0),
 ) -> Assembly:
     """Join the parts of a sensor, in the gel frame.
@@ -36,7 +43,8 @@ def sensor_assembly(
     ``gel`` are the gel's layers, core first, as modelled in the gel frame; ``thickness_mm`` lies
     between its apex and what it is glued to. The window's joint "bond" meets the gel's "back", the
     window's "seat" the housing's, camera and LEDs sit on joints of the housing (of the gel when
-    there is none). ``view_mm`` is what the seat must leave open.
+    there is none). ``view_mm`` is what the camera sees: a face of its own on a plate's front, and
+    what the seat must leave open.
     """
     layers = tuple(_own_copy(part) for part in gel)
     back = joint(layers[0].solid, "back", Location((0, 0, -thickness_mm)))
@@ -50,7 +58,7 @@ def sensor_assembly(
         outline = max((base_outline(part.solid) for part in layers), key=lambda w: w.length)
     pane = None
     if window is not None:
-        pane = window_part(window, outline)
+        pane = window_part(window, outline, view_mm)
         back.connect_to(joint(pane.solid, "bond"))
         parts.append(pane)
     holder = parts[0].solid
@@ -61,12 +69,12 @@ def sensor_assembly(
         holder = made.housing.solid
         joint(holder, "cover").connect_to(joint(made.cover.solid, "cover"))
     if camera is not None:
-        body = camera_part(camera)
-        joint(holder, "camera", camera.pose.location()).connect_to(joint(body.solid, "projection"))
+        body = camera_part()
+        joint(holder, "camera", camera_location(camera)).connect_to(joint(body.solid, "projection"))
         parts.append(body)
-    for led in leds:
-        body = led_part(led)
-        joint(holder, led.name, led.pose.location()).connect_to(joint(body.solid, "emitter"))
+    for led, led_name in zip(leds, led_names(leds), strict=True):
+        body = led_part(led, led_name)
+        joint(holder, led_name, led_location(led)).connect_to(joint(body.solid, "emitter"))
         parts.append(body)
     return Assembly(name, tuple(parts), tuple(notes))
 
@@ -82,10 +90,10 @@ def _housed(
     outline: Wire,
     lowest: float,
     pane: Part | None,
-    window: WindowShape | None,
+    window: Window | None,
     view_mm: tuple[float, float],
-    camera: CameraShape | None,
-    leds: tuple[LedShape, ...],
+    camera: Camera | None,
+    leds: tuple[Light, ...],
 ) -> HousingParts:
     """Housing and cover made for gel and window, joined seat to seat."""
     resting, outlines, ledge_on = lowest, [(outline, lowest)], outline
@@ -94,7 +102,7 @@ def _housed(
         resting = min(seated.min.Z, lowest)
         ledge_on = base_outline(pane.solid)
         outlines.append((ledge_on, seated.min.Z))
-    if window is not None and window.dome_radius_mm:
+    if window is not None and window.shape == "dome":
         # The camera looks into a dome through its opening, the ring that it stands on is free.
         ledge = min(_LEDGE_MM, 0.9 * window.thickness_mm)
     else:

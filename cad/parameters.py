@@ -3,9 +3,9 @@
 
 ``parameter(...)`` declares a dataclass field; ``ParameterSet`` checks every value when an instance
 is made, lists what can be set and reads overrides written as ``name=value``. A parameter is
-declared once: ``parameter_of(...)`` hands one of a part to whatever builds that part, with another
-default and narrower bounds where there is reason to; ``restated(...)`` does so with an inherited
-one. A set of ``groups`` has the parameters of all of them and hands each group out with its values.
+declared once: ``restated(...)`` takes it over, from a base class or from the part that a sensor
+builds, with another default and other bounds where there is reason to. A set of ``groups`` has the
+parameters of all of them and hands each group out with its values.
 """
 
 from __future__ import annotations
@@ -104,55 +104,55 @@ def parameter(
 
 @dataclass(frozen=True)
 class _Restated:
-    default: float | int | str
+    """What ``restated`` was given, until the class and the name are known."""
+
+    default: float | int | str | None
+    of: type[ParameterSet] | None
+    name: str
     changes: dict[str, Any]
 
+    def field(self, cls: type[ParameterSet], name: str) -> Any:
+        """The field ``name`` of ``cls``."""
+        known = self.of.__dict__["__dataclass_fields__"] if self.of else _inherited_fields(cls)
+        declared = known.get(self.name or name)
+        if declared is None:
+            where = self.of.__name__ if self.of else "no base class"
+            raise TypeError(f"{cls.__name__}.{name} is restated, but {where} has that parameter")
+        details = {**declared.metadata[_KEY], **self.changes}
+        if self.of is not None:
+            details["group"] = vars(cls).get("parameter_group", "")
+            self._check(declared.metadata[_KEY], name)
+        default = declared.default if self.default is None else self.default
+        return dataclasses.field(default=default, metadata={_KEY: details})
 
-def parameter_of(
-    part: type[ParameterSet],
-    name: str,
-    default: float | int | str | None = None,
-    *,
-    source: str | None = None,
-    minimum: float | None = None,
-    maximum: float | None = None,
-    zero_means: str | None = None,
-) -> Any:
-    """Declare the parameter ``name`` of a part as one of a sensor.
-
-    What is left out stays as the part declares it. Bounds may only be narrower: the part knows what
-    can be built, a sensor what its other parts leave room for. Another default needs a source.
-    """
-    declared = part.parameters()[name]
-    if default is not None and source is None:
-        raise TypeError(f"another default of {part.__name__}.{name} needs a source")
-    low, high = declared.minimum, declared.maximum
-    if (low is not None and (minimum or low) < low) or (high is not None and (maximum or 0) > high):
-        raise TypeError(f"bounds of {name} are wider than those of {part.__name__}")
-    return parameter(
-        declared.default if default is None else default,
-        unit=declared.unit,
-        description=declared.description,
-        source=declared.source if source is None else source,
-        minimum=low if minimum is None else minimum,
-        maximum=high if maximum is None else maximum,
-        choices=declared.choices,
-        zero_means=declared.zero_means if zero_means is None else zero_means,
-    )
+    def _check(self, declared: dict[str, Any], name: str) -> None:
+        """Bounds of a part say what can be built."""
+        part = self.of.__name__ if self.of else ""
+        if self.default is not None and "source" not in self.changes:
+            raise TypeError(f"another default of {part}.{name} needs a source")
+        low, high = declared["minimum"], declared["maximum"]
+        if low is not None and not (
+            low <= self.changes.get("minimum", low) and self.changes.get("maximum", high) <= high
+        ):
+            raise TypeError(f"bounds of {name} are wider than those of {part}")
 
 
 def restated(
-    default: float | int | str,
+    default: float | int | str | None = None,
     *,
-    source: str,
+    of: type[ParameterSet] | None = None,
+    name: str = "",
+    source: str | None = None,
     minimum: float | None = None,
     maximum: float | None = None,
     description: str | None = None,
     zero_means: str | None = None,
 ) -> Any:
-    """Declare an inherited parameter again with another default and the source of that.
+    """Declare a parameter again, with another default and the source of that.
 
-    What is left out (unit, bounds, description) stays as the base class has it.
+    What is left out (unit, bounds, description) stays as it is declared: by a base class or one of
+    ``groups``, or by the part ``of``, there maybe by another ``name``. Bounds of a part may only be
+    narrower: the part knows what can be built, a sensor what its other parts leave room for.
     """
     given = {
         "source": source,
@@ -161,7 +161,8 @@ def restated(
         "description": description,
         "zero_means": zero_means,
     }
-    return _Restated(default, {key: value for key, value in given.items() if value is not None})
+    changes = {key: value for key, value in given.items() if value is not None}
+    return _Restated(default, of, name, changes)
 
 
 class ParameterSet:
@@ -183,9 +184,7 @@ class ParameterSet:
         group = vars(cls).get("parameter_group", "")
         for name, value in list(vars(cls).items()):
             if isinstance(value, _Restated):
-                details = {**_inherited_details(cls, name), **value.changes}
-                changed = dataclasses.field(default=value.default, metadata={_KEY: details})
-                setattr(cls, name, changed)
+                setattr(cls, name, value.field(cls, name))
             elif isinstance(value, dataclasses.Field) and _KEY in value.metadata:
                 value.metadata[_KEY].setdefault("group", group)
 
@@ -241,12 +240,12 @@ class ParameterSet:
         }
 
 
-def _inherited_details(cls: type[ParameterSet], name: str) -> dict[str, Any]:
+def _inherited_fields(cls: type[ParameterSet]) -> dict[str, Any]:
+    """Fields of the base classes and groups, the nearest one's where several have a name."""
+    found: dict[str, Any] = {}
     for base in (*vars(cls).get("groups", ()), *cls.__mro__[1:]):
-        field = vars(base).get("__dataclass_fields__", {}).get(name)
-        if field is not None:
-            return field.metadata[_KEY]
-    raise TypeError(f"{cls.__name__}.{name} is restated, but no base class has that parameter")
+        found = {**vars(base).get("__dataclass_fields__", {}), **found}
+    return found
 
 
 def parse_overrides(items: Sequence[str]) -> dict[str, str]:

@@ -66,14 +66,7 @@ def calibrate_demo(
         SimulationError: A press that did not converge.
     """
     seconds: dict[str, float] = {}
-    begun: list[str] = []
-
-    def begin(stage: str) -> None:
-        _end(begun, progress)
-        begun.append(stage)
-        progress(stage, 0, 1)
-
-    clock = StageClock(seconds, begin)
+    clock = StageClock(seconds, progress)
     clock("loading the captures")
     presses = load_captures(captures or find_taxim_pack())
     split = presses.split(HOLDOUT_EVERY)
@@ -100,11 +93,4 @@ def calibrate_demo(
     clock("exporting the profile")
     save_profile(profile, folder / "profile")
     clock(None)
-    _end(begun, progress)
     return DemoCalibration(training, design, contacts, circles, surfaces, found, profile, seconds)
-
-
-def _end(begun: list[str], progress: Progress) -> None:
-    """Tell that the last stage is done."""
-    if begun:
-        progress(begun[-1], 1, 1)

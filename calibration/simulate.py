@@ -279,7 +279,7 @@ def press_batches(
 def _require_view_on_pad(captures: CaptureSet, profile: SensorProfile) -> None:
     """Refuse captures that show more than the pad: there is no surface under those pixels."""
     grid, family = captures.grid, sensor_family(profile.sensor.family)
-    pad = family.pad(family.parameters(profile.sensor.parameters))
+    pad = family.parameters(profile.sensor.parameters).pad()
     last = np.array([grid.width_px - 1, grid.height_px - 1])
     corners = grid.gel_from_pixel(np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * last)
     if pad.inside_distance_mm(corners).min() < 0:

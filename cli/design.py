@@ -67,7 +67,7 @@ class Design:
                 self.mesher,
                 self.edge_mm,
                 parts=self.parts,
-                progress=lambda stage: status.update(_STAGES[stage]),
+                progress=lambda stage, _, __: status.update(_STAGES[stage]),
             )
         _print_result(console, result)
 

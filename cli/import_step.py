@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -75,8 +75,10 @@ class ImportStep:
             text = listing(table, most=len(table))
             console.print(text, highlight=False, soft_wrap=True, markup=False)
             return
-        given = {item.name: getattr(self, item.name) for item in fields(FaceSelection)}
-        selection = FaceSelection.from_toml(self.select).with_given(given)
+        given = {name: getattr(self, name) for name in FaceSelection.model_fields}
+        selection = FaceSelection.from_toml(self.select).replace(
+            **{name: value for name, value in given.items() if value}
+        )
         with console.status("starting") as status:
             result = import_design(
                 self.step,
@@ -84,7 +86,7 @@ class ImportStep:
                 self.out,
                 self.edge_mm,
                 parts=self.parts,
-                progress=lambda stage: status.update(_STAGES[stage]),
+                progress=lambda stage, _, __: status.update(_STAGES[stage]),
             )
         _print_result(console, result)
 

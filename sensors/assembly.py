@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor's parts for the workshop: its optics and housing handed to CAD in plain numbers."""
+"""A sensor's parts for the workshop, put together."""
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from taccel_lab.geometry import Region
-from taccel_lab.profile.optical_design import Camera, Light, Window
 from taccel_lab.sensors.base import FamilyParameters
 
 if TYPE_CHECKING:
@@ -19,11 +15,7 @@ if TYPE_CHECKING:
     from taccel_lab.cad.parts.labelled_solid import LabelledSolid
     from taccel_lab.cad.parts.pad import Pad
     from taccel_lab.cad.parts.part import Part
-    from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, Pose
-    from taccel_lab.cad.parts.window import WindowShape
 
-LEAST_LED_MM = 0.5
-"""Side of the placeholder of a light that is modelled as a point [mm]."""
 _ON_FACE_MM = 1e-3
 _GRID = (0.011, 0.27, 0.51, 0.73, 0.989)
 _LAYER_COLORS = {"gel": (0.93, 0.80, 0.62), "skin": (0.25, 0.25, 0.27)}
@@ -41,17 +33,15 @@ def sensor_parts(
 
     pad, optics = parameters.pad(), parameters.optics()
     gel = gel or labelled_solid(pad)
-    view = _view_mm(gel)
-    window = None if optics is None else optics.window
     return sensor_assembly(
         name,
         gel_parts(pad, gel),
         pad.thickness_mm,
-        window=None if window is None else window_shape(window, view),
+        window=None if optics is None else optics.window,
         housing=parameters.housing(),
-        camera=None if optics is None else camera_shape(optics.camera),
-        leds=() if optics is None else tuple(led_shapes(optics.lights)),
-        view_mm=view,
+        camera=None if optics is None else optics.camera,
+        leds=() if optics is None else optics.lights,
+        view_mm=_view_mm(gel),
     )
 
 
@@ -122,64 +112,3 @@ def _view_mm(gel: LabelledSolid) -> tuple[float, float]:
         max(b.max.X for b in boxes) - min(b.min.X for b in boxes),
         max(b.max.Y for b in boxes) - min(b.min.Y for b in boxes),
     )
-
-
-def window_shape(window: Window, view_mm: tuple[float, float]) -> WindowShape:
-    """The window's dimensions; a dome has no patch of its own for the view."""
-    from taccel_lab.cad.parts.window import WindowShape
-
-    dome = window.shape == "dome"
-    return WindowShape(
-        thickness_mm=window.thickness_mm,
-        size_mm=window.size_mm,
-        dome_radius_mm=window.outer_radius_mm if dome else 0.0,
-        optical_mm=(0.0, 0.0) if dome else view_mm,
-    )
-
-
-def camera_shape(camera: Camera) -> CameraShape:
-    """Room for the camera at its pose."""
-    from taccel_lab.cad.parts.placeholders import CameraShape, Pose
-
-    turn = camera.gel_from_camera()
-    return CameraShape(Pose(camera.position_mm, _triple(turn[:, 2]), _triple(turn[:, 0])))
-
-
-def led_shapes(lights: tuple[Light, ...]) -> list[LedShape]:
-    """Room for each LED; a bare point gets a side of half a millimetre."""
-    from taccel_lab.cad.parts.placeholders import LedShape
-
-    names: set[str] = set()
-    shapes = []
-    for k, light in enumerate(lights):
-        name = f"led_{light.name or k}"
-        if name in names:
-            name = f"{name}_{k}"
-        names.add(name)
-        brightest = max(light.rgb)
-        shapes.append(
-            LedShape(
-                pose=_led_pose(light),
-                name=name,
-                size_mm=(
-                    max(light.size_mm[0], LEAST_LED_MM),
-                    max(light.size_mm[1], LEAST_LED_MM),
-                ),
-                color=_triple(np.array(light.rgb) / brightest),
-            )
-        )
-    return shapes
-
-
-def _led_pose(light: Light) -> Pose:
-    """z along the light's axis, x as near to the xy plane as can be."""
-    from taccel_lab.cad.parts.placeholders import Pose
-
-    dx, dy, _ = light.direction
-    flat = math.hypot(dx, dy)
-    x_axis = (-dy / flat, dx / flat, 0.0) if flat > 1e-9 else (1.0, 0.0, 0.0)
-    return Pose(light.position_mm, light.direction, x_axis)
-
-
-def _triple(values: np.ndarray) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])

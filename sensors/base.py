@@ -18,9 +18,6 @@ from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
 NO_FIGURE = "assumption: no source states it for this sensor"
 """The source of a default that no source states."""
 
-NO_FIGURE = "assumption: no source states it for this sensor"
-"""The source of a default that no source states."""
-
 
 @dataclass(frozen=True)
 class GelMaterial:
@@ -91,19 +88,3 @@ class SensorFamily:
         except InputError as error:
             raise InputError(f"sensor {self.name}: {error}") from error
         return found
-
-    def pad(self, parameters: FamilyParameters | None = None) -> Pad:
-        """The gel pad [mm] of ``parameters``, or of the defaults."""
-        return (parameters or self.parameters()).pad()
-
-    def grid(self, parameters: FamilyParameters | None = None) -> PixelGrid:
-        """The pixel grid of ``parameters``, or of the defaults."""
-        return (parameters or self.parameters()).grid()
-
-    def material(self, parameters: FamilyParameters | None = None) -> GelMaterial:
-        """The material of ``parameters``, or of the defaults."""
-        return (parameters or self.parameters()).material()
-
-    def sources(self) -> dict[str, str]:
-        """Source of each default, by parameter name."""
-        return {name: spec.source for name, spec in self.parameters_type.parameters().items()}

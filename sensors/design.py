@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
@@ -18,12 +18,10 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.output import write_json
 from taccel_lab.output_folder import atomic_directory, require_replaceable
 from taccel_lab.profile import SensorProfile, save_profile
+from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.profile import designed_profile
 from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, check_parts
-
-if TYPE_CHECKING:
-    from taccel_lab.cad.moulds import MouldOptions
 
 MESHERS = ("structured", "tetwild")
 DEFAULT_MESHER = "structured"
@@ -61,15 +59,14 @@ def design_sensor(
     edge_mm: float = 1.0,
     *,
     parts: Sequence[str] = WORKSHOP_PARTS,
-    mould_options: MouldOptions | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress = silent,
 ) -> DesignResult:
     """Build a sensor of ``family`` and write everything to ``out_dir``, whole or not at all.
 
     ``edge_mm`` is the target edge length of the mesh [mm], ``parts`` the files for the workshop
     (``WORKSHOP_PARTS``); mesh, quality, parameters, preview and profile are always written.
-    ``progress`` is told each stage. A mesh that fails its gate raises InputError and leaves a
-    picture of where in ``refused_folder(out_dir)``.
+    ``progress`` is told when each stage begins and ends. A mesh that fails its gate raises
+    InputError and leaves a picture of where in ``refused_folder(out_dir)``.
     """
     check_parts(parts)
     if mesher not in MESHERS:
@@ -126,7 +123,7 @@ def design_sensor(
             if kind in parts:
                 tell(kind)
                 with _hint(parts, kind):
-                    workshop.write((kind,), mould_options)
+                    workshop.write((kind,))
         tell("files")
         workshop.write_mesh(mesh, mesher)
         save_profile(profile, workshop.path("profile", "profile"))
@@ -180,10 +177,10 @@ def _hint(parts: Sequence[str], kind: str) -> Iterator[None]:
 
 
 class StageClock:
-    """Times the stages and tells who listens which one begins; None ends the last."""
+    """Times the stages and tells which one begins and ends; None ends the last."""
 
-    def __init__(self, seconds: dict[str, float], listener: Callable[[str], None] | None) -> None:
-        self._seconds, self._listener = seconds, listener
+    def __init__(self, seconds: dict[str, float], progress: Progress) -> None:
+        self._seconds, self._progress = seconds, progress
         self._stage: str | None = None
         self._began = 0.0
 
@@ -191,6 +188,7 @@ class StageClock:
         now = time.perf_counter()
         if self._stage is not None:
             self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now - self._began
+            self._progress(self._stage, 1, 1)
         self._stage, self._began = stage, now
-        if stage is not None and self._listener is not None:
-            self._listener(stage)
+        if stage is not None:
+            self._progress(stage, 0, 1)

@@ -13,11 +13,11 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.output import write_json
 from taccel_lab.output_folder import atomic_directory, require_replaceable
+from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.design import StageClock, refused_folder
 from taccel_lab.sensors.workshop import Workshop, check_parts
 
 if TYPE_CHECKING:
-    from taccel_lab.cad.moulds import MouldOptions
     from taccel_lab.cad.step_import import FaceSelection, ImportedGel
 
 IMPORT_PARTS = ("pad", "mould", "drawing")
@@ -45,8 +45,7 @@ def import_design(
     edge_mm: float = 1.0,
     *,
     parts: Sequence[str] = IMPORT_PARTS,
-    mould_options: MouldOptions | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress = silent,
 ) -> ImportResult:
     """Import the gel of a STEP file, mesh it with fTetWild and write everything to ``out_dir``.
 
@@ -82,7 +81,7 @@ def import_design(
         workshop = Workshop(gel.name, folder, gel.part, gel.surface, {"gel": gel.part})
         for kind in parts:
             tell(kind)
-            workshop.write((kind,), mould_options)
+            workshop.write((kind,))
         tell("files")
         workshop.write_mesh(mesh, "tetwild")
         tell(None)
@@ -109,7 +108,7 @@ def _description(
     return {
         "file": path.name,
         "body": gel.name,
-        "selection": {**vars(selection)},
+        "selection": selection.model_dump(),
         "gel_from_file": {"rotation_and_scale": gel.rotation, "shift_mm": gel.shift_mm},
         "min_thickness_mm": gel.min_thickness_mm,
         "thickness_mm": gel.thickness_mm,

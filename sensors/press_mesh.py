@@ -69,7 +69,7 @@ def press_mesh(
     close to the pad's edge.
     """
     found = sensor_family(family)
-    return pad_press_mesh(found.pad(found.parameters(parameters)), at_mm, contact, options)
+    return pad_press_mesh(found.parameters(parameters).pad(), at_mm, contact, options)
 
 
 def pad_press_mesh(

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from taccel_lab.cad.parameters import parameter_of
+from taccel_lab.cad.parameters import restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.sensors.base import NO_FIGURE
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
@@ -18,18 +18,10 @@ class RectangleSensorParameters(CameraSensorParameters):
 
     parameter_group: ClassVar[str] = "gel"
 
-    length_x_mm: float = parameter_of(
-        GelPad, "length_x_mm", 24.0, minimum=10, maximum=60, source=NO_FIGURE
-    )
-    length_y_mm: float = parameter_of(
-        GelPad, "length_y_mm", 20.0, minimum=10, maximum=60, source=NO_FIGURE
-    )
-    corner_radius_mm: float = parameter_of(
-        GelPad, "corner_radius_mm", 2.0, maximum=10, source=NO_FIGURE
-    )
-    thickness_mm: float = parameter_of(
-        GelPad, "thickness_mm", 4.0, minimum=1.5, maximum=12, source=NO_FIGURE
-    )
+    length_x_mm: float = restated(24.0, of=GelPad, minimum=10, maximum=60, source=NO_FIGURE)
+    length_y_mm: float = restated(20.0, of=GelPad, minimum=10, maximum=60, source=NO_FIGURE)
+    corner_radius_mm: float = restated(2.0, of=GelPad, maximum=10, source=NO_FIGURE)
+    thickness_mm: float = restated(4.0, of=GelPad, minimum=1.5, maximum=12, source=NO_FIGURE)
 
     def pad(self) -> GelPad:
         """The flat gel pad."""

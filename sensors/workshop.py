@@ -16,7 +16,6 @@ from taccel_lab.output import write_json
 if TYPE_CHECKING:
     from taccel_lab.cad.assembly import Assembly
     from taccel_lab.cad.mesh.surface import LabelledSurface
-    from taccel_lab.cad.moulds import MouldOptions
     from taccel_lab.cad.parts.labelled_solid import LabelledSolid
     from taccel_lab.cad.parts.part import Part
 
@@ -49,14 +48,14 @@ class Workshop:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def write(self, parts: Sequence[str], mould_options: MouldOptions | None = None) -> None:
+    def write(self, parts: Sequence[str]) -> None:
         """Write the kinds of files named in ``parts``."""
         if "pad" in parts:
             self.write_pad()
         if "assembly" in parts and self.assembly is not None:
             self.write_assembly(self.assembly)
         if "mould" in parts:
-            self.write_moulds(mould_options)
+            self.write_moulds()
         if "drawing" in parts:
             self.write_drawings()
 
@@ -96,13 +95,13 @@ class Workshop:
             write_part_step(part, self.path(f"{part.name}_step", f"parts/{part.name}.step"))
             write_part_stl(part, self.path(f"{part.name}_stl", f"parts/{part.name}.stl"))
 
-    def write_moulds(self, options: MouldOptions | None = None) -> None:
+    def write_moulds(self) -> None:
         """One mould a casting step: STEP of cavity and lid, 3MF of both, a report of the checks."""
         from taccel_lab.cad.export import write_3mf, write_part_step
         from taccel_lab.cad.moulds import casting_moulds
 
         report: dict[str, Any] = {}
-        for mould, checked in casting_moulds(self.gel, self.layers, options):
+        for mould, checked in casting_moulds(self.gel, self.layers):
             for part in mould.parts:
                 write_part_step(part, self.path(part.name, f"{part.name}.step"))
             write_3mf(mould.parts, self.path(f"{mould.name}_3mf", f"{mould.name}.3mf"))

@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 import traceback
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.progress import Progress, silent
@@ -15,47 +14,32 @@ from taccel_lab.studies.design_batch import DesignBatch
 from taccel_lab.studies.design_files import write_design_files
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
 from taccel_lab.studies.design_row import DesignRow, row_of
-from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.spec import Output
-from taccel_lab.studies.study import Evaluate
+from taccel_lab.studies.study import Study
 from taccel_lab.studies.study_folder import StudyFolder
 from taccel_lab.version import __version__
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """What is done with the designs of a study; goes to other processes."""
-
-    root: Path
-    presses: dict[str, Any]
-    metrics: dict[str, Metric]
-    press_keys: dict[str, str]
-    figure_keys: dict[str, str]
-    output: Output
-    device: str
-    load_n: float
-    evaluate: Evaluate
-
-
-def evaluate_batch(evaluation: Evaluation, batch: DesignBatch, progress: Progress = silent) -> None:
+def evaluate_batch(
+    study: Study, root: Path, device: str, batch: DesignBatch, progress: Progress = silent
+) -> None:
     """Evaluate designs as one batch and write each one's result.
 
     When a batch raises, its designs go one by one, so that only the one to blame is lost: an
     ``InputError`` or ``SimulationError`` makes a failed row, any other error a broken one with its
     traceback beside it.
     """
-    folder = StudyFolder(evaluation.root)
+    folder = StudyFolder(root)
     for design in batch.designs:
         folder.design(design.id).mkdir(parents=True, exist_ok=True)
     try:
-        results = evaluation.evaluate(
+        results = study.kit.evaluate(
             batch.designs,
-            [evaluation.presses[name] for name in batch.presses],
-            [evaluation.metrics[name] for name in batch.metrics],
-            device=evaluation.device,
+            [study.presses[name] for name in batch.presses],
+            [study.metrics[name] for name in batch.metrics],
+            device=device,
             progress=progress,
-            folder=folder.designs if evaluation.output.records else None,
-            load_n=evaluation.load_n,
+            folder=folder.designs if study.spec.output.records else None,
+            load_n=study.spec.study.load_n,
         )
         found = {result.point.id: result for result in results}
         if missing := [design.id for design in batch.designs if design.id not in found]:
@@ -63,28 +47,26 @@ def evaluate_batch(evaluation: Evaluation, batch: DesignBatch, progress: Progres
     except Exception as error:
         if len(batch.designs) > 1:
             for single in batch.one_by_one():
-                evaluate_batch(evaluation, single, progress)
+                evaluate_batch(study, root, device, single, progress)
         else:
             folder.add_row(_lost_row(folder, batch, error))
         return
     for design in batch.designs:
-        folder.add_row(_row(folder, evaluation, batch, found[design.id]))
+        folder.add_row(_row(folder, study, batch, found[design.id]))
 
 
-def _row(
-    folder: StudyFolder, evaluation: Evaluation, batch: DesignBatch, result: DesignResult
-) -> DesignRow:
+def _row(folder: StudyFolder, study: Study, batch: DesignBatch, result: DesignResult) -> DesignRow:
     row = row_of(
         result,
-        {name: evaluation.figure_keys[name] for name in batch.metrics},
-        {name: evaluation.press_keys[name] for name in batch.presses},
+        {name: study.figure_keys[name] for name in batch.metrics},
+        {name: study.press_keys[name] for name in batch.presses},
         __version__,
         now(),
     )
     if row.unbuildable:
         return row
     try:
-        files, causes = write_design_files(folder, result, evaluation.output)
+        files, causes = write_design_files(folder, result, study.spec.output)
     except Exception as error:
         files, causes = {}, {"files": _note(folder, row.id, error)}
     return replace(row, files=files, causes={**row.causes, **causes})

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -162,20 +163,26 @@ def contact_radius_mm(record: PressRecord) -> np.ndarray:
     return fused.contact_radius_m * 1e3
 
 
-def profile_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Section of the gel's own surface across a press at full depth, along the press frame's x.
+def section_mm(
+    record: PressRecord, half_mm: float, steps: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sections of the gel's own surface across a press, along the press frame's x.
 
-    Returns x [mm] and the change of height along the press [mm], negative in a dent, NaN beside
-    the face; shape [``_PROFILE_PX``] each. The finite-element surface, without the indenter's.
+    Returns x [mm], shape [``_PROFILE_PX``], and heights along the press [mm] at rest and at the end
+    of each of the steps, shape [1 + step, ``_PROFILE_PX``], NaN beside the face. The finite-element
+    surface, without the indenter's.
     """
     grid = PixelGrid(_PROFILE_PX, 3, 2 * half_mm / (_PROFILE_PX - 1), 0.02)
     signal = SignalHeightMap(record.mesh, grid, mode=SurfaceMode.FACET, device=record.device)
-    points = np.stack(
-        [record.in_press(p) for p in (record.rest_m, record.positions_m(record.down.stop - 1))]
-    )
-    signal.update(points)
-    rest, pressed = signal.height_m[:, 1] * 1e3
-    return grid.x_mm(), pressed - rest
+    shapes = [record.rest_m, *(record.positions_m(step) for step in steps)]
+    signal.update(np.stack([record.in_press(points) for points in shapes]))
+    return grid.x_mm(), signal.height_m[:, 1] * 1e3
+
+
+def profile_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """x [mm], and the change of height [mm] at full depth, negative in a dent: ``section_mm``."""
+    x, (rest, pressed) = section_mm(record, half_mm, [record.down.stop - 1])
+    return x, pressed - rest
 
 
 def marker_motion_mm(record: PressRecord, points_mm: np.ndarray, steps: list[int]) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.report.style import BLUE, GREY, LIGHT, in_report_style, new_figure, save_figure
 from taccel_lab.studies.camera_view import view_model
+from taccel_lab.studies.evidence import section_mm
 from taccel_lab.studies.press_record import PressRecord
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 PREVIEW_PX = 240
 """Longer side of the camera's preview."""
-SECTION_PX = 301
 SECTION_RADII = 3.0
 """Half width of the section, in widths of the contact that the press is meshed for."""
 _DPI = 90
@@ -52,22 +52,6 @@ def camera_preview(
         return None, str(error)
 
 
-def section_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Heights of the contact face through the press along its x axis, in the press frame.
-
-    Returns x [mm], shape [n], and the heights [mm] at rest and after each step straight down, shape
-    [1 + step, n], NaN beside the face.
-    """
-    from taccel_lab.geometry import PixelGrid
-    from taccel_lab.signals import SignalHeightMap, SurfaceMode
-
-    grid = PixelGrid(SECTION_PX, 3, 2 * half_mm / (SECTION_PX - 1), 0.02)
-    signal = SignalHeightMap(record.mesh, grid, mode=SurfaceMode.FACET, device=record.device)
-    shapes = [record.rest_m, *(record.positions_m(step) for step in range(record.down.stop))]
-    signal.update(np.stack([record.in_press(points) for points in shapes]))
-    return grid.x_mm(), signal.height_m[:, 1] * 1e3
-
-
 @in_report_style
 def draw_design(record: PressRecord, preview: np.ndarray | None, why: str, title: str) -> Figure:
     """The preview above the section, at rest and at every step."""
@@ -85,7 +69,7 @@ def draw_design(record: PressRecord, preview: np.ndarray | None, why: str, title
 def _draw_section(axes: Any, record: PressRecord) -> None:
     reach = np.abs(record.in_press(record.rest_m[record.surface.node_idx])[:, 0]).max() * 1e3
     half = min(SECTION_RADII * max(_contact_mm(record), 1.0), 1.02 * reach)
-    x, heights = section_mm(record, half)
+    x, heights = section_mm(record, half, range(record.down.stop))
     bottom = -record.thickness_mm
     axes.fill_between(x, bottom, heights[-1], color=BLUE, alpha=0.12, linewidth=0)
     for height in heights[1:-1]:

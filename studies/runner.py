@@ -15,7 +15,7 @@ from taccel_lab.process_pool import Died, Finished, ProcessPool, Underway
 from taccel_lab.studies.design_batch import DesignBatch, gather_batches
 from taccel_lab.studies.design_point import DesignPoint
 from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.evaluate_batch import Evaluation, broken_row, evaluate_batch
+from taccel_lab.studies.evaluate_batch import broken_row, evaluate_batch
 from taccel_lab.studies.optimise import OptimiserState, optimise
 from taccel_lab.studies.study import Study
 from taccel_lab.studies.study_folder import StudyFolder
@@ -161,22 +161,12 @@ class _Run:
         self._order: list[str] = []
         self._new = 0
         self._table_at = 0.0
-        self._evaluation = Evaluation(
-            folder.root,
-            study.presses,
-            study.metrics,
-            study.press_keys,
-            study.figure_keys,
-            study.spec.output,
-            device,
-            study.spec.study.load_n,
-            study.kit.evaluate,
-        )
+        self._figure_keys, self._press_keys = study.figure_keys, study.press_keys
 
     def go(self) -> Outcome:
         optimiser = None
         try:
-            work = partial(evaluate_batch, self._evaluation)
+            work = partial(evaluate_batch, self._study, self._folder.root, self._device)
             with ProcessPool(work, self._processes) as pool:
                 if self._study.spec.sweep.kind == "optimize":
                     total, optimiser = self._optimise(pool)
@@ -248,8 +238,7 @@ class _Run:
 
     def _missing(self, row: DesignRow) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Metrics and presses that a row lacks."""
-        keys = self._evaluation
-        return row.missing(keys.figure_keys), row.missing_presses(keys.press_keys)
+        return row.missing(self._figure_keys), row.missing_presses(self._press_keys)
 
     def _wanted(self, point: DesignPoint) -> DesignBatch:
         """What has to be found out about a design."""

@@ -129,15 +129,13 @@ def default_kit() -> Kit:
     return Kit(STANDARD_PRESSES, METRICS, evaluate_designs)
 
 
-def make_study(
-    spec: StudySpec, kit: Kit, families: Mapping[str, SensorFamily] | None = None
-) -> Study:
+def make_study(spec: StudySpec, kit: Kit) -> Study:
     """Check a study file's names and bounds.
 
     Raises InputError for an unknown sensor, parameter, press or metric (with the nearest known),
     and for values outside the family's bounds.
     """
-    families = sensor_families() if families is None else families
+    families = sensor_families()
     require_known("sensor", spec.study.sensor, families)
     family = families[spec.study.sensor]
     known = family.parameters_type.parameters()

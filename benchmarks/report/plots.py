@@ -10,11 +10,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from taccel_lab.benchmarks.front import is_on_front
 from taccel_lab.benchmarks.peers import read_field
 from taccel_lab.output import atomic_file
+from taccel_lab.studies.report.figures import plain_log_ticks
 
 Results = dict[str, list[dict[str, Any]]]
 
@@ -41,14 +41,9 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def make_logarithmic(axis: Axes) -> None:
-    """Both axes, with plain numbers at 1, 2, 5 where less than two decades are shown."""
+    """Both axes, with few and plain numbers."""
     axis.set(xscale="log", yscale="log")
-    for side in (axis.xaxis, axis.yaxis):
-        low, high = side.get_view_interval()
-        steps = (1.0,) if high > 100 * low else (1.0, 2.0, 5.0)
-        side.set_major_locator(LogLocator(subs=steps))
-        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        side.set_minor_formatter(NullFormatter())
+    plain_log_ticks(axis)
     axis.grid(True, which="major", lw=0.3)
 
 

@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from taccel_lab.benchmarks.peers import read_field
 from taccel_lab.report.markdown import markdown_table
 
@@ -157,6 +159,32 @@ def _front(verdict: dict[str, Any]) -> str:
         )
         lines.append(f"- {where}: {text}")
     return "\n".join([lines[0], "", *lines[1:]])
+
+
+def press_accuracy(document: Document) -> Iterator[str]:
+    """Errors of presses with the default mesh, and how often the press's own estimate held."""
+    rows = [row for row in document["rows"] if row["setting"] == "default"]
+    done = [row for row in rows if not row["cause"]]
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in sorted(done, key=lambda row: (row["tool"].lower(), row["depth_mm"])):
+        groups.setdefault(f"{row['tool']}, {row['depth_mm']:g} mm", []).append(row)
+    lines = []
+    for what, chosen in (*groups.items(), ("all", done)):
+        force = np.array([abs(row["force_error"]) for row in chosen])
+        height = np.array([row["height_rms_m"] for row in chosen])
+        held = force <= [row["estimated_force_error"] for row in chosen]
+        held_height = height <= [row["estimated_height_rms_m"] for row in chosen]
+        lines.append([
+            what,
+            len(chosen),
+            f"{np.median(force):.1%}, {force.max():.1%}",
+            f"{1e6 * np.median(height):.1f}, {1e6 * height.max():.1f} um",
+            f"{held.mean():.0%}, {held_height.mean():.0%}",
+        ])  # fmt: skip
+    head = ["tool, depth", "cases", "force: median, worst", "heights: median, worst"]
+    yield markdown_table([*head, "within the estimate: force, heights"], lines)
+    if len(done) < len(rows):
+        yield f"{len(rows) - len(done)} of {len(rows)} cases did not converge."
 
 
 def scaling(document: Document) -> Iterator[str]:
@@ -368,6 +396,9 @@ def captures_headline(results: Results) -> str:
     )
 
 
+VERIFICATION: dict[str, Section] = {
+    "press accuracy": partial(of_each_result, "press_accuracy", press_accuracy)
+}
 HEADLINE: dict[str, Section] = {"speed": headline, "captures": captures_headline}
 SECTIONS: dict[str, Section] = {
     "speed": partial(of_each_result, "speed", speed),

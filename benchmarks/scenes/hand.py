@@ -185,30 +185,3 @@ def _touch(place: Place) -> tuple[np.ndarray, np.ndarray]:
     along = np.array([0.0, np.cos(polar), np.sin(polar)])
     across = np.cross(along, direction)
     return direction, along if place.along else across
-
-
-def overlapping_gels(bench: BenchScene) -> list[tuple[str, str]]:
-    """Pairs of gels whose meshes cross at the end of the motion, though they may not touch."""
-    from taccel_lab.bodies.crossings import crossing_pairs
-    from taccel_lab.bodies.primitives import unique_edges
-
-    poses = bench.path[-1]
-    placed = []
-    for body, at in zip(bench.scene.soft_bodies, poses, strict=True):
-        placed.append(_rotated(at[3:], body.mesh.nodes_m) + at[:3])
-    pairs = []
-    bodies = bench.scene.soft_bodies
-    for i, first in enumerate(bodies):
-        for j in range(i):
-            for a, b in ((i, j), (j, i)):
-                edges = unique_edges(bodies[a].mesh.faces)
-                if len(crossing_pairs(placed[a][edges], placed[b][bodies[b].mesh.faces])[0]):
-                    pairs.append((bodies[j].name, first.name))
-                    break
-    return pairs
-
-
-def _rotated(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
-    axis, scalar = quaternion[:3], quaternion[3]
-    cross = 2 * np.cross(axis, points)
-    return points + scalar * cross + np.cross(axis, cross)

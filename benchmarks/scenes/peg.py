@@ -74,13 +74,6 @@ PUBLISHED = PegPath(
 )
 """As published. The peg falls 1 mm onto the rim before the gels have it, and lies there askew; the
 gels drag it along, turning in their grip, and push it into the hole still askew."""
-CENTRED = PegPath(
-    (0.0, 0.0, 0.021),
-    (0.0, 0.02, 0.06, 0.5),
-    np.array([(0.0171, 0, 0.071), (0.0165, 0, 0.071), (0.0165, 0, 0.071), (0.0165, 0, 0.055)]),
-    first=1,
-)
-"""A quick insertion that meets nothing: gripped in the first step, then straight down."""
 _HALF = np.sqrt(0.5)
 _TURNS = np.array([(_HALF, 0.0, _HALF, 0.0), (0.0, -_HALF, 0.0, _HALF)])
 """Quaternions of both gels: their faces look at each other."""

@@ -106,12 +106,12 @@ class Stress(Suite):
         running = run_all(ids, self.device, self.jobs, self.seconds)
         try:
             with closing(running):
-                ticker = Ticker("cases")
+                ticker = Ticker("stress")
                 for case in running:
                     finished.append(case)
                     if case["outcome"] not in GOOD:
                         note(f"{case_id(case)}: {case['outcome']}")
-                    ticker(len(finished), len(ids))
+                    ticker("cases", len(finished), len(ids))
                     if time.perf_counter() - saved > SAVE_EVERY_S:
                         _write(result, ids, finished)
                         saved = time.perf_counter()

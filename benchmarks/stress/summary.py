@@ -11,8 +11,6 @@ import numpy as np
 
 GOOD = ("converged", "refused")
 """Outcomes that are right."""
-WRONG = ("silent", "error", "died")
-"""Outcomes that no scene may have."""
 LISTED = 20
 """How many of the slowest cases are kept."""
 

@@ -73,7 +73,6 @@ def write_pad_drawing(
     material: str = "silicone gel",
     parameters: Mapping[str, tuple[float | int | str, str]] | None = None,
     layers: Mapping[str, LabelledSolid] | None = None,
-    notes: Sequence[str] = (),
 ) -> None:
     """Draw ``gel`` and write it to each of ``paths`` (.svg, .pdf or .png).
 
@@ -115,7 +114,7 @@ def write_pad_drawing(
     write_title(
         sheet,
         TitleBlock(
-            title=title, material=material, scale=scale, sheet=name, notes=tuple(notes),
+            title=title, material=material, scale=scale, sheet=name,
             parameters=dict(parameters or {}), volume_mm3=gel.solid.volume,
         ),
     )  # fmt: skip

@@ -13,6 +13,8 @@ import numpy as np
 from build123d import Edge, Face, GeomType, Plane, Solid, Wire
 from OCP.BRep import BRep_Tool
 
+from taccel_lab.cad.parts.solids import section_faces
+
 _PLANES = {"x": Plane.XZ, "y": Plane.YZ}
 _STEP_MM = 0.15
 _STRAIGHT = (GeomType.LINE,)
@@ -42,10 +44,8 @@ class Section:
 def section(solid: Solid, along: str) -> Section:
     """Cut with the plane y = 0 (``along`` = "x") or x = 0 (``along`` = "y")."""
     column = 0 if along == "x" else 1
-    found = solid.intersect(_PLANES[along])
-    faces = [face for shape in found or [] for face in shape.faces()]
     loops, edges = [], []
-    for face in faces:
+    for face in section_faces(solid, _PLANES[along]):
         wires = (face.outer_wire(), *face.inner_wires())
         loops.append(tuple(chain(wire)[:, [column, 2]] for wire in wires))
         for edge in face.edges():
@@ -60,9 +60,9 @@ def section(solid: Solid, along: str) -> Section:
     return Section(tuple(loops), tuple(edges))
 
 
-def edge_points(edge: Edge, step_mm: float = _STEP_MM) -> np.ndarray:
+def edge_points(edge: Edge) -> np.ndarray:
     """Points along an edge, [n, 3] [mm]."""
-    count = 2 if edge.geom_type in _STRAIGHT else int(np.clip(edge.length / step_mm, 8, 400))
+    count = 2 if edge.geom_type in _STRAIGHT else int(np.clip(edge.length / _STEP_MM, 8, 400))
     return np.array([tuple(p) for p in edge.positions(np.linspace(0, 1, count).tolist())])
 
 

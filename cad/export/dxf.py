@@ -23,6 +23,7 @@ from build123d.topology import Shape
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.outline import base_outline
 from taccel_lab.cad.parts.part import Part
+from taccel_lab.cad.parts.solids import section_faces
 from taccel_lab.geometry import Region
 
 SECTION_GAP_MM = 10.0
@@ -76,7 +77,5 @@ def _own_edges(faces: Sequence[Face]) -> list[Edge]:
 
 def _section_edges(solid: Solid, top_y: float) -> list[Edge]:
     """Edges of the section with y = 0, turned into the drawing plane: x right, z up."""
-    found = solid.intersect(Plane.XZ)
-    faces = [face for shape in found or [] for face in shape.faces()]
     turn = Location((0, top_y, 0)) * Location((0, 0, 0), (-90, 0, 0))
-    return [turn * edge for face in faces for edge in face.edges()]
+    return [turn * edge for face in section_faces(solid, Plane.XZ) for edge in face.edges()]

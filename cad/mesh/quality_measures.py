@@ -30,10 +30,15 @@ def dihedral_angles_deg(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return np.rad2deg(np.arctan2(sine, cosine))
 
 
+def six_volumes(corners: np.ndarray) -> np.ndarray:
+    """Six times the signed volumes of tets, [..., 4, 3] -> [...]."""
+    return np.linalg.det(corners[..., 1:, :] - corners[..., :1, :])
+
+
 def mean_ratios(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """Mean ratio eta of each tet, signed like the volume, shape [tet_count]."""
     p = nodes[tets]
-    volume = np.linalg.det(p[:, 1:] - p[:, :1]) / 6
+    volume = six_volumes(p) / 6
     edges = p[:, EDGE_PAIRS[:, 1]] - p[:, EDGE_PAIRS[:, 0]]
     total = (edges**2).sum(axis=(1, 2))
     return np.sign(volume) * 12 * (3 * np.abs(volume)) ** (2 / 3) / total

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.cad.mesh.grid import Grid
+from taccel_lab.cad.mesh.quality_measures import six_volumes
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
@@ -113,7 +114,7 @@ def growth_factor(first: float, count: int) -> float:
 def check_unfolded(nodes_mm: np.ndarray, tets: np.ndarray) -> None:
     """Raise FoldedMeshError with the place and the remedy where tets are flat or inside out."""
     p = nodes_mm[tets]
-    volume = np.linalg.det(p[:, 1:] - p[:, :1]) / 6
+    volume = six_volumes(p)
     if (volume <= 0).any():
         x, y, z = p[int(volume.argmin())].mean(axis=0)
         raise FoldedMeshError(

@@ -27,6 +27,7 @@ from taccel_lab.cad.mesh.quality import (
 )
 from taccel_lab.cad.mesh.quality_picture import write_bad_mesh
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
+from taccel_lab.cad.mesh.template import check_range
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetwild import TetWildInput, run_tetwild
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
@@ -58,18 +59,16 @@ def tetwild_gel_mesh(
     edge_mm: float = 1.0,
     *,
     epsilon: float | None = None,
-    gate: QualityGate | None = None,
     part: LabelledSolid | None = None,
-    use_cache: bool = True,
     picture_folder: Path | str | None = None,
 ) -> TetMesh:
     """Mesh ``pad`` with tets of about ``edge_mm``; its surface keeps within epsilon x diagonal.
 
-    ``epsilon`` is half of the surface distance that ``gate`` allows, unless given. ``part`` is the
-    solid of the pad if it is already at hand. Regions come from the CAD faces, nodes of the glued
-    surface lie exactly on it, and layers meet at faces of tets. Raises InputError when no run
-    passes ``gate`` (the default one at this edge), with the picture of the best one in
-    ``picture_folder`` if given.
+    ``epsilon`` is half of the surface distance that the gate at this edge allows, unless given.
+    ``part`` is the solid of the pad if it is already at hand. Regions come from the CAD faces,
+    nodes of the glued surface lie exactly on it, and layers meet at faces of tets. Raises
+    InputError when no run passes the gate, with the picture of the best one in ``picture_folder``
+    if given.
     """
     part = part or labelled_solid(pad)
     # A finer input triples fTetWild's time and gains 0.04 % of volume.
@@ -86,20 +85,11 @@ def tetwild_gel_mesh(
         centers = mesh.nodes_m[mesh.tets].mean(axis=1) * 1e3
         return replace(mesh, tet_layers=pad.layer_of(centers))
 
-    return _best(
-        given, edge_mm, epsilon, gate, measure, layered, use_cache=use_cache,
-        picture_folder=picture_folder,
-    )  # fmt: skip
+    return _best(given, edge_mm, epsilon, measure, layered, picture_folder)
 
 
 def tetwild_mesh(
-    surface: LabelledSurface,
-    edge_mm: float = 1.0,
-    *,
-    epsilon: float | None = None,
-    gate: QualityGate | None = None,
-    use_cache: bool = True,
-    picture_folder: Path | str | None = None,
+    surface: LabelledSurface, edge_mm: float = 1.0, *, picture_folder: Path | str | None = None
 ) -> TetMesh:
     """Mesh an imported part from its closed labelled surface, in the gel frame.
 
@@ -123,40 +113,30 @@ def tetwild_mesh(
     def measure(mesh: TetMesh) -> MeshQuality:
         return measure_quality(mesh, None, cad_volume_mm3=volume, cad_surface=surface)
 
-    return _best(
-        given, edge_mm, epsilon, gate, measure, lambda mesh: mesh, use_cache=use_cache,
-        picture_folder=picture_folder,
-    )  # fmt: skip
+    return _best(given, edge_mm, None, measure, lambda mesh: mesh, picture_folder)
 
 
 def _best(
     given: TetWildInput,
     edge_mm: float,
     epsilon: float | None,
-    gate: QualityGate | None,
     measure: Callable[[TetMesh], MeshQuality],
     layered: Callable[[TetMesh], TetMesh],
-    *,
-    use_cache: bool,
     picture_folder: Path | str | None,
 ) -> TetMesh:
     extents = np.ptp(given.surface.vertices_mm, axis=0)
     low, high = EDGE_BOUNDS_MM[0], min(EDGE_BOUNDS_MM[1], float(extents.max()) / 2)
-    if not (math.isfinite(edge_mm) and low <= edge_mm <= high):
-        raise InputError(f"edge_mm = {edge_mm:g} is not allowed; use {low:g} to {high:g} mm")
-    gate = gate or QualityGate().at_edge(edge_mm)
+    check_range("edge_mm", edge_mm, low, high)
+    gate = QualityGate().at_edge(edge_mm)
     smallest, largest = EPSILON_BOUNDS
     if epsilon is None:
         wanted = 0.5 * gate.max_hausdorff_mm / float(np.linalg.norm(extents))
         epsilon = float(np.clip(wanted, smallest, largest))
-    if not smallest <= epsilon <= largest:
-        raise InputError(f"epsilon = {epsilon:g} is not allowed; use {smallest:g} to {largest:g}")
+    check_range("epsilon", epsilon, smallest, largest)
 
     def build() -> TetMesh:
         return _build(given, edge_mm, epsilon, gate, measure, layered, picture_folder)
 
-    if not use_cache:
-        return build()
     recipe = {
         "mesher": RECIPE,
         "vertices": given.surface.vertices_mm.round(6),

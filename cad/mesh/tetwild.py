@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.cad.mesh.bond_planes import Projection
+from taccel_lab.cad.mesh.closest import ClosestPoint
+from taccel_lab.cad.mesh.quality_measures import six_volumes
 from taccel_lab.cad.mesh.regions import transfer_regions
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets
@@ -51,8 +53,7 @@ def run_tetwild(
         glued = np.unique(faces[np.isin(regions, [Region.BOND, Region.WINDOW])])
         nodes[glued] = given.project(nodes[glued])
         # The glued surface comes out wavy; a tet whose corners all lie on it goes flat.
-        p = nodes[tets]
-        volumes = np.linalg.det(p[:, 1:] - p[:, :1]) / 6
+        volumes = six_volumes(nodes[tets]) / 6
         flat = np.isin(tets, glued).all(axis=1) & (volumes < _FLAT_MM3)
         if not flat.any():
             break
@@ -63,7 +64,7 @@ def run_tetwild(
     if len(given.inner_mm):
         inner = inner[~_on_triangles(nodes[inner], given.inner_mm, 2 * _epsilon_mm(given, epsilon))]
     nodes = improve_worst_tets(nodes, tets, inner, wanted_deg=wanted_deg + _MARGIN_DEG)
-    if not (np.linalg.det(nodes[tets][:, 1:] - nodes[tets][:, :1]) > 0).all():
+    if not (six_volumes(nodes[tets]) > 0).all():
         raise InputError("putting the glued nodes on their surface turned tets inside out")
     return TetMesh(nodes_m=nodes * 1e-3, tets=tets, faces=faces, face_regions=regions)
 
@@ -107,8 +108,6 @@ def _epsilon_mm(given: TetWildInput, epsilon: float) -> float:
 
 
 def _on_triangles(points: np.ndarray, triangles_mm: np.ndarray, within_mm: float) -> np.ndarray:
-    from taccel_lab.cad.mesh.closest import ClosestPoint
-
     corners = triangles_mm.reshape(-1, 3)
     distance, _ = ClosestPoint(corners, np.arange(len(corners)).reshape(-1, 3))(points)
     return distance < within_mm

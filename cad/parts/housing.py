@@ -16,9 +16,17 @@ from build123d.topology import Shape
 from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.outline import grown, prism, rounded_rectangle
 from taccel_lab.cad.parts.part import Part
-from taccel_lab.cad.parts.placeholders import CameraShape, LedShape, camera_part, led_part
+from taccel_lab.cad.parts.placeholders import (
+    BOARD_MM,
+    LENS_LENGTH_MM,
+    camera_location,
+    camera_part,
+    led_location,
+    led_part,
+)
 from taccel_lab.cad.parts.solids import common_volume_mm3
 from taccel_lab.errors import InputError
+from taccel_lab.profile.optical_design import Camera, Light
 
 _COLOR = (0.30, 0.32, 0.35)
 _COVER_COLOR = (0.22, 0.23, 0.26)
@@ -57,8 +65,8 @@ class HousingParts:
 def housing_parts(
     shape: HousingShape,
     seat: Seat,
-    camera: CameraShape | None = None,
-    leds: tuple[LedShape, ...] = (),
+    camera: Camera | None = None,
+    leds: tuple[Light, ...] = (),
 ) -> HousingParts:
     """Build housing and cover in the gel frame; raises InputError naming the bound that is broken.
 
@@ -151,8 +159,8 @@ def _with_bosses(
     seat: Seat,
     body: Solid,
     cover: Solid,
-    camera: CameraShape | None,
-    leds: tuple[LedShape, ...],
+    camera: Camera | None,
+    leds: tuple[Light, ...],
 ) -> tuple[Solid, Solid, int]:
     """Posts in the corners of the hollow, the largest that block neither light nor view."""
     x, y, _ = shape.size_mm
@@ -191,18 +199,18 @@ def _with_bosses(
 
 
 def _bought_parts_room(
-    shape: HousingShape, camera: CameraShape | None, leds: tuple[LedShape, ...]
+    shape: HousingShape, camera: Camera | None, leds: tuple[Light, ...]
 ) -> list[Solid]:
     """What camera and LEDs need, the camera also its way in from behind."""
     spare = CLEARANCE_MM
-    rooms = [led.pose.location() * led_part(led, spare_mm=spare).solid for led in leds]
+    rooms = [led_location(led) * led_part(led, spare_mm=spare).solid for led in leds]
     if camera is not None:
-        solid = camera_part(camera, spare_mm=spare).solid
-        board = [size + 2 * spare for size in camera.board_mm[:2]]
+        solid = camera_part(spare_mm=spare).solid
+        board = [size + 2 * spare for size in BOARD_MM[:2]]
         corner = Plane((-board[0] / 2, -board[1] / 2, 0))
         way = Solid.make_box(board[0], board[1], 4 * shape.size_mm[2], corner)
-        behind = Location((0, 0, -camera.lens_length_mm - 4 * shape.size_mm[2]))
-        rooms.append(camera.pose.location() * (solid + behind * way).solids()[0])
+        behind = Location((0, 0, -LENS_LENGTH_MM - 4 * shape.size_mm[2]))
+        rooms.append(camera_location(camera) * (solid + behind * way).solids()[0])
     return rooms
 
 

@@ -10,6 +10,7 @@ from build123d import Face, Kind, Plane, Pos, RectangleRounded, Solid, Wire
 from OCP.BRepPrimAPI import BRepPrimAPI_MakePrism
 from OCP.gp import gp_Vec
 
+from taccel_lab.cad.parts.solids import section_faces
 from taccel_lab.errors import InputError
 
 _SECTION_LIFT_MM = 1e-3
@@ -44,8 +45,7 @@ def base_outline(solid: Solid) -> Wire:
     Raises InputError when the body stands on several feet or juts out above its base.
     """
     box = solid.bounding_box()
-    found = solid.intersect(Plane.XY.offset(box.min.Z + _SECTION_LIFT_MM))
-    faces = [face for shape in found or [] for face in shape.faces()]
+    faces = section_faces(solid, Plane.XY.offset(box.min.Z + _SECTION_LIFT_MM))
     if len(faces) != 1:
         raise InputError(f"the body stands on {len(faces)} separate faces; one outline is needed")
     wire: Wire = Pos(0, 0, -_SECTION_LIFT_MM) * faces[0].outer_wire()

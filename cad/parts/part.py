@@ -71,14 +71,14 @@ class Part:
         return self.face_colors.get(name, self.color)
 
 
-def gel_part(gel: LabelledSolid, name: str = "gel_pad", material: str = "silicone gel") -> Part:
+def gel_part(gel: LabelledSolid, name: str = "gel_pad") -> Part:
     """The gel as a part; its faces are named and coloured by region."""
     return Part(
         name=name,
         solid=gel.solid,
         face_names=tuple(region.name.lower() for region in gel.regions),
         color=REGION_COLORS[Region.CONTACT],
-        material=material,
+        material="silicone gel",
         face_colors={region.name.lower(): color for region, color in REGION_COLORS.items()},
         gel=True,
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Room for bought parts: the camera module and the LEDs, as boxes of stated size.
+"""Room for bought parts: the camera module and the LEDs, as boxes.
 
 A placeholder's own frame: origin at the centre of projection or of the emitting face, z along the
 line of sight or of the light.
@@ -7,58 +7,51 @@ line of sight or of the light.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
 
 from build123d import Location, Plane, Solid
 
-from taccel_lab.cad.parts.part import Part
+from taccel_lab.cad.parts.part import Part, Rgb
+from taccel_lab.profile.optical_design import Camera, Light
 
-Triple = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where a part stands in the gel frame."""
-
-    position_mm: Triple
-    z_axis: Triple
-    """Direction of the part's own z, unit length."""
-    x_axis: Triple
-    """Direction of the part's own x, unit length, square to ``z_axis``."""
-
-    def location(self) -> Location:
-        """The pose as build123d states it."""
-        return Plane(self.position_mm, x_dir=self.x_axis, z_dir=self.z_axis).location
+LENS_DIAMETER_MM, LENS_LENGTH_MM = 6.0, 4.0
+"""Of a small board camera; the length from the centre of projection back to the board."""
+BOARD_MM = (8.0, 8.0, 2.0)
+LED_DEPTH_MM = 0.6
+LEAST_LED_MM = 0.5
+"""Side of an LED that is modelled as a point [mm]."""
 
 
-@dataclass(frozen=True)
-class CameraShape:
-    """Room for a camera module [mm]; the defaults are those of a small board camera."""
-
-    pose: Pose
-    lens_diameter_mm: float = 6.0
-    lens_length_mm: float = 4.0
-    """From the centre of projection back to the board."""
-    board_mm: Triple = (8.0, 8.0, 2.0)
+def camera_location(camera: Camera) -> Location:
+    """Where the camera stands in the gel frame."""
+    turn = camera.gel_from_camera()
+    x, z = (tuple(turn[:, k].tolist()) for k in (0, 2))
+    return Plane(camera.position_mm, x_dir=x, z_dir=z).location
 
 
-@dataclass(frozen=True)
-class LedShape:
-    """Room for one LED [mm]."""
-
-    pose: Pose
-    name: str
-    size_mm: tuple[float, float] = (1.0, 1.0)
-    """Width and height of the emitting face."""
-    depth_mm: float = 0.6
-    color: Triple = (0.9, 0.9, 0.9)
+def led_location(light: Light) -> Location:
+    """Where an LED stands in the gel frame: its x lies as near to the xy plane as can be."""
+    dx, dy, _ = light.direction
+    flat = math.hypot(dx, dy)
+    x = (-dy / flat, dx / flat, 0.0) if flat > 1e-9 else (1.0, 0.0, 0.0)
+    return Plane(light.position_mm, x_dir=x, z_dir=light.direction).location
 
 
-def camera_part(shape: CameraShape, *, spare_mm: float = 0.0) -> Part:
+def led_names(lights: Sequence[Light]) -> list[str]:
+    """A name of its own for each LED, after its light's."""
+    names: list[str] = []
+    for k, light in enumerate(lights):
+        name = f"led_{light.name or k}"
+        names.append(f"{name}_{k}" if name in names else name)
+    return names
+
+
+def camera_part(*, spare_mm: float = 0.0) -> Part:
     """The camera placeholder in its own frame, ``spare_mm`` larger on every side but the front."""
-    radius, length = shape.lens_diameter_mm / 2 + spare_mm, shape.lens_length_mm
+    radius, length = LENS_DIAMETER_MM / 2 + spare_mm, LENS_LENGTH_MM
     lens = Solid.make_cylinder(radius, length, Plane((0, 0, -length)))
-    x, y, z = (size + 2 * spare_mm for size in shape.board_mm)
+    x, y, z = (size + 2 * spare_mm for size in BOARD_MM)
     board = Solid.make_box(x, y, z, Plane((-x / 2, -y / 2, -length - z + spare_mm)))
     solid = (lens + board).solids()[0]
     names = tuple("lens_front" if abs(face.center().Z) < 1e-6 else "side" for face in solid.faces())
@@ -73,17 +66,19 @@ def camera_part(shape: CameraShape, *, spare_mm: float = 0.0) -> Part:
     )
 
 
-def led_part(shape: LedShape, *, spare_mm: float = 0.0) -> Part:
+def led_part(light: Light, name: str = "led", *, spare_mm: float = 0.0) -> Part:
     """The LED placeholder in its own frame, ``spare_mm`` larger on every side but the front."""
-    x, y = (size + 2 * spare_mm for size in shape.size_mm)
-    depth = shape.depth_mm + spare_mm
+    x, y = (max(size, LEAST_LED_MM) + 2 * spare_mm for size in light.size_mm)
+    depth = LED_DEPTH_MM + spare_mm
     solid = Solid.make_box(x, y, depth, Plane((-x / 2, -y / 2, -depth)))
     names = tuple("emitting" if face.center().Z > -1e-6 else "side" for face in solid.faces())
+    red, green, blue = (value / max(light.rgb) for value in light.rgb)
+    color: Rgb = (red, green, blue)
     return Part(
-        name=shape.name,
+        name=name,
         solid=solid,
         face_names=names,
-        color=shape.color,
+        color=color,
         material="LED, placeholder",
         placeholder=True,
     )

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from build123d import Face, ShapeList, Solid, Wire
+from build123d import Face, Plane, ShapeList, Solid, Wire
 from build123d.topology import Shape
 from OCP.BRepFeat import BRepFeat_SplitShape
 
@@ -17,6 +17,11 @@ def one_solid(shape: Shape | ShapeList | None) -> Solid:
     if len(solids) != 1:
         raise ValueError(f"{len(solids)} bodies instead of one")
     return solids[0]
+
+
+def section_faces(solid: Solid, plane: Plane) -> list[Face]:
+    """What a plane cuts out of a solid."""
+    return [face for shape in solid.intersect(plane) or [] for face in shape.faces()]
 
 
 def common_volume_mm3(first: Solid, second: Solid) -> float:

@@ -7,15 +7,16 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from build123d import Face, GeomType, Solid, Vector, Wire
 from OCP.BRepBuilderAPI import BRepBuilderAPI_Transform
 from OCP.gp import gp_Trsf
+from pydantic import BeforeValidator, StrictStr, ValidationError
 
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
@@ -34,6 +35,7 @@ from taccel_lab.cad.step_import.selection import (
 from taccel_lab.cad.step_import.units import check_units
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
+from taccel_lab.profile.schema import Frozen, describe_errors
 
 _NAMED: dict[str, Region] = {
     "contact": Region.CONTACT,
@@ -43,13 +45,20 @@ _NAMED: dict[str, Region] = {
 _ORIGINS = ("center", "file")
 
 
-@dataclass(frozen=True)
-class FaceSelection:
+def _as_tuple(value: Any) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
+Selectors = Annotated[tuple[StrictStr, ...], BeforeValidator(_as_tuple)]
+"""One or several; text stands for one."""
+
+
+class FaceSelection(Frozen):
     """Which faces are what, and how the body lies in its file; see ``selection`` for the words."""
 
-    contact: tuple[str, ...] = ("name:contact",)
-    bond: tuple[str, ...] = ("name:bond",)
-    window: tuple[str, ...] = ("name:window",)
+    contact: Selectors = ("name:contact",)
+    bond: Selectors = ("name:bond",)
+    window: Selectors = ("name:window",)
     normal: str = "+z"
     """Direction of the file that points out of the gel."""
     right: str = ""
@@ -63,38 +72,21 @@ class FaceSelection:
 
     @classmethod
     def from_toml(cls, path: Path | None) -> FaceSelection:
-        """Read the fields as keys of a TOML file; selectors may be one string or a list.
+        """Read the fields as keys of a TOML file; the defaults without a file.
 
-        Without a file the defaults.
+        Raises InputError with every key that is unknown or wrong.
         """
         if path is None:
             return cls()
         if not path.is_file():
             raise InputError(f"{path} does not exist or is no file")
         try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
+            return cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        except ValidationError as error:
+            lines = describe_errors(error, cls).splitlines()
+            raise InputError("\n".join(f"{path}: {line}" for line in lines)) from None
         except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(f"{path} cannot be read as TOML: {error}") from error
-        return cls.from_values(table, str(path))
-
-    @classmethod
-    def from_values(cls, table: Mapping[str, Any], what: str) -> FaceSelection:
-        """From plain values; unknown keys raise InputError."""
-        known = tuple(cls.__dataclass_fields__)
-        values: dict[str, Any] = {}
-        for key, value in table.items():
-            if key not in known:
-                raise InputError(f"{what}: unknown key {key!r}; known: {', '.join(known)}")
-            selects = key in _NAMED
-            items = [value] if isinstance(value, str) else value
-            if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
-                raise InputError(f"{what}: {key} must be text{' or a list of it' * selects}")
-            values[key] = tuple(items) if selects else "".join(items)
-        return cls(**values)
-
-    def with_given(self, values: Mapping[str, str | tuple[str, ...]]) -> FaceSelection:
-        """With other values where they are not empty."""
-        return replace(self, **{name: value for name, value in values.items() if value})  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

@@ -142,7 +142,7 @@ class Gel:
         """The tool of a record, checked against the pad."""
         x, y = entry.center_mm
         family = sensor_family(self.family)
-        low, high = family.pad(family.parameters(self.parameters)).bounds_mm()[:, :2]
+        low, high = family.parameters(self.parameters).pad().bounds_mm()[:, :2]
         if not (low[0] <= x <= high[0] and low[1] <= y <= high[1]):
             raise InputError(
                 f"the tool comes down at ({x:g}, {y:g}) mm, beside the pad: x must lie in "

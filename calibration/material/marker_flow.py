@@ -189,7 +189,7 @@ def _remarks(name: str, solution: Solution, rms_mm: float, moved_mm: float) -> l
 def _on_pad(gel: Gel, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Markers that lie on the pad, half a millimetre or more from its edge, and which they are."""
     family = sensor_family(gel.family)
-    pad = family.pad(family.parameters(gel.parameters))
+    pad = family.parameters(gel.parameters).pad()
     inside = pad.inside_distance_mm(points_mm) > 0.5
     if inside.sum() < MIN_MARKERS:
         raise InputError(

@@ -100,7 +100,7 @@ def _assumed_pad(profile: SensorProfile, given: Mapping[str, Any]) -> Remark:
 def lies_across(sensor: str, grid: PixelGrid) -> bool:
     """Whether images and the catalogue's pad lie across each other: one upright, one not."""
     family = sensor_family(sensor)
-    size = np.ptp(family.pad(family.parameters()).bounds_mm(), axis=0)
+    size = np.ptp(family.parameters().pad().bounds_mm(), axis=0)
     pad = float(size[0] / size[1])
     view = grid.width_px * grid.mm_per_px_x / (grid.height_px * grid.mm_per_px_y)
     return (view < 1 / TURN_ASPECT and pad > TURN_ASPECT) or (

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from taccel_lab.cad.parameters import parameter_of, restated
+from taccel_lab.cad.parameters import restated
 from taccel_lab.cad.parts.digit_pad import DigitPad
 from taccel_lab.profile.optical_design import Light, Window
 from taccel_lab.sensors.base import SensorFamily
@@ -26,15 +26,13 @@ _CANFNET = "camera calibration of CANFNet, 240 x 320 px"
 class DigitParameters(CameraSensorParameters):
     """Parameters of a DIGIT; the fingertip points to +y."""
 
-    width_mm: float = parameter_of(DigitPad, "width_mm", minimum=12, maximum=26)
-    length_mm: float = parameter_of(DigitPad, "length_mm", minimum=20, maximum=45)
-    thickness_mm: float = parameter_of(DigitPad, "thickness_mm", minimum=3, maximum=12)
-    mid_radius_mm: float = parameter_of(
-        DigitPad, "mid_radius_mm", minimum=17, maximum=400, zero_means=""
-    )
-    base_corner_mm: float = parameter_of(DigitPad, "base_corner_mm", minimum=1.3, maximum=4)
-    roll_off: float = parameter_of(DigitPad, "roll_off", maximum=1.5)
-    rim_mm: float = parameter_of(DigitPad, "rim_mm", maximum=1.15, zero_means="")
+    width_mm: float = restated(of=DigitPad, minimum=12, maximum=26)
+    length_mm: float = restated(of=DigitPad, minimum=20, maximum=45)
+    thickness_mm: float = restated(of=DigitPad, minimum=3, maximum=12)
+    mid_radius_mm: float = restated(of=DigitPad, minimum=17, maximum=400, zero_means="")
+    base_corner_mm: float = restated(of=DigitPad, minimum=1.3, maximum=4)
+    roll_off: float = restated(of=DigitPad, maximum=1.5)
+    rim_mm: float = restated(of=DigitPad, maximum=1.15, zero_means="")
     young_modulus_mpa: float = restated(
         0.3,
         source="assumption: Smooth-On Solaris with Slacker, Shore A 10 to 15 by the build guide "

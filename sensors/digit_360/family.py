@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from taccel_lab.cad.parameters import parameter_of, restated
+from taccel_lab.cad.parameters import restated
 from taccel_lab.cad.parts.dome_pad import SolidDomePad
 from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
@@ -27,24 +27,24 @@ class Digit360Parameters(CameraSensorParameters):
 
     lens_model: ClassVar[str] = "fisheye"
 
-    dome_radius_mm: float = parameter_of(
-        SolidDomePad, "dome_radius_mm", 12.5, minimum=8, maximum=25,
+    dome_radius_mm: float = restated(
+        12.5, of=SolidDomePad, minimum=8, maximum=25,
         source=f"{_TIP}: hemisphere R 12.5",
     )  # fmt: skip
-    wall_height_mm: float = parameter_of(
-        SolidDomePad, "wall_height_mm", 13.5, minimum=4, maximum=40,
+    wall_height_mm: float = restated(
+        13.5, of=SolidDomePad, minimum=4, maximum=40,
         source=f"{_TIP}: 26.0 mm in all",
     )  # fmt: skip
-    pocket_radius_mm: float = parameter_of(
-        SolidDomePad, "pocket_radius_mm", 4.927, minimum=2, maximum=6,
+    pocket_radius_mm: float = restated(
+        4.927, of=SolidDomePad, minimum=2, maximum=6,
         source=f"{_TIP}: cone of 2 deg from 4.927 to 4.879 mm",
     )  # fmt: skip
-    pocket_depth_mm: float = parameter_of(
-        SolidDomePad, "pocket_depth_mm", 1.55, minimum=1.0, maximum=4,
+    pocket_depth_mm: float = restated(
+        1.55, of=SolidDomePad, minimum=1.0, maximum=4,
         source=f"{_TIP}: about 1.55 mm",
     )  # fmt: skip
-    pocket_dome_radius_mm: float = parameter_of(
-        SolidDomePad, "pocket_dome_radius_mm", 7.439, minimum=6.5, maximum=100,
+    pocket_dome_radius_mm: float = restated(
+        7.439, of=SolidDomePad, minimum=6.5, maximum=100,
         source=f"{_TIP}: sphere R 7.439, the lens's outer element",
     )  # fmt: skip
     young_modulus_mpa: float = restated(

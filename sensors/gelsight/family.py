@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from taccel_lab.cad.parameters import parameter, parameter_of, restated
+from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
@@ -54,9 +54,7 @@ class GelSightParameters(RectangleSensorParameters):
         source="assumption: the edge lies outside the camera's view",
         description="treatment of the edge of the contact face",
     )  # fmt: skip
-    rim_mm: float = parameter_of(
-        GelPad, "rim_mm", 0.5, maximum=2, source="without effect while rim is none"
-    )
+    rim_mm: float = restated(0.5, of=GelPad, maximum=2, source="without effect while rim is none")
     width_px: int = restated(640, source=_TAXIM)
     height_px: int = restated(480, source=_TAXIM)
     mm_per_px: float = restated(0.0295, source=f"{_TAXIM}: pixmm")

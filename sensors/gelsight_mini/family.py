@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from taccel_lab.cad.parameters import parameter, parameter_of, restated
+from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import Light
@@ -46,21 +46,17 @@ class GelSightMiniParameters(RectangleSensorParameters):
         source=f"{_GEL}: apex 4.00 mm above the cap's flange. The data sheet's 4.25 +- 0.20 mm "
         "(by third parties) counts from the top of the case, 0.25 mm lower",
     )  # fmt: skip
-    crown_radius_x_mm: float = parameter_of(
-        GelPad, "crown_radius_x_mm", 186.3, minimum=90, source=_FIT
+    crown_radius_x_mm: float = restated(186.3, of=GelPad, minimum=90, source=_FIT)
+    crown_radius_y_mm: float = restated(109.7, of=GelPad, minimum=70, source=_FIT)
+    crown_pillow: float = restated(
+        0.74, of=GelPad, source=f"{_FIT}; chosen to give its volume of 1898.8 mm3"
     )
-    crown_radius_y_mm: float = parameter_of(
-        GelPad, "crown_radius_y_mm", 109.7, minimum=70, source=_FIT
-    )
-    crown_pillow: float = parameter_of(
-        GelPad, "crown_pillow", 0.74, source=f"{_FIT}; chosen to give its volume of 1898.8 mm3"
-    )
-    rim_mm: float = parameter_of(
-        GelPad, "rim_mm", 3.247, minimum=0.5, maximum=3.8,
+    rim_mm: float = restated(
+        3.247, of=GelPad, minimum=0.5, maximum=3.8,
         source=f"{_FIT}; the arc itself ends 3.193 mm inside the wall",
     )  # fmt: skip
-    rim_radius_mm: float = parameter_of(
-        GelPad, "rim_radius_mm", 5.482, minimum=4.0, maximum=100,
+    rim_radius_mm: float = restated(
+        5.482, of=GelPad, minimum=4.0, maximum=100,
         source=f"{_FIT}; the arc itself has R 5.563 mm",
     )  # fmt: skip
     rim_drop_mm: float = parameter(

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from taccel_lab.cad.parameters import parameter_of, restated
+from taccel_lab.cad.parameters import restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import GelMaterial, SensorFamily
@@ -35,12 +35,12 @@ class NineDTactParameters(RectangleSensorParameters):
         2.8, minimum=1.2, maximum=8, source=f"{_MOULD}: mould of 2.8 mm, core of 2.5 mm",
         description="gel thickness with the skin",
     )  # fmt: skip
-    skin_top_mm: float = parameter_of(
-        GelPad, "skin_mm", 0.3, minimum=0.1, maximum=1.0, zero_means="",
+    skin_top_mm: float = restated(
+        0.3, of=GelPad, name="skin_mm", minimum=0.1, maximum=1.0, zero_means="",
         source=f"{_MOULD}: 2.8 mm less 2.5 mm",
     )  # fmt: skip
-    skin_side_mm: float = parameter_of(
-        GelPad, "skin_side_mm", 0.8, minimum=0.2, maximum=1.0, zero_means="",
+    skin_side_mm: float = restated(
+        0.8, of=GelPad, minimum=0.2, maximum=1.0, zero_means="",
         source=f"{_MOULD}: (31.1 - 29.5) / 2 = (24.1 - 22.5) / 2 mm",
     )  # fmt: skip
     young_modulus_mpa: float = restated(

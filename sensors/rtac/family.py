@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from taccel_lab.cad.parameters import parameter_of, restated
+from taccel_lab.cad.parameters import restated
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.profile.optical_design import Light, Window
 from taccel_lab.sensors.base import SensorFamily
@@ -22,12 +22,12 @@ _LEDS = 8
 class RTacParameters(CameraSensorParameters):
     """Parameters of an R-Tac: Ecoflex 00-10 on a dome of PDMS, monochrome camera, white light."""
 
-    dome_radius_mm: float = parameter_of(
-        ShellDomePad, "dome_radius_mm", 15.0, minimum=8, maximum=30,
+    dome_radius_mm: float = restated(
+        15.0, of=ShellDomePad, minimum=8, maximum=30,
         source=f"{_SHELL}: hemisphere R 15.0",
     )  # fmt: skip
-    thickness_mm: float = parameter_of(
-        ShellDomePad, "thickness_mm", 1.5, minimum=0.6, maximum=3.5,
+    thickness_mm: float = restated(
+        1.5, of=ShellDomePad, minimum=0.6, maximum=3.5,
         source=f"{_SHELL}: R 15.0 over a core of R 13.5",
     )  # fmt: skip
     young_modulus_mpa: float = restated(

@@ -33,8 +33,8 @@ def lost_part(way: np.ndarray, force: np.ndarray) -> float:
 
 @metric(
     "hysteresis_shear", "%",
-    "share of the work of shear that comes not back on the way back (friction alone: the gel is "
-    "elastic)", "lower", ("shear",),
+    "share of the work of shear that does not come back on the way back (friction alone: the gel "
+    "is elastic)", "lower", ("shear",),
 )  # fmt: skip
 def hysteresis_shear(evidence: Evidence) -> float:
     """Loop of the shear at full depth, before the twist."""
@@ -48,7 +48,7 @@ def hysteresis_shear(evidence: Evidence) -> float:
 
 @metric(
     "hysteresis_press", "%",
-    "share of the work of a press that comes not back on release (friction alone: the gel is "
+    "share of the work of a press that does not come back on release (friction alone: the gel is "
     "elastic)", "lower", ("release",),
 )  # fmt: skip
 def hysteresis_press(evidence: Evidence) -> float:

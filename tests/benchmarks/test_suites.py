@@ -80,7 +80,7 @@ def test_finished_rows_survive_an_interruption(tmp_path: Path) -> None:
     [
         (["speed", "--scene", "nonsense"], "scene must be of peg"),
         (["speed", "--envs", "0"], "at least 1"),
-        (["speed", "--set", "dhat_m"], "NAME=VALUE"),
+        (["speed", "--set", "dhat_m"], "form name=value"),
         (["peers", "no_such_driver.py"], "is no file"),
         (["compare", "no_such.json", "no_such.json"], "does not exist"),
     ],

@@ -7,15 +7,20 @@ import math
 
 import pytest
 from build123d import Compound, Pos
-from small_sensor import CAMERA, LEDS, PAD, WINDOW, housing, small_sensor
+from small_sensor import CAMERA, LEDS, PAD, VIEW_MM, WINDOW, housing, small_sensor
 
 from taccel_lab.cad.assembly import Assembly, require_no_overlap
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.parts.part import gel_part
-from taccel_lab.cad.parts.placeholders import LedShape, Pose
+from taccel_lab.cad.parts.placeholders import led_names
 from taccel_lab.cad.parts.solids import common_volume_mm3
-from taccel_lab.cad.parts.window import WindowShape, window_part
+from taccel_lab.cad.parts.window import window_part
 from taccel_lab.errors import InputError
+from taccel_lab.profile.optical_design import Light, Window
+
+
+def dome(thickness_mm: float, base_mm: float, radius_mm: float) -> Window:
+    return Window(thickness_mm, (base_mm, base_mm), shape="dome", outer_radius_mm=radius_mm)
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +30,10 @@ def sensor() -> Assembly:
 
 def test_joints_put_every_part_in_its_place(sensor: Assembly) -> None:
     names = [part.name for part in sensor.parts]
-    assert names == ["gel_pad", "window", "housing", "cover", "camera", *(x.name for x in LEDS)]
+    assert names == ["gel_pad", "window", "housing", "cover", "camera", *led_names(LEDS)]
     window, camera = sensor.part("window").solid, sensor.part("camera").solid
     assert tuple(window.location.position) == pytest.approx((0, 0, -5))
-    assert tuple(camera.location.position) == pytest.approx(CAMERA.pose.position_mm)
+    assert tuple(camera.location.position) == pytest.approx(CAMERA.position_mm)
     assert sensor.part("gel_pad").solid.bounding_box().max.Z == pytest.approx(0, abs=1e-6)
     assert sensor.part("housing").solid.bounding_box().max.Z == pytest.approx(-3.5)
     assert sensor.part("cover").solid.bounding_box().min.Z == pytest.approx(-33.5)
@@ -78,8 +83,8 @@ def _slab_mm3() -> float:
 
 
 def test_an_led_inside_the_window_is_a_warning() -> None:
-    pose = Pose((5.0, 0.0, -7.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
-    sensor = small_sensor(leds=(LedShape(pose, "led_inside"),))
+    inside = Light((5.0, 0.0, -7.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0), name="inside")
+    sensor = small_sensor(leds=(inside,))
     (words,) = require_no_overlap(sensor.clearances())
     assert words.startswith("window and led_inside interpenetrate by 0.6 mm^3")
 
@@ -98,8 +103,8 @@ def test_compound_is_labelled_and_coloured(sensor: Assembly) -> None:
         ({"housing": housing(front_z_mm=-9.0)}, r"front_z_mm = -9 .* allowed: -8 mm or above"),
         ({"housing": housing(wall_mm=0.1)}, r"wall_mm = 0.1"),
         ({"view_mm": (23.8, 14.0)}, r"ledge of 0.10 mm"),
-        ({"window": WindowShape(3.0, (20.0, 20.0), dome_radius_mm=8.0)}, r"allowed: up to 16 mm"),
-        ({"window": WindowShape(3.0, (8.0, 8.0), dome_radius_mm=20.0)}, r"exceed its thickness"),
+        ({"window": dome(3.0, 20.0, 8.0)}, r"allowed: up to 16 mm"),
+        ({"window": dome(3.0, 8.0, 20.0)}, r"exceed its thickness"),
     ],
 )
 def test_what_cannot_be_built_names_the_bound(changes: dict[str, object], words: str) -> None:
@@ -109,19 +114,19 @@ def test_what_cannot_be_built_names_the_bound(changes: dict[str, object], words:
 
 def test_window_plate_follows_the_gel_or_is_a_rectangle() -> None:
     outline = labelled_solid(PAD).solid.faces().sort_by()[0].outer_wire()
-    like_gel = window_part(WINDOW, outline)
+    like_gel = window_part(WINDOW, outline, VIEW_MM)
     assert like_gel.solid.volume == pytest.approx(3 * (24 * 20 - (4 - math.pi) * 2**2), rel=1e-9)
     (front,) = like_gel.faces("optical_front")
     assert front.area == pytest.approx(18 * 14)
     assert sum(face.area for face in like_gel.faces("bond")) == pytest.approx(
         like_gel.solid.volume / 3 - 18 * 14
     )
-    plain = window_part(WindowShape(3.0, (24.0, 18.0), corner_radius_mm=1.0), outline)
+    plain = window_part(Window(3.0, (24.0, 18.0)), outline)
     assert plain.solid.volume == pytest.approx(3 * (24 * 18 - (4 - math.pi)), rel=1e-9)
 
 
 def test_window_dome_is_a_shell() -> None:
-    shell = window_part(WindowShape(1.5, (27.0, 27.0), dome_radius_mm=13.5))
+    shell = window_part(dome(1.5, 27.0, 13.5))
     assert shell.solid.volume == pytest.approx(2 / 3 * math.pi * (13.5**3 - 12.0**3), rel=1e-6)
     assert sorted(shell.face_names) == ["bond", "optical_back", "seat"]
     (bond,) = shell.faces("bond")

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from catalogue_pads import PADS
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from pad_strategies import gel_pads
@@ -17,12 +18,7 @@ from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 
-CLASSIC = GelPad(
-    length_x_mm=24, length_y_mm=20, corner_radius_mm=2, thickness_mm=5,
-    crown_radius_x_mm=50, crown_radius_y_mm=50, window_x_mm=18.88, window_y_mm=14.16,
-)  # fmt: skip
-
-
+CLASSIC = PADS["gelsight"]
 FLAT_FILLET = GelPad(
     length_x_mm=20, length_y_mm=16, corner_radius_mm=2, thickness_mm=5, rim="fillet",
     rim_mm=0.5, rim_radius_mm=5, window_x_mm=10, window_y_mm=8,

@@ -10,7 +10,6 @@ import pytest
 from taccel_lab.cad.parameters import (
     ParameterSet,
     parameter,
-    parameter_of,
     parse_overrides,
     restated,
 )
@@ -113,16 +112,19 @@ def test_a_part_hands_its_parameter_on() -> None:
     @dataclass(frozen=True)
     class Shelf(ParameterSet):
         parameter_group = "shelf"
-        board_mm: float = parameter_of(Box, "width_mm", 2.5, maximum=2.8, source="joiner")
+        board_mm: float = restated(2.5, of=Box, name="width_mm", maximum=2.8, source="joiner")
 
     found, declared = Shelf.parameters()["board_mm"], Box.parameters()["width_mm"]
     assert (found.default, found.maximum, found.source) == (2.5, 2.8, "joiner")
     assert (found.minimum, found.unit, found.group) == (declared.minimum, declared.unit, "shelf")
     assert found.description == declared.description
-    with pytest.raises(TypeError, match="needs a source"):
-        parameter_of(Box, "width_mm", 2.5)
-    with pytest.raises(TypeError, match="wider than those of Box"):
-        parameter_of(Box, "width_mm", maximum=1e9)
+    for wrong, says in (
+        (restated(2.5, of=Box), "needs a source"),
+        (restated(of=Box, maximum=1e9), "wider than those of Box"),
+        (restated(of=Box, name="board_mm"), "Box has that parameter"),
+    ):
+        with pytest.raises(TypeError, match=says):
+            type("Wrong", (ParameterSet,), {"width_mm": wrong})
 
 
 @dataclass(frozen=True)

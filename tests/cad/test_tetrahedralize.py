@@ -44,7 +44,7 @@ def small_pad(**changes: Any) -> GelPad:
 
 def check_gate(pad: Pad, edge_mm: float, *, areas: float = 0.05) -> TetMesh:
     part = labelled_solid(pad)
-    mesh = tetwild_gel_mesh(pad, edge_mm, part=part, use_cache=False)
+    mesh = tetwild_gel_mesh(pad, edge_mm, part=part)
     check_closed(mesh.faces, "boundary")
     surface = tessellate_solid(part)
     quality = measure_quality(mesh, pad, cad_volume_mm3=part.volume_mm3, cad_surface=surface)
@@ -96,7 +96,7 @@ def test_an_imported_surface_gets_its_planes_exactly() -> None:
     turn = Rotation.from_euler("xyz", [0.3, -0.2, 0.9]).as_matrix()
     part = tessellate_solid(labelled_solid(small_pad()), tolerance_mm=0.02, angle_rad=0.3)
     surface = replace(part, vertices_mm=part.vertices_mm @ turn.T + [1, 2, 3])
-    mesh = tetwild_mesh(surface, 1.6, use_cache=False)
+    mesh = tetwild_mesh(surface, 1.6)
     quality = measure_quality(mesh, None, cad_volume_mm3=surface.volume_mm3(), cad_surface=surface)
     assert require_quality(mesh, quality, QualityGate().at_edge(1.6)).passed
     glued = (mesh.nodes_m[mesh.bonded_nodes()] * 1e3 - [1, 2, 3]) @ turn

@@ -46,8 +46,8 @@ def test_show_every_family(name: str, capsys: pytest.CaptureFixture[str]) -> Non
     assert all(parameter["source"] for parameter in shown["parameters"].values())
     family = sensor_family(name)
     assert set(shown["parameters"]) == set(family.parameters_type.parameters())
-    assert shown["optics"]["camera"]["width_px"] == family.grid().width_px
-    assert list(shown["layers"]) == list(family.pad().layer_names)
+    assert shown["optics"]["camera"]["width_px"] == family.parameters().grid().width_px
+    assert list(shown["layers"]) == list(family.parameters().pad().layer_names)
     assert shown["housing"] and shown["references"]
 
 

@@ -98,7 +98,7 @@ def test_mesh_and_profile_come_back(result: DesignResult) -> None:
     assert profile.gel.thickness_mm == 4.5
     assert profile.material.poisson_ratio == result.parameters.material().poisson_ratio
     assert "assumption" in profile.material.provenance.source
-    assert profile.grid() == FAMILY.grid()
+    assert profile.grid() == FAMILY.parameters().grid()
     assert profile.sensor.parameters == result.parameters.values()
 
 

@@ -37,11 +37,11 @@ STATED = {
     ),
     "gelsight_mini": Stated(
         "FEATS gelsight_mini.step, measured; gsrobotics README",
-        (25.25, 20.75), 4.0, 4.0, 1898.81, 0.5, (320, 240), 0.0634,
+        (25.25, 20.75), 4.0, 4.0, 1898.81, 0.1, (320, 240), 0.0634,
     ),
     "gelsight_40": Stated(
         "Taccel single_sensor VTK, measured; VBTSConfig",
-        (40.0, 40.0), 5.925, 5.925, 8795.8, 0.5, (400, 400), 0.079375,
+        (40.0, 40.0), 5.925, 5.925, 8795.8, 0.01, (400, 400), 0.079375,
     ),
     "gelsight_r15": Stated(
         "TacSL tacsl_gelsight_r15.yaml; thickness assumed",
@@ -53,11 +53,11 @@ STATED = {
     ),
     "digit": Stated(
         "digit-design gel STEP, measured; CANFNet calibration 17.62 mm / 328.57 px",
-        (18.4, 25.0), 4.07, 4.07, 1303.75, 0.5, (240, 320), 0.05363,
+        (18.4, 25.0), 4.07, 4.07, 1303.75, 0.1, (240, 320), 0.05363,
     ),
     "digit_360": Stated(
         "digit360 fingertip STEP, measured; 26.0 mm in all, pocket apex about 3.3 mm deep",
-        (25.0, 25.0), 26.0, 22.7, 10534.8, 0.5, (640, 640), 0.04,
+        (25.0, 25.0), 26.0, 22.7, 10534.8, 0.01, (640, 640), 0.04,
     ),
     "9dtact": Stated(
         "9DTact mould DXF, measured, 31.1 x 24.1 x 2.8 less four corners of R 1.8; 0.0510, 0.0500",

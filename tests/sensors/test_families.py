@@ -183,7 +183,7 @@ def test_similar_sensors_are_meshed(family: SensorFamily) -> None:
             refused.append(pad)
     assert len(refused) <= 2
     for pad in refused[:1]:
-        mesh = tetwild_gel_mesh(pad, use_cache=False)
+        mesh = tetwild_gel_mesh(pad)
         assert measure_quality(mesh, pad).min_dihedral_deg >= 10.0
 
 

@@ -29,20 +29,22 @@ def test_an_imported_block_is_meshed_and_all_files_are_written(
     step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TACCEL_LAB_CACHE", str(tmp_path / "cache"))
-    stages: list[str] = []
-    result = import_design(step, SELECTION, tmp_path / "out", 1.5, progress=stages.append)
+    told: list[tuple[str, int, int]] = []
+    result = import_design(
+        step, SELECTION, tmp_path / "out", 1.5, progress=lambda *step: told.append(step)
+    )
     assert set(result.files) == {
         "mesh", "quality", "gel", "preview", "step", "stl", "3mf", "dxf",
         "mould_cavity", "mould_lid", "mould_3mf", "mould_report", "drawing", "drawing_pdf",
     }  # fmt: skip
     for path in result.files.values():
         assert path.exists(), path
-    assert stages[:3] == ["import", "mesh", "quality"]
-    told = json.loads(result.files["gel"].read_text())
-    assert told["file"] == "mine.step" and told["thickness_mm"] == pytest.approx(3.0)
-    assert told["selection"]["window"] == ["rect:5x4"]
-    assert np.array(told["gel_from_file"]["rotation_and_scale"]) == pytest.approx(np.eye(3))
-    assert told["gel_from_file"]["shift_mm"] == pytest.approx([-6, -3.5, -3], abs=1e-6)
+    assert told[:3] == [("import", 0, 1), ("import", 1, 1), ("mesh", 0, 1)]
+    written = json.loads(result.files["gel"].read_text())
+    assert written["file"] == "mine.step" and written["thickness_mm"] == pytest.approx(3.0)
+    assert written["selection"]["window"] == ["rect:5x4"]
+    assert np.array(written["gel_from_file"]["rotation_and_scale"]) == pytest.approx(np.eye(3))
+    assert written["gel_from_file"]["shift_mm"] == pytest.approx([-6, -3.5, -3], abs=1e-6)
     mesh = read_mesh_vtu(result.files["mesh"])
     assert mesh.volumes_m3().sum() * 1e9 == pytest.approx(8 * 7 * 3, rel=5e-3)
     areas = result.quality.region_areas_mm2

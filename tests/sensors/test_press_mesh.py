@@ -45,7 +45,7 @@ def test_shape_is_that_of_the_pad_and_arrays_are_shared(x: float, y: float, radi
     assert np.array_equal(mesh.tets, middle.tets)
     assert np.array_equal(mesh.faces, middle.faces)
     assert np.array_equal(mesh.face_regions, middle.face_regions)
-    pad = sensor_family("gelsight").pad()
+    pad = sensor_family("gelsight").parameters().pad()
     top = mesh.nodes_m[mesh.region_nodes(Region.CONTACT)] * 1e3
     assert top[:, 2] == pytest.approx(pad.height_mm(top[:, :2]), abs=1e-9)
     assert mesh.nodes_m[mesh.bonded_nodes(), 2] == pytest.approx(-5e-3, abs=1e-15)
@@ -158,7 +158,7 @@ def test_outlines_of_any_shape_share_arrays(
 @pytest.mark.parametrize("at", [(0.0, 0.0), (3.0, -2.0)])
 def test_rings_on_a_dome_follow_the_outline(name: str, at: tuple[float, float]) -> None:
     outline = RECTANGLE * [1.0, 0.4]
-    pad = sensor_family(name).pad(sensor_family(name).parameters(None))
+    pad = sensor_family(name).parameters().pad()
     mesh = press_mesh(name, {}, at, section(outline))
     place = np.array(at)
     frame = normal_frame(np.append(place, pad.top_mm(place)), pad.top_normal(place))

@@ -5,12 +5,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from build123d import Plane
 
 from taccel_lab.cad.assembly import require_no_overlap
 from taccel_lab.cad.moulds import casting_moulds
 from taccel_lab.cad.parts.pad_solid import labelled_solid
+from taccel_lab.cad.parts.placeholders import (
+    camera_location,
+    led_location,
+    led_names,
+    led_part,
+)
 from taccel_lab.profile.optical_design import Camera, Light
-from taccel_lab.sensors.assembly import camera_shape, gel_layers, led_shapes, sensor_parts
+from taccel_lab.sensors.assembly import gel_layers, sensor_parts
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 
 FAMILIES = sorted(sensor_families())
@@ -79,15 +86,17 @@ def test_poses_turn_as_the_optics_do() -> None:
     camera = Camera(
         640, 480, 500.0, 500.0, 319.5, 239.5, (1.0, 2.0, -30.0), rotation=(half, 0.0, 0.0, half)
     )
-    pose = camera_shape(camera).pose
-    turn = camera.gel_from_camera()
-    assert pose.z_axis == pytest.approx(tuple(turn[:, 2]))
-    assert pose.x_axis == pytest.approx(tuple(turn[:, 0]))
+    plane, turn = Plane(camera_location(camera)), camera.gel_from_camera()
+    assert tuple(plane.z_dir) == pytest.approx(tuple(turn[:, 2]))
+    assert tuple(plane.x_dir) == pytest.approx(tuple(turn[:, 0]))
+    assert tuple(plane.origin) == pytest.approx(camera.position_mm)
     up = Light((0.0, 0.0, -5.0), (0.0, 0.0, 1.0), (1.0, 0.5, 0.0), name="a")
     side = Light((5.0, 0.0, -5.0), (-1.0, 0.0, 0.0), (0.0, 0.2, 0.0), (3.0, 1.0), name="a")
-    first, second = led_shapes((up, side))
-    assert [first.name, second.name] == ["led_a", "led_a_1"]
-    assert first.size_mm == (0.5, 0.5) and second.size_mm == (3.0, 1.0)
+    assert led_names((up, side)) == ["led_a", "led_a_1"]
+    first, second = led_part(up), led_part(side)
+    for part, size in ((first, (0.5, 0.5)), (second, (3.0, 1.0))):
+        box = part.solid.bounding_box().size
+        assert (box.X, box.Y) == pytest.approx(size)
     assert first.color == (1.0, 0.5, 0.0) and second.color == (0.0, 1.0, 0.0)
     # The width lies in the xy plane.
-    assert second.pose.x_axis == pytest.approx((0, -1, 0)) or second.pose.x_axis[2] == 0
+    assert Plane(led_location(side)).x_dir.Z == pytest.approx(0)

@@ -45,7 +45,7 @@ def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact() -> None:
     corrected = simulate_press(*arguments, physics=physics, designed_rest=designed)
     columns, rows = np.meshgrid(np.arange(grid.width_px), np.arange(grid.height_px))
     xy = grid.gel_from_pixel(np.stack([columns, rows], axis=-1).astype(float))
-    truth = family.pad(family.parameters({})).height_mm(xy) * 1e-3
+    truth = family.parameters({}).pad().height_mm(xy) * 1e-3
     far = np.hypot(*xy.transpose(2, 0, 1)) > 5.0
 
     def rms(height: np.ndarray) -> float:

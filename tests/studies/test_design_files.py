@@ -35,7 +35,10 @@ def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/*")} == written
     thick, _ = files_of(folder, output, thickness_mm=5.0)
     assert thick["mesh"] != soft["mesh"]
-    for files, thickness in ((soft, sensor_family("gelsight_r15").pad().thickness_mm), (thick, 5)):
+    for files, thickness in (
+        (soft, sensor_family("gelsight_r15").parameters().pad().thickness_mm),
+        (thick, 5),
+    ):
         z = read_vtu(tmp_path / files["mesh"]).nodes_m[:, 2]
         assert np.ptp(z) * 1e3 == pytest.approx(thickness)
         assert (tmp_path / files["step"]).read_text().startswith("ISO-10303-21")

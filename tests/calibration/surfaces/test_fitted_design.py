@@ -16,7 +16,7 @@ from taccel_lab.sensors.registry import sensor_family
 
 def pad_size(profile: SensorProfile) -> np.ndarray:
     family = sensor_family(profile.sensor.family)
-    pad = family.pad(family.parameters(profile.sensor.parameters))
+    pad = family.parameters(profile.sensor.parameters).pad()
     return np.ptp(pad.bounds_mm(), axis=0)[:2]
 
 
