@@ -50,15 +50,11 @@ def trainable(layers: Layers) -> Layers:
     return [(weight.requires_grad_(), bias.requires_grad_()) for weight, bias in layers]
 
 
-def arrays_of(
-    shapes: Mapping[str, tuple[int, ...]], layers: Layers, member: int | None = None
-) -> dict[str, np.ndarray]:
-    """Copies of the layers' values by name; with ``member``, of that one of an ensemble alone."""
-    part = slice(None) if member is None else slice(member, member + 1)
+def arrays_of(shapes: Mapping[str, tuple[int, ...]], layers: Layers) -> dict[str, np.ndarray]:
+    """Copies of the layers' values by name."""
     tensors = (tensor for layer in layers for tensor in layer)
     return {
-        name: tensor.detach()[part].numpy().copy()
-        for name, tensor in zip(shapes, tensors, strict=True)
+        name: tensor.detach().numpy().copy() for name, tensor in zip(shapes, tensors, strict=True)
     }
 
 

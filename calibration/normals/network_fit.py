@@ -19,7 +19,6 @@ import numpy as np
 import torch
 
 from taccel_lab.calibration.normals.cross_conformal import radius_factor
-from taccel_lab.calibration.normals.label_shift import MIN_PRESSES, LabelShift, label_shifts
 from taccel_lab.calibration.normals.options import NormalTraining
 from taccel_lab.calibration.normals.samples import (
     InverseFrame,
@@ -98,10 +97,6 @@ class InverseFit:
     left_out_deg: dict[str, float]
     """Mean angle of error inside the contact of each training press by a member that did not see
     it [degrees]; empty with one press."""
-    label_shifts: dict[str, LabelShift]
-    """How far the colours put each training press from its circle; empty with too few presses.
-    Training on circles that are shifted so was tried: held-out errors stay as they are, and the
-    left-out presses, whose labels then leak through the shifts of the others, look too good."""
     curve: list[tuple[int, float, float]]
     """(step, training loss, error on left-out presses), both in degrees."""
     stopped_at: tuple[int, ...]
@@ -139,15 +134,9 @@ def fit_normal_model(
     with one_thread():
         state = _train(frames, scene, options, progress)
         model, left_out = state.finish([frame.name for frame in frames])
-        shifts = {}
-        if len(frames) >= MIN_PRESSES and options.members > 1:
-            models = [state.member(fold) for fold in state.folds]
-            found = label_shifts(models, frames, scene)
-            shifts = {frame.name: shift for frame, shift in zip(frames, found, strict=True)}
     return InverseFit(
         model=model,
         left_out_deg=left_out,
-        label_shifts=shifts,
         curve=state.curve,
         stopped_at=tuple(int(step) for step in state.best_step),
         options=options,
@@ -298,12 +287,6 @@ class _Training:
         tilt, error = self._outputs(fold, samples)
         chord = chord_of(tilt, torch.from_numpy(samples.normals)[None])[0].numpy()
         return 2 * np.arcsin(np.clip(chord / 2, 0, 1)), error[0].numpy()
-
-    def member(self, fold: int | None) -> NormalModel:
-        """The network that leaves a share of the presses out, as a model of its own."""
-        k = 0 if fold is None else fold
-        arrays = arrays_of(self.shapes, self.best, k)
-        return NormalModel(replace(self.config, members=1), arrays)
 
     def finish(self, names: Sequence[str]) -> tuple[NormalModel, dict[str, float]]:
         """The model with the best weights, its expected error scaled to the left-out presses."""

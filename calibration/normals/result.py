@@ -75,7 +75,6 @@ class NormalCalibration:
             "reliability": None if self.reliability is None else asdict(self.reliability),
             "presses": rows,
             "left_out_deg": self.fit.left_out_deg,
-            "label_shift_px": {k: v.length_px for k, v in self.fit.label_shifts.items()},
             "flat_noise_levels": self.flat_noise_levels,
             "light_drift": self.fit.model.config.light_drift,
             "circles": self.circles,
