@@ -16,8 +16,6 @@ import numpy as np
 import torch
 
 Layers = Sequence[tuple[torch.Tensor, torch.Tensor]]
-CHECK_EVERY = 100
-"""Steps between looks at the presses that are left out of a fit."""
 
 
 @contextmanager
@@ -61,7 +59,7 @@ def arrays_of(shapes: Mapping[str, tuple[int, ...]], layers: Layers) -> dict[str
 def descend(
     layers: Layers,
     loss: Callable[[], torch.Tensor],
-    after_step: Callable[[int, torch.Tensor], bool],
+    after_step: Callable[[int, torch.Tensor], None],
     *,
     steps: int,
     learning_rate: float,
@@ -72,9 +70,8 @@ def descend(
     Args:
         layers: What is trained, with gradients.
         loss: The loss of a fresh batch.
-        after_step: Told the number of steps done and the loss before the last one; ends the
-            training with False.
-        steps: Largest number of steps.
+        after_step: Told the number of steps done and the loss before the last one.
+        steps: Number of steps.
         learning_rate: Its peak.
         warm_up: Share of the steps in which it rises.
     """
@@ -90,5 +87,4 @@ def descend(
         value.backward()
         optimizer.step()
         schedule.step()
-        if not after_step(step, value):
-            return
+        after_step(step, value)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.light.fit import FAR_RADII
+from taccel_lab.calibration.color.light_beside import FAR_RADII
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

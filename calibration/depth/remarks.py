@@ -43,12 +43,6 @@ LABELS_OFF = RemarkKind(
     "{off} of {count} given circles lie away from the dark patch of their image: {gaps}. Calibrate "
     "with the circles found (--circles detected), or correct them",
 )
-DUPLICATES = RemarkKind(
-    "depth_duplicates",
-    Severity.WARNING,
-    "{count} images are stored twice ({names}): they are one press, and leaving one out tells "
-    "nothing. Remove them",
-)
 ONE_SPOT = RemarkKind(
     "depth_one_spot",
     Severity.WARNING,
@@ -129,16 +123,8 @@ def label_remarks(
     return [LABELS_OFF(off=len(off), count=len(gaps), gaps=worst)]
 
 
-def repeat_remarks(captures: CaptureSet, circles: Sequence[ContactCircle]) -> list[Remark]:
-    """Whether several presses are one and the same, or all at one place."""
-    first: dict[str, str] = {}
-    twins = []
-    for press in captures.presses:
-        if press.sha256 in first:
-            twins.append(f"{press.name} is {first[press.sha256]}")
-        first.setdefault(press.sha256, press.name)
-    if twins:
-        return [DUPLICATES(count=len(twins), names=", ".join(twins[:4]))]
+def place_remarks(circles: Sequence[ContactCircle]) -> list[Remark]:
+    """Whether all presses are at one place."""
     at = np.array([[c.u_px, c.v_px] for c in circles])
     reach = float(np.linalg.norm(at[:, None] - at[None], axis=-1).max())
     if len(circles) > 1 and reach < ONE_SPOT_RADII * float(

@@ -29,7 +29,6 @@ from taccel_lab.calibration.normals.samples import (
     join,
 )
 from taccel_lab.calibration.training import (
-    CHECK_EVERY,
     arrays_of,
     descend,
     initial_weights,
@@ -51,6 +50,8 @@ from taccel_lab.signals.normal_model import (
 from taccel_lab.signals.position_encoding import require_bands
 
 TASK = "fitting the inverse model"
+CHECK_EVERY = 100
+"""Steps between looks at the presses that are left out of a member."""
 CHECK_PIXELS = 1500
 """Pixels of each left-out press that decide when to stop."""
 SMOOTH_RAD = 0.01
@@ -70,8 +71,6 @@ class InverseFitOptions(NormalTraining):
     """Windows of the features [px]; from the mean contact radius when None."""
     slopes: bool = True
     """Whether the variation of the change across the two wider windows is a feature."""
-    background: bool = False
-    """Whether the colour of the untouched pixel is a feature."""
     members: int = 4
     hidden: tuple[int, ...] = (32, 32, 32)
     batch_pixels: int = 1024
@@ -156,7 +155,6 @@ def _train(
         scene.grid.height_px,
         scales_px=scales,
         slope_scales_px=scales[1:] if options.slopes else (),
-        background=options.background,
         light_drift=options.light_drift,
         members=options.members,
         hidden=options.hidden,
@@ -235,12 +233,11 @@ class _Training:
             expected = error.log() + (chord.detach() + SMOOTH_RAD) / error
             return angle.mean() + ERROR_SHARE * expected.mean()
 
-        def after_step(step: int, _: torch.Tensor) -> bool:
+        def after_step(step: int, _: torch.Tensor) -> None:
             if step % CHECK_EVERY == 0 or step == options.steps:
                 train_deg = float(np.degrees(chord.detach().mean().item()))
                 self.curve.append((step, train_deg, self._keep_best(step)))
                 progress(TASK, step, options.steps)
-            return True
 
         descend(
             self.layers, loss, after_step,

@@ -19,8 +19,6 @@ WEAK_OVER_FLAT = 0.5
 """Error over that of guessing a flat surface, above which a model is only usable, or weak."""
 SURE_RATIO = 1.5
 """Observed over expected error, either way, that is remarked on."""
-SEEN_SHARE = 0.35
-"""Share of the image, per axis, that contacts should span."""
 GREY_LEVELS = 1.5
 
 FEW_PRESSES = RemarkKind(
@@ -50,12 +48,6 @@ UNCERTAINTY_OFF = RemarkKind(
     "uncertainty_off",
     Severity.WARNING,
     "held-out errors are {ratio:.2f} times what the model expects of itself",
-)
-ONE_SPOT = RemarkKind(
-    "normals_one_spot",
-    Severity.WARNING,
-    "contacts span {span:.0f} of {size} px along {axis}; elsewhere the model extrapolates. Press "
-    "near the borders too",
 )
 LIGHT_DRIFTS = RemarkKind(
     "normals_light_drifts",
@@ -95,12 +87,6 @@ def remarks_of(
     ratio = None if result.reliability is None else result.reliability.ratio()
     if ratio is not None and not 1 / SURE_RATIO < ratio < SURE_RATIO:
         found.append(UNCERTAINTY_OFF(ratio=ratio))
-    for axis, size, at in (
-        ("u", scene.grid.width_px, [frame.circle.u_px for frame in training]),
-        ("v", scene.grid.height_px, [frame.circle.v_px for frame in training]),
-    ):
-        if np.ptp(at) < SEEN_SHARE * size:
-            found.append(ONE_SPOT(span=np.ptp(at), size=size, axis=axis))
     before, after = result.flat_noise_levels
     if result.fit.model.config.light_drift:
         found.append(LIGHT_DRIFTS(before=before, after=after))

@@ -16,9 +16,9 @@ from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.folds import fold_fits
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.heldout import HeldoutSet
+from taccel_lab.calibration.color.light_beside import fit_light_beside
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.light.average import average_background
-from taccel_lab.calibration.light.fit import fit_light_beside
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError
@@ -152,7 +152,10 @@ def test_averaged_background_is_quieter_and_free_of_contacts() -> None:
     frames = frames_of(captures, surfaces)
     still = Light(np.ones(3), np.zeros(3))
     averaged = average_background(
-        noisy, [f.image for f in frames], [f.circle for f in frames], [still] * len(frames), GRID
+        noisy,
+        [f.image for f in frames],
+        [f.circle.untouched(GRID) for f in frames],
+        [still] * len(frames),
     )
     assert np.std(averaged - truth) < 0.5 * np.std(noisy - truth)
 
