@@ -16,6 +16,8 @@ import numpy as np
 import torch
 
 Layers = Sequence[tuple[torch.Tensor, torch.Tensor]]
+LEAST_SCHEDULE = 11
+"""Steps that the learning rate is planned for at least."""
 
 
 @contextmanager
@@ -78,8 +80,9 @@ def descend(
     optimizer = torch.optim.Adam(
         [tensor for layer in layers for tensor in layer], lr=learning_rate, fused=True
     )
+    # A rise of a single step divides by zero in torch.
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, learning_rate, total_steps=steps + 1, pct_start=warm_up
+        optimizer, learning_rate, total_steps=max(steps + 1, LEAST_SCHEDULE), pct_start=warm_up
     )
     for step in range(1, steps + 1):
         value = loss()

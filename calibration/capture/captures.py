@@ -38,6 +38,11 @@ class ContactCircle:
         dv = (np.arange(grid.height_px)[:, None] - self.v_px) * ratio
         return np.hypot(du, dv)
 
+    def center_gap_px(self, other: ContactCircle, grid: PixelGrid) -> float:
+        """Distance of the centres in column pixels, rows weighed as in ``distance_px``."""
+        ratio = grid.mm_per_px_y / grid.mm_per_px_x
+        return math.hypot(self.u_px - other.u_px, (self.v_px - other.v_px) * ratio)
+
     def untouched(self, grid: PixelGrid) -> np.ndarray:
         """Pixels where the gel is at rest, as far as colour tells, bool, [height_px, width_px]."""
         return self.distance_px(grid) > UNTOUCHED_RADII * self.radius_px

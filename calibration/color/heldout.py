@@ -25,7 +25,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.color.evaluate import ImageScore, mean_score, score_image
+from taccel_lab.calibration.color.evaluate import ImageScore, score_image
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame
 from taccel_lab.calibration.color.light_beside import fit_light_beside, too_little_left
 from taccel_lab.calibration.color.network_fit import ColorFit
@@ -34,6 +34,7 @@ from taccel_lab.calibration.color.tiles import even_tiles, filled_from
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.result import mean_figures
 from taccel_lab.calibration.simulate import SurfaceMaker
 from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
@@ -135,14 +136,16 @@ def mean_heldout(
     presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure], placement: Placement
 ) -> dict[str, float]:
     """Mean figures of all held-out presses placed one way, failures as the bare background."""
-    return mean_score([item.placed[placement].score for item in presses] + _bare(presses, failures))
+    return mean_figures(
+        [item.placed[placement].score for item in presses] + _bare(presses, failures)
+    )
 
 
 def mean_bare(
     presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]
 ) -> dict[str, float]:
     """Mean figures of the bare background over all held-out presses."""
-    return mean_score([item.background_only for item in presses] + _bare(presses, failures))
+    return mean_figures([item.background_only for item in presses] + _bare(presses, failures))
 
 
 def _bare(presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]) -> list[ImageScore]:

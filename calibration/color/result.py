@@ -11,7 +11,7 @@ import numpy as np
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.color.evaluate import ImageScore, mean_score
+from taccel_lab.calibration.color.evaluate import ImageScore
 from taccel_lab.calibration.color.heldout import (
     PLACEMENTS,
     HeldoutFailure,
@@ -24,7 +24,7 @@ from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.registration import Registration
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice
-from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.calibration.result import Remark, judge, mean_figures
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 
@@ -177,7 +177,7 @@ class ColorCalibration:
         if self.spread is not None:
             found["spread"] = asdict(self.spread)
         if self.table_scores:
-            found["taxim_table"] = mean_score([item.score for item in self.table_scores])
+            found["taxim_table"] = mean_figures([item.score for item in self.table_scores])
         if self.registration is not None:
             found["circles"] = {
                 "scale": self.registration.scale,

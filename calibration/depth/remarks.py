@@ -12,7 +12,6 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.calibration.result import Remark, Severity
-from taccel_lab.geometry import PixelGrid
 
 LABEL_OFF_SHARE, LABEL_OFF_PX = 0.18, 6.0
 """A label is off when its centre lies this part of its radius, and this far, from the dark patch:
@@ -110,7 +109,7 @@ def label_remarks(
 ) -> list[Remark]:
     """Whether given circles lie on the dark patches of their images."""
     gaps = {
-        press.name: _gap_px(label, seen, captures.grid)
+        press.name: seen.center_gap_px(label, captures.grid)
         for press, label, seen in zip(captures.presses, labels, found, strict=True)
         if label is not None
     }
@@ -144,11 +143,6 @@ def error_remarks(left_out_mm: np.ndarray, depth_mm: np.ndarray, left_out: str) 
             left_out=left_out, error=left_out_mm.mean(), share=share, grave=share > WRONG_CURVE
         )
     ]
-
-
-def _gap_px(label: ContactCircle, seen: ContactCircle, grid: PixelGrid) -> float:
-    rows = grid.mm_per_px_y / grid.mm_per_px_x
-    return float(np.hypot(seen.u_px - label.u_px, (seen.v_px - label.v_px) * rows))
 
 
 def curve_remarks(result: DepthCalibration, drops: Sequence[np.ndarray]) -> list[Remark]:

@@ -160,6 +160,14 @@ def test_averaged_background_is_quieter_and_free_of_contacts() -> None:
     assert np.std(averaged - truth) < 0.5 * np.std(noisy - truth)
 
 
+@pytest.mark.parametrize("steps", [1, 9])
+def test_a_few_steps_can_be_asked_for(steps: int) -> None:
+    captures, surfaces = synthetic_captures(2)
+    options = dataclasses.replace(QUICK, steps=steps)
+    fit = fit_color_model(frames_of(captures, surfaces), captures.background, GRID, options)
+    assert fit.loss_curve[-1][0] == steps
+
+
 def test_bad_fits_are_refused() -> None:
     captures, surfaces = synthetic_captures(3)
     with pytest.raises(InputError, match="at least one press"):
