@@ -225,11 +225,9 @@ def _contact_report(folder: Path) -> dict[str, Any]:
     from dataclasses import asdict
 
     from taccel_lab.calibration.capture import load_captures
-    from taccel_lab.calibration.contacts.fit import resolve_contacts
-    from taccel_lab.calibration.contacts.labels import compare_with_labels
+    from taccel_lab.calibration.contacts.usable import usable_circles
 
-    captures = load_captures(folder)
-    agreement = compare_with_labels(captures, resolve_contacts(captures))
+    agreement = usable_circles(load_captures(folder), cache=False).agreement
     if agreement is None:
         raise InputError(f"{folder} holds no labels to compare with")
     return {"agreement": asdict(agreement)}

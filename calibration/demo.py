@@ -18,9 +18,8 @@ from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.contacts.fit import resolve_contacts
-from taccel_lab.calibration.contacts.fusion import choose_circles
 from taccel_lab.calibration.contacts.result import DetectedContact
+from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.simulate import PressSurfaces
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError
@@ -80,8 +79,8 @@ def calibrate_demo(
     design = design_sensor(sensor_family(DEMO_SENSOR), None, folder / "design")
     base = on_grid(design.profile, presses.grid, presses.provenance)
     clock("finding the contact circles")
-    contacts = resolve_contacts(training)
-    circles = choose_circles(training, contacts)
+    usable = usable_circles(training, cache=False)
+    training, circles = usable.captures, usable.circles
     clock("simulating the presses")
     # As calibrate color does: one law serves the others, the held-out presses too.
     make = PressSurfaces("simulated", base, cache=False, progress=progress)
@@ -93,4 +92,6 @@ def calibrate_demo(
     clock("exporting the profile")
     save_profile(profile, folder / "profile")
     clock(None)
-    return DemoCalibration(training, design, contacts, circles, surfaces, found, profile, seconds)
+    return DemoCalibration(
+        training, design, usable.contacts, circles, surfaces, found, profile, seconds
+    )

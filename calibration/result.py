@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import Any, Protocol
+
+import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -80,6 +82,12 @@ class Estimate:
 
     def __str__(self) -> str:
         return f"{self.value:.5g} ± {self.sigma:.2g} {self.unit}".rstrip()
+
+
+def mean_figures(scores: Sequence[Any]) -> dict[str, float]:
+    """Mean of each field over the scores of presses, which are of one dataclass of numbers."""
+    names = [item.name for item in fields(scores[0])]
+    return {name: float(np.mean([getattr(score, name) for score in scores])) for name in names}
 
 
 class CalibrationResult(Protocol):

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-_SIGMAS = 0.6744897501960817
-"""Upper quartile of the standard normal distribution."""
+_MEDIAN_LENGTHS = {1: 0.6744897501960817, 2: 1.1774, 3: 1.538}
+"""Median length of a vector of so many standard normal variables."""
 
 
 def spread_about_median(values: np.ndarray) -> float:
@@ -20,4 +20,9 @@ def spread_about_median(values: np.ndarray) -> float:
 
 def spread_about_zero(values: np.ndarray) -> float:
     """Standard deviation of normal noise about zero, such as residuals have."""
-    return float(np.median(np.abs(values))) / _SIGMAS
+    return spread_of_lengths(np.abs(values), 1)
+
+
+def spread_of_lengths(lengths: np.ndarray, dimensions: int) -> float:
+    """Standard deviation along an axis of normal vectors of 1 to 3 dimensions, by their lengths."""
+    return float(np.median(lengths)) / _MEDIAN_LENGTHS[dimensions]

@@ -60,7 +60,7 @@ SimulationError for one that does not converge."""
 class PressSurfaces:
     """Makes the surfaces of presses in circles; one law of simulated presses serves later ones."""
 
-    kind: Literal["simulated", "each", "cap", "hertz"]
+    kind: Literal["simulated", "each", "hertz"]
     """The simulation of the presses that span all others, from which the others are read where one
     law holds; the simulation of each; or a closed form (``surfaces.analytic``)."""
     profile: SensorProfile
@@ -90,7 +90,6 @@ class PressSurfaces:
                 circle,
                 captures.grid,
                 press.radius_mm or captures.ball_radius_mm,
-                skirt="cap" if self.kind == "cap" else "hertz",
                 decay_mm=self.decay_mm,
             )
             for press, circle in zip(captures.presses, circles, strict=True)

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 
 Layers = Sequence[tuple[torch.Tensor, torch.Tensor]]
-CHECK_EVERY = 100
-"""Steps between looks at the presses that are left out of a fit."""
+LEAST_SCHEDULE = 11
+"""Steps that the learning rate is planned for at least."""
 
 
 @contextmanager
@@ -50,22 +50,18 @@ def trainable(layers: Layers) -> Layers:
     return [(weight.requires_grad_(), bias.requires_grad_()) for weight, bias in layers]
 
 
-def arrays_of(
-    shapes: Mapping[str, tuple[int, ...]], layers: Layers, member: int | None = None
-) -> dict[str, np.ndarray]:
-    """Copies of the layers' values by name; with ``member``, of that one of an ensemble alone."""
-    part = slice(None) if member is None else slice(member, member + 1)
+def arrays_of(shapes: Mapping[str, tuple[int, ...]], layers: Layers) -> dict[str, np.ndarray]:
+    """Copies of the layers' values by name."""
     tensors = (tensor for layer in layers for tensor in layer)
     return {
-        name: tensor.detach()[part].numpy().copy()
-        for name, tensor in zip(shapes, tensors, strict=True)
+        name: tensor.detach().numpy().copy() for name, tensor in zip(shapes, tensors, strict=True)
     }
 
 
 def descend(
     layers: Layers,
     loss: Callable[[], torch.Tensor],
-    after_step: Callable[[int, torch.Tensor], bool],
+    after_step: Callable[[int, torch.Tensor], None],
     *,
     steps: int,
     learning_rate: float,
@@ -76,17 +72,17 @@ def descend(
     Args:
         layers: What is trained, with gradients.
         loss: The loss of a fresh batch.
-        after_step: Told the number of steps done and the loss before the last one; ends the
-            training with False.
-        steps: Largest number of steps.
+        after_step: Told the number of steps done and the loss before the last one.
+        steps: Number of steps.
         learning_rate: Its peak.
         warm_up: Share of the steps in which it rises.
     """
     optimizer = torch.optim.Adam(
         [tensor for layer in layers for tensor in layer], lr=learning_rate, fused=True
     )
+    # A rise of a single step divides by zero in torch.
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, learning_rate, total_steps=steps + 1, pct_start=warm_up
+        optimizer, learning_rate, total_steps=max(steps + 1, LEAST_SCHEDULE), pct_start=warm_up
     )
     for step in range(1, steps + 1):
         value = loss()
@@ -94,5 +90,4 @@ def descend(
         value.backward()
         optimizer.step()
         schedule.step()
-        if not after_step(step, value):
-            return
+        after_step(step, value)

@@ -65,19 +65,15 @@ print(f"{base.mesh.node_count} nodes, {base.mesh.tet_count} tets")
 # in the image and compared with the labels.
 
 # %%
-from taccel_lab.calibration.contacts.fit import resolve_contacts
-from taccel_lab.calibration.contacts.fusion import choose_circles
-from taccel_lab.calibration.contacts.labels import compare_with_labels
+from taccel_lab.calibration.contacts.usable import usable_circles
 
 split = captures.split(4)
-training = captures.only(split.train)
-contacts = resolve_contacts(training)
-agreement = compare_with_labels(training, contacts)
+usable = usable_circles(captures.only(split.train))
+training, circles, agreement = usable.captures, usable.circles, usable.agreement
 print(
     f"centres off by {agreement.center_median_px:.1f} px, radii by "
     f"{agreement.radius_median_px:.1f} px (median of {agreement.count})"
 )
-circles = choose_circles(training, contacts)
 
 # %% [markdown]
 # ## 3. Simulate every press

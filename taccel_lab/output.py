@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that appear whole or not at all, JSON, and the names that kept results have."""
+"""Files that appear whole or not at all, and JSON."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-CACHE_VARIABLE = "TACCEL_LAB_CACHE"
-"""Environment variable that names the cache folder."""
 
 
 @contextmanager
@@ -57,25 +53,3 @@ def write_json(target: Path | str, value: Any) -> None:
     """Write ``value`` as indented JSON, atomically; NaN and infinities become null."""
     with atomic_file(target) as staging:
         staging.write_text(json.dumps(to_jsonable(value), indent=2, allow_nan=False) + "\n")
-
-
-def cache_folder() -> Path:
-    """$TACCEL_LAB_CACHE, or taccel_lab in $XDG_CACHE_HOME or ~/.cache."""
-    named = os.environ.get(CACHE_VARIABLE)
-    if named:
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "taccel_lab"
-
-
-def content_key(recipe: Mapping[str, Any]) -> str:
-    """SHA-256 of a recipe of plain values and arrays; equal recipes give equal keys."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, np.ndarray):
-            data = np.ascontiguousarray(value)
-            digest = hashlib.sha256(data.tobytes()).hexdigest()
-            return {"array": digest, "shape": list(data.shape), "dtype": data.dtype.str}
-        return to_jsonable(value)
-
-    text = json.dumps({k: plain(v) for k, v in recipe.items()}, sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()

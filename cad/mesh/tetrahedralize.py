@@ -9,14 +9,14 @@ them missed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from taccel_lab.cad.mesh.bond_planes import bond_projection
-from taccel_lab.cad.mesh.cache import cached_mesh
 from taccel_lab.cad.mesh.closest import ClosestPoint
 from taccel_lab.cad.mesh.quality import (
     GateResult,
@@ -34,10 +34,12 @@ from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
+from taccel_lab.file_cache import CachedFile, load_arrays, save_arrays
 from taccel_lab.geometry import Region, TetMesh
 
 RECIPE = "tetwild-3"
 """Changes with the method, so that meshes of an older one are not taken for it."""
+_ARRAYS = ("nodes_m", "tets", "faces", "face_regions", "tet_layers")
 EDGE_BOUNDS_MM = (0.2, 20.0)
 EPSILON_BOUNDS = (1e-4, 1e-2)
 _TRIES = ((1.0, 1.0), (1.0, 0.4), (0.75, 0.4))
@@ -147,7 +149,17 @@ def _best(
         "epsilon": epsilon,
         "gate": [v if math.isfinite(v) else "any" for v in vars(gate).values()],
     }
-    return cached_mesh(recipe, build)
+    return cached_mesh(recipe).read_or_make(build)
+
+
+def cached_mesh(recipe: Mapping[str, Any]) -> CachedFile[TetMesh]:
+    """The file of the mesh that a recipe of plain values and arrays makes."""
+    return CachedFile(
+        "meshes",
+        recipe,
+        lambda path: TetMesh(**load_arrays(path)),
+        lambda path, mesh: save_arrays(path, {name: getattr(mesh, name) for name in _ARRAYS}),
+    )
 
 
 def _build(

@@ -20,8 +20,9 @@ def one_solid(shape: Shape | ShapeList | None) -> Solid:
 
 
 def section_faces(solid: Solid, plane: Plane) -> list[Face]:
-    """What a plane cuts out of a solid."""
-    return [face for shape in solid.intersect(plane) or [] for face in shape.faces()]
+    """What a plane cuts out of a solid, by place: the kernel's order changes from run to run."""
+    faces = [face for shape in solid.intersect(plane) or [] for face in shape.faces()]
+    return sorted(faces, key=lambda face: tuple(round(c, 6) for c in face.center()))
 
 
 def common_volume_mm3(first: Solid, second: Solid) -> float:

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
+from taccel_lab.calibration.robust_spread import spread_of_lengths
+
 HUBER = 2.0
 """Length of a residual over the standard deviation along an axis from which on it counts less: 98 %
 efficiency on normal noise in two dimensions."""
@@ -41,8 +43,7 @@ class RobustFit:
 
 def robust_scale(residual: np.ndarray) -> float:
     """Standard deviation along an axis of vectors [n, 2], by their median length."""
-    # A normal 2-vector's length has the median 1.1774 sigma.
-    return float(np.median(np.linalg.norm(residual, axis=1))) / 1.1774
+    return spread_of_lengths(np.linalg.norm(residual, axis=1), 2)
 
 
 def huber_weights(residual: np.ndarray, scale: float | None = None) -> np.ndarray:

@@ -15,6 +15,8 @@ from taccel_lab.geometry import PixelGrid
 
 EQUATOR_SLACK = 1.03
 """A contact may look larger than the ball by this factor: circles are off by a pixel or two."""
+UNTOUCHED_RADII = 2.5
+"""Beyond this many contact radii the gel is at rest, as far as colour tells."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,15 @@ class ContactCircle:
         du = np.arange(grid.width_px)[None, :] - self.u_px
         dv = (np.arange(grid.height_px)[:, None] - self.v_px) * ratio
         return np.hypot(du, dv)
+
+    def center_gap_px(self, other: ContactCircle, grid: PixelGrid) -> float:
+        """Distance of the centres in column pixels, rows weighed as in ``distance_px``."""
+        ratio = grid.mm_per_px_y / grid.mm_per_px_x
+        return math.hypot(self.u_px - other.u_px, (self.v_px - other.v_px) * ratio)
+
+    def untouched(self, grid: PixelGrid) -> np.ndarray:
+        """Pixels where the gel is at rest, as far as colour tells, bool, [height_px, width_px]."""
+        return self.distance_px(grid) > UNTOUCHED_RADII * self.radius_px
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether images show the same gel through the same optics: misfit, channel order, crop.
 
-All comparisons are of small images, after an affine fit of each channel that takes out exposure and
-white balance, and by medians, which a contact on a part of the gel does not move.
+All comparisons are of small images in one light, which takes out exposure and white balance, and by
+medians, which a contact on a part of the gel does not move.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.light.fit import fit_light
+
 THUMB_PX = 160
 """Longer side of the small images."""
 FITTED_PIXELS = 5000
-"""Pixels that a fit of the levels takes, evenly picked."""
+"""Pixels that a fit of the light takes, evenly picked."""
 MIN_CROP, CROP_STEP = 0.5, 0.01
 OTHER_FRAMING_LEVELS = 5.0
 """Misfit from which two images are not of the same gel in the same framing."""
@@ -32,40 +34,16 @@ def thumb(image: np.ndarray, longer_px: int = THUMB_PX) -> np.ndarray:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
 
 
-def level_fit(image: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and offset [levels] of each channel that bring ``reference`` nearest to ``image``.
-
-    Least squares, repeated without the third of the pixels that fit worst, so that a contact has no
-    say. Shapes [h, w, 3]; returns two of [3].
-    """
-    channels = reference.shape[-1]
-    gains, offsets = np.ones(channels), np.zeros(channels)
+def in_light_of(image: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """``reference`` in the light of ``image``, levels, shape [h, w, 3]: gain and offset only."""
     step = max(1, round((reference.shape[0] * reference.shape[1] / FITTED_PIXELS) ** 0.5))
-    for c in range(channels):
-        x = reference[::step, ::step, c].ravel().astype(np.float64)
-        y = image[::step, ::step, c].ravel().astype(np.float64)
-        keep = np.ones(len(x), dtype=bool)
-        for _ in range(3):
-            spread = x[keep] - x[keep].mean()
-            energy = float(spread @ spread)
-            # A channel without any picture in it tells no gain.
-            if energy > keep.sum():
-                gains[c] = np.clip(float(spread @ y[keep]) / energy, 0.3, 3.0)
-            offsets[c] = np.median(y[keep] - gains[c] * x[keep])
-            residual = np.abs(y - gains[c] * x - offsets[c])
-            keep = residual <= np.quantile(residual, 0.67)
-    return gains, offsets
-
-
-def fit_levels(image: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """``reference`` in the light of ``image``, float32."""
-    gains, offsets = level_fit(image, reference)
-    return (gains * reference + offsets).astype(np.float32)
+    light = fit_light(image[::step, ::step], reference[::step, ::step], gradient=False)
+    return light.apply(reference)
 
 
 def misfit_levels(image: np.ndarray, reference: np.ndarray) -> float:
     """Median distance of the colours after the fit [levels]: 1 to 3 for the same gel."""
-    return float(np.median(np.linalg.norm(image - fit_levels(image, reference), axis=-1)))
+    return float(np.median(np.linalg.norm(image - in_light_of(image, reference), axis=-1)))
 
 
 def best_channel_order(

@@ -10,9 +10,11 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle, Press
-from taccel_lab.calibration.capture.framing import level_fit, thumb
+from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.contacts.result import CutContactError, DetectedContact
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
@@ -33,6 +35,8 @@ class FrameFigures:
     """The image made small, RGB levels, float32."""
     reference: np.ndarray
     """The background in this frame's light, as small."""
+    light: Light
+    """Of the frame against the background."""
     shift_levels: np.ndarray
     """Colour of the untouched gel less that of the background, at its mean colour, shape [3]."""
     contact: DetectedContact | None
@@ -82,13 +86,11 @@ def _measure(
 ) -> FrameFigures:
     image = press.image()
     small = thumb(image)
-    gain, offset = level_fit(small, background_small)
-    level = background_small.reshape(-1, 3).mean(axis=0)
-    shift = (gain - 1) * level + offset
-    lit = np.clip(gain * background + offset, 0, 255).astype(np.float32)
+    light = fit_light(small, background_small)
+    lit = np.clip(light.apply(background), 0, 255).astype(np.float32)
     contact, fault, cut = None, "", False
     try:
-        contact = detect_contact(image, lit, grid, mask=mask, name=press.name)
+        contact = detect_contact(image, background, grid, mask=mask, name=press.name)
     except InputError as error:
         fault = str(error).removeprefix(f"{press.name}: ")
         cut = isinstance(error, CutContactError)
@@ -108,8 +110,9 @@ def _measure(
     return FrameFigures(
         press=press,
         thumb=small,
-        reference=(gain * background_small + offset).astype(np.float32),
-        shift_levels=shift,
+        reference=light.apply(background_small).astype(np.float32),
+        light=light,
+        shift_levels=light.shift(background_small.reshape(-1, 3).mean(axis=0)),
         contact=contact,
         fault=fault,
         cut=cut,

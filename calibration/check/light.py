@@ -1,27 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about light: drift, white balance, saturation, channel order, another sensor's frames"""
+"""Findings about light: drift, saturation, channel order, another sensor's frames"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
-from taccel_lab.calibration.capture.framing import best_channel_order, misfit_levels, thumb
+from taccel_lab.calibration.capture.framing import best_channel_order, thumb
 from taccel_lab.calibration.capture.sensor_facts import handedness
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.result import Remark
+from taccel_lab.calibration.light.drift import drift_remark
+from taccel_lab.calibration.result import Remark, Severity
 
-CHROMA_LEVELS = 5.0
-"""Change of the untouched gel's colour, apart from its brightness, that fixed settings never make.
-Cameras with fixed settings: 0.5 to 2; one with automatic white balance: 20."""
-EXPOSURE_LEVELS = 6.0
-OUTER = (3, 97)
-"""Percentiles of the frames that a change is taken over: a contact on most of the gel misleads."""
 SATURATED_SHARE, VERY_SATURATED_SHARE = 0.05, 0.3
 SWAP_MIN_LEVELS, SWAP_RATIO = 6.0, 1.6
 """A frame's channels are swapped when another order fits this much better. Real sets: 2.3 and more
@@ -43,7 +39,7 @@ def check_light(frames: Sequence[FrameFigures], background: np.ndarray) -> list[
     swapped = check_channel_order(frames, background)
     if swapped:  # Drift and other sensors would be found as a consequence.
         return [*swapped, *_check_saturation(frames)]
-    return [*_check_drift(frames), *_check_saturation(frames), *check_mixed(frames)]
+    return [*_check_drift(frames, background), *_check_saturation(frames), *check_mixed(frames)]
 
 
 def is_grey(frames: Sequence[FrameFigures]) -> bool:
@@ -57,27 +53,13 @@ def is_grey(frames: Sequence[FrameFigures]) -> bool:
     return bool(values[1] < GREY_SHARE * values[0])
 
 
-def _check_drift(frames: Sequence[FrameFigures]) -> list[Remark]:
-    shifts = np.stack([frame.shift_levels for frame in frames])
-    brightness = shifts.mean(axis=1)
-    chroma = shifts - brightness[:, None]
-    spread = float(np.ptp(np.percentile(chroma, OUTER, axis=0), axis=0).max())
-    exposure = float(np.ptp(np.percentile(brightness, OUTER)))
-    if spread > CHROMA_LEVELS:
-        worst = np.argsort(-np.abs(chroma - np.median(chroma, axis=0)).max(axis=1))
-        return [
-            remarks.AUTO_WHITE_BALANCE(
-                spread=spread,
-                exposure=exposure,
-                frames=[frames[i].press.name for i in worst[:MAX_LISTED]],
-            )
-        ]
-    if exposure > EXPOSURE_LEVELS:
-        return [remarks.AUTO_EXPOSURE(exposure=exposure)]
-    return []
-
-
-MAX_LISTED = 8
+def _check_drift(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Remark]:
+    if len(frames) < 2:
+        return []
+    found = drift_remark([frame.light for frame in frames], background)
+    if found.severity is Severity.INFO:
+        return []
+    return [replace(found, blocks=("color", "normals", "depth"))]
 
 
 def _check_saturation(frames: Sequence[FrameFigures]) -> list[Remark]:
@@ -143,12 +125,15 @@ def check_mixed(frames: Sequence[FrameFigures]) -> list[Remark]:
     if len(frames) < MIN_MIXED:
         return []
     pick = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), MAX_PAIRED)).astype(int))
-    small = [thumb(frames[i].thumb, PAIR_THUMB_PX) for i in pick]
+    # In the one light of the background, so that what differs is what they show.
+    steady = [frames[i].light.remove(frames[i].thumb).astype(np.float32) for i in pick]
+    small = [thumb(image, PAIR_THUMB_PX) for image in steady]
     count = len(small)
     distance = np.zeros((count, count))
     for i in range(count):
         for j in range(i):
-            distance[i, j] = distance[j, i] = misfit_levels(small[i], small[j])
+            change = np.linalg.norm(small[i] - small[j], axis=-1)
+            distance[i, j] = distance[j, i] = float(np.median(change))
     group = fcluster(linkage(squareform(distance), "average"), 2, "maxclust")
     first, second = (np.flatnonzero(group == k) for k in (1, 2))
     if not len(first) or not len(second):

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.framing import fit_levels, thumb
+from taccel_lab.calibration.capture.framing import in_light_of, thumb
 from taccel_lab.calibration.check.remarks import BACKGROUND_PRESSED
 from taccel_lab.calibration.result import Remark
 
@@ -48,7 +48,7 @@ def find_pressed_background(
         used[thumb(np.repeat(mask[..., None], 3, axis=-1).astype(np.float32)).min(axis=-1) < 1] = 0
     stack = np.stack(
         [
-            cv2.GaussianBlur((t - fit_levels(t, small)) * used, (0, 0), 1.0)
+            cv2.GaussianBlur((t - in_light_of(t, small)) * used, (0, 0), 1.0)
             for t in (thumb(_blanked(press, mask)) for press in presses)
         ]
     )

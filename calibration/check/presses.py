@@ -86,13 +86,12 @@ class LabelGap:
 
 def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap]:
     """Of every press that has both a label and a contact found."""
-    ratio = grid.mm_per_px_y / grid.mm_per_px_x
     gaps = []
     for frame in frames:
         if frame.contact is None or frame.press.circle is None:
             continue
         found, label = frame.contact.circle, frame.press.circle
-        center = float(np.hypot(found.u_px - label.u_px, (found.v_px - label.v_px) * ratio))
+        center = found.center_gap_px(label, grid)
         radius = found.radius_px - label.radius_px
         # What the detector itself is unsure of is not held against the label.
         limit = max(LABEL_OFF_PX, LABEL_OFF_SHARE * label.radius_px)

@@ -106,21 +106,6 @@ BACKGROUND_PRESSED = RemarkKind(
 )
 
 # Light and channels.
-AUTO_WHITE_BALANCE = RemarkKind(
-    "auto_white_balance",
-    Severity.WARNING,
-    "the colour of the untouched gel changes by up to {spread:.0f} levels between frames "
-    "(brightness by {exposure:.0f}): the camera's white balance was automatic. Fix white balance "
-    "and exposure and record again; until then the fits correct gain and offset of each frame",
-    BY_COLOR,
-)
-AUTO_EXPOSURE = RemarkKind(
-    "auto_exposure",
-    Severity.WARNING,
-    "the brightness of the untouched gel changes by up to {exposure:.0f} levels between frames: "
-    "fix exposure and gain of the camera, or let the lamps warm up",
-    ("color", "normals", "depth"),
-)
 SATURATED = RemarkKind(
     "saturated",
     Severity.WARNING,
@@ -209,8 +194,8 @@ DUPLICATES = RemarkKind(
     "duplicates",
     Severity.WARNING,
     "the same image is there several times: {names}. Figures on held-out frames would be of frames "
-    "that the fit has seen",
-    BY_COLOR,
+    "that the fit has seen. Remove the copies",
+    ("color", "normals", "depth"),
 )
 NEAR_DUPLICATES = RemarkKind(
     "near_duplicates",

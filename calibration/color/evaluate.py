@@ -12,13 +12,12 @@ mean over channels and over the pixels whose window lies inside the image; compu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.light.fit import FAR_RADII
+from taccel_lab.calibration.color.light_beside import FAR_RADII
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -125,11 +124,3 @@ def noise_floor_l1(
     if not far.any():
         raise InputError("the contact circle leaves no pixels beyond 3 radii")
     return float(np.abs(captured[far].astype(np.float64) - background[far]).mean())
-
-
-def mean_score(scores: Sequence[ImageScore]) -> dict[str, float]:
-    """Mean of each figure over images."""
-    return {
-        key: float(np.mean([getattr(score, key) for score in scores]))
-        for key in ImageScore.__dataclass_fields__
-    }

@@ -10,14 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Literal
 
 import numpy as np
 
 from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.color.drift_choice import DriftChoice, choose_drift
 from taccel_lab.calibration.color.evaluate import ImageScore, noise_floor_l1, score_image
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.folds import FoldResult, fold_fits
@@ -29,6 +27,7 @@ from taccel_lab.calibration.color.heldout import (
     score_heldout,
     without_light,
 )
+from taccel_lab.calibration.color.light_beside import fit_light_beside, too_little_left
 from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
 from taccel_lab.calibration.color.options import ColorOptions, ColorTraining
 from taccel_lab.calibration.color.registration import MIN_PRESSES, Registration, register_presses
@@ -36,7 +35,8 @@ from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore, Spread
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.fit import fit_light_beside
+from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode, choose_drift
+from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.simulate import PressSurfaces
 from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
@@ -49,7 +49,7 @@ from taccel_lab.progress import Progress, silent
 
 SPREAD_PIXELS = 2000
 """Pixels of each press at which the fits' disagreement is taken."""
-COMPARING = "comparing fits with and without drift"
+COMPARING = "comparing the light of the frames"
 REGISTERING = "reading the circles again with the colours"
 SCORING = "scoring the held-out presses"
 ASKED_ELSEWHERE = frozenset({"sensor_unknown"})
@@ -109,7 +109,7 @@ def fit_color(
     heldout: HeldoutSet | None = None,
     *,
     options: ColorFitOptions = ColorFitOptions(),
-    drift: Literal["auto", "on", "off"] | None = None,
+    drift: DriftMode | None = None,
     register: bool = False,
     folds: int = 0,
     table: bool = False,
@@ -124,7 +124,7 @@ def fit_color(
         surfaces: Their surfaces, in order.
         heldout: Presses that are read when the model is frozen; None leaves figures out.
         options: Settings of the fit.
-        drift: Whether drift is taken off; ``auto`` compares; None leaves it to ``options``.
+        drift: Whether drift is taken off (``choose_drift``); None leaves it to ``options``.
         register: Read the training circles again with the colours of the other training presses.
         folds: Fits that leave training presses out: their spread; 0 for none.
         table: Fit Taxim's table too, as a baseline and for export.
@@ -160,7 +160,7 @@ class _Fitting:
     frames: list[ColorFrame]
     options: ColorFitOptions
     progress: Progress
-    drift: Literal["auto", "on", "off"] | None
+    drift: DriftMode | None
     register: bool
     folds: int
     table: bool
@@ -223,16 +223,22 @@ class _Fitting:
     def _choose_drift(self) -> None:
         if self.drift is None:
             return
-        if self.drift == "auto":
-            self.progress(COMPARING, 0, 1)
-            captures = self.captures
-            choice = choose_drift(
-                self.frames, captures.background, captures.grid, mask=captures.mask,
-                seed=self.options.seed,
-            )  # fmt: skip
-            self.progress(COMPARING, 1, 1)
-        else:
-            choice = DriftChoice(self.drift == "on", reason="as asked")
+        captures, grid = self.captures, self.captures.grid
+        images, lights, untouched = [], [], []
+        for done, frame in enumerate(self.frames):
+            self.progress(COMPARING, done, len(self.frames))
+            images.append(frame.image)
+            lights.append(
+                fit_light(frame.image, captures.background, captures.mask, gradient=False)
+            )
+            untouched.append(frame.circle.untouched(grid) & captures.mask)
+        choice = choose_drift(images, lights, untouched, captures.background, self.drift)
+        self.progress(COMPARING, len(self.frames), len(self.frames))
+        if self.drift == "auto" and choice.remove:
+            # A contact that fills its frame leaves nothing to tell that frame's light by.
+            circles = [frame.circle for frame in self.frames]
+            filled = any(too_little_left(circle, grid, captures.mask) for circle in circles)
+            choice = replace(choice, remove=not filled)
         self.drift_choice = choice
         self.options = replace(self.options, remove_drift=choice.remove)
 

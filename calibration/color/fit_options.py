@@ -19,8 +19,7 @@ class ColorFitOptions(ColorTraining):
     hidden: tuple[int, ...] = (64, 64, 64)
     learning_rate: float = 4e-3
     huber_levels: float = 2.0
-    ssim_weight: float = 10.0
-    """Levels that a structural dissimilarity of one weighs, with loss ``ssim``."""
+    """Error from which on the loss grows linearly, as images are scored [levels]."""
     disc_pixels: int = 6000
     """Pixels drawn per frame within 1.3 contact radii."""
     ring_pixels: int = 4000
@@ -33,32 +32,15 @@ class ColorFitOptions(ColorTraining):
     background image. Off scores better on Taxim's GelSight presses: L1 in the disc of left-out
     presses 2.2 against 3.2 levels when they alternate, 2.2 to 2.8 against 3.3 to 3.8 when a block
     of 12 neighbours is left out. On a camera with automatic white balance it has to be on."""
-    average_background: bool = True
-    """Average the background with the untouched parts of the training frames."""
-    patience: int = 6
-    """Checks, one every 100 steps, without a better loss after which the fit stops."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "steps",
-            "batch_pixels",
-            "disc_pixels",
-            "ring_pixels",
-            "far_pixels",
-            "patience",
-        ):
+        for name in ("steps", "batch_pixels", "disc_pixels", "ring_pixels", "far_pixels"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("learning_rate", "huber_levels", "ssim_weight"):
+        for name in ("learning_rate", "huber_levels"):
             if not 0 < getattr(self, name) < 1e3:
                 raise InputError(f"{name} must be positive, got {getattr(self, name)}")
         require_bands("color model", self.position_bands)
-        if self.loss not in ("huber", "l1", "ssim"):
-            raise InputError(f"loss {self.loss!r} is not allowed; use huber, l1 or ssim")
-        if self.validation_every < 0 or self.validation_every == 1:
-            raise InputError(
-                f"validation_every must be 0 or at least 2, got {self.validation_every}"
-            )
 
 
 SHORT_FIT = ColorFitOptions(

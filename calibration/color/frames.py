@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.light.fit import fit_light_beside
+from taccel_lab.calibration.color.light_beside import fit_light_beside
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.pixel_draw import draw_regions
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
@@ -113,8 +113,8 @@ def draw_pixels(
         (usable & (distance >= low) & (distance < high), count)
         for low, high, count in (
             (0.0, 1.3, options.disc_pixels),
-            (1.3, 2.5, options.ring_pixels),
-            (2.5, np.inf, options.far_pixels),
+            (1.3, UNTOUCHED_RADII, options.ring_pixels),
+            (UNTOUCHED_RADII, np.inf, options.far_pixels),
         )
     ]
     return np.concatenate(draw_regions(frame.name, regions, rng))

@@ -25,21 +25,21 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.color.evaluate import FAR_RADII, ImageScore, mean_score, score_image
+from taccel_lab.calibration.color.evaluate import ImageScore, score_image
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame
+from taccel_lab.calibration.color.light_beside import fit_light_beside, too_little_left
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.registration import place_press
 from taccel_lab.calibration.color.tiles import even_tiles, filled_from
-from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.fit import MIN_FAR_PIXELS, fit_light_beside
 from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.result import mean_figures
 from taccel_lab.calibration.simulate import SurfaceMaker
 from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.geometry import PixelGrid
 
 Placement = Literal["label", "tiles", "self"]
 PLACEMENTS: tuple[Placement, ...] = ("label", "tiles", "self")
@@ -113,20 +113,10 @@ def without_light(captures: CaptureSet, remove_drift: bool) -> dict[str, str]:
     found = {}
     for press in captures.presses:
         if remove_drift and press.circle is not None:
-            reason = _too_little_left(press.circle, captures.grid, captures.mask)
+            reason = too_little_left(press.circle, captures.grid, captures.mask)
             if reason:
                 found[press.name] = reason
     return found
-
-
-def _too_little_left(circle: ContactCircle, grid: PixelGrid, mask: np.ndarray) -> str:
-    left = int((mask & (circle.distance_px(grid) > FAR_RADII * circle.radius_px)).sum())
-    if left >= MIN_FAR_PIXELS:
-        return ""
-    return (
-        f"its contact leaves {left} usable pixels beyond {FAR_RADII:g} radii, at least "
-        f"{MIN_FAR_PIXELS} are needed to tell the light of the frame"
-    )
 
 
 def score_heldout(
@@ -146,14 +136,16 @@ def mean_heldout(
     presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure], placement: Placement
 ) -> dict[str, float]:
     """Mean figures of all held-out presses placed one way, failures as the bare background."""
-    return mean_score([item.placed[placement].score for item in presses] + _bare(presses, failures))
+    return mean_figures(
+        [item.placed[placement].score for item in presses] + _bare(presses, failures)
+    )
 
 
 def mean_bare(
     presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]
 ) -> dict[str, float]:
     """Mean figures of the bare background over all held-out presses."""
-    return mean_score([item.background_only for item in presses] + _bare(presses, failures))
+    return mean_figures([item.background_only for item in presses] + _bare(presses, failures))
 
 
 def _bare(presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]) -> list[ImageScore]:
@@ -200,14 +192,10 @@ class _HeldoutScoring:
     def _start(self, press: Press, image: np.ndarray) -> ContactCircle:
         """Where the label puts a press; without a label, what its even tiles show."""
         ball_px = self._ball_px(press)
-        if press.circle is not None:
-            return self.shift.applied(press.circle, ball_px)
-        even = even_tiles(self.grid, ball_px)
-        half = filled_from(image, self.captures.background, even & self.mask)
-        found = detect_contact(
-            half, self.captures.background, self.grid, mask=self.mask, name=press.source,
-            ball_radius_mm=press.radius_mm or self.captures.ball_radius_mm,
-        ).circle  # fmt: skip
+        if press.circle is None:
+            seen = even_tiles(self.grid, ball_px) & self.mask
+            image = filled_from(image, self.captures.background, seen)
+        found = place_heldout(press, image, self.captures, self.shift)
         return replace(found, radius_px=min(found.radius_px, EQUATOR_SLACK * ball_px))
 
     def _ball_px(self, press: Press) -> float:
@@ -234,7 +222,7 @@ class _HeldoutScoring:
     def _no_light(self, circle: ContactCircle) -> str:
         if not self.fit.options.remove_drift:
             return ""
-        return _too_little_left(circle, self.grid, self.mask)
+        return too_little_left(circle, self.grid, self.mask)
 
     def _scored(
         self,

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.press_options import BallPressOptions
 
 
@@ -13,9 +14,6 @@ from taccel_lab.calibration.press_options import BallPressOptions
 class ColorTraining:
     """What can be chosen of the fit of a network."""
 
-    loss: Literal["huber", "l1", "ssim"] = "huber"
-    """Loss of the fit: nearly L1, which images are scored by, and smooth at zero; L1; or the first
-    with the structural dissimilarity of crops around the contacts."""
     position_bands: int = 0
     """Bands of the positional encoding: sines and cosines of the pixel's place for light that
     changes within parts of the image. 0 to 8; 0 gives the network the place alone."""
@@ -23,9 +21,6 @@ class ColorTraining:
     """Optimiser steps of the fit."""
     batch_pixels: int = 1024
     """Pixels of a step, whose number the time of a fit goes with."""
-    validation_every: int = 0
-    """One fitted press in this many is kept back to stop the fit early: the weights with the least
-    loss on these presses are taken. 0 fits to all and takes the last weights."""
     seed: int = 0
     """Seed of the pixel draw, the initial weights and the batches."""
 
@@ -36,14 +31,15 @@ class ColorOptions(ColorTraining, BallPressOptions):
 
     register: bool = True
     """Read the circles again with the colours of the other fitted presses; needs 8 of them."""
-    surface: Literal["simulated", "each", "cap", "hertz"] = "simulated"
+    surface: Literal["simulated", "each", "hertz"] = "simulated"
     """Gel surface under a press: the simulation of the presses that span all others, from which the
     others are read where one law holds; the simulation of each; or a closed form."""
     cache: bool = True
     """Keep contacts and simulated presses in the user's cache folder, and take what is there."""
-    drift: Literal["auto", "on", "off"] = "auto"
+    drift: DriftMode = "auto"
     """Take the drift of the light off each frame: on for cameras with automatic white balance;
-    auto compares both on left-out presses."""
+    auto does it where that takes away at least a quarter of the difference between untouched gel
+    and background."""
     ensemble: int = 3
     """Fits that each leave some of the fitted presses out: they name captures that are off, and
     their spread says how sure the model is; 0 skips them."""

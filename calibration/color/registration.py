@@ -50,33 +50,15 @@ AGAIN_RATE = 0.5
 REACH = 1.8
 """Pixels up to this many contact radii are compared."""
 MAX_PIXELS = 1500
-
-
-@dataclass(frozen=True)
-class RegistrationOptions:
-    """Settings of how circles are read again; docs/calibration_color.md has what others give."""
-
-    scales: tuple[float, ...] = (0.86, 0.93, 1.0, 1.07)
-    """Factors on all radii that are tried first, at least three with one among them; none leaves
-    the radii what they are."""
-    worth: float = 0.01
-    """Share of the loss that a factor other than one has to gain: fits that go on from one another
-    differ by less than they are wrong by."""
-    center_sigma_px: float = 2.0
-    """How far a given circle's centre is thought to be off [px]."""
-    radius_sigma: float = 0.05
-    """How far a given radius is thought to be off, as a share of it, beside what all have in
-    common."""
-
-    def __post_init__(self) -> None:
-        if self.scales and (len(self.scales) < 3 or 1.0 not in self.scales):
-            raise InputError(
-                f"scales must be at least three factors with 1 among them, or none; got "
-                f"{self.scales}"
-            )
-        for name in ("center_sigma_px", "radius_sigma"):
-            if getattr(self, name) <= 0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
+SCALES = (0.86, 0.93, 1.0, 1.07)
+"""Factors on all radii that are tried first."""
+WORTH = 0.01
+"""Share of the loss that a factor other than one has to gain: fits that go on from one another
+differ by less than they are wrong by."""
+CENTER_SIGMA_PX = 2.0
+"""How far a given circle's centre is thought to be off."""
+RADIUS_SIGMA = 0.05
+"""How far a given radius is thought to be off, as a share of it, beside what all have in common."""
 
 
 @dataclass(frozen=True)
@@ -102,12 +84,13 @@ def register_presses(
     remove_drift: bool = False,
     seed: int = 0,
     fit: ColorFitOptions = SHORT_FIT,
-    settings: RegistrationOptions | None = None,
+    scales: Sequence[float] = SCALES,
     progress: Callable[[int, int], None] | None = None,
 ) -> Registration:
     """Place the presses; ``frames`` hold the circles to start from and surfaces simulated there.
 
-    ``fit`` are the settings of the short fits that place them, ``settings`` those of the placing.
+    ``fit`` are the settings of the short fits that place them; of ``scales``, factors on all radii,
+    at least three are tried, one among them.
 
     Raises:
         InputError: Fewer than 8 presses.
@@ -117,9 +100,8 @@ def register_presses(
             f"{len(frames)} presses are too few to place each by the others; at least {MIN_PRESSES}"
         )
     options = replace(fit, remove_drift=remove_drift, seed=seed)
-    settings = settings or RegistrationOptions()
-    job = _Job(frames, background, grid, mask, options, settings)
-    total = len(settings.scales) + 2 + ROUNDS
+    job = _Job(frames, background, grid, mask, options)
+    total = len(scales) + 2 + ROUNDS
     done = 0
 
     def tell() -> None:
@@ -129,7 +111,7 @@ def register_presses(
             progress(min(done, total), total)
 
     circles = [frame.circle for frame in frames]
-    scale, losses = _best_scale(job, circles, tell)
+    scale, losses = _best_scale(job, circles, scales, tell)
     circles = [replace(c, radius_px=c.radius_px * scale) for c in circles]
     start = circles
     sigma = np.zeros((len(frames), 3))
@@ -157,19 +139,17 @@ def place_press(
     Nothing but the circle is taken from its image, and from pixels where ``mask`` is true alone.
     """
     moved = MovedPress.of(frame.surface, frame.circle, library)
-    return _place(
-        model, rest_image, frame, moved, drift, grid, mask, frame.circle, frame.circle,
-        RegistrationOptions(),
-    )[0]  # fmt: skip
+    return _place(model, rest_image, frame, moved, drift, grid, mask, frame.circle, frame.circle)[0]
 
 
 def _best_scale(
-    job: _Job, circles: Sequence[ContactCircle], tell: Callable[[], None]
+    job: _Job,
+    circles: Sequence[ContactCircle],
+    scales: Sequence[float],
+    tell: Callable[[], None],
 ) -> tuple[float, list[tuple[float, float]]]:
     """The factor on all radii with the least loss: a few, then two steps of a parabola."""
     losses: dict[float, np.ndarray] = {}
-    if not job.settings.scales:
-        return 1.0, []
 
     def look(scale: float) -> None:
         losses[scale] = job.left_out_losses(
@@ -177,7 +157,7 @@ def _best_scale(
         )
         tell()
 
-    for scale in job.settings.scales:
+    for scale in scales:
         look(scale)
     for _ in range(2):
         x = np.array(sorted(losses))
@@ -194,9 +174,8 @@ def _best_scale(
     best = min(means, key=lambda scale: means[scale])
     gain = losses[1.0] - losses[best]
     sure = gain.mean() > SURE_DEVIATIONS * gain.std(ddof=1) / np.sqrt(len(gain))
-    return best if sure and gain.mean() > job.settings.worth * means[1.0] else 1.0, sorted(
-        means.items()
-    )
+    taken = best if sure and gain.mean() > WORTH * means[1.0] else 1.0
+    return taken, sorted(means.items())
 
 
 class _Job:
@@ -209,13 +188,11 @@ class _Job:
         grid: PixelGrid,
         mask: np.ndarray | None,
         options: ColorFitOptions,
-        settings: RegistrationOptions,
     ) -> None:
         self.frames, self.grid, self.mask, self.options = list(frames), grid, mask, options
-        self.settings = settings
         self.drifts = [frame_drift(frame, background, grid, mask, options) for frame in frames]
         by_name = {f.name: drift for f, drift in zip(frames, self.drifts, strict=True)}
-        self.rest_image = rest_background(frames, background, by_name, grid, mask, options)
+        self.rest_image = rest_background(frames, background, by_name, grid, mask)
         self.library = RadialSurfaces.of(
             [frame.surface for frame in frames], [frame.circle for frame in frames], grid
         )
@@ -233,7 +210,7 @@ class _Job:
         """The drawn pixels of a press as if its contact were ``circle``."""
         idx, frame = self.pixels[i], self.frames[i]
         found = samples_at(frame, idx, self.rest_image, self.drifts[i], self.grid)
-        near = frame.circle.distance_px(self.grid).ravel()[idx] < 2.5 * frame.circle.radius_px
+        near = ~frame.circle.untouched(self.grid).ravel()[idx]
         normals, sunk = self.moved[i].at(circle, idx[near])
         found.normals[near] = normals
         found.displacement_mm[near] = sunk
@@ -271,7 +248,7 @@ class _Job:
     ) -> tuple[ContactCircle, np.ndarray]:
         return _place(
             model, self.rest_image, self.frames[i], self.moved[i], self.drifts[i], self.grid,
-            self.mask, start, prior, self.settings,
+            self.mask, start, prior,
         )  # fmt: skip
 
 
@@ -285,7 +262,6 @@ def _place(
     mask: np.ndarray | None,
     start: ContactCircle,
     prior: ContactCircle,
-    settings: RegistrationOptions,
 ) -> tuple[ContactCircle, np.ndarray]:
     """The circle where the render meets the image best."""
     near = start.distance_px(grid) <= REACH * start.radius_px
@@ -301,8 +277,8 @@ def _place(
         normals, sunk = moved.at(circle, idx)
         return (model.predict_pixels(idx, normals, sunk, rest) - wanted).ravel()
 
-    radius_sigma_px = settings.radius_sigma * prior.radius_px
-    deviation = np.array([settings.center_sigma_px, settings.center_sigma_px, radius_sigma_px])
+    radius_sigma_px = RADIUS_SIGMA * prior.radius_px
+    deviation = np.array([CENTER_SIGMA_PX, CENTER_SIGMA_PX, radius_sigma_px])
     # Pixels beside each other err alike, and the channels of a pixel do.
     share = 1.0 / (3 * CORRELATED_PIXELS * len(idx) / max(1, near.sum()))
     return refine_circle(misfit, start, prior, deviation, min(share, 1.0 / 3))

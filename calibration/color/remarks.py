@@ -171,10 +171,10 @@ def _light(result: ColorCalibration) -> list[Remark]:
     choice = result.drift_choice
     if result.drift_corrected:
         gain = ""
-        if choice is not None and choice.disc_l1_off and choice.disc_l1_on:
+        if choice is not None:
             gain = (
-                f" ({choice.disc_l1_on:.1f} instead of {choice.disc_l1_off:.1f} levels on left-out "
-                "presses)"
+                f" (untouched gel is then {choice.corrected_levels:.1f} levels from the background "
+                f"instead of {choice.captured_levels:.1f})"
             )
         return [DRIFT_TAKEN_OFF(gain=gain)]
     if result.noise_floor_l1 > FAR_LEVELS:

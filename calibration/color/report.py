@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.color.evaluate import ImageScore, crop_slices, mean_score
+from taccel_lab.calibration.color.evaluate import ImageScore, crop_slices
 from taccel_lab.calibration.color.heldout import HeldoutPress, Placed, mean_bare
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.report import Page, Picture, Table
+from taccel_lab.calibration.result import mean_figures
 from taccel_lab.interop.taxim_table_file import TABLE_FILE, TableFile, write_table
-from taccel_lab.report.style import BLUE, GREY, INK, ORANGE, in_report_style, new_figure
+from taccel_lab.report.style import BLUE, GREY, INK, in_report_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,7 +76,7 @@ def _files(result: ColorCalibration) -> dict[str, Callable[[Path], None]]:
         return {}
     figures: dict[str, float] = {}
     if result.table_scores:
-        scores = mean_score([item.score for item in result.table_scores])
+        scores = mean_figures([item.score for item in result.table_scores])
         figures = {f"heldout_{key}": scores[key] for key, _ in FIGURES}
         figures["heldout_presses"] = float(len(result.table_scores))
     size = (result.captures.grid.width_px, result.captures.grid.height_px)
@@ -98,7 +99,7 @@ def figure_columns(result: ColorCalibration) -> dict[str, dict[str, float]]:
             columns[PLACED_BY[way]] = result.heldout_means(way)
         columns["background only"] = mean_bare(result.heldout, result.failures)
     if result.table_scores:
-        columns["Taxim's table"] = mean_score([item.score for item in result.table_scores])
+        columns["Taxim's table"] = mean_figures([item.score for item in result.table_scores])
     return columns
 
 
@@ -280,20 +281,15 @@ def draw_coverage(result: ColorCalibration) -> Figure:
 
 @in_report_style
 def draw_loss(result: ColorCalibration) -> Figure:
-    """Loss over the steps, of the pixels fitted and of presses kept back to stop the fit."""
+    """Loss over the steps."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     figure, axis = new_figure(7.0, 2.8)
     steps, loss = np.array(result.fit.loss_curve, dtype=float).T
-    axis.plot(steps, loss, color=BLUE, label="fitted presses")
-    if result.fit.validation_curve:
-        steps, loss = np.array(result.fit.validation_curve, dtype=float).T
-        axis.plot(steps, loss, color=ORANGE, label="presses kept back")
-        axis.axvline(result.fit.step, color=GREY, linewidth=0.8)
+    axis.plot(steps, loss, color=BLUE)
     axis.set(xlabel="step", ylabel="loss [levels]", yscale="log")
     axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.yaxis.set_minor_formatter(NullFormatter())
     axis.grid(True, axis="y")
-    axis.legend()
     return figure

@@ -11,8 +11,7 @@ import numpy as np
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.color.drift_choice import DriftChoice
-from taccel_lab.calibration.color.evaluate import ImageScore, mean_score
+from taccel_lab.calibration.color.evaluate import ImageScore
 from taccel_lab.calibration.color.heldout import (
     PLACEMENTS,
     HeldoutFailure,
@@ -24,7 +23,8 @@ from taccel_lab.calibration.color.heldout import (
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.registration import Registration
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.calibration.light.drift_choice import DriftChoice
+from taccel_lab.calibration.result import Remark, judge, mean_figures
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 
@@ -177,7 +177,7 @@ class ColorCalibration:
         if self.spread is not None:
             found["spread"] = asdict(self.spread)
         if self.table_scores:
-            found["taxim_table"] = mean_score([item.score for item in self.table_scores])
+            found["taxim_table"] = mean_figures([item.score for item in self.table_scores])
         if self.registration is not None:
             found["circles"] = {
                 "scale": self.registration.scale,
@@ -223,13 +223,12 @@ class ColorCalibration:
         return self.captures.provenance.get("source", self.captures.source)
 
     def _background_provenance(self) -> Provenance:
-        averaged = "; averaged with the untouched parts of the training presses"
         residuals = {}
         if np.isfinite(self.noise_floor_l1):
             residuals["far_field_l1_levels"] = self.noise_floor_l1
         return Provenance(
             kind="calibrated",
-            method="captured background" + averaged * self.fit.options.average_background,
+            method="captured background; averaged with the untouched parts of the training presses",
             source=self._source(),
             inputs=self._inputs(),
             residuals=residuals,
@@ -274,11 +273,9 @@ class ColorCalibration:
             f"MLP {list(options.hidden)} on {', '.join(options.inputs)}"
             + f" and {options.position_bands} bands of position" * (options.position_bands > 0)
             + f"; {options.steps} Adam "
-            f"steps of {options.batch_pixels} pixels, {options.loss.capitalize()} loss, seed "
+            f"steps of {options.batch_pixels} pixels, Huber loss, seed "
             f"{options.seed}; surfaces: {self.surface_provider}"
         ]
-        if options.validation_every:
-            parts.append(f"stopped at step {self.fit.step} by held-back presses")
         if options.remove_drift:
             parts.append("drift of the light taken off each frame")
         if self.registration is not None:

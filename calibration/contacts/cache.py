@@ -19,7 +19,7 @@ import taccel_lab.calibration.light
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts, Refusal
-from taccel_lab.calibration.kept import KeptFile
+from taccel_lab.file_cache import CachedFile
 from taccel_lab.output import to_jsonable
 from taccel_lab.progress import Progress, silent
 
@@ -35,10 +35,10 @@ def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundC
     return kept_contacts(captures).read_or_make(lambda: find_contacts(captures, progress))
 
 
-def kept_contacts(captures: CaptureSet) -> KeptFile[FoundContacts]:
+def kept_contacts(captures: CaptureSet) -> CachedFile[FoundContacts]:
     """The file of the contacts of ``captures``."""
     count = len(captures.presses)
-    return KeptFile(
+    return CachedFile(
         "contacts",
         {
             "code": _code_sha256(),

@@ -132,14 +132,6 @@ def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundCon
     )
 
 
-def resolve_contacts(captures: CaptureSet, progress: Progress = silent) -> list[DetectedContact]:
-    """Detect the contact of every press; a press that shows none raises InputError."""
-    found = find_contacts(captures, progress)
-    if found.refusals:
-        raise InputError("\n".join(found.refusals[i].message for i in sorted(found.refusals)))
-    return [contact for contact in found.contacts if contact is not None]
-
-
 def place_heldout(
     press: Press, image: np.ndarray, captures: CaptureSet, labels: LabelPlacement
 ) -> ContactCircle:

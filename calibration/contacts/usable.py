@@ -69,10 +69,13 @@ def too_many_lost(press_count: int, cut: Sequence[bool]) -> bool:
 
 @dataclass(frozen=True)
 class UsableCircles:
-    """Presses that a fit may use, and their circles in order."""
+    """Presses that a fit may use, their contacts and circles in order."""
 
     captures: CaptureSet
+    contacts: list[DetectedContact]
+    """As found in the images."""
     circles: list[ContactCircle]
+    """Those that a fit starts from."""
     remarks: list[Remark]
     """On presses left out."""
     agreement: LabelAgreement | None
@@ -103,6 +106,7 @@ def usable_circles(
     captures, found, remarks = usable_presses(captures, progress, cache=cache)
     return UsableCircles(
         captures,
+        found,
         choose_circles(captures, found, which),
         remarks,
         compare_with_labels(captures, found),

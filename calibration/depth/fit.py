@@ -35,7 +35,7 @@ from taccel_lab.calibration.depth.remarks import (
     curve_remarks,
     error_remarks,
     label_remarks,
-    repeat_remarks,
+    place_remarks,
 )
 from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
 from taccel_lab.calibration.result import Remark
@@ -173,7 +173,7 @@ def fit_depth(
     found_remarks = (
         *remarks,
         *off,
-        *repeat_remarks(captures, chosen),
+        *place_remarks(chosen),
         *error_remarks(errors, np.concatenate([part.depth_mm for part in parts]), left_out),
         *curve_remarks(result, drops),
     )

@@ -12,7 +12,6 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.calibration.result import Remark, Severity
-from taccel_lab.geometry import PixelGrid
 
 LABEL_OFF_SHARE, LABEL_OFF_PX = 0.18, 6.0
 """A label is off when its centre lies this part of its radius, and this far, from the dark patch:
@@ -42,12 +41,6 @@ LABELS_OFF = RemarkKind(
     Severity.ERROR,
     "{off} of {count} given circles lie away from the dark patch of their image: {gaps}. Calibrate "
     "with the circles found (--circles detected), or correct them",
-)
-DUPLICATES = RemarkKind(
-    "depth_duplicates",
-    Severity.WARNING,
-    "{count} images are stored twice ({names}): they are one press, and leaving one out tells "
-    "nothing. Remove them",
 )
 ONE_SPOT = RemarkKind(
     "depth_one_spot",
@@ -116,7 +109,7 @@ def label_remarks(
 ) -> list[Remark]:
     """Whether given circles lie on the dark patches of their images."""
     gaps = {
-        press.name: _gap_px(label, seen, captures.grid)
+        press.name: seen.center_gap_px(label, captures.grid)
         for press, label, seen in zip(captures.presses, labels, found, strict=True)
         if label is not None
     }
@@ -129,16 +122,8 @@ def label_remarks(
     return [LABELS_OFF(off=len(off), count=len(gaps), gaps=worst)]
 
 
-def repeat_remarks(captures: CaptureSet, circles: Sequence[ContactCircle]) -> list[Remark]:
-    """Whether several presses are one and the same, or all at one place."""
-    first: dict[str, str] = {}
-    twins = []
-    for press in captures.presses:
-        if press.sha256 in first:
-            twins.append(f"{press.name} is {first[press.sha256]}")
-        first.setdefault(press.sha256, press.name)
-    if twins:
-        return [DUPLICATES(count=len(twins), names=", ".join(twins[:4]))]
+def place_remarks(circles: Sequence[ContactCircle]) -> list[Remark]:
+    """Whether all presses are at one place."""
     at = np.array([[c.u_px, c.v_px] for c in circles])
     reach = float(np.linalg.norm(at[:, None] - at[None], axis=-1).max())
     if len(circles) > 1 and reach < ONE_SPOT_RADII * float(
@@ -158,11 +143,6 @@ def error_remarks(left_out_mm: np.ndarray, depth_mm: np.ndarray, left_out: str) 
             left_out=left_out, error=left_out_mm.mean(), share=share, grave=share > WRONG_CURVE
         )
     ]
-
-
-def _gap_px(label: ContactCircle, seen: ContactCircle, grid: PixelGrid) -> float:
-    rows = grid.mm_per_px_y / grid.mm_per_px_x
-    return float(np.hypot(seen.u_px - label.u_px, (seen.v_px - label.v_px) * rows))
 
 
 def curve_remarks(result: DepthCalibration, drops: Sequence[np.ndarray]) -> list[Remark]:

@@ -16,14 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.light.fit import BIWEIGHT, MIN_SCALE_LEVELS
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.light.smoothing import smoothed
-from taccel_lab.geometry import PixelGrid
+from taccel_lab.calibration.robust_spread import spread_of_lengths
 
-UNTOUCHED_RADII = 2.5
-"""Beyond this many contact radii a pixel counts as background."""
 SMOOTHING_PX = 2.0
 MIN_WEIGHT = 0.1
 """Sum of weights below which no two images agree on a pixel."""
@@ -33,23 +30,23 @@ ROWS_AT_ONCE = 64
 def average_background(
     background: np.ndarray,
     frames: Sequence[np.ndarray],
-    circles: Sequence[ContactCircle],
+    untouched: Sequence[np.ndarray],
     drifts: Sequence[Light],
-    grid: PixelGrid,
     mask: np.ndarray | None = None,
 ) -> np.ndarray:
     """Robust mean of the background and the drift-free untouched parts of frames, float32 levels.
 
     Where a single frame and the background disagree, the background is kept; with more, what most
-    of them show. All images are RGB, shape [height_px, width_px, 3]; where ``mask`` is false the
-    background is kept too.
+    of them show. All images are RGB, shape [height_px, width_px, 3]; ``untouched`` says of each
+    frame where it shows untouched gel, bool, shape [height_px, width_px]. Where ``mask`` is false
+    the background is kept too.
     """
     images = [np.asarray(background, np.float32)]
     usable = np.ones(background.shape[:2], dtype=bool) if mask is None else mask
     seen = [usable]
-    for frame, circle, drift in zip(frames, circles, drifts, strict=True):
+    for frame, flat, drift in zip(frames, untouched, drifts, strict=True):
         images.append(drift.remove(frame.astype(np.float32)).astype(np.float32))
-        seen.append(usable & (circle.distance_px(grid) > UNTOUCHED_RADII * circle.radius_px))
+        seen.append(usable & flat)
     averaged = robust_mean(images, seen, images[0])
     return np.clip(averaged, 0.0, 255.0).astype(np.float32)
 
@@ -93,8 +90,7 @@ def robust_mean(
         for image, where in zip(images, seen, strict=True)
     ]
     every = np.concatenate([d[where] for d, where in zip(distances, seen, strict=True)])
-    # The median of the norm of three normal variables is 1.538 standard deviations.
-    scale = float(np.median(every)) / 1.538 if len(every) else 0.0
+    scale = spread_of_lengths(every, 3) if len(every) else 0.0
     reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
     total, count = np.zeros(middle.shape), np.zeros(middle.shape[:2])
     for image, where, distance in zip(images, seen, distances, strict=True):

@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.light.light import Light, unit_position
 from taccel_lab.calibration.light.smoothing import smoothed
+from taccel_lab.calibration.robust_spread import spread_of_lengths
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid
 
 SAMPLE_COUNT = 8000
 """Pixels that the robust fit looks at, on a regular lattice."""
@@ -31,10 +30,6 @@ SMOOTHING_SHARE = 1 / 160
 """Smoothing before the fit, as a part of the shorter side. Noise of the background would draw the
 gain to 0 wherever the gradient can explain the background as well."""
 ITERATIONS = 12
-
-FAR_RADII = 3.0
-"""Beyond this many contact radii an image is taken as untouched."""
-MIN_FAR_PIXELS = 500
 
 
 def biweight(distance: np.ndarray, reach: float) -> np.ndarray:
@@ -80,8 +75,7 @@ def fit_light(
     for k in range(ITERATIONS):
         distance = np.linalg.norm(left, axis=1)
         inside = distance[weight > 0] if k else distance
-        # The median of the norm of three normal variables is 1.538 standard deviations.
-        scale = max(float(np.median(inside)) / 1.538, MIN_SCALE_LEVELS / 3)
+        scale = max(spread_of_lengths(inside, 3), MIN_SCALE_LEVELS / 3)
         reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
         weight = biweight(distance, reach)
         for c, design in enumerate(designs):
@@ -154,26 +148,3 @@ def normal_equations(
 def without_light(image: np.ndarray, background: np.ndarray, light: Light) -> np.ndarray:
     """Frame minus the background in the frame's light [levels], float32."""
     return (image - light.apply(background.astype(np.float32))).astype(np.float32)
-
-
-def fit_light_beside(
-    frame: np.ndarray,
-    background: np.ndarray,
-    circle: ContactCircle,
-    grid: PixelGrid,
-    mask: np.ndarray | None = None,
-) -> Light:
-    """Gain and offset of ``frame`` against ``background`` beyond 3 radii of its contact.
-
-    Images are RGB levels, shape [height_px, width_px, 3]; masked pixels are left out. Raises
-    InputError when the contact leaves fewer than 500 pixels.
-    """
-    far = circle.distance_px(grid) > FAR_RADII * circle.radius_px
-    if mask is not None:
-        far &= mask
-    if far.sum() < MIN_FAR_PIXELS:
-        raise InputError(
-            f"only {int(far.sum())} usable pixels lie beyond {FAR_RADII:g} contact radii; at least "
-            f"{MIN_FAR_PIXELS} are needed to fit the background's drift"
-        )
-    return fit_light(frame, background, far, gradient=False)

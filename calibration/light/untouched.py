@@ -12,6 +12,7 @@ from taccel_lab.calibration.light.average import median_where_seen
 from taccel_lab.calibration.light.fit import fit_light, without_light
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.light.smoothing import smoothed
+from taccel_lab.calibration.robust_spread import spread_of_lengths
 from taccel_lab.errors import InputError
 
 TOUCHED_SIGMAS = 4.0
@@ -80,7 +81,7 @@ def _strength(
     change = without_light(frame.astype(np.float32), background, drift)
     strength = np.linalg.norm(smoothed(change, mask, sigma_px), axis=-1)
     usable = strength if mask is None else strength[mask]
-    return strength, float(np.median(usable)) / 1.538 * np.sqrt(3)
+    return strength, spread_of_lengths(usable, 3) * np.sqrt(3)
 
 
 def background_from_presses(

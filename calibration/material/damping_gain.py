@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.kept import kept_arrays
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.envs import profile_material
 from taccel_lab.envs.touch import first_touch_m
 from taccel_lab.errors import SimulationError
+from taccel_lab.file_cache import cached_arrays
 from taccel_lab.geometry import Region
 from taccel_lab.scene import KinematicBody, Scene, SoftBody, TimeStepping
 from taccel_lab.solvers import SolverIPC
@@ -50,7 +50,7 @@ def damping_gain(
 
     bench = gel.bench(tool, deepest_mm)
     recipe = bench.recipe("viscous gain", gel, {"deepest_mm": deepest_mm, "steps": STEPS})
-    found = kept_arrays("responses", recipe).read_or_make(simulate)
+    found = cached_arrays("responses", recipe).read_or_make(simulate)
     depth = deepest_mm * np.arange(1, STEPS + 1) / STEPS
     # The static curve is smooth; what single nodes do to its slope is not wanted.
     late = depth > EARLIEST * deepest_mm

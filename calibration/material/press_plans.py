@@ -14,9 +14,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from taccel_lab.calibration.kept import KeptFile, kept_arrays
 from taccel_lab.calibration.material.gel_presses import GelPresses, Stop
 from taccel_lab.errors import SimulationError
+from taccel_lab.file_cache import CachedFile, cached_arrays
 from taccel_lab.progress import Progress, silent
 
 CPU_BATCH, GPU_BATCH = 1, 128
@@ -43,9 +43,9 @@ class PressPlan:
     NaN."""
 
     @property
-    def kept(self) -> KeptFile[dict[str, np.ndarray]]:
+    def kept(self) -> CachedFile[dict[str, np.ndarray]]:
         """The file of its arrays in the cache."""
-        return kept_arrays("responses", self.recipe)
+        return cached_arrays("responses", self.recipe)
 
 
 class PressBench(Protocol):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import Literal
 
 import numpy as np
 
@@ -20,12 +19,14 @@ from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import joined
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
+from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode, choose_drift
 from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions, fit_normal_model
 from taccel_lab.calibration.normals.options import NormalOptions, NormalTraining
 from taccel_lab.calibration.normals.remarks import remarks_of
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import FLAT_RADII, InverseFrame, Scene, usable_pixels
+from taccel_lab.calibration.normals.samples import InverseFrame, Scene, usable_pixels
 from taccel_lab.calibration.normals.score import HeldoutNormals, reliability_of, score_heldout
 from taccel_lab.calibration.normals.skirt import hertz_skirts
 from taccel_lab.calibration.simulate import PressSurfaces
@@ -35,10 +36,6 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.rest_surface import rest_surface
 
-DriftMode = Literal["auto", "on", "off"]
-DRIFT_GAIN = 0.75
-"""``auto`` takes the light's drift off when that leaves less than this part of the difference to
-the background where the gel is at rest."""
 PIXEL_BASELINE = InverseFitOptions(scales_px=(0.0,), slopes=False, members=1, steps=600)
 """The colour change and position of a pixel alone, as in gs_sdk with its background subtracted."""
 
@@ -132,8 +129,8 @@ def fit_normals(
         mask,
         rest_normals,
     )
-    training, noise, with_drift = _frames(captures, circles, surfaces, scene, drift)
-    options = replace(options, light_drift=with_drift)
+    training, choice = _frames(captures, circles, surfaces, scene, drift)
+    options = replace(options, light_drift=choice.remove)
     fit = fit_normal_model(training, scene, options, progress=progress)
     failures = {} if split is None else dict.fromkeys(split.gone, "it was left out of the captures")
     items: list[HeldoutNormals] = []
@@ -145,8 +142,8 @@ def fit_normals(
         except InputError as error:
             failures[press.name] = str(error)
             continue
-        if with_drift:
-            image = _without_drift(image, scene)
+        if choice.remove:
+            image = _light(image, scene).remove(image).astype(np.float32)
         frame = InverseFrame(press.name, image, circle, press.sha256, None)
         items.append(score_heldout(fit.model, frame, press.circle, scene))
     baseline_deg = None
@@ -162,7 +159,7 @@ def fit_normals(
         split=split,
         baseline_deg=baseline_deg,
         reliability=reliability_of(items) if items else None,
-        flat_noise_levels=noise,
+        flat_noise_levels=(choice.captured_levels, choice.corrected_levels),
         train_names=tuple(frame.name for frame in training),
         inputs={"background": captures.background_sha256} | {f.name: f.sha256 for f in training},
         source=captures.provenance.get("source", captures.source),
@@ -180,37 +177,30 @@ def _frames(
     surfaces: Sequence[PressSurface] | None,
     scene: Scene,
     mode: DriftMode,
-) -> tuple[list[InverseFrame], tuple[float, float], bool]:
-    """Frames, the noise where the gel is at rest before and after, and whether drift came off."""
-    raw = [press.image().astype(np.float32) for press in captures.presses]
-    still = [_without_drift(image, scene) for image in raw]
-    before, after = (
-        float(np.median([_flat_noise(im, c, scene) for im, c in zip(images, circles, strict=True)]))
-        for images in (raw, still)
-    )
-    with_drift = mode == "on" or (mode == "auto" and after < DRIFT_GAIN * before)
-    chosen = still if with_drift else raw
+) -> tuple[list[InverseFrame], DriftChoice]:
+    """Frames, and whether drift came off them."""
+    images = [press.image().astype(np.float32) for press in captures.presses]
+    lights = [_light(image, scene) for image in images]
+    usable = usable_pixels(scene)
+    untouched = [usable & circle.untouched(scene.grid) for circle in circles]
+    choice = choose_drift(images, lights, untouched, scene.background, mode)
+    if choice.remove:
+        images = [
+            light.remove(image).astype(np.float32)
+            for image, light in zip(images, lights, strict=True)
+        ]
     frames = [
         InverseFrame(press.name, image, circle, press.sha256, surfaces[i] if surfaces else None)
         for i, (press, image, circle) in enumerate(
-            zip(captures.presses, chosen, circles, strict=True)
+            zip(captures.presses, images, circles, strict=True)
         )
     ]
-    return frames, (before, after), with_drift
+    return frames, choice
 
 
-def _without_drift(image: np.ndarray, scene: Scene) -> np.ndarray:
-    """The frame in the light of the background, as the model will see new ones."""
-    found = fit_light(image, scene.background, scene.mask, gradient=False)
-    return found.remove(image).astype(np.float32)
-
-
-def _flat_noise(image: np.ndarray, circle: ContactCircle, scene: Scene) -> float:
-    flat = circle.distance_px(scene.grid) > FLAT_RADII * circle.radius_px
-    flat &= usable_pixels(scene)
-    if not flat.any():
-        return 0.0
-    return float(np.abs(image[flat] - scene.background[flat]).mean())
+def _light(image: np.ndarray, scene: Scene) -> Light:
+    """Light of a frame against the background, as the model will bring new ones to it."""
+    return fit_light(image, scene.background, scene.mask, gradient=False)
 
 
 def _valid_region(frames: Sequence[InverseFrame], scene: Scene) -> dict[str, tuple[float, float]]:

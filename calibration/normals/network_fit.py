@@ -19,7 +19,6 @@ import numpy as np
 import torch
 
 from taccel_lab.calibration.normals.cross_conformal import radius_factor
-from taccel_lab.calibration.normals.label_shift import MIN_PRESSES, LabelShift, label_shifts
 from taccel_lab.calibration.normals.options import NormalTraining
 from taccel_lab.calibration.normals.samples import (
     InverseFrame,
@@ -30,7 +29,6 @@ from taccel_lab.calibration.normals.samples import (
     join,
 )
 from taccel_lab.calibration.training import (
-    CHECK_EVERY,
     arrays_of,
     descend,
     initial_weights,
@@ -52,6 +50,8 @@ from taccel_lab.signals.normal_model import (
 from taccel_lab.signals.position_encoding import require_bands
 
 TASK = "fitting the inverse model"
+CHECK_EVERY = 100
+"""Steps between looks at the presses that are left out of a member."""
 CHECK_PIXELS = 1500
 """Pixels of each left-out press that decide when to stop."""
 SMOOTH_RAD = 0.01
@@ -71,8 +71,6 @@ class InverseFitOptions(NormalTraining):
     """Windows of the features [px]; from the mean contact radius when None."""
     slopes: bool = True
     """Whether the variation of the change across the two wider windows is a feature."""
-    background: bool = False
-    """Whether the colour of the untouched pixel is a feature."""
     members: int = 4
     hidden: tuple[int, ...] = (32, 32, 32)
     batch_pixels: int = 1024
@@ -98,10 +96,6 @@ class InverseFit:
     left_out_deg: dict[str, float]
     """Mean angle of error inside the contact of each training press by a member that did not see
     it [degrees]; empty with one press."""
-    label_shifts: dict[str, LabelShift]
-    """How far the colours put each training press from its circle; empty with too few presses.
-    Training on circles that are shifted so was tried: held-out errors stay as they are, and the
-    left-out presses, whose labels then leak through the shifts of the others, look too good."""
     curve: list[tuple[int, float, float]]
     """(step, training loss, error on left-out presses), both in degrees."""
     stopped_at: tuple[int, ...]
@@ -139,15 +133,9 @@ def fit_normal_model(
     with one_thread():
         state = _train(frames, scene, options, progress)
         model, left_out = state.finish([frame.name for frame in frames])
-        shifts = {}
-        if len(frames) >= MIN_PRESSES and options.members > 1:
-            models = [state.member(fold) for fold in state.folds]
-            found = label_shifts(models, frames, scene)
-            shifts = {frame.name: shift for frame, shift in zip(frames, found, strict=True)}
     return InverseFit(
         model=model,
         left_out_deg=left_out,
-        label_shifts=shifts,
         curve=state.curve,
         stopped_at=tuple(int(step) for step in state.best_step),
         options=options,
@@ -167,7 +155,6 @@ def _train(
         scene.grid.height_px,
         scales_px=scales,
         slope_scales_px=scales[1:] if options.slopes else (),
-        background=options.background,
         light_drift=options.light_drift,
         members=options.members,
         hidden=options.hidden,
@@ -246,12 +233,11 @@ class _Training:
             expected = error.log() + (chord.detach() + SMOOTH_RAD) / error
             return angle.mean() + ERROR_SHARE * expected.mean()
 
-        def after_step(step: int, _: torch.Tensor) -> bool:
+        def after_step(step: int, _: torch.Tensor) -> None:
             if step % CHECK_EVERY == 0 or step == options.steps:
                 train_deg = float(np.degrees(chord.detach().mean().item()))
                 self.curve.append((step, train_deg, self._keep_best(step)))
                 progress(TASK, step, options.steps)
-            return True
 
         descend(
             self.layers, loss, after_step,
@@ -298,12 +284,6 @@ class _Training:
         tilt, error = self._outputs(fold, samples)
         chord = chord_of(tilt, torch.from_numpy(samples.normals)[None])[0].numpy()
         return 2 * np.arcsin(np.clip(chord / 2, 0, 1)), error[0].numpy()
-
-    def member(self, fold: int | None) -> NormalModel:
-        """The network that leaves a share of the presses out, as a model of its own."""
-        k = 0 if fold is None else fold
-        arrays = arrays_of(self.shapes, self.best, k)
-        return NormalModel(replace(self.config, members=1), arrays)
 
     def finish(self, names: Sequence[str]) -> tuple[NormalModel, dict[str, float]]:
         """The model with the best weights, its expected error scaled to the left-out presses."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.press_options import BallPressOptions
 
 
@@ -29,6 +30,6 @@ class NormalOptions(NormalTraining, BallPressOptions):
     skirt: Literal["hertz", "simulated", "none"] = "hertz"
     """Normals of the gel that sinks around a contact: a closed form; the simulation of every press
     (minutes), which absolute depths need most; or none, which leaves those pixels out."""
-    drift: Literal["auto", "on", "off"] = "auto"
+    drift: DriftMode = "auto"
     """Bring the light of each frame to the background's first; auto does it where that takes away
     at least a quarter of the difference between untouched gel and background."""

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -22,7 +23,6 @@ from taccel_lab.signals.poisson import height_from_slopes
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 
 Method = Literal["auto", "normals", "depth"]
-DriftMode = Literal["auto", "on", "off"]
 FLAT_SIGMAS = 2.0
 """Tilts below this many standard deviations count as at rest."""
 FLAT_DEG = 3.0

@@ -17,13 +17,8 @@ ENOUGH_PRESSES, LEAST_PRESSES = 8, 4
 GOOD_OVER_FLAT = 0.25
 WEAK_OVER_FLAT = 0.5
 """Error over that of guessing a flat surface, above which a model is only usable, or weak."""
-SHIFT_PX = 3.0
-SHIFT_RADII = 0.08
-"""A circle counts as off by more than both of these."""
 SURE_RATIO = 1.5
 """Observed over expected error, either way, that is remarked on."""
-SEEN_SHARE = 0.35
-"""Share of the image, per axis, that contacts should span."""
 GREY_LEVELS = 1.5
 
 FEW_PRESSES = RemarkKind(
@@ -53,18 +48,6 @@ UNCERTAINTY_OFF = RemarkKind(
     "uncertainty_off",
     Severity.WARNING,
     "held-out errors are {ratio:.2f} times what the model expects of itself",
-)
-CIRCLES_OFF = RemarkKind(
-    "normals_circles_off",
-    Severity.INFO,
-    "{off} of {count} circles lie away from where the colours put the ball: {shifts}",
-    graver=Severity.WARNING,
-)
-ONE_SPOT = RemarkKind(
-    "normals_one_spot",
-    Severity.WARNING,
-    "contacts span {span:.0f} of {size} px along {axis}; elsewhere the model extrapolates. Press "
-    "near the borders too",
 )
 LIGHT_DRIFTS = RemarkKind(
     "normals_light_drifts",
@@ -104,27 +87,6 @@ def remarks_of(
     ratio = None if result.reliability is None else result.reliability.ratio()
     if ratio is not None and not 1 / SURE_RATIO < ratio < SURE_RATIO:
         found.append(UNCERTAINTY_OFF(ratio=ratio))
-    off = {
-        name: shift
-        for name, shift in result.fit.label_shifts.items()
-        if shift.length_px > max(SHIFT_PX, SHIFT_RADII * _radius_of(training, name))
-    }
-    if off:
-        worst = sorted(off, key=lambda name: -off[name].length_px)[:4]
-        found.append(
-            CIRCLES_OFF(
-                off=len(off),
-                count=len(training),
-                shifts=", ".join(f"{name} by {off[name].length_px:.1f} px" for name in worst),
-                grave=len(off) > len(training) / 4,
-            )
-        )
-    for axis, size, at in (
-        ("u", scene.grid.width_px, [frame.circle.u_px for frame in training]),
-        ("v", scene.grid.height_px, [frame.circle.v_px for frame in training]),
-    ):
-        if np.ptp(at) < SEEN_SHARE * size:
-            found.append(ONE_SPOT(span=np.ptp(at), size=size, axis=axis))
     before, after = result.flat_noise_levels
     if result.fit.model.config.light_drift:
         found.append(LIGHT_DRIFTS(before=before, after=after))
@@ -132,10 +94,6 @@ def remarks_of(
     if change < GREY_LEVELS:
         found.append(GREY(levels=change))
     return tuple(found)
-
-
-def _radius_of(frames: Sequence[InverseFrame], name: str) -> float:
-    return next(frame.circle.radius_px for frame in frames if frame.name == name)
 
 
 def _grey_share(frame: InverseFrame, scene: Scene) -> float:

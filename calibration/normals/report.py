@@ -9,6 +9,9 @@ from taccel_lab.calibration.normals.pictures import draw_errors, draw_reliabilit
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.report import Page, Picture, Table
 
+WORST_SHOWN = 10
+"""Training presses in the table of those that are read worst."""
+
 
 def normals_page(result: NormalCalibration) -> Page:
     """Tables worst first, error maps, reliability and training of one calibration."""
@@ -37,8 +40,8 @@ def normals_page(result: NormalCalibration) -> Page:
             "Each network stops where the presses that it leaves out are read best.",
         )
     )
-    if result.fit.label_shifts:
-        tables.append(_shifts(result))
+    if result.fit.left_out_deg:
+        tables.append(_left_out(result))
     return Page(
         title="Calibration of surface normals",
         summary=_sentence(result),
@@ -108,21 +111,13 @@ def _presses(result: NormalCalibration) -> Table:
     )
 
 
-def _shifts(result: NormalCalibration) -> Table:
-    shifts = result.fit.label_shifts
-    order = sorted(shifts, key=lambda name: -shifts[name].length_px)[:10]
+def _left_out(result: NormalCalibration) -> Table:
+    errors = result.fit.left_out_deg
+    order = sorted(errors, key=lambda name: -errors[name])[:WORST_SHOWN]
     return Table(
-        "Circles of training presses against the colours, furthest off first",
-        ["press", "du [px]", "dv [px]", "left-out error [deg]"],
-        [
-            [
-                name,
-                shifts[name].du_px,
-                shifts[name].dv_px,
-                result.fit.left_out_deg.get(name, float("nan")),
-            ]
-            for name in order
-        ],
-        "Where a network that never saw the press puts the ball, against the circle it was "
-        "labelled with; the mean of all presses is taken out.",
+        "Training presses, worst first",
+        ["press", "left-out error [deg]"],
+        [[name, errors[name]] for name in order],
+        "Mean angle inside the contact by a network that never saw the press: a wrong circle "
+        "stands out here.",
     )

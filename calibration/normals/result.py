@@ -13,8 +13,8 @@ from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.samples import Scene
-from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess, mean_of
-from taccel_lab.calibration.result import Remark, judge
+from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
+from taccel_lab.calibration.result import Remark, judge, mean_figures
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 
 
@@ -51,7 +51,7 @@ class NormalCalibration:
     def heldout_means(self, circles: Literal["given", "used"]) -> dict[str, float]:
         """Mean figures of the held-out presses, failures as flat guesses."""
         scores = [getattr(item, circles) for item in self.heldout]
-        return mean_of(scores + [flat_guess(scores)] * len(self.failures))
+        return mean_figures(scores + [flat_guess(scores)] * len(self.failures))
 
     def figures(self) -> dict[str, Any]:
         """Means over the held-out presses and the table of presses, worst first."""
@@ -75,7 +75,6 @@ class NormalCalibration:
             "reliability": None if self.reliability is None else asdict(self.reliability),
             "presses": rows,
             "left_out_deg": self.fit.left_out_deg,
-            "label_shift_px": {k: v.length_px for k, v in self.fit.label_shifts.items()},
             "flat_noise_levels": self.flat_noise_levels,
             "light_drift": self.fit.model.config.light_drift,
             "circles": self.circles,

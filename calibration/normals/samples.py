@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
 from taccel_lab.calibration.normals.ball_normals import ball_normals
 from taccel_lab.calibration.pixel_draw import draw_regions
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
@@ -26,8 +26,6 @@ RIM_RADII = 0.98
 """Within this many contact radii a pixel lies in the contact, as well as circles are known."""
 SKIRT_RADII = 1.03
 """Beyond this many it surely lies outside."""
-FLAT_RADII = 2.5
-"""Beyond this many contact radii the gel is at rest, as far as colour tells."""
 
 
 @dataclass(frozen=True)
@@ -107,12 +105,14 @@ def draw_samples(
     zooms += [float(np.exp(rng.uniform(-reach, reach))) for _ in range(options.zooms - 1)]
     regions = [
         (usable & (distance <= RIM_RADII), options.disc_pixels),
-        (usable & (distance > FLAT_RADII), options.flat_pixels),
+        (usable & (distance > UNTOUCHED_RADII), options.flat_pixels),
     ]
     if frame.surface is not None:
-        skirt = usable & (distance > SKIRT_RADII) & (distance <= FLAT_RADII)
+        skirt = usable & (distance > SKIRT_RADII) & (distance <= UNTOUCHED_RADII)
         regions.insert(1, (skirt, options.skirt_pixels))
-    window = _window(frame.circle, scene.grid, FLAT_RADII if frame.surface is not None else 1.0)
+    window = _window(
+        frame.circle, scene.grid, UNTOUCHED_RADII if frame.surface is not None else 1.0
+    )
     features, normals = [], []
     for zoom in zooms:
         # Zoomed windows are wide; only the part of the image that is drawn from is filtered. The

@@ -176,11 +176,3 @@ def flat_guess(scores: Sequence[AngleScore]) -> AngleScore:
     flat = max(score.flat_deg for score in scores)
     depth = max(score.depth_mm for score in scores)
     return AngleScore(flat, flat, flat, flat, depth, depth)
-
-
-def mean_of(scores: Sequence[AngleScore]) -> dict[str, float]:
-    """Mean of each figure over presses."""
-    return {
-        key: float(np.mean([getattr(score, key) for score in scores]))
-        for key in AngleScore.__dataclass_fields__
-    }

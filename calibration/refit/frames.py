@@ -13,9 +13,9 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
-from taccel_lab.calibration.contacts.fit import place_heldout, resolve_contacts
-from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
+from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.refit.light_change import RefitFrame
 from taccel_lab.calibration.surfaces.analytic import analytic_surface
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
@@ -74,7 +74,8 @@ def refit_frames(
     for press in captures.presses:
         _check_size(press.image(), size, press.source)
     training = captures.only(split.train)
-    circles = choose_circles(training, resolve_contacts(training))
+    usable = usable_circles(training, cache=False)
+    training, circles = usable.captures, usable.circles
     made = _surfaces(profile, training, circles, surfaces)
     frames += _pressed(profile, training, circles, made)
     if not split.heldout:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed-form ball presses: the baselines that a simulated surface has to beat.
+"""Closed-form ball presses: the baseline that a simulated surface has to beat.
 
-``cap`` is the bare sphere cap in the contact circle with the gel at rest level around it, which
-is what most published calibrations assume. ``hertz`` continues the cap with the sinking of an
-elastic half-space outside a Hertz contact, K. L. Johnson, Contact Mechanics (1985), eq. 3.42a:
+The sphere's cap in the contact circle is continued with the sinking of an elastic half-space
+outside a Hertz contact, K. L. Johnson, Contact Mechanics (1985), eq. 3.42a:
 ``u_z(r) ~ (2 a^2 - r^2) asin(a / r) + a^2 (r/a) sqrt(1 - a^2/r^2)``, here scaled so that the
 slope is continuous with the sphere's at the contact's rim and damped by ``exp(-(r - a) / l)``,
 since a gel bonded to a plate sinks over a distance of about its thickness only.
@@ -12,7 +11,6 @@ since a gel bonded to a plate sinks over a distance of about its thickness only.
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import numpy as np
 
@@ -21,8 +19,6 @@ from taccel_lab.calibration.contacts.slope_law import hertz_slope
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-
-Skirt = Literal["cap", "hertz"]
 
 MAX_SLOPE = 2.5
 """Steepest slope of the skirt's start; a sphere's grows without bound towards its equator."""
@@ -33,7 +29,6 @@ def analytic_surface(
     grid: PixelGrid,
     ball_radius_mm: float,
     *,
-    skirt: Skirt = "hertz",
     decay_mm: float = math.inf,
 ) -> PressSurface:
     """Surface of a flat gel under a ball that touches it in ``circle``.
@@ -49,7 +44,7 @@ def analytic_surface(
     dv = (np.arange(grid.height_px)[:, None] - circle.v_px) * grid.mm_per_px_y
     distance_mm = np.hypot(du, dv)
     radii = np.linspace(0.0, distance_mm.max() + 1.0, 8192)
-    slope = _slope(radii, rim_mm, ball_radius_mm, skirt, decay_mm)
+    slope = _slope(radii, rim_mm, ball_radius_mm, decay_mm)
     # Heights by integrating the slope; the far field is at rest level.
     steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(radii)
     height_mm = np.concatenate([[0.0], np.cumsum(steps)])
@@ -70,20 +65,19 @@ def analytic_surface(
         depth_mm=float(-height_mm[0]),
         force_n=math.nan,
         residual_n=math.nan,
-        provider=f"analytic {skirt}" + ("" if math.isinf(decay_mm) else f", decay {decay_mm:g} mm"),
+        provider="analytic hertz" + ("" if math.isinf(decay_mm) else f", decay {decay_mm:g} mm"),
     )
 
 
 def _slope(
-    radii_mm: np.ndarray, rim_mm: float, ball_radius_mm: float, skirt: Skirt, decay_mm: float
+    radii_mm: np.ndarray, rim_mm: float, ball_radius_mm: float, decay_mm: float
 ) -> np.ndarray:
     """dh/dr of the surface at each radius, shape as ``radii_mm``."""
     inside = radii_mm <= rim_mm
     slope = np.zeros_like(radii_mm)
     r = radii_mm[inside]
     slope[inside] = r / np.sqrt(ball_radius_mm**2 - r**2)
-    if skirt == "hertz":
-        shape = hertz_slope(radii_mm[~inside] / rim_mm)
-        rim_slope = min(rim_mm / math.sqrt(ball_radius_mm**2 - rim_mm**2), MAX_SLOPE)
-        slope[~inside] = rim_slope * shape * np.exp(-(radii_mm[~inside] - rim_mm) / decay_mm)
+    shape = hertz_slope(radii_mm[~inside] / rim_mm)
+    rim_slope = min(rim_mm / math.sqrt(ball_radius_mm**2 - rim_mm**2), MAX_SLOPE)
+    slope[~inside] = rim_slope * shape * np.exp(-(radii_mm[~inside] - rim_mm) / decay_mm)
     return slope

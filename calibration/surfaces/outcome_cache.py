@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from taccel_lab.calibration.kept import KeptFile, load_arrays, save_arrays
 from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
+from taccel_lab.file_cache import CachedFile, load_arrays, save_arrays
 from taccel_lab.version import __version__
 
 RECIPE = 4
 """Raised whenever the same press comes out otherwise."""
 
 
-def kept_outcome(batch: PressBatch) -> KeptFile[BatchOutcome]:
+def kept_outcome(batch: PressBatch) -> CachedFile[BatchOutcome]:
     """The file of the outcome of a batch."""
     count = len(batch.at_mm)
 
@@ -31,4 +31,4 @@ def kept_outcome(batch: PressBatch) -> KeptFile[BatchOutcome]:
         save_arrays(path, vars(outcome))
 
     recipe = {"recipe": RECIPE, "version": __version__, **batch.recipe()}
-    return KeptFile("presses", recipe, load, save)
+    return CachedFile("presses", recipe, load, save)

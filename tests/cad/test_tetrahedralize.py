@@ -11,25 +11,25 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from taccel_lab.cad.mesh import cache
 from taccel_lab.cad.mesh.bond_planes import bond_projection
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import QualityGate, measure_quality, require_quality
 from taccel_lab.cad.mesh.regions import transfer_regions
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
-from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh, tetwild_mesh
+from taccel_lab.cad.mesh.tetrahedralize import cached_mesh, tetwild_gel_mesh, tetwild_mesh
 from taccel_lab.cad.parts.dome_pad import ShellDomePad, SolidDomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
+from taccel_lab.file_cache import CACHE_VARIABLE, cache_folder, content_key
 from taccel_lab.geometry import Region, TetMesh
 
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
 
 
 def small_pad(**changes: Any) -> GelPad:
@@ -175,23 +175,23 @@ def test_damaged_cache_is_reported_and_rebuilt() -> None:
         built.append(1)
         return gel_mesh(pad, 2.0)
 
-    cache.cached_mesh({"a": 1.0}, build)
-    (stored,) = (cache.cache_folder() / "meshes").glob("*.npz")
+    cached_mesh({"a": 1.0}).read_or_make(build)
+    (stored,) = (cache_folder() / "meshes").glob("*.npz")
     stored.write_bytes(stored.read_bytes()[:1000])
     with pytest.warns(UserWarning, match="damaged"):
-        mesh = cache.cached_mesh({"a": 1.0}, build)
+        mesh = cached_mesh({"a": 1.0}).read_or_make(build)
     assert len(built) == 2 and mesh.node_count > 0
-    assert cache.cached_mesh({"a": 1.0}, build).tets.tobytes() == mesh.tets.tobytes()
+    assert cached_mesh({"a": 1.0}).read_or_make(build).tets.tobytes() == mesh.tets.tobytes()
     assert len(built) == 2
 
 
 def test_keys_follow_content() -> None:
     a = np.arange(6.0)
-    key = cache.content_key({"x": a, "n": 1})
-    assert key == cache.content_key({"n": 1, "x": a.copy()})
-    assert key != cache.content_key({"x": a.reshape(2, 3), "n": 1})
-    assert key != cache.content_key({"x": a + 1e-9, "n": 1})
-    assert key != cache.content_key({"x": a, "n": 2})
+    key = content_key({"x": a, "n": 1})
+    assert key == content_key({"n": 1, "x": a.copy()})
+    assert key != content_key({"x": a.reshape(2, 3), "n": 1})
+    assert key != content_key({"x": a + 1e-9, "n": 1})
+    assert key != content_key({"x": a, "n": 2})
 
 
 def test_unwritable_cache_names_the_variable(
@@ -199,9 +199,9 @@ def test_unwritable_cache_names_the_variable(
 ) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")
-    monkeypatch.setenv(cache.CACHE_VARIABLE, str(blocked))
-    with pytest.raises(InputError, match=cache.CACHE_VARIABLE):
-        cache.cached_mesh({}, lambda: gel_mesh(GelPad(), 2.0))
+    monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
+    with pytest.raises(InputError, match=CACHE_VARIABLE):
+        cached_mesh({}).read_or_make(lambda: gel_mesh(GelPad(), 2.0))
 
 
 @pytest.mark.parametrize(("edge_mm", "epsilon"), [(0.0, 1e-3), (99.0, 1e-3), (1.0, 0.5)])

@@ -125,7 +125,7 @@ def test_table_names_the_figures(
     without_check(monkeypatch)
     out = folder.parent / "profile"
     CalibrateColor(
-        folder, out, base=folder.parent / "base", surface="cap", steps=5, ensemble=0, drift="off",
+        folder, out, base=folder.parent / "base", surface="hertz", steps=5, ensemble=0, drift="off",
         holdout_every=0,
     ).run()  # fmt: skip
     assert "no press was held out" in capsys.readouterr().out

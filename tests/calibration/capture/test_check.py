@@ -61,7 +61,7 @@ def test_figures_are_of_every_press(sound: CaptureCheck) -> None:
 def test_auto_white_balance(tmp_path: Path) -> None:
     maker = CaptureMaker()
     maker.change(range(0, 15, 2), lambda image: drift(image, [1.08, 1.0, 0.93]))
-    finding = by_code(check(maker, tmp_path))["auto_white_balance"]
+    finding = by_code(check(maker, tmp_path))["channels_drift"]
     assert finding.severity == Severity.WARNING and "color" in finding.blocks
 
 
@@ -69,7 +69,7 @@ def test_auto_exposure(tmp_path: Path) -> None:
     maker = CaptureMaker()
     maker.change(range(0, 15, 2), lambda image: drift(image, 0.9))
     codes = by_code(check(maker, tmp_path))
-    assert "auto_exposure" in codes and "auto_white_balance" not in codes
+    assert "light_drifts" in codes and "channels_drift" not in codes
 
 
 def test_saturation(tmp_path: Path) -> None:
@@ -129,6 +129,7 @@ def test_duplicates(tmp_path: Path) -> None:
 
     codes = by_code(check_captures(load_capture_folder(folder), fit_ball=False))
     assert codes["duplicates"].frames == ("p02", "p04")
+    assert set(codes["duplicates"].blocks) == {"color", "normals", "depth"}
     # p05 shows the same press with other noise.
     assert set(codes["near_duplicates"].frames) == {"p02", "p04", "p05"}
 

@@ -16,9 +16,9 @@ from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.folds import fold_fits
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.heldout import HeldoutSet
+from taccel_lab.calibration.color.light_beside import fit_light_beside
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.light.average import average_background
-from taccel_lab.calibration.light.fit import fit_light_beside
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError
@@ -152,9 +152,20 @@ def test_averaged_background_is_quieter_and_free_of_contacts() -> None:
     frames = frames_of(captures, surfaces)
     still = Light(np.ones(3), np.zeros(3))
     averaged = average_background(
-        noisy, [f.image for f in frames], [f.circle for f in frames], [still] * len(frames), GRID
+        noisy,
+        [f.image for f in frames],
+        [f.circle.untouched(GRID) for f in frames],
+        [still] * len(frames),
     )
     assert np.std(averaged - truth) < 0.5 * np.std(noisy - truth)
+
+
+@pytest.mark.parametrize("steps", [1, 9])
+def test_a_few_steps_can_be_asked_for(steps: int) -> None:
+    captures, surfaces = synthetic_captures(2)
+    options = dataclasses.replace(QUICK, steps=steps)
+    fit = fit_color_model(frames_of(captures, surfaces), captures.background, GRID, options)
+    assert fit.loss_curve[-1][0] == steps
 
 
 def test_bad_fits_are_refused() -> None:

@@ -12,12 +12,12 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.color.evaluate import (
     crop_slices,
-    mean_score,
     noise_floor_l1,
     psnr_db,
     score_image,
     ssim,
 )
+from taccel_lab.calibration.result import mean_figures
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -85,7 +85,7 @@ def test_mean_is_a_mean() -> None:
     circle = ContactCircle(30.0, 25.0, 10.0)
     captured = np.full((50, 60, 3), 100.0)
     scores = [score_image(captured + error, captured, circle, grid) for error in (1.0, 5.0, 2.0)]
-    assert mean_score(scores)["disc_l1"] == pytest.approx(8 / 3)
+    assert mean_figures(scores)["disc_l1"] == pytest.approx(8 / 3)
 
 
 def test_shapes_are_checked() -> None:

@@ -19,7 +19,6 @@ from taccel_lab.calibration.capture import (
     load_capture_folder,
     load_captures,
 )
-from taccel_lab.calibration.color import drift_choice as drift_choice_module
 from taccel_lab.calibration.color.fit import calibrate_color, fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.heldout import HeldoutSet
@@ -79,7 +78,6 @@ def test_canary_noise_in_held_out_images_changes_nothing_that_is_fitted(
     """The whole calibration, twice: weights, background, circles and split stay to the bit."""
     short = partial(register_presses, fit=BRIEF)
     monkeypatch.setattr("taccel_lab.calibration.color.fit.register_presses", short)
-    monkeypatch.setattr(drift_choice_module, "SHORT_FIT", BRIEF)
     captures, _ = synthetic_captures(12, noise=1.0)
     folder = write_folder(tmp_path / "captures", captures, labelled)
     names = load_captures(folder).split(4).heldout_names

@@ -15,7 +15,6 @@ from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame, Samples
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.registration import (
-    RegistrationOptions,
     place_press,
     register_presses,
 )
@@ -26,7 +25,7 @@ from taccel_lab.geometry import PixelGrid
 from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, synthetic_captures
 
 COUNT = 12
-THREE_SCALES = RegistrationOptions(scales=(0.95, 1.0, 1.05))
+THREE_SCALES = (0.95, 1.0, 1.05)
 QUICK = ColorFitOptions(
     hidden=(24, 24), steps=200, batch_pixels=1024, disc_pixels=800, ring_pixels=500,
     far_pixels=100, learning_rate=1e-2,
@@ -140,7 +139,7 @@ def test_masked_pixels_have_no_effect_and_runs_agree(
     monkeypatch.setattr(registration, "ROUNDS", 1)
     clean, dirty = (
         register_presses(
-            given, captures.background, GRID, mask=mask, fit=BRIEF, settings=THREE_SCALES
+            given, captures.background, GRID, mask=mask, fit=BRIEF, scales=THREE_SCALES
         )
         for given in (frames, poisoned)
     )
@@ -160,7 +159,7 @@ def test_fits_go_on_from_the_first_of_their_fold(
 
     monkeypatch.setattr(registration, "train", counted)
     frames = clicked_frames(captures, np.random.default_rng(7), off_px=1.0, scale=1.0)
-    register_presses(frames, captures.background, GRID, fit=BRIEF, settings=THREE_SCALES)
+    register_presses(frames, captures.background, GRID, fit=BRIEF, scales=THREE_SCALES)
     whole = [steps for steps, fresh, _ in started if fresh]
     assert whole == [BRIEF.steps] * registration.FOLDS
     again = {steps for steps, fresh, _ in started if not fresh}
@@ -173,22 +172,3 @@ def test_too_few_presses_are_refused(captures: CaptureSet) -> None:
     frames = clicked_frames(captures, np.random.default_rng(6), off_px=0.0, scale=1.0)
     with pytest.raises(InputError, match="7 presses are too few"):
         register_presses(frames[:7], captures.background, GRID)
-
-
-def test_radii_stay_without_any_scale(captures: CaptureSet) -> None:
-    frames = clicked_frames(captures, np.random.default_rng(8), off_px=1.0, scale=1.0)
-    held = RegistrationOptions(scales=(), center_sigma_px=1e-3, radius_sigma=1e-5)
-    found = register_presses(frames, captures.background, GRID, fit=BRIEF, settings=held)
-    assert found.scale == 1.0 and found.scale_losses == []
-    # Priors this narrow leave each circle where it was given.
-    for circle, frame in zip(found.circles, frames, strict=True):
-        assert abs(circle.u_px - frame.circle.u_px) < 0.01
-        assert abs(circle.radius_px - frame.circle.radius_px) < 0.01
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"scales": (0.9, 1.0)}, {"scales": (0.8, 0.9, 1.1)}, {"radius_sigma": 0.0}]
-)
-def test_settings_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=next(iter(wrong))):
-        RegistrationOptions(**wrong)

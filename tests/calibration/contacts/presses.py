@@ -8,7 +8,9 @@ from functools import partial
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.slope_law import SKIRT, slope_law
+from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.geometry import PixelGrid
 
 GRID = PixelGrid(200, 150, 0.08, 0.08)
@@ -82,3 +84,8 @@ def scattered(count: int, seed: int = 0, grid: PixelGrid = GRID) -> list[Contact
         )
         for _ in range(count)
     ]
+
+
+def contacts_of(captures: CaptureSet) -> list[DetectedContact]:
+    """Contacts of the presses as the calibrations find them."""
+    return usable_presses(captures)[1]

@@ -13,7 +13,7 @@ from taccel_lab.calibration.contacts import cache
 from taccel_lab.calibration.contacts.cache import cached_contacts, kept_contacts
 from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.errors import InputError
-from taccel_lab.output import CACHE_VARIABLE
+from taccel_lab.file_cache import CACHE_VARIABLE
 from tests.calibration.contacts.test_usable import with_empty_frames
 from tests.calibration.synthetic import synthetic_captures
 

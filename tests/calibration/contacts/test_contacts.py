@@ -14,13 +14,21 @@ from hypothesis import strategies as st
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.fit import detect_contact, find_contacts, resolve_contacts
+from taccel_lab.calibration.contacts.fit import detect_contact, find_contacts
 from taccel_lab.calibration.contacts.labels import compare_with_labels
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.slope_law import SKIRT, hertz_slope, slope_law
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from tests.calibration.contacts.presses import BALL_MM, GRID, gel, press_set, pressed, scattered
+from tests.calibration.contacts.presses import (
+    BALL_MM,
+    GRID,
+    contacts_of,
+    gel,
+    press_set,
+    pressed,
+    scattered,
+)
 from tests.calibration.drawn.faults import (
     add_dust,
     add_gradient,
@@ -42,7 +50,7 @@ def offsets(captures: CaptureSet, contacts: Sequence[DetectedContact]) -> np.nda
 def test_perfect_presses_to_a_tenth_of_a_pixel() -> None:
     circles = scattered(12)
     captures = press_set(circles, [pressed(c) for c in circles])
-    found = offsets(captures, resolve_contacts(captures))
+    found = offsets(captures, contacts_of(captures))
     assert np.abs(found).max() < 0.1
 
 
@@ -50,7 +58,7 @@ def test_pixels_that_are_not_square() -> None:
     grid = PixelGrid(200, 120, 0.08, 0.1)
     circles = scattered(6, seed=3, grid=grid)
     captures = press_set(circles, [pressed(c, grid) for c in circles], grid)
-    assert np.abs(offsets(captures, resolve_contacts(captures))).max() < 0.25
+    assert np.abs(offsets(captures, contacts_of(captures))).max() < 0.25
 
 
 def faulty(circle: ContactCircle, rng: np.random.Generator, skirt: float = SKIRT) -> np.ndarray:
@@ -67,7 +75,7 @@ def test_faulty_presses_within_their_own_sigma() -> None:
     rng = np.random.default_rng(1)
     circles = scattered(14, seed=5)
     captures = press_set(circles, [faulty(c, rng) for c in circles])
-    contacts = resolve_contacts(captures)
+    contacts = contacts_of(captures)
     off = offsets(captures, contacts)
     assert np.median(np.hypot(off[:, 0], off[:, 1])) < 0.35 and np.abs(off).max() < 2.0
     centers = off[:, :2] / np.array([[c.center_sigma_px] for c in contacts])
@@ -84,7 +92,7 @@ def test_sigma_holds_what_the_law_of_the_gel_may_be_wrong_by() -> None:
         rng = np.random.default_rng(seed)
         circles = scattered(12, seed=20 + seed)
         captures = press_set(circles, [faulty(c, rng, skirt) for c in circles])
-        contacts = resolve_contacts(captures)
+        contacts = contacts_of(captures)
         off = offsets(captures, contacts)
         centers.append(off[:, :2] / np.array([[c.center_sigma_px] for c in contacts]))
         radii.append(off[:, 2] / np.array([c.radius_sigma_px for c in contacts]))
@@ -150,7 +158,7 @@ def test_poisoned_pixels_have_no_effect() -> None:
     captures = dataclasses.replace(press_set(circles, clean), mask=mask)
     poisoned = [quantise(poison(image, mask, rng)) for image in clean]
     spoilt = dataclasses.replace(press_set(circles, poisoned), mask=mask)
-    assert resolve_contacts(spoilt) == resolve_contacts(captures)
+    assert contacts_of(spoilt) == contacts_of(captures)
 
 
 def test_a_contact_at_the_border_is_refused_with_the_reason() -> None:
@@ -189,9 +197,7 @@ def test_labels_to_one_side_are_told_apart_from_scatter() -> None:
         dataclasses.replace(p, circle=dataclasses.replace(c, u_px=c.u_px + 3))
         for p, c in zip(captures.presses, circles, strict=True)
     )
-    found = compare_with_labels(
-        dataclasses.replace(captures, presses=moved), resolve_contacts(captures)
-    )
+    found = compare_with_labels(dataclasses.replace(captures, presses=moved), contacts_of(captures))
     assert found is not None and found.shift_u_px == pytest.approx(-3, abs=0.1)
     assert found.center_median_px == pytest.approx(3, abs=0.1)
     assert found.center_median_shifted_px < 0.1

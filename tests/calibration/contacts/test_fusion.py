@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.fit import resolve_contacts
 from taccel_lab.calibration.contacts.fusion import LABEL_SHIFT_PX, choose_circles, fuse_circles
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.errors import InputError
+from tests.calibration.contacts.presses import contacts_of
 from tests.calibration.synthetic import synthetic_captures
 
 
@@ -129,7 +129,7 @@ def test_two_presses_lie_where_they_are_found_and_apart_as_both_say() -> None:
 def test_choice_of_circles() -> None:
     captures, _ = synthetic_captures(3)
     object.__setattr__(captures.presses[1], "circle", None)
-    found = resolve_contacts(captures)
+    found = contacts_of(captures)
     for which in ("fused", "labels", "detected"):
         chosen = choose_circles(captures, found, which)
         assert chosen[1] == found[1].circle

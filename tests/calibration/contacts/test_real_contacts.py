@@ -23,13 +23,13 @@ from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.calibration.contacts.circle_arrays import circle_array
 from taccel_lab.calibration.contacts.color_change import color_change
-from taccel_lab.calibration.contacts.fit import find_contacts, resolve_contacts
+from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.fusion import fuse_circles
 from taccel_lab.calibration.contacts.labels import LabelAgreement, agreement
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.rim import fit_rim
 from taccel_lab.geometry import PixelGrid
-from tests.calibration.contacts.presses import press_set, pressed, scattered
+from tests.calibration.contacts.presses import contacts_of, press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
 
 DATA = Path(
@@ -128,7 +128,7 @@ def test_three_measurements_tell_whose_scatter_it_is() -> None:
         dataclasses.replace(press, circle=label)
         for press, label in zip(captures.presses, labelled, strict=True)
     )
-    found = resolve_contacts(captures)
+    found = contacts_of(captures)
     scatter = scatter_of_three(dataclasses.replace(captures, presses=presses), found)
     true = np.std(circle_array([c.circle for c in found]) - circle_array(circles), axis=0)
     assert scatter.label == pytest.approx([1.5, 1.5], rel=0.3)

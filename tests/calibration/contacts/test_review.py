@@ -13,13 +13,20 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, load_captures
 from taccel_lab.calibration.capture.overrides import read_overrides, with_overrides
-from taccel_lab.calibration.contacts.fit import resolve_contacts
 from taccel_lab.calibration.contacts.fusion import choose_circles
 from taccel_lab.calibration.contacts.report import write_review
 from taccel_lab.calibration.contacts.review import review_contacts
 from taccel_lab.cli.capture.review import CaptureReview
 from taccel_lab.errors import InputError
-from tests.calibration.contacts.presses import BALL_MM, GRID, gel, press_set, pressed, scattered
+from tests.calibration.contacts.presses import (
+    BALL_MM,
+    GRID,
+    contacts_of,
+    gel,
+    press_set,
+    pressed,
+    scattered,
+)
 from tests.calibration.drawn.faults import add_noise, quantise
 
 
@@ -82,7 +89,7 @@ def test_review_then_correct(folder: Path, tmp_path: Path) -> None:
         '[[contact]]\npress = "p3"\nu_px = 70.5\nv_px = 60.25\nradius_px = 15.0\n'
     )
     captures = load_captures(folder)
-    found = resolve_contacts(captures)
+    found = contacts_of(captures)
     for which in ("fused", "labels", "detected"):
         assert choose_circles(captures, found, which)[2] == ContactCircle(70.5, 60.25, 15.0)
 

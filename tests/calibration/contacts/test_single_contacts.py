@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts.fit import detect_contact, resolve_contacts
+from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.contacts.labels import compare_with_labels
 from taccel_lab.calibration.contacts.rim import fit_circle
 from taccel_lab.errors import InputError
+from tests.calibration.contacts.presses import contacts_of
 from tests.calibration.synthetic import GRID, flat_background, press_image, synthetic_captures
 
 
@@ -79,13 +80,13 @@ def test_a_frame_without_contact_is_named() -> None:
     empty = captures.presses[1]
     object.__setattr__(empty, "read", lambda: captures.background)
     with pytest.raises(InputError, match=r"memory\[1\]: no contact found"):
-        resolve_contacts(captures)
+        contacts_of(captures)
 
 
 def test_agreement_counts_labelled_presses_only() -> None:
     captures, _ = synthetic_captures(4)
     object.__setattr__(captures.presses[2], "circle", None)
-    found = resolve_contacts(captures)
+    found = contacts_of(captures)
     agreement = compare_with_labels(captures, found)
     assert agreement is not None and agreement.count == 3
     assert agreement.center_median_px < 1.0
@@ -96,7 +97,7 @@ def test_agreement_counts_labelled_presses_only() -> None:
 
 def test_real_presses(taxim_captures: CaptureSet) -> None:
     # Labels are clicked by hand: even pixels, odd radii; 3 px are 0.09 mm.
-    agreement = compare_with_labels(taxim_captures, resolve_contacts(taxim_captures))
+    agreement = compare_with_labels(taxim_captures, contacts_of(taxim_captures))
     assert agreement is not None and agreement.count == 48
     assert agreement.center_median_px < 2.2 and agreement.center_p90_px < 4.5
     assert agreement.radius_median_px < 1.8 and agreement.radius_p90_px < 3.3

@@ -121,7 +121,7 @@ def codes(result: DepthCalibration) -> dict[str, str]:
 def test_labels_off_the_dark_patch_are_weak() -> None:
     captures = captures_of(CIRCLES, noise=0.5)
     assert (
-        not {"depth_labels_off", "depth_duplicates", "depth_one_spot", "depth_large_error"}
+        not {"depth_labels_off", "depth_one_spot", "depth_large_error"}
         & codes(fit_depth(captures)).keys()
     )
     moved = tuple(
@@ -137,11 +137,9 @@ def test_labels_off_the_dark_patch_are_weak() -> None:
         fit_depth(lost)
 
 
-def test_repeats_are_one_press() -> None:
+def test_presses_at_one_spot_are_told() -> None:
     captures = captures_of([CIRCLES[0]] * 3, noise=0.5)
     assert codes(fit_depth(captures))["depth_one_spot"] == "warning"
-    same = tuple(replace(press, sha256="1" * 64) for press in captures.presses)
-    assert codes(fit_depth(replace(captures, presses=same)))["depth_duplicates"] == "warning"
 
 
 def test_presses_that_answer_differently_are_told() -> None:

@@ -23,7 +23,9 @@ def frames(count: int, rng: np.random.Generator) -> list[np.ndarray]:
 
 def averaged(background: np.ndarray, images: list[np.ndarray]) -> np.ndarray:
     count = len(images)
-    return average_background(background, images, [CONTACT] * count, [STILL] * count, GRID)
+    return average_background(
+        background, images, [CONTACT.untouched(GRID)] * count, [STILL] * count
+    )
 
 
 def untouched() -> np.ndarray:

@@ -19,8 +19,8 @@ GRID = PixelGrid(200, 160, 0.05, 0.05)
 CIRCLE = ContactCircle(100.0, 80.0, 20.0)
 
 
-def test_cap_is_the_sphere_and_flat_outside() -> None:
-    surface = analytic_surface(CIRCLE, GRID, 2.0, skirt="cap")
+def test_in_contact_it_is_the_sphere_and_beyond_the_skirt_flat() -> None:
+    surface = analytic_surface(CIRCLE, GRID, 2.0, decay_mm=1e-4)
     x = np.arange(200) - 100.0
     inside = np.abs(x) < 19
     expected = 2.0 - np.sqrt(4.0 - (0.05 * x[inside]) ** 2)

@@ -7,6 +7,9 @@ damaged file is reported with a warning, and the result is made again.
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping
@@ -17,13 +20,16 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.output import CACHE_VARIABLE, atomic_file, cache_folder, content_key
+from taccel_lab.output import atomic_file, to_jsonable
+
+CACHE_VARIABLE = "TACCEL_LAB_CACHE"
+"""Environment variable that names the cache folder."""
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class KeptFile(Generic[Result]):
+class CachedFile(Generic[Result]):
     """The file of one result."""
 
     what: str
@@ -83,9 +89,9 @@ class KeptFile(Generic[Result]):
         return found
 
 
-def kept_arrays(what: str, recipe: Mapping[str, Any]) -> KeptFile[dict[str, np.ndarray]]:
+def cached_arrays(what: str, recipe: Mapping[str, Any]) -> CachedFile[dict[str, np.ndarray]]:
     """The file of a result that is arrays by their names."""
-    return KeptFile(what, recipe, load_arrays, save_arrays)
+    return CachedFile(what, recipe, load_arrays, save_arrays)
 
 
 def load_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -97,3 +103,25 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
 def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays by their names."""
     np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType]
+
+
+def cache_folder() -> Path:
+    """$TACCEL_LAB_CACHE, or taccel_lab in $XDG_CACHE_HOME or ~/.cache."""
+    named = os.environ.get(CACHE_VARIABLE)
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "taccel_lab"
+
+
+def content_key(recipe: Mapping[str, Any]) -> str:
+    """SHA-256 of a recipe of plain values and arrays; equal recipes give equal keys."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            data = np.ascontiguousarray(value)
+            digest = hashlib.sha256(data.tobytes()).hexdigest()
+            return {"array": digest, "shape": list(data.shape), "dtype": data.dtype.str}
+        return to_jsonable(value)
+
+    text = json.dumps({k: plain(v) for k, v in recipe.items()}, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
