@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import InputError
@@ -18,7 +20,7 @@ from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.signals import (
     MarkerLayout,
     SignalFusedSurface,
-    SignalHeightMap,
+    SignalTactile,
     SphereSurface,
     SurfaceMode,
 )
@@ -169,13 +171,34 @@ def profile_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndar
     the face; shape [``_PROFILE_PX``] each. The finite-element surface, without the indenter's.
     """
     grid = PixelGrid(_PROFILE_PX, 3, 2 * half_mm / (_PROFILE_PX - 1), 0.02)
-    signal = SignalHeightMap(record.mesh, grid, mode=SurfaceMode.FACET, device=record.device)
-    points = np.stack(
-        [record.in_press(p) for p in (record.rest_m, record.positions_m(record.down.stop - 1))]
-    )
-    signal.update(points)
-    rest, pressed = signal.height_m[:, 1] * 1e3
+    shapes = (record.rest_m, record.positions_m(record.down.stop - 1))
+    rest, pressed = section_heights_mm(record, grid, shapes)
     return grid.x_mm(), pressed - rest
+
+
+def section_heights_mm(
+    record: PressRecord, grid: PixelGrid, shapes_m: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Heights of the finite-element surface along the middle row of ``grid`` in the press frame.
+
+    Args:
+        record: Of the gel.
+        grid: Pixels of the section.
+        shapes_m: Node positions [m], each [node, 3].
+
+    Returns:
+        Heights [mm], NaN beside the face, shape [len(shapes_m), width_px].
+    """
+    points = np.stack([record.in_press(points) for points in shapes_m])
+    signal = SignalTactile(
+        record.mesh,
+        grid,
+        env_count=len(points),
+        mode=SurfaceMode.FACET,
+        device=record.device,
+    )
+    signal.update(wp.array(points, dtype=wp.vec3d, device=record.device))
+    return signal.height_m.numpy()[:, grid.height_px // 2].astype(np.float64) * 1e3
 
 
 def marker_motion_mm(record: PressRecord, points_mm: np.ndarray, steps: list[int]) -> np.ndarray:

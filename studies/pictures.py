@@ -11,6 +11,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.report.style import BLUE, GREY, LIGHT, in_report_style, new_figure, save_figure
 from taccel_lab.studies.camera_view import view_model
+from taccel_lab.studies.evidence import section_heights_mm
 from taccel_lab.studies.press_record import PressRecord
 
 if TYPE_CHECKING:
@@ -59,13 +60,10 @@ def section_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndar
     [1 + step, n], NaN beside the face.
     """
     from taccel_lab.geometry import PixelGrid
-    from taccel_lab.signals import SignalHeightMap, SurfaceMode
 
     grid = PixelGrid(SECTION_PX, 3, 2 * half_mm / (SECTION_PX - 1), 0.02)
-    signal = SignalHeightMap(record.mesh, grid, mode=SurfaceMode.FACET, device=record.device)
     shapes = [record.rest_m, *(record.positions_m(step) for step in range(record.down.stop))]
-    signal.update(np.stack([record.in_press(points) for points in shapes]))
-    return grid.x_mm(), signal.height_m[:, 1] * 1e3
+    return grid.x_mm(), section_heights_mm(record, grid, shapes)
 
 
 @in_report_style

@@ -58,7 +58,6 @@ if TYPE_CHECKING:
     from taccel_lab.signals import (
         MarkerLayout,
         SignalFusedSurface,
-        SignalHeightMap,
         SignalTactile,
         SurfaceMode,
     )
@@ -96,7 +95,6 @@ __all__ = [
     "SensorProfile",
     "ShardedSolver",
     "SignalFusedSurface",
-    "SignalHeightMap",
     "SignalTactile",
     "SimulationError",
     "SoftBody",
@@ -172,7 +170,6 @@ _HOMES = {
     "taccel_lab.signals": (
         "MarkerLayout",
         "SignalFusedSurface",
-        "SignalHeightMap",
         "SignalTactile",
         "SurfaceMode",
     ),

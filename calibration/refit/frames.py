@@ -125,12 +125,23 @@ def _pressed(
                 press.name,
                 press.sha256,
                 press.image(),
-                model.predict(surface.normals, surface.displacement_mm(), surface.rest_normals),
+                _predicted_change(model, surface),
                 distance <= circle.radius_px,
                 distance <= NEAR_RADII * circle.radius_px,
             )
         )
     return frames
+
+
+def _predicted_change(model: ColorModel, surface: PressSurface) -> np.ndarray:
+    """Change of colour that the model gives for a press [levels], [height_px, width_px, 3]."""
+    change = model.predict_pixels(
+        np.arange(surface.height_m.size),
+        surface.normals.reshape(-1, 3),
+        surface.displacement_mm().ravel(),
+        surface.rest_normals.reshape(-1, 3),
+    )
+    return change.reshape(surface.normals.shape)
 
 
 def _providers(surfaces: list[PressSurface]) -> str:

@@ -69,11 +69,10 @@ class RestCorrection:
     def corrected(
         self, height_m: np.ndarray, slope: np.ndarray, contact: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Height [m] and normals of a surface read from the mesh; pixels of ``contact`` (bool), in
+        """Height [m] and slope of a surface read from the mesh; pixels of ``contact`` (bool), in
         which the object gives the height, stay as they are."""
-        weight = 1.0 if contact is None else np.where(contact, 0.0, 1.0)
-        height = height_m + weight * self.height_m
-        return height, normals_from_slopes(slope + np.asarray(weight)[..., None] * self.slope)
+        weight = np.asarray(1.0 if contact is None else np.where(contact, 0.0, 1.0))
+        return height_m + weight * self.height_m, slope + weight[..., None] * self.slope
 
 
 def flat_rest(grid: PixelGrid) -> RestSurface:

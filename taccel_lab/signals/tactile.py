@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``SignalTactile``: what many sensors see, from device arrays to device arrays.
 
-The same surface as ``SignalHeightMap`` and the same colours as ``ColorModel``, for a thousand
+The surface of ``SurfaceSampler`` and the colours of ``DeviceColorModel``, for a thousand
 environments without a host round trip: nothing here waits for the device or looks at its values,
 so that reads can be captured in a CUDA graph. Only what is read is computed, in chunks of
 environments of fixed size.
@@ -23,9 +23,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.device_color import DeviceColorModel
-from taccel_lab.signals.height_map import SurfaceMode
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
-from taccel_lab.signals.surface_sampler import SurfaceSampler
+from taccel_lab.signals.surface_sampler import SurfaceMode, SurfaceSampler
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
