@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from taccel_lab.cli.app import main
-from taccel_lab.geometry.vtu import read_mesh_vtu
 from taccel_lab.output import OUTPUT_MARKER
 from taccel_lab.profile import load_profile, validate_profile
 from tests.cli.small_captures import CIRCLES, GRID, everything_below, write_captures
+from tests.geometry.vtu_files import read_mesh_vtu
 
 HELDOUT = ("p0",)
 """By the rule of ``taccel_lab.calibration.capture.split``."""
