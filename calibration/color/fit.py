@@ -46,7 +46,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
-from taccel_lab.signals.device_color import tactile_image
+from taccel_lab.signals.tactile_image import tactile_image
 
 SPREAD_PIXELS = 2000
 """Pixels of each press at which the fits' disagreement is taken."""

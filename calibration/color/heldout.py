@@ -40,7 +40,7 @@ from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.device_color import tactile_image
+from taccel_lab.signals.tactile_image import tactile_image
 
 Placement = Literal["label", "tiles", "self"]
 PLACEMENTS: tuple[Placement, ...] = ("label", "tiles", "self")

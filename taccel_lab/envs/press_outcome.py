@@ -14,6 +14,7 @@ from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.envs.press_path import PressPath
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
+from taccel_lab.geometry.tet_mesh import tet_volumes
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Ball, Material, MaterialField
 from taccel_lab.signals import (
@@ -21,8 +22,8 @@ from taccel_lab.signals import (
     SignalFusedSurface,
     SphereSurface,
 )
-from taccel_lab.signals.device_color import tactile_image
 from taccel_lab.signals.rest_surface import RestSurface
+from taccel_lab.signals.tactile_image import tactile_image
 from taccel_lab.solvers import SolverConfig, StepReport
 
 if TYPE_CHECKING:
@@ -174,8 +175,7 @@ def simulate_press(
     seen = SignalFusedSurface(env.mesh, grid, designed_rest=designed_rest, device=device)
     seen.update(env.positions, surface, pressures)
     error = env.error_estimate()
-    corners = env.positions[0][mesh.tets]
-    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    volumes = tet_volumes(env.positions[0], mesh.tets)
     return PressOutcome(
         mesh=env.mesh,
         path=path,

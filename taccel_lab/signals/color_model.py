@@ -21,7 +21,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.signals.model_settings import reading_settings, settings_dict
+from taccel_lab.signals.model_settings import (
+    reading_settings,
+    require_camera_size,
+    settings_dict,
+)
 from taccel_lab.signals.position_encoding import encode_position, require_bands
 
 if TYPE_CHECKING:
@@ -135,19 +139,14 @@ class ColorModel:
 
     @classmethod
     def from_profile(cls, profile: SensorProfile) -> ColorModel | None:
-        """The colour model of a profile's sensor; None when it has none, or no background.
+        """The colour model of a profile's sensor; None when it has none.
 
         Raises InputError when it is for images of another size than those of the camera.
         """
-        if profile.color is None or profile.background_rgb is None or profile.color_weights is None:
+        if profile.color is None or profile.color_weights is None:
             return None
         config = ColorModelConfig.from_dict(profile.color.architecture)
-        camera = profile.camera
-        if (config.width_px, config.height_px) != (camera.width_px, camera.height_px):
-            raise InputError(
-                f"color.architecture is for {config.width_px}x{config.height_px} px but the camera "
-                f"block says {camera.width_px}x{camera.height_px} px; both have to agree"
-            )
+        require_camera_size(profile, "color", config.width_px, config.height_px)
         return cls(config, profile.color_weights)
 
     def predict_pixels(

@@ -115,8 +115,6 @@ class SignalFusedSurface:
         """Pixels in contact, shape [env, height_px, width_px]."""
         self.contact_radius_m = np.zeros(0)
         """Radius of the disc whose area the contact has [m], zero without contact, [env]."""
-        self.contact_clipped = np.zeros(0, dtype=bool)
-        """True where the contact reaches the image's border and the radius is too small, [env]."""
 
     def update(self, positions: Any, surface: RigidSurface, pressures_pa: np.ndarray) -> None:
         """Read node positions [m], shape [env, node, 3], the object's surface and the contact
@@ -140,7 +138,6 @@ class SignalFusedSurface:
         self.gap_m = np.full(shape, np.nan)
         self.contact_mask = np.zeros(shape, dtype=bool)
         self.contact_radius_m = np.zeros(len(points))
-        self.contact_clipped = np.zeros(len(points), dtype=bool)
         nodes = positions.reshape(len(points), -1, 3)
         for env, xy in enumerate(points[..., :2]):
             self._sample_gel(env, nodes[env])
@@ -220,8 +217,6 @@ class SignalFusedSurface:
         covered = np.where(under_object, covered, 0.0)
         self.contact_mask[env] = under_object & (s < 0)
         self.contact_radius_m[env] = math.sqrt(covered.sum() * self._pixel_area_m2 / math.pi)
-        rim = np.concatenate([covered[0], covered[-1], covered[:, 0], covered[:, -1]])
-        self.contact_clipped[env] = bool((rim > 0).any())
 
     def _fuse(
         self,

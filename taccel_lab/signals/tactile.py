@@ -22,9 +22,9 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.device_color import DeviceColorModel
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
 from taccel_lab.signals.surface_sampler import SurfaceMode, SurfaceSampler
+from taccel_lab.signals.tactile_image import DeviceColorModel
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -142,7 +142,7 @@ class SignalTactile:
         """
         color: dict[str, Any] = {}
         model = ColorModel.from_profile(profile)
-        if model is not None:
+        if model is not None and profile.background_rgb is not None:
             color["color_model"] = model
             color["background_rgb"] = profile.background_rgb
         return cls(profile.mesh, profile.grid(), env_count=env_count, **color, **options)

@@ -22,7 +22,7 @@ from taccel_lab.signals.color_model import (
     expected_shapes,
     pixel_uv,
 )
-from taccel_lab.signals.device_color import tactile_image
+from taccel_lab.signals.tactile_image import tactile_image
 from tests.signals.host_colors import face, host_change
 
 CONFIG = ColorModelConfig(width_px=20, height_px=15, hidden=(16, 8))

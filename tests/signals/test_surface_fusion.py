@@ -257,12 +257,6 @@ def test_environments_do_not_mix():
     assert together[1][1] > together[1][0] + 0.4e-3
 
 
-def test_a_contact_cut_by_the_image_says_so():
-    sphere = PressedSphere(1.5e-3, center_xy_m=(3.9e-3, 0.0))
-    assert _press(sphere, 0.3).contact_clipped[0]
-    assert not _press(PressedSphere(1.5e-3), 0.3).contact_clipped[0]
-
-
 def test_bad_input_is_refused():
     mesh = flat_pad(0.4, PAD_HALF_MM)
     surface = SphereSurface(np.zeros(3), 1e-3, GRID)

@@ -24,7 +24,7 @@ from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
-from taccel_lab.signals.device_color import tactile_image
+from taccel_lab.signals.tactile_image import tactile_image
 from tests.calibration.synthetic import (
     GRID,
     calibrated,
