@@ -69,7 +69,6 @@ def test_press_figures(values: dict[str, Any], out: Path) -> None:
     assert 0 <= press["residual_n"] < 1e-3 * press["force_n"]
     assert press["newton_iterations"] >= 1 and press["seconds_per_step"] > 0
     assert 0 < press["min_distance_m"] < 2e-5
-    assert press["all_converged"]
     fitted = {f"p{i}": circle for i, circle in enumerate(CIRCLES) if f"p{i}" not in HELDOUT}
     assert [record["name"] for record in press["records"]] == list(fitted)
     for record, circle in zip(press["records"], fitted.values(), strict=True):
