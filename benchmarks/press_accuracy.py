@@ -19,6 +19,7 @@ from functools import lru_cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.results import ResultFile
@@ -38,7 +39,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.scene import Material, TriangleMesh
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_families, sensor_family
-from taccel_lab.signals import SignalHeightMap
+from taccel_lab.signals import SignalTactile
 
 AT_MM = (0.7, -0.4)
 TOOLS = {
@@ -180,14 +181,16 @@ def press(case: Case, accuracy: Accuracy, device: str) -> Outcome:
     started = clock()
     reports = env.follow(PressPath(case.depth_mm))
     seconds = clock() - started
-    heights = SignalHeightMap(env.mesh, coarse_grid(parameters.grid()), device=device)
-    heights.update(np.stack([env.mesh.nodes_m, env.positions[0]]))
-    slope = np.hypot(*np.moveaxis(heights.slope[0], -1, 0))
-    moved = heights.height_m[1] - heights.height_m[0]
+    signal = SignalTactile(env.mesh, coarse_grid(parameters.grid()), env_count=2, device=device)
+    shapes = np.stack([env.mesh.nodes_m, env.positions[0]])
+    signal.update(wp.array(shapes, dtype=wp.vec3d, device=device))
+    upright = signal.normals.numpy()[0, ..., 2]
+    at_rest, pressed = signal.height_m.numpy().astype(float)
+    moved = pressed - at_rest
     estimate = env.error_estimate()
     return Outcome(
         force_n=float(env.press_force[0, 2]),
-        moved_m=np.where(slope <= math.tan(math.radians(STEEPEST_DEG)), moved, np.nan),
+        moved_m=np.where(upright >= math.cos(math.radians(STEEPEST_DEG)), moved, np.nan),
         force_error_n=float(estimate.force_n[0]),
         height_error_m=float(estimate.height_m[0]),
         residual=float(reports[-1].residual_n[0] / max(reports[-1].contact_force_n[0], 1e-9)),

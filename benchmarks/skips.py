@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_name
 from taccel_lab.benchmarks.results import ResultFile, spread
@@ -175,17 +176,17 @@ def _settled(bench: BenchScene, count: int) -> BenchScene:
 
 def _read_height_map(runner: Runner) -> Callable[[], None]:
     """Height and normals of the gel on a sensor's pixels."""
-    from taccel_lab.signals import SignalHeightMap
+    from taccel_lab.signals import SignalTactile
 
     device = str(runner.model.device)
     mesh = runner.bench.scene.soft_bodies[0].mesh
     grid = PixelGrid(320, 240, 0.08, 0.08)
-    signal = SignalHeightMap(mesh, grid, device=device)
-    count = mesh.node_count
+    signal = SignalTactile(mesh, grid, env_count=runner.model.env_count, device=device)
 
     def read() -> None:
-        signal.update(runner.state.positions.numpy()[:, :count])
-        _ = signal.height_m, signal.normals
+        signal.update(runner.state.positions)
+        signal.read("height_m", "normals")
+        wp.synchronize_device(device)
 
     return read
 

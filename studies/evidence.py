@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import InputError
@@ -19,7 +20,7 @@ from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.signals import (
     MarkerLayout,
     SignalFusedSurface,
-    SignalHeightMap,
+    SignalTactile,
     SphereSurface,
     SurfaceMode,
 )
@@ -173,10 +174,17 @@ def section_mm(
     surface, without the indenter's.
     """
     grid = PixelGrid(_PROFILE_PX, 3, 2 * half_mm / (_PROFILE_PX - 1), 0.02)
-    signal = SignalHeightMap(record.mesh, grid, mode=SurfaceMode.FACET, device=record.device)
     shapes = [record.rest_m, *(record.positions_m(step) for step in steps)]
-    signal.update(np.stack([record.in_press(points) for points in shapes]))
-    return grid.x_mm(), signal.height_m[:, 1] * 1e3
+    points = np.stack([record.in_press(points) for points in shapes])
+    signal = SignalTactile(
+        record.mesh,
+        grid,
+        env_count=len(points),
+        mode=SurfaceMode.FACET,
+        device=record.device,
+    )
+    signal.update(wp.array(points, dtype=wp.vec3d, device=record.device))
+    return grid.x_mm(), signal.height_m.numpy()[:, 1].astype(np.float64) * 1e3
 
 
 def profile_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndarray]:

@@ -6,8 +6,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-
-from taccel_lab.optics.camera_model import quaternion_from_matrix
+from scipy.spatial.transform import Rotation
 
 
 def facing(outward: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -26,7 +25,7 @@ def turn_about_z(angle: float) -> np.ndarray:
 
 def pose(matrix: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Position and quaternion, [7]."""
-    return np.concatenate([place, quaternion_from_matrix(matrix)])
+    return np.concatenate([place, Rotation.from_matrix(matrix).as_quat(canonical=True)])
 
 
 def same_side(poses: np.ndarray) -> np.ndarray:

@@ -46,6 +46,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.tactile_image import tactile_image
 
 SPREAD_PIXELS = 2000
 """Pixels of each press at which the fits' disagreement is taken."""
@@ -267,9 +268,7 @@ class _Fitting:
         scores = []
         for i, frame in enumerate(self.frames):
             fit, surface = found.fit_without(i), frame.surface
-            rendered = fit.model.render(
-                surface.normals, surface.displacement_mm(), surface.rest_normals, fit.background
-            )
+            rendered = tactile_image(fit.model, fit.background, surface)
             given = self.captures.presses[i].circle or frame.circle
             score = self._in_its_light(rendered, frame.image, frame.circle, given, fit)
             scores.append(PressScore(frame.name, score))

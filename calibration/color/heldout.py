@@ -40,6 +40,7 @@ from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.signals.tactile_image import tactile_image
 
 Placement = Literal["label", "tiles", "self"]
 PLACEMENTS: tuple[Placement, ...] = ("label", "tiles", "self")
@@ -266,10 +267,7 @@ class _HeldoutScoring:
         figures_in: ContactCircle,
         pixels: np.ndarray | None,
     ) -> Placed:
-        surface = frame.surface
-        rendered = self.fit.model.render(
-            surface.normals, surface.displacement_mm(), surface.rest_normals, self.fit.background
-        )
+        rendered = tactile_image(self.fit.model, self.fit.background, frame.surface)
         shown = np.clip(drift.apply(rendered), 0.0, 255.0)
         score = score_image(shown, frame.image, figures_in, self.grid, pixels)
         return Placed(frame.circle, rendered, shown, score)

@@ -19,8 +19,8 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.depth_response import DepthResponse
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_height
-from taccel_lab.signals.poisson import height_from_slopes
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
+from taccel_lab.signals.slope_integration import height_from_slopes
 
 Method = Literal["auto", "normals", "depth"]
 FLAT_SIGMAS = 2.0

@@ -12,7 +12,7 @@ from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.normals.ball_normals import ball_normals
 from taccel_lab.calibration.normals.samples import InverseFrame, Scene, usable_pixels
 from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
-from taccel_lab.signals.poisson import height_from_slopes
+from taccel_lab.signals.slope_integration import height_from_slopes
 
 RIM_BAND = 0.04
 """Depths are aligned on the circle: over the pixels within this share of the radius of it."""

@@ -21,7 +21,7 @@ from taccel_lab.calibration.surfaces.analytic import analytic_surface
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.color_model import ColorModel
 
 NEAR_RADII = 1.8
 """The model's own error matters less beyond this many contact radii."""
@@ -114,10 +114,8 @@ def _pressed(
     surfaces: list[PressSurface],
 ) -> list[RefitFrame]:
     """The presses with the change that the profile's colour model gives for them."""
-    assert profile.color is not None and profile.color_weights is not None
-    model = ColorModel(
-        ColorModelConfig.from_dict(profile.color.architecture), profile.color_weights
-    )
+    model = ColorModel.from_profile(profile)
+    assert model is not None
     frames = []
     for press, circle, surface in zip(captures.presses, circles, surfaces, strict=True):
         distance = circle.distance_px(captures.grid)
@@ -126,12 +124,23 @@ def _pressed(
                 press.name,
                 press.sha256,
                 press.image(),
-                model.predict(surface.normals, surface.displacement_mm(), surface.rest_normals),
+                _predicted_change(model, surface),
                 distance <= circle.radius_px,
                 distance <= NEAR_RADII * circle.radius_px,
             )
         )
     return frames
+
+
+def _predicted_change(model: ColorModel, surface: PressSurface) -> np.ndarray:
+    """Change of colour that the model gives for a press [levels], [height_px, width_px, 3]."""
+    change = model.predict_pixels(
+        np.arange(surface.height_m.size),
+        surface.normals.reshape(-1, 3),
+        surface.displacement_mm().ravel(),
+        surface.rest_normals.reshape(-1, 3),
+    )
+    return change.reshape(surface.normals.shape)
 
 
 def _providers(surfaces: list[PressSurface]) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.figures_color import disc_normals
 from taccel_lab.report.model import NormalDisc
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.color_model import ColorModel
 
 PLACES = ((0.5, 0.5), (0.2, 0.25), (0.8, 0.25), (0.2, 0.75), (0.8, 0.75))
 """Shares of the image's width and height: the middle and near the corners."""
@@ -55,14 +55,7 @@ def color_discs(
     return tuple(discs)
 
 
-def color_model_of(profile: SensorProfile) -> ColorModel | None:
-    """The profile's colour model, if it has one."""
-    if profile.color is None or profile.color_weights is None:
-        return None
-    return ColorModel(ColorModelConfig.from_dict(profile.color.architecture), profile.color_weights)
-
-
 def profile_discs(profile: SensorProfile) -> tuple[NormalDisc, ...]:
     """Colour change over the hemisphere of normals; empty without a colour model."""
-    model = color_model_of(profile)
+    model = ColorModel.from_profile(profile)
     return () if model is None else color_discs(model, SPAN, DISPLACEMENT_MM)

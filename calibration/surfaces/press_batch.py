@@ -152,28 +152,20 @@ def surfaces_of(
     presses, which no image shows.
     """
     from taccel_lab.bodies.bodies import nodal_mesh
-    from taccel_lab.signals import SignalFusedSurface, SignalHeightMap, SphereSurface
-    from taccel_lab.signals.rest_surface import RestCorrection
+    from taccel_lab.signals import SignalFusedSurface, SphereSurface
 
     surfaces = []
     for i, mesh in enumerate(batch.meshes()):
         nodal = nodal_mesh(mesh, batch.physics.element)
-        rest = SignalHeightMap(nodal, grid)
-        rest.update(nodal.nodes_m[None])
-        pressed = SignalFusedSurface(nodal, grid)
+        seen = SignalFusedSurface(nodal, grid, designed_rest=designed_rest)
         ball = SphereSurface(outcome.ball_m[i], batch.ball_radius_mm * 1e-3, grid)
-        pressed.update(outcome.positions_m[i : i + 1], ball, outcome.pressures_pa[i : i + 1])
-        correction = RestCorrection.of(designed_rest, rest.height_m[0], rest.slope[0])
-        rest_height, rest_normals = correction.corrected(rest.height_m[0], rest.slope[0])
-        height, normals = correction.corrected(
-            pressed.height_m[0], pressed.slope[0], pressed.contact_mask[0]
-        )
+        seen.update(outcome.positions_m[i : i + 1], ball, outcome.pressures_pa[i : i + 1])
         surfaces.append(
             PressSurface(
-                height_m=height,
-                rest_height_m=rest_height,
-                normals=normals,
-                rest_normals=rest_normals,
+                height_m=seen.height_m[0],
+                rest_height_m=seen.rest_height_m,
+                normals=seen.normals[0],
+                rest_normals=seen.rest_normals,
                 contact_radius_px=float(outcome.radius_mm[i] / grid.mm_per_px_x),
                 depth_mm=float(outcome.depth_mm[i]),
                 force_n=float(outcome.force_n[i]),

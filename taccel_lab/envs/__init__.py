@@ -3,13 +3,12 @@
 
 from taccel_lab.envs.fitted_physics import physics_difference
 from taccel_lab.envs.indenter import Indenter, parse_indenter
-from taccel_lab.envs.layers import layered_material
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.envs.press_frame import normal_frame
 from taccel_lab.envs.press_outcome import PressOutcome, PressStep, simulate_press
 from taccel_lab.envs.press_path import PressPath
-from taccel_lab.envs.profile_material import profile_material
+from taccel_lab.envs.profile_material import layered_material, profile_material
 
 __all__ = [
     "PHYSICS",

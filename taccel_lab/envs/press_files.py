@@ -12,6 +12,7 @@ import numpy as np
 from taccel_lab.envs.press_outcome import PressOutcome
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
+from taccel_lab.interop.image_files import eight_bit, write_rgb
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.output import write_json
 from taccel_lab.report import (
@@ -50,8 +51,6 @@ def write_press(
         about: What the caller knows of the press, first in ``press.json``; ``indenter`` labels the
             curve of the force.
     """
-    import cv2
-
     grid = profile.grid()
     arrays: dict[str, Any] = {
         "height_m": outcome.height_m,
@@ -63,9 +62,9 @@ def write_press(
         "contact_pressures_pa": outcome.contact_pressures_pa,
     }
     if rgb is not None:
-        arrays["rgb"] = np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
+        arrays["rgb"] = eight_bit(rgb)
         save_figure(draw_image(rgb, grid), folder / "image.png")
-        cv2.imwrite(str(folder / "image_raw.png"), arrays["rgb"][..., ::-1])
+        write_rgb(folder / "image_raw.png", rgb)
     else:
         _write_predicted(folder / "predicted.png", profile, outcome)
     np.savez_compressed(folder / "signals.npz", **arrays)
@@ -121,9 +120,7 @@ def _write_predicted(path: Path, profile: SensorProfile, outcome: PressOutcome) 
     design = profile.optical_design()
     if design is None:
         return
-    import cv2
-
     size = design.camera.size_within(PREDICTED_PX)
     markers = None if profile.markers is None else profile.markers.grid()
     model = OpticalModel(design, outcome.mesh, size_px=size, markers=markers)
-    cv2.imwrite(str(path), model.render(outcome.positions_m).rgb[..., ::-1])
+    write_rgb(path, model.render(outcome.positions_m).rgb)

@@ -14,15 +14,16 @@ from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.envs.press_path import PressPath
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
+from taccel_lab.geometry.tet_mesh import tet_volumes
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Ball, Material, MaterialField
 from taccel_lab.signals import (
     HeightFieldSurface,
     SignalFusedSurface,
-    SignalHeightMap,
     SphereSurface,
 )
-from taccel_lab.signals.rest_surface import RestCorrection, RestSurface
+from taccel_lab.signals.rest_surface import RestSurface
+from taccel_lab.signals.tactile_image import tactile_image
 from taccel_lab.solvers import SolverConfig, StepReport
 
 if TYPE_CHECKING:
@@ -83,14 +84,7 @@ class PressOutcome:
 
     def render(self, model: ColorModel, background_rgb: np.ndarray) -> np.ndarray:
         """Tactile image, RGB levels 0..255, shape [height_px, width_px, 3]."""
-        flat = np.array([0.0, 0.0, 1.0])
-        seen = np.isfinite(self.height_m) & np.isfinite(self.rest_height_m)
-        return model.render(
-            np.where(seen[..., None], self.normals, flat),
-            np.where(seen, self.height_m - self.rest_height_m, 0.0) * 1e3,
-            np.where(seen[..., None], self.rest_normals, flat),
-            background_rgb,
-        )
+        return tactile_image(model, background_rgb, self)
 
     def figures(self) -> dict[str, Any]:
         """Numbers of the press for a JSON file."""
@@ -178,19 +172,10 @@ def simulate_press(
     else:
         vertices = env.state.positions.numpy()[:, env.model.soft_count :].copy()
         surface = HeightFieldSurface.from_mesh(vertices, indenter.shape.faces, grid)
-    fused = SignalFusedSurface(env.mesh, grid, device=device)
-    fused.update(env.positions.copy(), surface, pressures)
-    rest = SignalHeightMap(env.mesh, grid, device=device)
-    rest.update(env.mesh.nodes_m[None])
-    height_m, normals = fused.height_m[0], fused.normals[0]
-    rest_height_m, rest_normals = rest.height_m[0], rest.normals[0]
-    if designed_rest is not None:
-        correction = RestCorrection.of(designed_rest, rest_height_m, rest.slope[0])
-        height_m, normals = correction.corrected(height_m, fused.slope[0], fused.contact_mask[0])
-        rest_height_m, rest_normals = correction.corrected(rest_height_m, rest.slope[0])
+    seen = SignalFusedSurface(env.mesh, grid, designed_rest=designed_rest, device=device)
+    seen.update(env.positions, surface, pressures)
     error = env.error_estimate()
-    corners = env.positions[0][mesh.tets]
-    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    volumes = tet_volumes(env.positions[0], mesh.tets)
     return PressOutcome(
         mesh=env.mesh,
         path=path,
@@ -203,11 +188,11 @@ def simulate_press(
         contact_pressures_pa=pressures[0],
         indenter_pose=pose,
         setback_m=float(env.setback_m[0]),
-        height_m=height_m,
-        rest_height_m=rest_height_m,
-        normals=normals,
-        rest_normals=rest_normals,
-        contact_mask=fused.contact_mask[0],
-        contact_radius_m=float(fused.contact_radius_m[0]),
+        height_m=seen.height_m[0],
+        rest_height_m=seen.rest_height_m,
+        normals=seen.normals[0],
+        rest_normals=seen.rest_normals,
+        contact_mask=seen.contact_mask[0],
+        contact_radius_m=float(seen.contact_radius_m[0]),
         smallest_volume_ratio=float((volumes / mesh.volumes_m3()).min()),
     )

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The material that a profile states, for a mesh of its gel."""
+"""The material of a gel's mesh: what a profile states, and layers such as a core under a skin."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from taccel_lab.envs.layers import layered_material
+import numpy as np
+
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import Material, MaterialField, MaterialModel
 
@@ -33,3 +36,30 @@ def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | Material
         for solid in solids
     ]
     return layered_material(materials, mesh)
+
+
+def layered_material(layers: Sequence[Material], mesh: TetMesh) -> Material | MaterialField:
+    """The material of a mesh whose tets belong to layers; one for all where there is one layer.
+
+    Args:
+        layers: Material of each layer, in the order of ``mesh.tet_layers``.
+        mesh: Gel pad.
+
+    Raises:
+        InputError: Fewer materials than layers, or layers whose model or damping differ.
+    """
+    used = np.unique(mesh.tet_layers)
+    if len(layers) <= used[-1]:
+        raise InputError(f"the mesh has tets of layer {used[-1]}, but {len(layers)} materials")
+    first = layers[used[0]]
+    if len(used) == 1:
+        return first
+    for name in ("model", "damping_time_s"):
+        found = {getattr(layers[layer], name) for layer in used}
+        if len(found) > 1:
+            raise InputError(f"layers of one gel must share {name}, got {sorted(found)}")
+    values = {
+        name: np.array([getattr(layer, name) for layer in layers])[mesh.tet_layers]
+        for name in ("young_modulus_pa", "poisson_ratio", "density_kg_m3", "mooney_ratio")
+    }
+    return MaterialField(model=first.model, damping_time_s=first.damping_time_s, **values)

@@ -88,8 +88,7 @@ class TetMesh:
 
     def volumes_m3(self) -> np.ndarray:
         """Signed tet volumes [m^3], shape [tet_count]."""
-        p = self.nodes_m[self.tets]
-        return np.linalg.det(p[:, 1:] - p[:, :1]) / 6.0
+        return tet_volumes(self.nodes_m, self.tets)
 
     def region_faces(self, *regions: Region) -> np.ndarray:
         """Faces of the given regions, int32, shape [n, 3]."""
@@ -102,6 +101,12 @@ class TetMesh:
     def bonded_nodes(self) -> np.ndarray:
         """Sorted nodes glued to the rigid backing: those of the bond and window faces."""
         return self.region_nodes(Region.BOND, Region.WINDOW)
+
+
+def tet_volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Signed volumes of tets [unit of ``nodes`` cubed], from nodes [node, 3], shape [tet_count]."""
+    corners = nodes[tets]
+    return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
 
 
 def boundary_faces(tets: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ from taccel_lab.interop.press_samples import ColorSource, PressPixels
 from taccel_lab.interop.record import ExportRecord, required
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.units import deg_from_rad
+from taccel_lab.signals.normals import normals_from_slopes
 
 if TYPE_CHECKING:
     import torch
@@ -229,8 +230,5 @@ def _errors(
 
 
 def _angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    normals = []
-    for angles in (first, second):
-        raw = np.concatenate([-np.tan(angles), np.ones((len(angles), 1))], axis=1)
-        normals.append(raw / np.linalg.norm(raw, axis=1, keepdims=True))
-    return np.arccos(np.clip((normals[0] * normals[1]).sum(axis=1), -1, 1))
+    one, other = (normals_from_slopes(np.tan(angles)) for angles in (first, second))
+    return np.arccos(np.clip((one * other).sum(axis=1), -1, 1))

@@ -18,7 +18,7 @@ from taccel_lab.interop.network_files import networks
 from taccel_lab.interop.record import ExportRecord
 from taccel_lab.output import write_json
 from taccel_lab.profile import SensorProfile
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_model import MIN_ERROR_RAD, NormalModel
 
 if TYPE_CHECKING:
@@ -125,9 +125,9 @@ Made = tuple[Any, dict[str, np.ndarray], dict[str, np.ndarray], dict[str, object
 
 
 def _color(profile: SensorProfile) -> Made:
-    assert profile.color is not None and profile.color_weights is not None
-    config = ColorModelConfig.from_dict(profile.color.architecture)
-    model = ColorModel(config, profile.color_weights)
+    model = ColorModel.from_profile(profile)
+    assert model is not None
+    config = model.config
     graph = _Graph()
     column = graph.constant(np.array([-1, 1]), np.int64)
 

@@ -16,7 +16,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.units import deg_from_rad, rad_from_deg
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import rest_surface
 
@@ -49,17 +49,11 @@ class ColorSource:
     """The colour model of a profile, asked for single pixels by slope over rest."""
 
     def __init__(self, profile: SensorProfile) -> None:
-        if profile.color is None or profile.color_weights is None:
+        model = ColorModel.from_profile(profile)
+        if profile.color is None or model is None:
             raise InputError("the profile has no color block")
-        config = ColorModelConfig.from_dict(profile.color.architecture)
-        grid = profile.grid()
-        if (config.width_px, config.height_px) != (grid.width_px, grid.height_px):
-            raise InputError(
-                f"the color block is for {config.width_px}x{config.height_px} px, the camera "
-                f"block says {grid.width_px}x{grid.height_px}"
-            )
-        self.model = ColorModel(config, profile.color_weights)
-        self.rest = rest_surface(profile.mesh, grid)
+        self.model = model
+        self.rest = rest_surface(profile.mesh, profile.grid())
         region = profile.color.provenance.valid_region
         self.max_tilt_rad = rad_from_deg(
             np.clip(region.get("surface_tilt_deg", (0.0, MAX_TILT_DEG))[1], *TILTS_DEG)

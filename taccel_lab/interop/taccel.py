@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.geometry import Region
+from taccel_lab.geometry.tet_mesh import tet_volumes
 from taccel_lab.interop.effective_camera import effective_camera, image_center_mm
 from taccel_lab.interop.frames import TACCEL_FROM_GEL, turn
 from taccel_lab.interop.mesh_files import gel_surface, housing_box, tet_grid, write_stl
@@ -180,6 +181,5 @@ def _surface_nodes(grid: pyvista.UnstructuredGrid) -> np.ndarray:
 
 
 def _volume_error(profile: SensorProfile, grid: pyvista.UnstructuredGrid) -> float:
-    corners = np.asarray(grid.points)[profile.mesh.tets]
-    volume = np.linalg.det(corners[:, 1:] - corners[:, :1]).sum() / 6
+    volume = tet_volumes(np.asarray(grid.points), profile.mesh.tets).sum()
     return float(abs(volume / profile.mesh.volumes_m3().sum() - 1))

@@ -18,6 +18,7 @@ from taccel_lab.interop.taxim_table import (
 )
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.units import deg_from_rad
+from taccel_lab.signals.normals import normals_from_slopes
 
 COLUMNS, ROWS = 8, 6
 """Pixels over the image at which each bin is asked."""
@@ -116,8 +117,7 @@ def _errors(
     """The table against the model on presses that were not asked before."""
     drawn = source.draw(rng, CHECKED)
     width = source.model.config.width_px
-    seen = drawn.slope / stretch
-    normals = np.concatenate([-seen, np.ones((len(seen), 1))], axis=-1)
+    normals = normals_from_slopes(drawn.slope / stretch)
     truth = source.change(drawn.pixel_idx, drawn.slope, drawn.displacement_mm)
     off = table.change_at(normals, drawn.pixel_idx % width, drawn.pixel_idx // width) - truth
     return {

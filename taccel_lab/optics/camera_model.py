@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import Camera
 
 _ITERATIONS = 40
@@ -220,51 +219,3 @@ def _invert_fisheye(bent: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
             break
     miss = np.abs(fisheye_radius(theta, coefficients) - bent)
     return np.where(miss < 1e-9 * (1 + bent), theta, np.nan)
-
-
-def look_at(
-    position_mm: tuple[float, float, float],
-    target_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    right: tuple[float, float, float] = (1.0, 0.0, 0.0),
-) -> tuple[float, float, float, float]:
-    """Rotation (gel_from_camera, quaternion x, y, z, w) of a camera that looks at a point.
-
-    Args:
-        position_mm: Centre of projection in the gel frame.
-        target_mm: Point on the optical axis.
-        right: Direction of the gel frame that the image's columns run along as nearly as can be.
-
-    Raises:
-        InputError: The target is the position, or ``right`` is along the line of sight.
-    """
-    z = np.subtract(target_mm, position_mm).astype(np.float64)
-    if np.linalg.norm(z) < 1e-9:
-        raise InputError(f"a camera at {position_mm} cannot look at that very point")
-    z /= np.linalg.norm(z)
-    x = np.asarray(right, dtype=np.float64) - np.dot(right, z) * z
-    if np.linalg.norm(x) < 1e-6:
-        raise InputError(f"right {right} is along the line of sight {tuple(z)}")
-    x /= np.linalg.norm(x)
-    matrix = np.stack([x, np.cross(z, x), z], axis=1)
-    return quaternion_from_matrix(matrix)
-
-
-def quaternion_from_matrix(matrix: np.ndarray) -> tuple[float, float, float, float]:
-    """Unit quaternion x, y, z, w of a rotation matrix, w >= 0 [Shepperd 1978]."""
-    m = np.asarray(matrix, dtype=np.float64)
-    four = np.array([
-        1 + m[0, 0] - m[1, 1] - m[2, 2],
-        1 - m[0, 0] + m[1, 1] - m[2, 2],
-        1 - m[0, 0] - m[1, 1] + m[2, 2],
-        1 + m[0, 0] + m[1, 1] + m[2, 2],
-    ])  # fmt: skip
-    largest = int(np.argmax(four))
-    columns = np.array([
-        [four[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
-        [m[0, 1] + m[1, 0], four[1], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
-        [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], four[2], m[1, 0] - m[0, 1]],
-        [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], four[3]],
-    ])  # fmt: skip
-    q = columns[largest] / np.linalg.norm(columns[largest])
-    q = q if q[3] >= 0 else -q
-    return tuple(q.tolist())

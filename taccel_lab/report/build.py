@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.output import atomic_file, write_json
 from taccel_lab.report import figures, figures_color, figures_mesh
-from taccel_lab.report.model import Report
+from taccel_lab.report.model import PressSection, Report
 from taccel_lab.report.style import save_figure
 from taccel_lab.report.values import report_values, worst_first
 from taccel_lab.report.verdict import judge_targets, reach_verdict
@@ -64,47 +64,35 @@ def data_url(path: Path) -> str:
 
 def _figures(report: Report) -> Iterator[tuple[str, FigureMaker]]:
     """File name and drawing of every figure that the report's sections call for."""
-    if report.color is not None:
-        ordered = worst_first(report.color)
-        for index, frame in enumerate(ordered):
-            yield f"frame_{index:02d}", lambda frame=frame: figures_color.draw_heldout_frame(frame)
-        if ordered:
-            yield "frame_full", lambda: figures_color.draw_full_frame(ordered[0])
-        discs, loss = report.color.discs, report.color.loss
-        if discs:
-            yield "color_model", lambda: figures_color.draw_color_discs(discs)
-        if loss is not None:
-            yield "loss", lambda: figures_color.draw_loss(loss)
-    if report.press is not None:
-        yield from _press_figures(report)
-    if report.mesh is not None:
-        mesh = report.mesh
-        yield "mesh", lambda: figures_mesh.draw_mesh(mesh)
-        yield "dihedral", lambda: figures_mesh.draw_dihedral_histogram(mesh)
+    ordered = worst_first(report.color)
+    for index, frame in enumerate(ordered):
+        yield f"frame_{index:02d}", lambda frame=frame: figures_color.draw_heldout_frame(frame)
+    if ordered:
+        yield "frame_full", lambda: figures_color.draw_full_frame(ordered[0])
+    yield "color_model", lambda: figures_color.draw_color_discs(report.color.discs)
+    yield "loss", lambda: figures_color.draw_loss(report.color.loss)
+    yield from _press_figures(report.press)
+    yield "mesh", lambda: figures_mesh.draw_mesh(report.mesh)
+    yield "dihedral", lambda: figures_mesh.draw_dihedral_histogram(report.mesh)
     if report.detection is not None:
         detection = report.detection
         yield "detection", lambda: figures_color.draw_detection(detection)
 
 
-def _press_figures(report: Report) -> Iterator[tuple[str, FigureMaker]]:
-    assert report.press is not None
-    curve, maps = report.press.force_depth, report.press.maps
-    if curve is not None:
-        yield "force_depth", lambda: figures.draw_force_depth(curve)
-    if maps is None:
-        return
+def _press_figures(press: PressSection) -> Iterator[tuple[str, FigureMaker]]:
+    maps = press.maps
+    yield "force_depth", lambda: figures.draw_force_depth(press.force_depth)
     yield "height_map", lambda: figures.draw_height_map(maps.height_m, maps.grid)
     yield "normals", lambda: figures.draw_normals(maps.normals, maps.grid)
     rgb = maps.rgb
     if rgb is not None:
         yield "image", lambda: figures.draw_image(rgb, maps.grid)
-    nodes, faces = maps.positions_m, maps.contact_faces
-    forces, pressures = maps.forces_n, maps.pressures_pa
-    if not (nodes is None or faces is None or forces is None or pressures is None):
-        yield (
-            "contact_forces",
-            lambda: figures.draw_contact_forces(nodes, faces, forces, pressures),
-        )
+    yield (
+        "contact_forces",
+        lambda: figures.draw_contact_forces(
+            maps.positions_m, maps.contact_faces, maps.forces_n, maps.pressures_pa
+        ),
+    )
 
 
 def report_environment(*packages: str) -> Any:

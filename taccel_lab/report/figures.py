@@ -16,11 +16,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.model import ForceDepth
 from taccel_lab.report.style import (
     BLUE,
-    GREEN,
-    GREY,
     INK,
-    ORANGE,
-    PURPLE,
     in_report_style,
     new_figure,
 )
@@ -149,30 +145,17 @@ def draw_contact_forces(
 
 @in_report_style
 def draw_force_depth(curve: ForceDepth, title: str = "Force over depth") -> Figure:
-    """Normal force over indentation depth with its references, and the contact radius if known."""
+    """Normal force over indentation depth."""
     figure, axes = new_figure(6.4, 4.0)
     axes.grid(True)
     axes.set_axisbelow(True)
-    styles = zip((ORANGE, GREEN, PURPLE, GREY), ("--", "-.", ":", "--"), strict=True)
-    for reference, (color, dash) in zip(curve.references, styles, strict=False):
-        axes.plot(reference.depth_mm, reference.force_n, dash, color=color, label=reference.label)
     axes.plot(curve.depth_mm, curve.force_n, "o-", color=BLUE, label=curve.label, zorder=3)
     axes.set_title(title)
     axes.set_xlabel("indentation depth [mm]")
     axes.set_ylabel("normal force [N]")
     axes.set_xlim(left=0)
     axes.set_ylim(0, 1.15 * max(float(np.nanmax(curve.force_n)), 1e-9))
-    lines, labels = axes.get_legend_handles_labels()
-    if curve.contact_radius_mm is not None:
-        twin = axes.twinx()
-        twin.spines["right"].set_visible(True)
-        twin.grid(False)
-        twin.plot(curve.depth_mm, curve.contact_radius_mm, "s:", color=GREY, markersize=4)
-        twin.set_ylabel("contact radius [mm]", color=GREY)
-        twin.set_ylim(0, 1.3 * float(np.nanmax(curve.contact_radius_mm)))
-        lines.append(twin.lines[0])
-        labels.append("contact radius (right)")
-    axes.legend(lines, labels, loc="upper left", labelcolor=INK)
+    axes.legend(loc="upper left", labelcolor=INK)
     return figure
 
 

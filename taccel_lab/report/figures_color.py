@@ -121,20 +121,16 @@ def draw_color_discs(discs: tuple[NormalDisc, ...]) -> Figure:
 
 @in_report_style
 def draw_loss(curve: LossCurve) -> Figure:
-    """Training and validation loss on a logarithmic scale."""
+    """Training loss on a logarithmic scale."""
     figure, axes = new_figure(6.4, 3.4)
     axes.grid(True)
     axes.plot(curve.steps, curve.train, color=BLUE, label="training")
-    if curve.validation is not None:
-        axes.plot(curve.steps, curve.validation, color=ORANGE, label="validation")
-    if curve.best_step is not None:
-        axes.axvline(curve.best_step, color=GREY, linewidth=1, linestyle=":", label="kept")
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter("{x:g}")
     axes.tick_params(axis="y", which="minor", labelsize=8)
-    axes.set_xlabel(curve.step_label)
-    axes.set_ylabel(curve.loss_label)
+    axes.set_xlabel("step")
+    axes.set_ylabel("loss")
     axes.set_title("Colour model: loss")
     axes.legend()
     return figure

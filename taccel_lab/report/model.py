@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a report shows, as plain numbers and arrays: nothing here knows how they were made.
 
-Every section is optional but the title; what is left out is left out of the page and is null in
-the JSON. Images are RGB, uint8 or float levels 0..255, shape [height, width, 3].
+A report without labelled circles has no section of their detection: it is left out of the page and
+is null in the JSON. Images are RGB, uint8 or float levels 0..255, shape [height, width, 3].
 """
 
 from __future__ import annotations
@@ -43,8 +43,6 @@ class HeldoutFrame:
     score: ColorScore
     background_score: ColorScore
     """The same figures for the bare background."""
-    note: str = ""
-    """Anything a reader should know of this frame, such as why it is poor."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +65,6 @@ class LossCurve:
 
     steps: np.ndarray
     train: np.ndarray
-    validation: np.ndarray | None = None
-    step_label: str = "step"
-    loss_label: str = "loss"
-    best_step: float | None = None
-    """The step whose weights were kept."""
 
 
 @dataclass(frozen=True)
@@ -81,15 +74,13 @@ class ColorSection:
     heldout: ColorScore
     """Mean over the held-out frames."""
     background_only: ColorScore
-    frames: tuple[HeldoutFrame, ...] = ()
-    train_count: int = 0
-    discs: tuple[NormalDisc, ...] = ()
-    loss: LossCurve | None = None
-    baselines: Mapping[str, ColorScore] = field(default_factory=dict)
-    """Other models on the same frames, by name (such as a bare sphere cap as the surface)."""
-    noise_floor_l1: float | None = None
+    frames: tuple[HeldoutFrame, ...]
+    train_count: int
+    discs: tuple[NormalDisc, ...]
+    loss: LossCurve
+    noise_floor_l1: float
     """Mean difference of captures from the background far from contact [levels]."""
-    facts: Mapping[str, str | float | int] = field(default_factory=dict)
+    facts: Mapping[str, str | float | int]
     """Further rows: architecture, parameter count, fit time."""
 
 
@@ -109,20 +100,9 @@ class PressRecord:
     """Mean wall time a step, kernel compilation apart [s]."""
     min_distance_m: float
     """Smallest distance between gel and indenter over all steps [m]."""
-    converged: bool = True
-    steps: int = 1
-    contact_radius_mm: float | None = None
+    steps: int
+    contact_radius_mm: float
     labelled_radius_mm: float | None = None
-    shear_force_n: float | None = None
-
-
-@dataclass(frozen=True)
-class ForceReference:
-    """A second force-depth curve to draw, such as a closed form."""
-
-    label: str
-    depth_mm: np.ndarray
-    force_n: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -132,8 +112,6 @@ class ForceDepth:
     label: str
     depth_mm: np.ndarray
     force_n: np.ndarray
-    references: tuple[ForceReference, ...] = ()
-    contact_radius_mm: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -145,17 +123,16 @@ class PressMaps:
     """Shape [height_px, width_px]."""
     normals: np.ndarray
     """Shape [height_px, width_px, 3]."""
-    rgb: np.ndarray | None = None
-    """Rendered image, levels, shape [height_px, width_px, 3]."""
-    positions_m: np.ndarray | None = None
+    rgb: np.ndarray | None
+    """Rendered image, levels, shape [height_px, width_px, 3]; None without a colour model."""
+    positions_m: np.ndarray
     """Deformed nodes, shape [node, 3]."""
-    contact_faces: np.ndarray | None = None
+    contact_faces: np.ndarray
     """Triangles of the contact face, shape [face, 3]."""
-    forces_n: np.ndarray | None = None
+    forces_n: np.ndarray
     """Contact force on each node [N], shape [node, 3]."""
-    pressures_pa: np.ndarray | None = None
-    """Contact pressure at each node [Pa], shape [node]; drawn when nodes, faces and forces are
-    given too."""
+    pressures_pa: np.ndarray
+    """Contact pressure at each node [Pa], shape [node]."""
 
 
 @dataclass(frozen=True)
@@ -164,10 +141,10 @@ class PressSection:
 
     reference: PressRecord
     """The press whose figures stand under ``press`` in the JSON."""
-    records: tuple[PressRecord, ...] = ()
-    force_depth: ForceDepth | None = None
-    maps: PressMaps | None = None
-    facts: Mapping[str, str | float | int] = field(default_factory=dict)
+    records: tuple[PressRecord, ...]
+    force_depth: ForceDepth
+    maps: PressMaps
+    facts: Mapping[str, str | float | int]
     """Further rows: material, friction, barrier distance, kernel compilation."""
 
 
@@ -229,14 +206,14 @@ class Report:
     """A whole report."""
 
     title: str
-    subtitle: str = ""
-    targets: tuple[Target, ...] = ()
-    color: ColorSection | None = None
-    press: PressSection | None = None
-    mesh: MeshSection | None = None
-    detection: DetectionSection | None = None
-    stages: tuple[Stage, ...] = ()
-    remarks: tuple[str, ...] = ()
+    subtitle: str
+    targets: tuple[Target, ...]
+    color: ColorSection
+    press: PressSection
+    mesh: MeshSection
+    detection: DetectionSection | None
+    stages: tuple[Stage, ...]
+    remarks: tuple[str, ...]
     """Sentences added to the verdict."""
-    provenance: Mapping[str, str] = field(default_factory=dict)
+    provenance: Mapping[str, str]
     """Versions, inputs with their hashes, machine, date."""

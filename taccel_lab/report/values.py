@@ -20,12 +20,12 @@ from taccel_lab.report.model import (
 
 
 def report_values(report: Report) -> dict[str, Any]:
-    """All figures of ``report``; sections that it leaves out are None."""
+    """All figures of ``report``; the section of detection is None where it is left out."""
     return {
         "title": report.title,
-        "color": None if report.color is None else _color(report.color),
-        "press": None if report.press is None else _press(report.press),
-        "mesh": None if report.mesh is None else _mesh(report.mesh),
+        "color": _color(report.color),
+        "press": _press(report.press),
+        "mesh": _mesh(report.mesh),
         "detection": None if report.detection is None else _detection(report.detection),
         "timings_s": {stage.name: stage.seconds for stage in report.stages},
         "total_s": sum(stage.seconds for stage in report.stages),
@@ -58,7 +58,6 @@ def _color(section: ColorSection) -> dict[str, Any]:
         "gain_over_background": {
             key: heldout[key] - background[key] for key in heldout if key in background
         },
-        "baselines": {name: _score(score) for name, score in section.baselines.items()},
         "noise_floor_l1": section.noise_floor_l1,
         "train_count": section.train_count,
         "heldout_count": len(section.frames),
@@ -68,18 +67,10 @@ def _color(section: ColorSection) -> dict[str, Any]:
                 "circle_px": list(frame.circle_px),
                 **_score(frame.score),
                 "background_only": _score(frame.background_score),
-                "note": frame.note,
             }
             for frame in worst_first(section)
         ],
-        "loss": None
-        if loss is None
-        else {
-            "steps": np.asarray(loss.steps),
-            "train": np.asarray(loss.train),
-            "validation": None if loss.validation is None else np.asarray(loss.validation),
-            "best_step": loss.best_step,
-        },
+        "loss": {"steps": np.asarray(loss.steps), "train": np.asarray(loss.train)},
         "facts": dict(section.facts),
     }
 
@@ -93,9 +84,8 @@ def _press(section: PressSection) -> dict[str, Any]:
     return {
         **asdict(section.reference),
         "records": [asdict(record) for record in section.records],
-        "all_converged": all(r.converged for r in (section.reference, *section.records)),
         "smallest_distance_m": min(r.min_distance_m for r in (section.reference, *section.records)),
-        "force_depth": None if section.force_depth is None else _force_depth(section.force_depth),
+        "force_depth": _force_depth(section.force_depth),
         "facts": dict(section.facts),
     }
 
@@ -105,10 +95,6 @@ def _force_depth(curve: ForceDepth) -> dict[str, Any]:
         "label": curve.label,
         "depth_mm": np.asarray(curve.depth_mm),
         "force_n": np.asarray(curve.force_n),
-        "contact_radius_mm": None
-        if curve.contact_radius_mm is None
-        else np.asarray(curve.contact_radius_mm),
-        "references": [asdict(reference) for reference in curve.references],
     }
 
 

@@ -108,8 +108,6 @@ def _missed_sentence(result: TargetResult) -> str:
 
 def _color_sentences(values: dict[str, Any]) -> list[str]:
     color = values["color"]
-    if color is None:
-        return []
     heldout, background = color["heldout"], color["background_only"]
     gain = heldout["crop_psnr_db"] - background["crop_psnr_db"]
     sentences = [
@@ -122,35 +120,25 @@ def _color_sentences(values: dict[str, Any]) -> list[str]:
     if color["frames"]:
         worst = color["frames"][0]
         sentences.append(
-            f"The worst frame is {worst['name']} with {worst['crop_psnr_db']:.1f} dB in the crop"
-            + (f" ({worst['note']})." if worst["note"] else ".")
+            f"The worst frame is {worst['name']} with {worst['crop_psnr_db']:.1f} dB in the crop."
         )
-    floor = color["noise_floor_l1"]
-    if floor is not None:
-        sentences.append(
-            f"Captures differ from the background by {floor:.1f} levels even far from the contact: "
-            "a whole-image error much below that takes a model of how the background drifts."
-        )
+    sentences.append(
+        f"Captures differ from the background by {color['noise_floor_l1']:.1f} levels even far "
+        "from the contact: a whole-image error much below that takes a model of how the "
+        "background drifts."
+    )
     return sentences
 
 
 def _physics_trouble(values: dict[str, Any]) -> list[str]:
-    press = values["press"]
-    if press is None:
-        return []
-    sentences = []
-    records = [press, *press["records"]]
-    lost = sorted({record["name"] for record in records if not record["converged"]})
-    if lost:
-        sentences.append(f"Not converged: {', '.join(lost)}.")
-    if press["smallest_distance_m"] <= 0:
-        sentences.append("Gel and indenter intersect in at least one press.")
-    return sentences
+    if values["press"]["smallest_distance_m"] <= 0:
+        return ["Gel and indenter intersect in at least one press."]
+    return []
 
 
 def _physics_sentences(values: dict[str, Any]) -> list[str]:
     press = values["press"]
-    if press is None or not press["all_converged"] or press["smallest_distance_m"] <= 0:
+    if press["smallest_distance_m"] <= 0:
         return []
     count = len(press["records"]) or 1
     worst = max(record["residual_n"] for record in (press, *press["records"]))

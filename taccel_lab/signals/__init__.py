@@ -3,16 +3,17 @@
 
 Every signal is built once from static data, reads a state with ``update(...)`` and then exposes
 arrays whose first axis is the environment. ``SignalTactile`` works on device arrays throughout,
-for many environments; the others give numpy arrays, in FP64.
+for many environments; ``SignalFusedSurface`` adds the object's own shape to presses, in numpy
+arrays. Both read the gel through ``SurfaceSampler``.
 """
 
 from taccel_lab.signals.contact_surface import ContactSurface
 from taccel_lab.signals.forces import resultant_wrench
-from taccel_lab.signals.height_map import SignalHeightMap, SurfaceMode
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.normals import normals_from_height, normals_from_slopes
 from taccel_lab.signals.rigid_surface import HeightFieldSurface, RigidSurface, SphereSurface
 from taccel_lab.signals.surface_fusion import SignalFusedSurface
+from taccel_lab.signals.surface_sampler import SurfaceMode
 from taccel_lab.signals.tactile import SignalTactile
 
 __all__ = [
@@ -21,7 +22,6 @@ __all__ = [
     "MarkerLayout",
     "RigidSurface",
     "SignalFusedSurface",
-    "SignalHeightMap",
     "SignalTactile",
     "SphereSurface",
     "SurfaceMode",

@@ -21,7 +21,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.signals.model_settings import reading_settings, settings_dict
+from taccel_lab.signals.model_settings import (
+    reading_settings,
+    require_camera_size,
+    settings_dict,
+)
 from taccel_lab.signals.position_encoding import encode_position, require_bands
 
 if TYPE_CHECKING:
@@ -135,48 +139,15 @@ class ColorModel:
 
     @classmethod
     def from_profile(cls, profile: SensorProfile) -> ColorModel | None:
-        """The colour model of a profile's sensor; None when it has none, or no background.
+        """The colour model of a profile's sensor; None when it has none.
 
         Raises InputError when it is for images of another size than those of the camera.
         """
-        if profile.color is None or profile.background_rgb is None or profile.color_weights is None:
+        if profile.color is None or profile.color_weights is None:
             return None
         config = ColorModelConfig.from_dict(profile.color.architecture)
-        camera = profile.camera
-        if (config.width_px, config.height_px) != (camera.width_px, camera.height_px):
-            raise InputError(
-                f"color.architecture is for {config.width_px}x{config.height_px} px but the camera "
-                f"block says {camera.width_px}x{camera.height_px} px; both have to agree"
-            )
+        require_camera_size(profile, "color", config.width_px, config.height_px)
         return cls(config, profile.color_weights)
-
-    def predict(
-        self,
-        normals: np.ndarray,
-        displacement_mm: np.ndarray,
-        rest_normals: np.ndarray,
-    ) -> np.ndarray:
-        """Colour change [levels of 255], float32, shape [..., height_px, width_px, 3].
-
-        ``normals`` and ``rest_normals`` are outward unit normals of the deformed and undeformed
-        contact face, shape [..., height_px, width_px, 3]; ``displacement_mm`` is the rise of the
-        face over rest [mm] (negative in a dent), shape [..., height_px, width_px]. Pixels where
-        the surface is undeformed change by exactly zero and are not computed.
-        """
-        normals = np.asarray(normals)
-        lead = self._check_maps(normals, displacement_mm, rest_normals)
-        rest = np.broadcast_to(rest_normals, normals.shape).reshape(-1, 3)
-        displacement = np.broadcast_to(displacement_mm, normals.shape[:-1]).reshape(-1)
-        flat = normals.reshape(-1, 3)
-        moved = np.flatnonzero((displacement != 0) | (flat != rest).any(axis=1))
-        change = np.zeros((len(flat), 3), dtype=np.float32)
-        change[moved] = self.predict_pixels(
-            moved % (self.config.width_px * self.config.height_px),
-            flat[moved],
-            displacement[moved],
-            rest[moved],
-        )
-        return change.reshape(*lead, self.config.height_px, self.config.width_px, 3)
 
     def predict_pixels(
         self,
@@ -204,44 +175,6 @@ class ColorModel:
                     self.config, layers, torch.from_numpy(pressed), torch.from_numpy(at_rest)
                 ).numpy()
         return change
-
-    def render(
-        self,
-        normals: np.ndarray,
-        displacement_mm: np.ndarray,
-        rest_normals: np.ndarray,
-        background: np.ndarray,
-    ) -> np.ndarray:
-        """Tactile image: ``background`` (RGB levels, shape [height_px, width_px, 3]) plus change.
-
-        Float32 levels in 0..255, shape [..., height_px, width_px, 3]; arguments as ``predict``.
-        """
-        expected = (self.config.height_px, self.config.width_px, 3)
-        if np.shape(background) != expected:
-            raise InputError(
-                f"the background has shape {np.shape(background)}, the color model was made for "
-                f"{expected}"
-            )
-        change = self.predict(normals, displacement_mm, rest_normals)
-        return np.clip(np.asarray(background, dtype=np.float32) + change, 0.0, 255.0)
-
-    def _check_maps(
-        self, normals: np.ndarray, displacement_mm: np.ndarray, rest_normals: np.ndarray
-    ) -> tuple[int, ...]:
-        expected = (self.config.height_px, self.config.width_px, 3)
-        if normals.shape[-3:] != expected:
-            raise InputError(f"normals have shape {normals.shape}, expected [..., {expected}]")
-        for name, value, shape in (
-            ("displacement_mm", displacement_mm, normals.shape[:-1]),
-            ("rest_normals", rest_normals, normals.shape),
-        ):
-            try:
-                np.broadcast_to(value, shape)
-            except ValueError:
-                raise InputError(
-                    f"{name} has shape {np.shape(value)}, which does not fit {shape}"
-                ) from None
-        return normals.shape[:-3]
 
 
 def expected_shapes(config: ColorModelConfig) -> dict[str, tuple[int, ...]]:

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the small networks as a profile stores them: exact keys, right types."""
+"""Settings of the small networks as a profile stores them: exact keys, right types and sizes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
 
 
 def settings_dict(config: Any) -> dict[str, Any]:
@@ -34,3 +37,13 @@ def reading_settings(
         raise
     except (TypeError, ValueError) as error:
         raise InputError(f"{model} settings hold a value of a wrong type: {error}") from None
+
+
+def require_camera_size(profile: SensorProfile, key: str, width_px: int, height_px: int) -> None:
+    """Refuse a network of the block ``key`` that is for other images than the camera's."""
+    camera = profile.camera
+    if (width_px, height_px) != (camera.width_px, camera.height_px):
+        raise InputError(
+            f"{key}.architecture is for {width_px}x{height_px} px, the camera block says "
+            f"{camera.width_px}x{camera.height_px} px; both have to agree"
+        )

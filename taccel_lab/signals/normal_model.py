@@ -23,7 +23,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.signals.model_settings import reading_settings, settings_dict
+from taccel_lab.signals.model_settings import (
+    reading_settings,
+    require_camera_size,
+    settings_dict,
+)
 from taccel_lab.signals.normal_features import (
     color_change,
     feature_names,
@@ -227,15 +231,18 @@ class NormalModel:
 
     @classmethod
     def from_profile(cls, profile: SensorProfile) -> NormalModel:
-        """The model in a profile's ``normals`` block; InputError when it has none."""
+        """The model in a profile's ``normals`` block.
+
+        Raises InputError when it has none, or one for images of another size than the camera's.
+        """
         if profile.normals is None or profile.normal_weights is None:
             raise InputError(
                 f"the profile of {profile.sensor.name} has no normals block; fit one with "
                 "taccel-lab calibrate normals"
             )
-        return cls(
-            NormalModelConfig.from_dict(profile.normals.architecture), profile.normal_weights
-        )
+        config = NormalModelConfig.from_dict(profile.normals.architecture)
+        require_camera_size(profile, "normals", config.width_px, config.height_px)
+        return cls(config, profile.normal_weights)
 
     @cached_property
     def _layers(self) -> list[tuple[torch.Tensor, torch.Tensor]]:

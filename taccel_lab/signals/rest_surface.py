@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The undeformed contact face on a pixel grid, from the mesh of a profile, without a simulation.
 
-The contact face's nodes are interpolated by Clough and Tocher's scheme (continuous slopes; Alfeld,
-Comput. Aided Geom. Design 1, 1984, as in scipy). A flat face gives zero exactly. Pixels beside the
-pad take the height and slope of the nearest pixel over it.
+The same surface as of a pressed gel (``SurfaceSampler``). A flat face gives zero exactly. Pixels
+beside the pad take the height and slope of the nearest pixel over it.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.geometry import PixelGrid, Region, TetMesh
 from taccel_lab.signals.normals import normals_from_slopes
+from taccel_lab.signals.surface_sampler import SurfaceSampler
 
-CONTACT_REGION = 1
-FLAT_MM = 1e-6
+FLAT_M = 1e-9
 """A face whose heights differ by less is flat."""
 
 
@@ -69,11 +68,10 @@ class RestCorrection:
     def corrected(
         self, height_m: np.ndarray, slope: np.ndarray, contact: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Height [m] and normals of a surface read from the mesh; pixels of ``contact`` (bool), in
+        """Height [m] and slope of a surface read from the mesh; pixels of ``contact`` (bool), in
         which the object gives the height, stay as they are."""
-        weight = 1.0 if contact is None else np.where(contact, 0.0, 1.0)
-        height = height_m + weight * self.height_m
-        return height, normals_from_slopes(slope + np.asarray(weight)[..., None] * self.slope)
+        weight = np.asarray(1.0 if contact is None else np.where(contact, 0.0, 1.0))
+        return height_m + weight * self.height_m, slope + weight[..., None] * self.slope
 
 
 def flat_rest(grid: PixelGrid) -> RestSurface:
@@ -89,38 +87,18 @@ def rest_surface(mesh: TetMesh, grid: PixelGrid) -> RestSurface:
 
     Raises InputError when the mesh has no contact face, or none under the image.
     """
-    faces = mesh.faces[mesh.face_regions == CONTACT_REGION]
-    if len(faces) == 0:
+    nodes = mesh.region_nodes(Region.CONTACT)
+    if len(nodes) == 0:
         raise InputError("the profile's mesh has no contact face (face region 1)")
-    nodes = mesh.nodes_m[np.unique(faces)] * 1e3
-    u, v = np.meshgrid(grid.x_mm(), grid.y_mm())
-    if np.ptp(nodes[:, 2]) < FLAT_MM:
+    if np.ptp(mesh.nodes_m[nodes, 2]) < FLAT_M:
         return flat_rest(grid)
-
-    from scipy.interpolate import CloughTocher2DInterpolator
-    from scipy.ndimage import distance_transform_edt
-    from scipy.spatial import QhullError
-
-    try:
-        interpolate = CloughTocher2DInterpolator(nodes[:, :2], nodes[:, 2])
-    except QhullError:
-        raise InputError(
-            f"the {len(nodes)} nodes of the profile's contact face do not span an area seen from "
-            "the camera"
-        ) from None
-    step = 0.5 * min(grid.mm_per_px_x, grid.mm_per_px_y)
-    height = interpolate(u, v)
-    slope = np.stack(
-        [
-            (interpolate(u + step, v) - interpolate(u - step, v)) / (2 * step),
-            (interpolate(u, v + step) - interpolate(u, v - step)) / (2 * step),
-        ],
-        axis=-1,
-    )
-    covered = np.isfinite(height) & np.isfinite(slope).all(axis=-1)
+    samples = SurfaceSampler(mesh, grid, env_count=1).rest_samples.numpy().astype(np.float64)
+    covered = np.isfinite(samples).all(axis=-1)
     if not covered.any():
         raise InputError("no pixel of the image lies over the profile's contact face")
     if not covered.all():
+        from scipy.ndimage import distance_transform_edt
+
         nearest: Any = distance_transform_edt(~covered, return_distances=False, return_indices=True)
-        height, slope = height[tuple(nearest)], slope[tuple(nearest)]
-    return RestSurface(height * 1e-3, normals_from_slopes(slope), covered)
+        samples = samples[tuple(nearest)]
+    return RestSurface(samples[..., 2], normals_from_slopes(samples[..., :2]), covered)

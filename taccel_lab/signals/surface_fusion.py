@@ -8,7 +8,7 @@ the elements. The fused surface is
 
 - ``h_A``: the object's surface lowered by the gap, ``gap = g0 + max(s, 0)^(3/2)``
   (``contact_edge``); follows the object in contact and leaves it with the right slope,
-- ``h_B``: the C1 surface through the gel's nodes (``SignalHeightMap``),
+- ``h_B``: the C1 surface through the gel's nodes (``SurfaceSampler``),
 - ``w``: one up to half an element outside the edge, zero from one and a half on, C1 in between;
   also zero where the object is so steep that it hides behind its silhouette.
 
@@ -38,14 +38,15 @@ import math
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.signals.contact_edge import EdgeField, edge_field
-from taccel_lab.signals.contact_surface import ContactSurface
-from taccel_lab.signals.height_map import SurfaceInterpolant, SurfaceMode
 from taccel_lab.signals.normals import normals_from_slopes
+from taccel_lab.signals.rest_surface import RestCorrection, RestSurface
 from taccel_lab.signals.rigid_surface import RigidSurface
+from taccel_lab.signals.surface_sampler import SurfaceSampler
 
 # The blend starts and ends this many elements outside the contact's edge.
 _BLEND_ELEMENTS = (0.5, 1.5)
@@ -64,9 +65,11 @@ _OPEN_GAPS = 1.25
 
 
 class SignalFusedSurface:
-    """Height map, normals and contact of gel and object together.
+    """Height map, normals and contact of gel and object together, and the gel at rest.
 
-    Construct with mesh and grid, call ``update(positions, surface)``, read the arrays.
+    Construct with mesh and grid, call ``update(positions, surface, pressures_pa)``, read the
+    arrays. Numpy arrays, one environment after the other: for presses, not for thousands of
+    environments.
     """
 
     def __init__(
@@ -74,19 +77,30 @@ class SignalFusedSurface:
         mesh: TetMesh | QuadraticMesh,
         grid: PixelGrid,
         *,
+        designed_rest: RestSurface | None = None,
         device: str = "cpu",
     ) -> None:
         """
         Args:
             mesh: Gel pad whose faces of region CONTACT are shown.
             grid: Pixels of the image.
+            designed_rest: The pad's contact face on ``grid`` where ``mesh`` draws it more coarsely,
+                see ``RestCorrection``.
             device: Warp device of the kernels.
         """
         self.grid = grid
-        self.surface = ContactSurface.from_mesh(mesh)
-        self._interpolant = SurfaceInterpolant(
-            self.surface, grid, mode=SurfaceMode.SMOOTH, device=device
-        )
+        self._device = device
+        self._sampler = SurfaceSampler(mesh, grid, env_count=1, device=device)
+        self.surface = self._sampler.surface
+        """Topology of the contact face."""
+        self.rest_height_m, slope = _height_and_slope(self._sampler.rest_samples)
+        """Height of the gel at rest [m], shape [height_px, width_px], NaN outside the pad."""
+        self._correction: RestCorrection | None = None
+        if designed_rest is not None:
+            self._correction = RestCorrection.of(designed_rest, self.rest_height_m, slope)
+            self.rest_height_m, slope = self._correction.corrected(self.rest_height_m, slope)
+        self.rest_normals = normals_from_slopes(slope)
+        """Outward unit normals at rest, shape [height_px, width_px, 3]."""
         self._pixel_area_m2 = grid.mm_per_px_x * grid.mm_per_px_y * 1e-6
         shape = (0, grid.height_px, grid.width_px)
         self.height_m = np.zeros(shape)
@@ -101,8 +115,6 @@ class SignalFusedSurface:
         """Pixels in contact, shape [env, height_px, width_px]."""
         self.contact_radius_m = np.zeros(0)
         """Radius of the disc whose area the contact has [m], zero without contact, [env]."""
-        self.contact_clipped = np.zeros(0, dtype=bool)
-        """True where the contact reaches the image's border and the radius is too small, [env]."""
 
     def update(self, positions: Any, surface: RigidSurface, pressures_pa: np.ndarray) -> None:
         """Read node positions [m], shape [env, node, 3], the object's surface and the contact
@@ -111,6 +123,7 @@ class SignalFusedSurface:
         Raises:
             InputError: Wrong shape, NaN, or a surface that covers no pixel.
         """
+        positions = positions.numpy() if hasattr(positions, "numpy") else np.asarray(positions)
         points = self.surface.surface_positions(positions)
         shape = (len(points), self.surface.node_count_total)
         if np.shape(pressures_pa) != shape or not np.isfinite(pressures_pa).all():
@@ -120,22 +133,34 @@ class SignalFusedSurface:
             )
         pressures = np.asarray(pressures_pa, dtype=np.float64)[:, self.surface.node_idx]
         gap, layer = self._open_gap(points, pressures, surface)
-        fields = [edge_field(self.surface, p[:, :2], g) for p, g in zip(points, gap, strict=True)]
-        self._interpolant.place(points)
-        self.height_m, self.slope = self._interpolant.evaluate(points[..., 2])
-        shape = self.height_m.shape
+        shape = (len(points), self.grid.height_px, self.grid.width_px)
+        self.height_m, self.slope = np.empty(shape), np.empty((*shape, 2))
         self.gap_m = np.full(shape, np.nan)
         self.contact_mask = np.zeros(shape, dtype=bool)
         self.contact_radius_m = np.zeros(len(points))
-        self.contact_clipped = np.zeros(len(points), dtype=bool)
-        if any(field is not None for field in fields):
-            nodal_s = np.stack([np.zeros(len(gap[0])) if f is None else f.s for f in fields])
-            s, s_slope = self._interpolant.evaluate(nodal_s)
-            for env, field in enumerate(fields):
-                if field is not None:
-                    self._fuse(env, surface, field, layer[env], s[env], s_slope[env])
-                    self._measure_contact(env, s[env], s_slope[env])
+        nodes = positions.reshape(len(points), -1, 3)
+        for env, xy in enumerate(points[..., :2]):
+            self._sample_gel(env, nodes[env])
+            field = edge_field(self.surface, xy, gap[env])
+            if field is not None:
+                s, s_slope = _height_and_slope(self._sampler.sample_field(field.s[None])[0])
+                self._fuse(env, surface, field, layer[env], s, s_slope)
+                self._measure_contact(env, s, s_slope)
+            if self._correction is not None:
+                self.height_m[env], self.slope[env] = self._correction.corrected(
+                    self.height_m[env], self.slope[env], self.contact_mask[env]
+                )
         self.normals = normals_from_slopes(self.slope)
+
+    def _sample_gel(self, env: int, nodes: np.ndarray) -> None:
+        """Height and slope of the surface through the nodes [m], shape [node, 3]."""
+        on_device = wp.array(nodes[None], dtype=wp.vec3d, device=self._device)
+        self.height_m[env], self.slope[env] = _height_and_slope(self._sampler.sample(on_device)[0])
+        if not np.isfinite(self.height_m[env]).any():
+            raise InputError(
+                f"no contact face covers a pixel in environment {env}: the surface is folded, flat "
+                "in projection or outside the image"
+            )
 
     def _open_gap(
         self, points: np.ndarray, pressures: np.ndarray, surface: RigidSurface
@@ -192,8 +217,6 @@ class SignalFusedSurface:
         covered = np.where(under_object, covered, 0.0)
         self.contact_mask[env] = under_object & (s < 0)
         self.contact_radius_m[env] = math.sqrt(covered.sum() * self._pixel_area_m2 / math.pi)
-        rim = np.concatenate([covered[0], covered[-1], covered[:, 0], covered[:, -1]])
-        self.contact_clipped[env] = bool((rim > 0).any())
 
     def _fuse(
         self,
@@ -227,6 +250,12 @@ class SignalFusedSurface:
         gel_height[pixels] += weight * lift
         gel_slope[pixels] += weight[:, None] * lift_slope + lift[:, None] * weight_slope
         self.gap_m[env].reshape(-1)[pixels] = np.where(known, gap, np.nan)
+
+
+def _height_and_slope(samples: wp.array) -> tuple[np.ndarray, np.ndarray]:
+    """Of samples as ``SurfaceSampler`` gives them, in FP64."""
+    values = samples.numpy().astype(np.float64)
+    return values[..., 2], values[..., :2]
 
 
 def _gap_without_pressure(gap: np.ndarray, pressure: np.ndarray) -> float:

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Slopes and height of the contact surface at every pixel, from and to device arrays.
 
-The device-resident counterpart of ``SurfaceInterpolant``: the same surface, its patches built in
-FP64 and evaluated in FP32.
+The gel's elements are larger than a pixel, so its piecewise-linear surface (``FACET``) would show
+as facets under grazing light. ``SMOOTH`` rebuilds a C1 surface from the same nodes: gradients of
+least bending (``gradient_recovery``), then Clough-Tocher cubics (``clough_tocher``), whose slopes
+are the interpolant's, not pixel differences. Patches are built in FP64 and evaluated in FP32, which
+leaves 1e-10 m of the height.
 """
 
 # Warp compiles the kernels from their source; its type stubs describe neither vectors' operators
@@ -12,6 +15,7 @@ FP64 and evaluated in FP32.
 
 from __future__ import annotations
 
+import enum
 from typing import Any
 
 import numpy as np
@@ -21,12 +25,18 @@ from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.signals.contact_surface import ContactSurface
 from taccel_lab.signals.face_patches import RECORD, build_patches_kernel
 from taccel_lab.signals.gradient_recovery import FEW_SWEEPS, NetworkScratch, recover_gradients
-from taccel_lab.signals.height_map import SurfaceMode
 from taccel_lab.signals.markers import in_gel_frame
 from taccel_lab.signals.pixel_walk import PixelWalk
 from taccel_lab.signals.raster import grid_map, smallest_area2
 
 wp.set_module_options({"enable_backward": False})
+
+
+class SurfaceMode(enum.Enum):
+    """How the surface between the nodes is rebuilt."""
+
+    FACET = "facet"
+    SMOOTH = "smooth"
 
 
 @wp.kernel
@@ -66,7 +76,8 @@ class SurfaceSampler:
             mode: How the surface between the nodes is rebuilt.
             device: Warp device.
         """
-        surface = ContactSurface.from_mesh(mesh)
+        self.surface = surface = ContactSurface.from_mesh(mesh)
+        """Topology of the contact face."""
         self._area2_m2 = smallest_area2(grid)
         self._map = grid_map(grid)
         self._device = device
@@ -90,8 +101,8 @@ class SurfaceSampler:
         self._samples = wp.empty(shape, dtype=wp.vec3f, device=device)
         at_rest = np.zeros((1, first_node + mesh.node_count, 3))
         at_rest[0, first_node:] = mesh.nodes_m
-        no_frames = wp.empty(0, dtype=wp.transformd, device=device)
-        samples = self.sample(wp.array(at_rest, dtype=wp.vec3d, device=device), no_frames)
+        self._no_frames = wp.empty(0, dtype=wp.transformd, device=device)
+        samples = self.sample(wp.array(at_rest, dtype=wp.vec3d, device=device))
         self.rest_samples = wp.clone(samples[0])
         """Samples of the undeformed gel, vec3f, shape [height_px, width_px]."""
 
@@ -100,13 +111,13 @@ class SurfaceSampler:
         """Environments that the latest call had to rasterise, bool; waits for the device."""
         return self._walk.unsettled
 
-    def sample(self, positions: wp.array, frames: wp.array) -> wp.array:
+    def sample(self, positions: wp.array, frames: wp.array | None = None) -> wp.array:
         """Sample the surface.
 
         Args:
             positions: Node positions [m], vec3d, shape [env, node].
-            frames: world_from_gel, transformd, shape [env]; of length 0 when positions are in the
-                gel frame.
+            frames: world_from_gel, transformd, shape [env]; None when positions are in the gel
+                frame.
 
         Returns:
             vec3f, shape [env, height_px, width_px], NaN beside the pad; valid until the next call.
@@ -116,10 +127,29 @@ class SurfaceSampler:
         wp.launch(
             _gather_surface_kernel,
             dim=points.shape,
-            inputs=[positions, frames, self._node_idx],
+            inputs=[positions, self._no_frames if frames is None else frames, self._node_idx],
             outputs=[points, height],
             device=self._device,
         )
+        return self._interpolate(count)
+
+    def sample_field(self, values: np.ndarray) -> wp.array:
+        """Sample another nodal field on the surface of the latest call of ``sample``.
+
+        Args:
+            values: At the surface nodes, shape [env, surface_node].
+
+        Returns:
+            As of ``sample``: gradient over x and y [unit of ``values`` / m] and the field itself.
+        """
+        count = len(values)
+        field = wp.array(values, dtype=wp.float64, device=self._device)
+        wp.copy(self._height[:count], field)
+        return self._interpolate(count)
+
+    def _interpolate(self, count: int) -> wp.array:
+        """Samples of what ``_height`` holds, in the first ``count`` environments."""
+        points, height = self._points[:count], self._height[:count]
         faces, gradients = self._walk.faces, self._no_gradients
         if self._network is not None:
             gradients = self.gradients(count)

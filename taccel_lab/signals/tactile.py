@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``SignalTactile``: what many sensors see, from device arrays to device arrays.
 
-The same surface as ``SignalHeightMap`` and the same colours as ``ColorModel``, for a thousand
+The surface of ``SurfaceSampler`` and the colours of ``DeviceColorModel``, for a thousand
 environments without a host round trip: nothing here waits for the device or looks at its values,
 so that reads can be captured in a CUDA graph. Only what is read is computed, in chunks of
 environments of fixed size.
@@ -22,10 +22,9 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.device_color import DeviceColorModel
-from taccel_lab.signals.height_map import SurfaceMode
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
-from taccel_lab.signals.surface_sampler import SurfaceSampler
+from taccel_lab.signals.surface_sampler import SurfaceMode, SurfaceSampler
+from taccel_lab.signals.tactile_image import DeviceColorModel
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -143,7 +142,7 @@ class SignalTactile:
         """
         color: dict[str, Any] = {}
         model = ColorModel.from_profile(profile)
-        if model is not None:
+        if model is not None and profile.background_rgb is not None:
             color["color_model"] = model
             color["background_rgb"] = profile.background_rgb
         return cls(profile.mesh, profile.grid(), env_count=env_count, **color, **options)

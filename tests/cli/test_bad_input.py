@@ -85,7 +85,7 @@ PROFILES: dict[str, tuple[Change, list[str]]] = {
                 f"[color.architecture]\nwidth_px = {GRID.width_px + 1}",
             )(folder)
         ),
-        [r"color\.architecture is for 97x72 px but the camera block says 96x72 px"],
+        [r"color\.architecture is for 97x72 px, the camera block says 96x72 px"],
     ),
 }
 

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from taccel_lab.cli.app import main
-from taccel_lab.geometry.vtu import read_mesh_vtu
 from taccel_lab.output_folder import OUTPUT_MARKER
 from taccel_lab.profile import load_profile, validate_profile
 from tests.cli.small_captures import CIRCLES, GRID, everything_below, write_captures
+from tests.geometry.vtu_files import read_mesh_vtu
 
 HELDOUT = ("p0",)
 """By the rule of ``taccel_lab.calibration.capture.split``."""
@@ -69,7 +69,6 @@ def test_press_figures(values: dict[str, Any], out: Path) -> None:
     assert 0 <= press["residual_n"] < 1e-3 * press["force_n"]
     assert press["newton_iterations"] >= 1 and press["seconds_per_step"] > 0
     assert 0 < press["min_distance_m"] < 2e-5
-    assert press["all_converged"]
     fitted = {f"p{i}": circle for i, circle in enumerate(CIRCLES) if f"p{i}" not in HELDOUT}
     assert [record["name"] for record in press["records"]] == list(fitted)
     for record, circle in zip(press["records"], fitted.values(), strict=True):

@@ -15,10 +15,10 @@ import pytest
 from taccel_lab.cli.app import main
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.errors import SimulationError
-from taccel_lab.geometry.vtu import read_mesh_vtu
 from taccel_lab.output_folder import OUTPUT_MARKER
 from taccel_lab.profile import load_profile
 from tests.cli.small_captures import GRID, background, everything_below, write_profile
+from tests.geometry.vtu_files import read_mesh_vtu
 
 FILES = {
     OUTPUT_MARKER,

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from taccel_lab.calibration.capture import ContactCircle
@@ -11,6 +13,7 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import rest_surface
+from taccel_lab.signals.tactile_image import tactile_image
 
 CIRCLE = ContactCircle(220.0, 90.0, 30.0)
 """Right of and above the middle of 320 x 240 px."""
@@ -31,9 +34,12 @@ def our_image(profile: SensorProfile, press: PressSurface) -> np.ndarray:
     )
     rest = rest_surface(profile.mesh, profile.grid()).normals
     slope = -press.normals[..., :2] / press.normals[..., 2:] - rest[..., :2] / rest[..., 2:]
-    return model.render(
-        normals_from_slopes(slope), press.displacement_mm(), rest, profile.background_rgb
+    over_rest = replace(
+        press,
+        normals=normals_from_slopes(slope),
+        rest_normals=rest,
     )
+    return tactile_image(model, profile.background_rgb, over_rest)
 
 
 def psnr(image: np.ndarray, truth: np.ndarray) -> float:

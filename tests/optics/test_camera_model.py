@@ -11,12 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.errors import InputError
 from taccel_lab.optics import Camera
 from taccel_lab.optics.camera_model import (
     CameraModel,
-    look_at,
-    quaternion_from_matrix,
     resized,
 )
 
@@ -132,22 +129,3 @@ def test_resized_camera_sees_the_same() -> None:
     points = points_before(DIGIT)
     full, small = CameraModel(DIGIT).project(points), CameraModel(half).project(points)
     np.testing.assert_allclose((full + 0.5) / 2, small + 0.5, atol=1e-9)
-
-
-@given(rotation=rotations)
-def test_quaternions_come_back(rotation: tuple[float, ...]) -> None:
-    matrix = replace(DIGIT, rotation=unit(rotation)).gel_from_camera()
-    again = replace(DIGIT, rotation=quaternion_from_matrix(matrix)).gel_from_camera()
-    np.testing.assert_allclose(again, matrix, atol=1e-12)
-
-
-def test_look_at_puts_the_target_on_the_axis() -> None:
-    position = (4.0, -3.0, -20.0)
-    camera = replace(DIGIT, position_mm=position, rotation=look_at(position, (1.0, 2.0, -1.0)))
-    pixel = CameraModel(replace(camera, distortion=())).project(np.array([1.0, 2.0, -1.0]))
-    np.testing.assert_allclose(pixel, [DIGIT.cx_px, DIGIT.cy_px], atol=1e-9)
-    np.testing.assert_allclose(look_at((0, 0, -9.0)), (0, 0, 0, 1), atol=1e-12)
-    with pytest.raises(InputError, match="that very point"):
-        look_at((1, 2, 3), (1, 2, 3))
-    with pytest.raises(InputError, match="line of sight"):
-        look_at((0, 0, -9.0), right=(0, 0, 1))

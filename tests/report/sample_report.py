@@ -12,7 +12,6 @@ from taccel_lab.report.model import (
     ColorSection,
     DetectionSection,
     ForceDepth,
-    ForceReference,
     HeldoutFrame,
     LossCurve,
     MeshSection,
@@ -32,12 +31,12 @@ def score(psnr_db: float) -> ColorScore:
     return ColorScore(psnr_db, 0.96, 2.5, 1.9, 2.2)
 
 
-def heldout_frame(name: str, psnr_db: float, note: str = "") -> HeldoutFrame:
+def heldout_frame(name: str, psnr_db: float) -> HeldoutFrame:
     rng = np.random.default_rng(3)
     real = rng.integers(0, 255, (60, 80, 3)).astype(np.uint8)
     rendered = real + rng.normal(0, 8, real.shape)
     # The circle is cut by the image's border.
-    return HeldoutFrame(name, real, rendered, (9.0, 30.0, 12.0), score(psnr_db), score(21.0), note)
+    return HeldoutFrame(name, real, rendered, (9.0, 30.0, 12.0), score(psnr_db), score(21.0))
 
 
 def press(name: str, force_n: float, **changes: object) -> PressRecord:
@@ -91,15 +90,14 @@ def full_report() -> Report:
             frames,
             9,
             discs,
-            LossCurve(np.arange(5), np.geomspace(1, 0.1, 5), np.geomspace(1, 0.2, 5), best_step=3),
-            {"Cap": score(30.0)},
+            LossCurve(np.arange(5), np.geomspace(1, 0.1, 5)),
             2.4,
             {"Parameters": 1234},
         ),
         press=PressSection(
             press("press 0", 2.0),
             (press("press 0", 2.0), press("press 1", 2.5, min_distance_m=3e-6)),
-            ForceDepth("simulation", depth, depth**1.5, (ForceReference("Hertz", depth, depth),)),
+            ForceDepth("simulation", depth, depth**1.5),
             PressMaps(
                 GRID,
                 1e-4 * x,

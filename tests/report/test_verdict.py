@@ -49,13 +49,9 @@ def test_all_met_is_good():
 def test_trouble_in_the_simulation_spoils_the_verdict():
     report = full_report()
     target = (Target("mesh.min_dihedral_deg", "angle", 10, True),)
-    stuck = replace(report.press, records=(press("press 7", 1.0, converged=False),))
-    verdict = _verdict(replace(report, targets=target, press=stuck))
-    assert not verdict.good and "trouble" in verdict.headline
-    assert "Not converged: press 7." in verdict.sentences
     pierced = replace(report.press, records=(press("press 7", 1.0, min_distance_m=0.0),))
     verdict = _verdict(replace(report, targets=target, press=pierced))
-    assert not verdict.good
+    assert not verdict.good and "trouble" in verdict.headline
     assert any("intersect" in sentence for sentence in verdict.sentences)
 
 

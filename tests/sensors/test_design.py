@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry.vtu import read_mesh_vtu
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.design import DesignResult, design_sensor
 from taccel_lab.sensors.gelsight.family import FAMILY
+from tests.geometry.vtu_files import read_mesh_vtu
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from build123d import Plane, Solid, export_step
 
 from taccel_lab.cad.step_import import FaceSelection
 from taccel_lab.errors import InputError
-from taccel_lab.geometry.vtu import read_mesh_vtu
 from taccel_lab.sensors.imported import import_design
+from tests.geometry.vtu_files import read_mesh_vtu
 
 SELECTION = FaceSelection(contact=("plane:+z",), bond=("plane:-z",), window=("rect:5x4",))
 

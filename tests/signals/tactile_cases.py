@@ -9,8 +9,10 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals import MarkerLayout, SignalHeightMap, SignalTactile, SurfaceMode
+from taccel_lab.signals import MarkerLayout, SignalTactile, SurfaceMode
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+from tests.signals.height_map_referee import HeightMapReferee
+from tests.signals.host_colors import host_image
 from tests.signals.pressed_surface import PressedSphere, shaped
 
 DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
@@ -81,17 +83,22 @@ def make(mesh: Any, device: str = "cpu", grid: PixelGrid = GRID, **changes: Any)
 
 
 def reference(mesh: Any, positions: np.ndarray, grid: PixelGrid, mode: SurfaceMode) -> dict:
-    """What the numpy classes make of it."""
-    signal = SignalHeightMap(mesh, grid, mode=mode)
+    """What the referee of the surface and the colour model on the host make of it."""
+    signal = HeightMapReferee(mesh, grid, mode=mode)
     signal.update(np.concatenate([mesh.nodes_m[None], positions]))
     height, normals = signal.height_m, signal.normals
     seen = np.isfinite(height[1:]) & np.isfinite(height[0])
     flat = np.array([0.0, 0.0, 1.0])
-    levels = color_model(grid).render(
-        np.where(seen[..., None], normals[1:], flat),
-        np.where(seen, height[1:] - height[0], 0.0) * 1e3,
-        np.where(seen[..., None], normals[:1], flat),
-        background(grid),
+    levels = np.stack(
+        [
+            host_image(color_model(grid), background(grid), *surface)
+            for surface in zip(
+                np.where(seen[..., None], normals[1:], flat),
+                np.where(seen, height[1:] - height[0], 0.0) * 1e3,
+                np.where(seen[..., None], normals[:1], flat),
+                strict=True,
+            )
+        ]
     )
     return {"height_m": height[1:], "normals": normals[1:], "rgb_levels": levels}
 

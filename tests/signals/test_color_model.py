@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The colour model: anchoring at rest, batches, round trip of weights, refusals."""
+"""The colour model and its images: anchoring at rest, round trip of weights, refusals."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ from taccel_lab.signals.color_model import (
     expected_shapes,
     pixel_uv,
 )
+from taccel_lab.signals.tactile_image import tactile_image
+from tests.signals.host_colors import face, host_change
 
 CONFIG = ColorModelConfig(width_px=20, height_px=15, hidden=(16, 8))
 
@@ -59,7 +61,7 @@ def test_forward_pass_by_hand() -> None:
     normals[1, 2] = [0.6, 0.0, 0.8]
     displacement = np.zeros((2, 3))
     displacement[1, 2] = -1.5
-    change = model.predict(normals, displacement, rest)
+    change = host_change(model, normals, displacement, rest)
     # Pixel (row 1, column 2): u = 1.
     pressed = math.tanh(0.3 * 1 + 0.7 * 0.6 / 2 - 0.2 * (-1.5 - 0.5) / 4 + 0.1)
     at_rest = math.tanh(0.3 * 1 - 0.2 * (0 - 0.5) / 4 + 0.1)
@@ -76,22 +78,10 @@ def test_undeformed_pixels_do_not_change(seed: int) -> None:
     displacement = np.zeros((15, 20))
     moved = np.random.default_rng(seed).random((15, 20)) < 0.3
     displacement[moved] = -0.4
-    change = random_model(seed=seed).predict(normals, displacement, rest)
-    assert not change[~moved].any()
-    assert (np.abs(change[moved]).sum(axis=-1) > 0).all()
-
-
-def test_batches_equal_single_images() -> None:
-    model = random_model()
-    normals = random_normals((3, 2, 15, 20))
-    displacement = np.random.default_rng(1).normal(0, 1, (3, 2, 15, 20))
-    rest = random_normals((15, 20), 5)
-    batch = model.predict(normals, displacement, rest)
-    assert batch.shape == (3, 2, 15, 20, 3)
-    for i in range(3):
-        for j in range(2):
-            single = model.predict(normals[i, j], displacement[i, j], rest)
-            assert batch[i, j] == pytest.approx(single, abs=1e-4)
+    background = np.full((15, 20, 3), 120.0)
+    image = tactile_image(random_model(seed=seed), background, face(normals, displacement, rest))
+    assert (image[~moved] == 120.0).all()
+    assert (np.abs(image[moved] - 120.0).sum(axis=-1) > 0).all()
 
 
 def test_chunks_leave_no_seam() -> None:
@@ -100,7 +90,7 @@ def test_chunks_leave_no_seam() -> None:
     shape = (130, CHUNK_PIXELS // 100)
     normals, rest = random_normals(shape), random_normals(shape, 1)
     displacement = np.full(shape, -0.3)
-    whole = model.predict(normals, displacement, rest).reshape(-1, 3)
+    whole = host_change(model, normals, displacement, rest).reshape(-1, 3)
     idx = np.array([0, CHUNK_PIXELS - 1, CHUNK_PIXELS, CHUNK_PIXELS + 1, whole.shape[0] - 1])
     some = model.predict_pixels(
         idx, normals.reshape(-1, 3)[idx], np.full(len(idx), -0.3), rest.reshape(-1, 3)[idx]
@@ -108,15 +98,15 @@ def test_chunks_leave_no_seam() -> None:
     assert some == pytest.approx(whole[idx], abs=1e-4)
 
 
-def test_render_adds_and_clips() -> None:
+def test_an_image_adds_the_change_and_clips() -> None:
     model = random_model()
     normals, rest = random_normals((15, 20)), random_normals((15, 20), 1)
     displacement = np.full((15, 20), -1.0)
     background = np.full((15, 20, 3), 250, dtype=np.uint8)
-    change = model.predict(normals, displacement, rest)
-    image = model.render(normals, displacement, rest, background)
+    change = host_change(model, normals, displacement, rest)
+    image = tactile_image(model, background, face(normals, displacement, rest))
     assert change.max() > 5
-    assert image == pytest.approx(np.clip(250 + change, 0, 255), abs=1e-4)
+    assert image == pytest.approx(np.clip(250 + change, 0, 255), abs=1e-3)
     assert image.max() == 255.0
 
 
@@ -127,7 +117,7 @@ def test_weights_and_settings_round_trip() -> None:
     copy = ColorModel(ColorModelConfig.from_dict(json.loads(settings_text)), weights)
     assert copy.config == model.config
     args = random_normals((15, 20)), np.full((15, 20), -0.2), random_normals((15, 20), 2)
-    assert np.array_equal(copy.predict(*args), model.predict(*args))
+    assert np.array_equal(host_change(copy, *args), host_change(model, *args))
 
 
 def test_uv_covers_the_image() -> None:
@@ -173,12 +163,11 @@ def test_bad_weights_and_maps() -> None:
     with pytest.raises(InputError, match="NaN"):
         ColorModel(CONFIG, weights)
     normals = random_normals((15, 20))
-    with pytest.raises(InputError, match="normals have shape"):
-        model.predict(normals[:10], np.zeros((10, 20)), normals[:10])
-    with pytest.raises(InputError, match="displacement_mm has shape"):
-        model.predict(normals, np.zeros((7, 20)), normals)
     with pytest.raises(InputError, match="background has shape"):
-        model.render(normals, np.zeros((15, 20)), normals, np.zeros((15, 21, 3)))
+        tactile_image(model, np.zeros((15, 21, 3)), face(normals, np.zeros((15, 20)), normals))
+    with pytest.raises(InputError, match="pixel grid has"):
+        small = face(normals[:10], np.zeros((10, 20)), normals[:10])
+        tactile_image(model, np.zeros((15, 20, 3)), small)
 
 
 def test_all_inputs_are_used() -> None:

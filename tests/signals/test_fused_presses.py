@@ -22,11 +22,11 @@ from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.signals import (
     ContactSurface,
     SignalFusedSurface,
-    SignalHeightMap,
     SphereSurface,
     normals_from_height,
 )
 from taccel_lab.solvers import SolverConfig
+from tests.signals.height_map_referee import HeightMapReferee
 from tests.signals.pressed_surface import angle_deg, pixel_xy
 
 GRID = PixelGrid(640, 480, 0.0295, 0.0295)
@@ -53,7 +53,7 @@ class _Press:
     pressures_pa: np.ndarray
     centers_m: np.ndarray
     fused: SignalFusedSurface
-    plain: SignalHeightMap
+    plain: HeightMapReferee
 
     def nodes(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Surface nodes [m], their gaps [m] and whether they carry normal force, at depth ``i``."""
@@ -122,7 +122,7 @@ def _simulate(
     fused = SignalFusedSurface(env.mesh, GRID)
     ball = SphereSurface(np.stack(centers), BALL_M, GRID)
     fused.update(np.stack(positions), ball, np.stack(pressures))
-    plain = SignalHeightMap(env.mesh, GRID)
+    plain = HeightMapReferee(env.mesh, GRID)
     plain.update(np.stack(positions))
     return _Press(
         env.mesh,

@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Height maps and normals against planes, analytic bowls and a second interpolation library."""
+"""The referee of height maps against planes, analytic bowls and a second interpolation library.
+
+Product and referee are compared in ``test_tactile``.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import LinearNDInterpolator
 
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, Region, TetMesh
-from taccel_lab.signals import SignalHeightMap, SurfaceMode
+from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.signals import SurfaceMode
+from tests.signals.height_map_referee import HeightMapReferee
 from tests.signals.pressed_surface import (
     PressedSphere,
     angle_deg,
@@ -36,7 +38,7 @@ PAD_HALF_MM = (3.0, 2.4)
 )
 def test_planes_are_exact_on_any_triangulation(a, b, c, seed, mode):
     mesh = flat_pad(0.4, PAD_HALF_MM, seed)
-    signal = SignalHeightMap(mesh, GRID, mode=mode)
+    signal = HeightMapReferee(mesh, GRID, mode=mode)
     signal.update(shaped(mesh, lambda x, y: a * x + b * y + c))
     x, y = pixel_xy(GRID)
     normal = np.array([-a, -b, 1.0]) / np.sqrt(1 + a * a + b * b)
@@ -49,7 +51,7 @@ def test_facet_mode_is_the_piecewise_linear_interpolant():
     rng = np.random.default_rng(0)
     noise = rng.normal(0, 1e-4, mesh.node_count)
     positions = shaped(mesh, lambda x, y: noise[: len(x)])
-    signal = SignalHeightMap(mesh, GRID, mode=SurfaceMode.FACET)
+    signal = HeightMapReferee(mesh, GRID, mode=SurfaceMode.FACET)
     signal.update(positions)
     # Delaunay made the mesh, so scipy interpolates on the same triangles.
     top = positions[0, mesh.region_nodes(Region.CONTACT)]
@@ -64,7 +66,7 @@ def test_of_two_layers_the_camera_sees_the_lower_one():
     mesh = extrude(xy, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]))
     positions = mesh.nodes_m[None].copy()
     positions[0, 4:8, 2] = 5e-4
-    signal = SignalHeightMap(mesh, GRID, mode=SurfaceMode.FACET)
+    signal = HeightMapReferee(mesh, GRID, mode=SurfaceMode.FACET)
     signal.update(positions)
     assert (signal.height_m == 0).all()
 
@@ -77,7 +79,7 @@ def test_only_the_smooth_slope_is_continuous(mode, ratio):
     jumps = []
     for pixels in (300, 600):
         grid = PixelGrid(pixels, pixels, 0.3 / pixels, 0.3 / pixels)
-        signal = SignalHeightMap(mesh, grid, mode=mode)
+        signal = HeightMapReferee(mesh, grid, mode=mode)
         signal.update(shaped(mesh, lambda x, y: noise[: len(x)]))
         jumps.append(np.abs(np.diff(signal.slope[0], axis=1)).max())
     assert jumps[0] > 0.01
@@ -90,7 +92,7 @@ def test_only_the_smooth_slope_is_continuous(mode, ratio):
 def test_slope_is_the_derivative_of_the_height():
     mesh = flat_pad(0.4, PAD_HALF_MM, seed=2)
     grid = PixelGrid(400, 300, 0.01, 0.01)
-    signal = SignalHeightMap(mesh, grid)
+    signal = HeightMapReferee(mesh, grid)
     signal.update(shaped(mesh, lambda x, y: 2e-4 * np.sin(x / 4e-4) * np.cos(y / 6e-4)))
     step = 0.01e-3
     along_x = (signal.height_m[0, :, 2:] - signal.height_m[0, :, :-2]) / (2 * step)
@@ -110,7 +112,7 @@ def _errors(mode: SurfaceMode, element_mm: float) -> tuple[float, float]:
     sphere = PressedSphere(1.8e-3)
     mesh = flat_pad(element_mm, (5.2, 4.2))
     grid = PixelGrid(192, 144, 0.05, 0.05)
-    signal = SignalHeightMap(mesh, grid, mode=mode)
+    signal = HeightMapReferee(mesh, grid, mode=mode)
     signal.update(shaped(mesh, sphere.height))
     x, y = pixel_xy(grid)
     near = sphere.distance_xy(x, y) < 1.6 * 1.8e-3
@@ -135,7 +137,7 @@ def test_convergence_on_a_steep_press():
 def test_a_domed_rest_surface_is_smooth():
     mesh = flat_pad(0.3, PAD_HALF_MM)
     dome = lambda x, y: np.sqrt(25e-3**2 - x**2 - y**2) - 25e-3  # noqa: E731
-    signal = SignalHeightMap(mesh, GRID)
+    signal = HeightMapReferee(mesh, GRID)
     signal.update(shaped(mesh, dome))
     x, y = pixel_xy(GRID)
     z = np.sqrt(25e-3**2 - x**2 - y**2)
@@ -150,7 +152,7 @@ def test_environments_do_not_mix():
     first = shaped(mesh, PressedSphere(1.0e-3).height)
     second = shaped(mesh, lambda x, y: 0.1 * x)
     second[..., :2] *= 1.05
-    signal = SignalHeightMap(mesh, GRID)
+    signal = HeightMapReferee(mesh, GRID)
     signal.update(np.concatenate([first, second, first]))
     together = signal.height_m.copy(), signal.normals.copy()
     for env, alone in ((0, first), (1, second), (2, first)):
@@ -162,45 +164,12 @@ def test_environments_do_not_mix():
 
 def test_pixels_beside_the_pad_are_nan_and_only_those():
     mesh = flat_pad(0.2, (1.5, 1.0))
-    signal = SignalHeightMap(mesh, GRID)
+    signal = HeightMapReferee(mesh, GRID)
     signal.update(mesh.nodes_m)
     x, y = (np.abs(value) for value in pixel_xy(GRID))
     assert np.isnan(signal.height_m[0][(x > 1.8e-3) | (y > 1.3e-3)]).all()
     assert np.isfinite(signal.height_m[0][(x < 1.3e-3) & (y < 0.8e-3)]).all()
     assert np.array_equal(np.isnan(signal.height_m), np.isnan(signal.normals).any(axis=-1))
-
-
-def test_warp_arrays_are_read():
-    mesh = flat_pad(0.4, PAD_HALF_MM)
-    positions = shaped(mesh, lambda x, y: 0.2 * x)
-    signal = SignalHeightMap(mesh, GRID)
-    signal.update(positions)
-    expected = signal.height_m.copy()
-    signal.update(wp.array(positions, dtype=wp.vec3d, device="cpu"))
-    assert np.array_equal(signal.height_m, expected)
-
-
-def test_bad_positions_are_refused():
-    mesh = flat_pad(0.4, PAD_HALF_MM)
-    signal = SignalHeightMap(mesh, GRID)
-    with pytest.raises(RuntimeError, match="update"):
-        _ = signal.height_m
-    positions = mesh.nodes_m[None].repeat(3, axis=0)
-    positions[1, mesh.region_nodes(Region.CONTACT)[4], 2] = np.nan
-    with pytest.raises(InputError, match=r"NaN.*\[1\]"):
-        signal.update(positions)
-    with pytest.raises(InputError, match="shape"):
-        signal.update(mesh.nodes_m[None, :-1])
-    flipped = mesh.nodes_m[None] * [-1.0, 1.0, 1.0]
-    with pytest.raises(InputError, match="folded"):
-        signal.update(flipped)
-
-
-def test_a_mesh_without_contact_faces_is_refused():
-    mesh = flat_pad(0.4, PAD_HALF_MM)
-    bare = TetMesh(mesh.nodes_m, mesh.tets, mesh.faces, np.full(len(mesh.faces), int(Region.SIDE)))
-    with pytest.raises(InputError, match="CONTACT"):
-        SignalHeightMap(bare, GRID)
 
 
 def test_folded_triangles_are_skipped():
@@ -209,7 +178,7 @@ def test_folded_triangles_are_skipped():
     top = mesh.region_nodes(Region.CONTACT)
     near = top[np.argmin(np.linalg.norm(mesh.nodes_m[top], axis=1))]
     positions[0, near] += [0.7e-3, 0.0, 0.0]
-    signal = SignalHeightMap(mesh, GRID)
+    signal = HeightMapReferee(mesh, GRID)
     signal.update(positions)
     assert np.isfinite(signal.height_m).all()
     assert np.abs(signal.height_m).max() < 1e-12

@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from taccel_lab.errors import InputError
 from taccel_lab.signals.color_kernel import color_kernel
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
-from taccel_lab.signals.device_color import DeviceColorModel
 from taccel_lab.signals.normal_features import feature_names, pixel_place
 from taccel_lab.signals.normal_model import NormalModel, NormalModelConfig
 from taccel_lab.signals.normal_model import expected_shapes as normal_shapes
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.position_encoding import MAX_BANDS, band_names, encode_position
+from taccel_lab.signals.tactile_image import DeviceColorModel
+from tests.signals.host_colors import host_image
 from tests.signals.tactile_cases import DEVICES, LEVELS
 
 WIDTH, HEIGHT = 30, 22
@@ -90,11 +91,17 @@ def test_device_images_are_those_of_the_model(bands: int, device: str) -> None:
     painter.render(
         wp.array(samples.astype(np.float32), dtype=wp.vec3f, device=device), None, levels
     )
-    expected = model.render(
-        normals_from_slopes(samples[..., :2]),
-        1e3 * (samples[..., 2] - rest[..., 2]),
-        normals_from_slopes(rest[..., :2]),
-        background,
+    expected = np.stack(
+        [
+            host_image(
+                model,
+                background,
+                normals_from_slopes(image[..., :2]),
+                1e3 * (image[..., 2] - rest[..., 2]),
+                normals_from_slopes(rest[..., :2]),
+            )
+            for image in samples
+        ]
     )
     assert np.abs(expected - background).max() > 10
     assert np.abs(levels.numpy() - expected).max() < LEVELS[device]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region, TetMesh
@@ -12,10 +13,11 @@ from taccel_lab.signals import (
     ContactSurface,
     HeightFieldSurface,
     SignalFusedSurface,
-    SignalHeightMap,
+    SignalTactile,
     SphereSurface,
     normals_from_height,
 )
+from tests.signals.height_map_referee import HeightMapReferee
 from tests.signals.pressed_surface import PressedSphere, angle_deg, flat_pad, pixel_xy, shaped
 
 GRID = PixelGrid(192, 144, 0.05, 0.05)
@@ -96,7 +98,7 @@ def test_no_ripple_across_the_contact_edge():
     error = angle_deg(signal.normals[0], sphere.normals(x, y))[near]
     assert error.max() < 11.0
     # The plain C1 surface smears the edge over an element.
-    plain = SignalHeightMap(flat_pad(0.2, PAD_HALF_MM), GRID)
+    plain = HeightMapReferee(flat_pad(0.2, PAD_HALF_MM), GRID)
     plain.update(shaped(flat_pad(0.2, PAD_HALF_MM), sphere.height))
     plain_error = angle_deg(plain.normals[0], sphere.normals(x, y))[near]
     assert np.sqrt((error**2).mean()) < 0.8 * np.sqrt((plain_error**2).mean())
@@ -166,12 +168,24 @@ def test_without_contact_the_gel_surface_is_untouched():
     fused = SignalFusedSurface(mesh, GRID)
     nothing = np.zeros((1, mesh.node_count))
     fused.update(positions, SphereSurface(np.array([0, 0, 3e-3]), 2e-3, GRID), nothing)
-    plain = SignalHeightMap(mesh, GRID)
-    plain.update(positions)
-    assert np.array_equal(fused.height_m, plain.height_m)
+    plain = SignalTactile(mesh, GRID, env_count=1)
+    plain.update(wp.array(positions, dtype=wp.vec3d, device="cpu"))
+    assert np.array_equal(fused.height_m, plain.height_m.numpy())
     assert fused.contact_radius_m[0] == 0.0
     assert not fused.contact_mask.any()
     assert np.isnan(fused.gap_m).all()
+
+
+def test_warp_arrays_are_read():
+    mesh = flat_pad(0.4, PAD_HALF_MM)
+    positions = shaped(mesh, lambda x, y: 0.2 * x)
+    far = SphereSurface(np.array([0, 0, 9e-3]), 2e-3, GRID)
+    signal = SignalFusedSurface(mesh, GRID)
+    heights = []
+    for given in (positions, wp.array(positions, dtype=wp.vec3d, device="cpu")):
+        signal.update(given, far, np.zeros((1, mesh.node_count)))
+        heights.append(signal.height_m.copy())
+    assert np.array_equal(*heights)
 
 
 def test_texture_finer_than_the_mesh_shows_in_contact_only():
@@ -243,18 +257,25 @@ def test_environments_do_not_mix():
     assert together[1][1] > together[1][0] + 0.4e-3
 
 
-def test_a_contact_cut_by_the_image_says_so():
-    sphere = PressedSphere(1.5e-3, center_xy_m=(3.9e-3, 0.0))
-    assert _press(sphere, 0.3).contact_clipped[0]
-    assert not _press(PressedSphere(1.5e-3), 0.3).contact_clipped[0]
-
-
 def test_bad_input_is_refused():
     mesh = flat_pad(0.4, PAD_HALF_MM)
     surface = SphereSurface(np.zeros(3), 1e-3, GRID)
     for wrong in (np.zeros((1, 3)), np.full((1, mesh.node_count), np.nan)):
         with pytest.raises(InputError, match="pressures_pa"):
             SignalFusedSurface(mesh, GRID).update(mesh.nodes_m[None], surface, wrong)
+    nothing = np.zeros((3, mesh.node_count))
+    positions = mesh.nodes_m[None].repeat(3, axis=0)
+    positions[1, mesh.region_nodes(Region.CONTACT)[4], 2] = np.nan
+    with pytest.raises(InputError, match=r"NaN.*\[1\]"):
+        SignalFusedSurface(mesh, GRID).update(positions, surface, nothing)
+    with pytest.raises(InputError, match="shape"):
+        SignalFusedSurface(mesh, GRID).update(mesh.nodes_m[None, :-1], surface, nothing[:1])
+    flipped = mesh.nodes_m[None] * [-1.0, 1.0, 1.0]
+    with pytest.raises(InputError, match=r"environment 0.*folded"):
+        SignalFusedSurface(mesh, GRID).update(flipped, surface, nothing[:1])
+    bare = TetMesh(mesh.nodes_m, mesh.tets, mesh.faces, np.full(len(mesh.faces), int(Region.SIDE)))
+    with pytest.raises(InputError, match="CONTACT"):
+        SignalFusedSurface(bare, GRID)
     with pytest.raises(InputError, match="radius_m"):
         SphereSurface(np.zeros(3), 0.0, GRID)
     with pytest.raises(InputError, match="center_m"):

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.geometry.vtu import read_vtu
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.studies.design_files import write_design_files
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
@@ -18,6 +17,7 @@ from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.spec import Output, spec_of
 from taccel_lab.studies.study import default_kit, make_study
 from taccel_lab.studies.study_folder import StudyFolder
+from tests.geometry.vtu_files import read_mesh_vtu
 
 
 def files_of(folder: StudyFolder, output: Output, **parameters: float) -> tuple[dict, dict]:
@@ -39,7 +39,7 @@ def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:
         (soft, sensor_family("gelsight_r15").parameters().pad().thickness_mm),
         (thick, 5),
     ):
-        z = read_vtu(tmp_path / files["mesh"]).nodes_m[:, 2]
+        z = read_mesh_vtu(tmp_path / files["mesh"]).nodes_m[:, 2]
         assert np.ptp(z) * 1e3 == pytest.approx(thickness)
         assert (tmp_path / files["step"]).read_text().startswith("ISO-10303-21")
 

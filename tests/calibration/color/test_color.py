@@ -24,6 +24,7 @@ from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.tactile_image import tactile_image
 from tests.calibration.synthetic import (
     GRID,
     calibrated,
@@ -81,8 +82,9 @@ def test_undeformed_gel_renders_as_the_background() -> None:
         frames_of(captures, surfaces), captures.background, GRID,
         dataclasses.replace(QUICK, steps=30),
     )  # fmt: skip
-    rest = surfaces[0].rest_normals
-    rendered = fit.model.render(rest, np.zeros(rest.shape[:2]), rest, fit.background)
+    first = surfaces[0]
+    untouched = dataclasses.replace(first, height_m=first.rest_height_m, normals=first.rest_normals)
+    rendered = tactile_image(fit.model, fit.background, untouched)
     assert np.array_equal(rendered, fit.background)
 
 
@@ -201,9 +203,7 @@ def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
     item = result.heldout[0]
     (surface,) = true_surfaces(captures, [item.placed["label"].circle])
     assert loaded.background_rgb is not None
-    rendered = model.render(
-        surface.normals, surface.displacement_mm(), surface.rest_normals, loaded.background_rgb
-    )
+    rendered = tactile_image(model, loaded.background_rgb, surface)
     assert np.array_equal(rendered, item.placed["label"].rendered)
     residuals = loaded.color.provenance.residuals
     assert residuals["heldout_disc_l1"] == pytest.approx(
@@ -235,10 +235,7 @@ def test_light_that_changes_within_the_image_asks_for_bands() -> None:
         )  # fmt: skip
         off = []
         for frame, wanted in zip(frames[:5], truth[:5], strict=True):
-            surface = frame.surface
-            rendered = fit.model.render(
-                surface.normals, surface.displacement_mm(), surface.rest_normals, fit.background
-            )
+            rendered = tactile_image(fit.model, fit.background, frame.surface)
             disc = frame.circle.distance_px(GRID) <= frame.circle.radius_px
             off.append(np.abs(rendered - wanted)[disc].mean())
         error[bands] = np.mean(off)

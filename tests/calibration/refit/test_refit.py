@@ -19,6 +19,7 @@ from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorPr
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
 from tests.calibration.drawn.faults import add_gradient, add_noise, drift, poison, quantise
 from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, flat_background, tiny_profile
+from tests.signals.host_colors import host_change
 
 GAIN = np.array([0.7, 0.9, 1.0])
 OFFSET = np.array([2.0, -1.0, 0.0])
@@ -69,7 +70,9 @@ def new_frames(
             float(rng.uniform(40, 120)), float(rng.uniform(40, 80)), float(rng.uniform(11, 15))
         )
         surface = analytic_surface(circle, GRID, BALL_RADIUS_MM, decay_mm=1.0)
-        change = model.predict(surface.normals, surface.displacement_mm(), surface.rest_normals)
+        change = host_change(
+            model, surface.normals, surface.displacement_mm(), surface.rest_normals
+        )
         image = drift(textured() + change, gain, offset)
         image = add_noise(add_gradient(image, 2.0, -1.0), noise, rng)
         distance = circle.distance_px(GRID)

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``DeviceColorModel``: tactile images of many environments from device arrays, without a copy.
+"""Tactile images from surfaces and a colour model: the background plus each pixel's change.
 
-The same as ``ColorModel`` but for rounding: FP32 on the CPU; on CUDA FP16 weights and activations
-in the hidden layers and an approximate tanh, hundredths of a grey level on average, which
-``benchmarks/images.py`` measures.
+``DeviceColorModel`` works on device arrays of many environments, without a copy; ``tactile_image``
+gives one image as a numpy array. Colours are those of ``ColorModel.predict_pixels`` but for
+rounding: FP32 on the CPU; on CUDA FP16 weights and activations in the hidden layers and an
+approximate tanh, hundredths of a grey level on average, which ``benchmarks/images.py`` measures.
 """
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 import warp as wp
@@ -161,3 +164,58 @@ class DeviceColorModel:
             block_dim=128,
             device=self._device,
         )
+
+
+class PressedFace(Protocol):
+    """Contact face of one gel, pressed and at rest, as ``PressOutcome`` and the surfaces of
+    calibrations have it; NaN where it is missing."""
+
+    @property
+    def height_m(self) -> np.ndarray:
+        """z of the pressed face [m], shape [height_px, width_px]."""
+        ...
+
+    @property
+    def rest_height_m(self) -> np.ndarray:
+        """z at rest [m], same shape."""
+        ...
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Outward unit normals of the pressed face, shape [height_px, width_px, 3]."""
+        ...
+
+    @property
+    def rest_normals(self) -> np.ndarray:
+        """Outward unit normals at rest, same shape."""
+        ...
+
+
+def tactile_image(model: ColorModel, background_rgb: np.ndarray, face: PressedFace) -> np.ndarray:
+    """The image of one pressed gel.
+
+    Args:
+        model: Colour model of the sensor.
+        background_rgb: Image of the untouched sensor, levels, [height_px, width_px, 3].
+        face: What the camera sees.
+
+    Returns:
+        Float32 levels 0..255, shape [height_px, width_px, 3]; the background where a surface is
+        missing (NaN) or as at rest.
+
+    Raises:
+        InputError: Sizes that differ, or a network that is too wide, see ``DeviceColorModel``.
+    """
+    rise_m = face.height_m - face.rest_height_m
+    rest = _samples(face.rest_normals, np.zeros_like(rise_m))
+    painter = DeviceColorModel(model, background_rgb, rest)
+    levels = wp.empty((1, *rest.shape, 3), dtype=wp.float32, device="cpu")
+    painter.render(_samples(face.normals, rise_m).reshape((1, *rest.shape)), levels=levels)
+    return levels.numpy()[0]
+
+
+def _samples(normals: np.ndarray, height_m: np.ndarray) -> wp.array:
+    """Samples of a surface on the host, vec3f, shape [height_px, width_px]."""
+    slope = -normals[..., :2] / normals[..., 2:]
+    values = np.concatenate([slope, height_m[..., None]], axis=-1)
+    return wp.array(values.astype(np.float32), dtype=wp.vec3f, device="cpu")

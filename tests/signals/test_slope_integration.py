@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.poisson import height_from_slopes, solve_poisson
+from taccel_lab.signals.slope_integration import height_from_slopes, solve_poisson
 
 OBLONG = PixelGrid(53, 41, 0.05, 0.08)
 
