@@ -4,12 +4,22 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from functools import lru_cache
 
 # Before numpy or torch start their thread pools: tests run in parallel processes.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+import pytest
 from hypothesis import HealthCheck, settings
+
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.cad.mesh.quality import MeshQuality, measure_quality
+from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.geometry import TetMesh
+from taccel_lab.output import CACHE_VARIABLE
+from taccel_lab.sensors import profile
 
 # Shared machines stall now and then, which says nothing about the code: no deadlines. Examples are
 # derandomised, so that a change that passed keeps passing; they still depend on the version of the
@@ -23,3 +33,32 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("taccel")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Tests neither read nor fill the user's cache; processes that run beside each other share."""
+    beside = "PYTEST_XDIST_WORKER" in os.environ
+    folder = tmp_path_factory.getbasetemp()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE_VARIABLE, str((folder.parent if beside else folder) / "cache"))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _catalogue_is_meshed_once() -> Iterator[None]:
+    """Hundreds of tests start from a sensor of the catalogue, whose mesh takes a third of a second;
+    it depends on the pad alone."""
+    mesh_of = lru_cache(gel_mesh)
+
+    @lru_cache
+    def quality_of(pad: Pad) -> MeshQuality:
+        return measure_quality(mesh_of(pad), pad)
+
+    def quality(mesh: TetMesh, pad: Pad) -> MeshQuality:
+        return quality_of(pad) if mesh is mesh_of(pad) else measure_quality(mesh, pad)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(profile, "gel_mesh", mesh_of)
+        patch.setattr(profile, "measure_quality", quality)
+        yield

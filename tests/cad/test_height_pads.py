@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from build123d import import_step
@@ -21,14 +18,12 @@ from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
-
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
-MINI_STEP = DATA / "sensor_geometry" / "gelsight_mini" / "gelsight_mini_gel_feats.step"
+from tests.real_data import real_data
 
 
-@pytest.mark.skipif(not MINI_STEP.exists(), reason=f"needs the measured gel {MINI_STEP}")
 def test_mini_lies_on_the_measured_gel() -> None:
-    vertices, triangles = import_step(str(MINI_STEP)).solids()[0].tessellate(0.005, 0.05)
+    step = real_data("sensor_geometry/gelsight_mini/gelsight_mini_gel_feats.step")
+    vertices, triangles = import_step(str(step)).solids()[0].tessellate(0.005, 0.05)
     flange_mm, offset_x_mm, offset_z_mm = 19.25, 0.25, 0.5
     raw = np.array([tuple(v) for v in vertices])
     measured = np.stack(

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.step_import import FaceSelection, import_gel, list_faces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
+from tests.real_data import real_data
 
 BOX = FaceSelection(contact=("plane:+z",), bond=("plane:-z",), window=("rect:10x8",))
 
@@ -209,14 +209,7 @@ def test_one_body_of_an_assembly_is_chosen_by_name(tmp_path: Path) -> None:
     assert gel.part.volume_mm3 == pytest.approx(labelled_solid(PAD).volume_mm3, rel=1e-6)
 
 
-def mini_step() -> Path:
-    root = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    path = root / "sensor_geometry" / "gelsight_mini" / "gelsight_mini_gel_feats.step"
-    if not path.is_file():
-        pytest.skip("the GelSight Mini's gel is not here: ../shared/data or $TACCEL_LAB_DATA")
-    return path
-
-
+MINI_STEP = "sensor_geometry/gelsight_mini/gelsight_mini_gel_feats.step"
 MINI = FaceSelection(
     contact=("normal:+y",), bond=("plane:-y",), window=("rect:18x14",), normal="+y"
 )
@@ -224,7 +217,7 @@ MINI = FaceSelection(
 
 def test_the_gel_of_a_gelsight_mini_is_imported() -> None:
     """25.25 x 20.75 x 4.00 mm, 1898.81 mm^3, as measured by its authors."""
-    gel = import_gel(mini_step(), MINI)
+    gel = import_gel(real_data(MINI_STEP), MINI)
     size = gel.part.solid.bounding_box().size
     assert (size.X, size.Y, size.Z) == pytest.approx((25.25, 20.75, 4.0), abs=2e-3)
     assert gel.part.volume_mm3 == pytest.approx(1898.81, abs=0.05)

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -84,6 +86,48 @@ def synthetic_captures(
         provenance={},
     )
     return captures, surfaces
+
+
+def write_folder(
+    path: Path,
+    background: np.ndarray,
+    images: Mapping[str, np.ndarray],
+    circles: Mapping[str, ContactCircle],
+    ball_mm: float = BALL_RADIUS_MM,
+) -> Path:
+    """A capture folder of ball presses, those of ``circles`` labelled; returns it."""
+    path.mkdir(parents=True)
+    lines = [
+        "schema_version = 2",
+        'sensor = "gelsight"',
+        'background = "background.png"',
+        f"mm_per_px_x = {GRID.mm_per_px_x}",
+        f"mm_per_px_y = {GRID.mm_per_px_y}",
+        "[indenter]",
+        f"radius_mm = {ball_mm}",
+    ]
+    cv2.imwrite(str(path / "background.png"), background[..., ::-1])
+    for name, image in images.items():
+        cv2.imwrite(str(path / f"{name}.png"), image[..., ::-1])
+        lines += ["[[presses]]", f'image = "{name}.png"']
+        if name in circles:
+            c = circles[name]
+            lines.append(
+                f"contact = {{ u_px = {c.u_px}, v_px = {c.v_px}, radius_px = {c.radius_px} }}"
+            )
+    (path / "captures.toml").write_text("\n".join(lines))
+    return path
+
+
+def write_captures(path: Path, captures: CaptureSet, unlabelled: Container[str] = ()) -> Path:
+    """The same of captures in memory, labels of some left out."""
+    images = {press.name: press.image() for press in captures.presses}
+    circles = {
+        press.name: press.circle
+        for press in captures.presses
+        if press.circle is not None and press.name not in unlabelled
+    }
+    return write_folder(path, captures.background, images, circles, captures.ball_radius_mm)
 
 
 def true_surfaces(captures: CaptureSet, circles: Sequence[ContactCircle]) -> list[PressSurface]:

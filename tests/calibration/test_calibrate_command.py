@@ -7,7 +7,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -23,6 +22,7 @@ from tests.calibration.synthetic import (
     synthetic_captures,
     tiny_profile,
     without_check,
+    write_captures,
 )
 
 
@@ -30,27 +30,7 @@ from tests.calibration.synthetic import (
 def folder(tmp_path: Path) -> Path:
     """Eight synthetic presses on disk, the last without a circle, and the base profile beside."""
     captures, _ = synthetic_captures(8)
-    path = tmp_path / "captures"
-    path.mkdir()
-    lines = [
-        "schema_version = 1",
-        'sensor = "gelsight"',
-        'background = "background.png"',
-        f"mm_per_px_x = {GRID.mm_per_px_x}",
-        f"mm_per_px_y = {GRID.mm_per_px_y}",
-        "[indenter]",
-        f"radius_mm = {BALL_RADIUS_MM}",
-    ]
-    cv2.imwrite(str(path / "background.png"), captures.background[..., ::-1])
-    for press in captures.presses:
-        cv2.imwrite(str(path / f"{press.name}.png"), press.image()[..., ::-1])
-        lines += ["[[presses]]", f'image = "{press.name}.png"']
-        if press.circle is not None and press.name != "p7":
-            c = press.circle
-            lines.append(
-                f"contact = {{ u_px = {c.u_px}, v_px = {c.v_px}, radius_px = {c.radius_px} }}"
-            )
-    (path / "captures.toml").write_text("\n".join(lines))
+    path = write_captures(tmp_path / "captures", captures, unlabelled=("p7",))
     save_profile(tiny_profile(GRID), tmp_path / "base")
     return path
 
@@ -191,7 +171,10 @@ def test_an_empty_frame_stops_it(folder: Path) -> None:
         ({"captures": Path("nowhere")}, "nowhere does not exist"),
     ],
 )
-def test_bad_options(folder: Path, change: dict[str, object], message: str) -> None:
+def test_bad_options(
+    folder: Path, change: dict[str, object], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_check(monkeypatch)
     out = folder.parent / "profile"
     values = {"captures": folder, "out": out, "base": folder.parent / "base", **change}
     with pytest.raises(InputError, match=message):

@@ -26,12 +26,16 @@ from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.file_cache import CACHE_VARIABLE
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
+from taccel_lab.scene import Element
 from taccel_lab.sensors.profile import catalogue_profile
 
 BALL_MM = 2.0
 TOLERANCE_MM = 0.007
 GRID = PixelGrid(96, 72, 0.1, 0.1)
 DEFAULT = SURFACE_PHYSICS
+QUICK = replace(DEFAULT, element=Element.LINEAR)
+"""For what does not depend on how good the forces are: which presses are simulated, in which order,
+in which process, and what is kept of them."""
 # Contacts of 0.8, 1.2 and 1.0 mm at places where the dome leans.
 CIRCLES = (
     ContactCircle(30.0, 40.0, 8.0),
@@ -161,6 +165,11 @@ def base(profile: SensorProfile, captures: CaptureSet) -> SensorProfile:
 
 
 @pytest.fixture(scope="module")
+def quick(captures: CaptureSet, base: SensorProfile) -> list[PressSurface]:
+    return simulate_presses(captures, CIRCLES, base, physics=QUICK, processes=1)
+
+
+@pytest.fixture(scope="module")
 def surfaces(captures: CaptureSet, base: SensorProfile) -> list[PressSurface]:
     return simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1)
 
@@ -221,21 +230,21 @@ def test_in_contact_the_surface_is_the_ball_without_bumps(surfaces: list[PressSu
 
 
 def test_friction_is_named_and_matters(
-    captures: CaptureSet, base: SensorProfile, surfaces: list[PressSurface]
+    captures: CaptureSet, base: SensorProfile, quick: list[PressSurface]
 ) -> None:
     one = replace(captures, presses=captures.presses[:1])
     (rough,) = simulate_presses(
-        one, CIRCLES[:1], base, physics=DEFAULT, friction_coefficient=0.8, processes=1
+        one, CIRCLES[:1], base, physics=QUICK, friction_coefficient=0.8, processes=1
     )
     assert rough.provider == "finite elements, friction 0.8"
-    assert surfaces[0].provider == "finite elements, friction 0"
-    assert rough.force_n > 1.01 * surfaces[0].force_n
+    assert quick[0].provider == "finite elements, friction 0"
+    assert rough.force_n > 1.01 * quick[0].force_n
 
 
 def test_order_and_progress_with_several_processes(
     captures: CaptureSet,
     base: SensorProfile,
-    surfaces: list[PressSurface],
+    quick: list[PressSurface],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(simulate, "BATCH", 2)
@@ -247,13 +256,13 @@ def test_order_and_progress_with_several_processes(
             captures,
             CIRCLES,
             base,
-            physics=DEFAULT,
+            physics=QUICK,
             processes=processes,
             progress=lambda _, done, total, told=told: told.append((done, total)),
         )
         assert told[-1] == (3, 3) and len(told) == 2
         assert [done for done, _ in told] == sorted(done for done, _ in told)
-    for one, two, alone in zip(results[1], results[2], surfaces, strict=True):
+    for one, two, alone in zip(results[1], results[2], quick, strict=True):
         assert np.array_equal(one.height_m, two.height_m)
         assert np.array_equal(one.normals, two.normals)
         assert (one.depth_mm, one.force_n) == (two.depth_mm, two.force_n)
@@ -293,16 +302,16 @@ def test_a_press_to_the_equator(captures: CaptureSet, base: SensorProfile) -> No
 def test_kept_presses_are_bitwise_those_that_were_simulated(
     captures: CaptureSet,
     base: SensorProfile,
-    surfaces: list[PressSurface],
+    quick: list[PressSurface],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
-    first = simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1, cache=True)
+    first = simulate_presses(captures, CIRCLES, base, physics=QUICK, processes=1, cache=True)
     (kept,) = (tmp_path / "presses").iterdir()
     monkeypatch.setattr(simulate, "simulate_batch", fail)
-    again = simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1, cache=True)
-    for one, two, three in zip(surfaces, first, again, strict=True):
+    again = simulate_presses(captures, CIRCLES, base, physics=QUICK, processes=1, cache=True)
+    for one, two, three in zip(quick, first, again, strict=True):
         for name in ("height_m", "normals", "rest_height_m", "rest_normals"):
             assert np.array_equal(getattr(one, name), getattr(two, name))
             assert np.array_equal(getattr(two, name), getattr(three, name))
@@ -310,8 +319,8 @@ def test_kept_presses_are_bitwise_those_that_were_simulated(
     # Anything else that matters asks for a simulation of its own.
     stiffer = base.material.model_copy(update={"young_modulus_pa": 9e5})
     for other, circles, physics in (
-        (replace(base, material=stiffer), CIRCLES, DEFAULT),
-        (base, (CIRCLES[1], *CIRCLES[1:]), DEFAULT),
+        (replace(base, material=stiffer), CIRCLES, QUICK),
+        (base, (CIRCLES[1], *CIRCLES[1:]), QUICK),
         (base, CIRCLES, PHYSICS[Accuracy.FAST]),
     ):
         with pytest.raises(SimulationError, match="made up"):
@@ -321,16 +330,16 @@ def test_kept_presses_are_bitwise_those_that_were_simulated(
         pytest.warns(UserWarning, match="are damaged"),
         pytest.raises(SimulationError, match="made up"),
     ):
-        simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1, cache=True)
+        simulate_presses(captures, CIRCLES, base, physics=QUICK, processes=1, cache=True)
 
 
 def test_without_friction_one_step_ends_where_many_do(
     captures: CaptureSet, base: SensorProfile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = replace(captures, presses=captures.presses[:1])
-    (at_once,) = simulate_presses(one, CIRCLES[:1], base, physics=DEFAULT, processes=1)
+    (at_once,) = simulate_presses(one, CIRCLES[:1], base, physics=QUICK, processes=1)
     monkeypatch.setattr(press_batch, "FREE_STEP_MM", 0.05)
-    (slowly,) = simulate_presses(one, CIRCLES[:1], base, physics=DEFAULT, processes=1)
+    (slowly,) = simulate_presses(one, CIRCLES[:1], base, physics=QUICK, processes=1)
     assert at_once.effort is not None and slowly.effort is not None
     assert at_once.effort.newton_iterations < 0.6 * slowly.effort.newton_iterations
     assert np.abs(at_once.height_m - slowly.height_m).max() < 2e-6
@@ -362,14 +371,14 @@ def test_presses_that_are_spanned_are_not_simulated(
     monkeypatch.setattr(simulate, "simulate_batch", counted)
     told: list[tuple[int, int]] = []
     shared = simulate_presses(
-        many, circles, base, physics=DEFAULT, processes=1, share=True,
+        many, circles, base, physics=QUICK, processes=1, share=True,
         progress=lambda _, done, total: told.append((done, total)),
     )  # fmt: skip
     assert sorted(simulated) == spanning_presses(circles) and len(simulated) == SPANNING
     assert told == [(3, 10), (6, 10), (10, 10)]
     chosen = [i for i in range(10) if i not in simulated][:3]
     few = replace(many, presses=tuple(many.presses[i] for i in chosen))
-    each = simulate_presses(few, [circles[i] for i in chosen], base, physics=DEFAULT, processes=1)
+    each = simulate_presses(few, [circles[i] for i in chosen], base, physics=QUICK, processes=1)
     for i, surface in zip(chosen, each, strict=True):
         near = circles[i].distance_px(GRID) <= 2.5 * circles[i].radius_px
         cosine = (shared[i].normals * surface.normals).sum(axis=-1)
@@ -384,12 +393,12 @@ def test_presses_that_follow_no_common_law_are_all_simulated(
 ) -> None:
     many, circles = many_presses(captures, 9)
     monkeypatch.setattr(simulate.SharedLaw, "holds", property(lambda self: False))
-    found = simulate_presses(many, circles, base, physics=DEFAULT, processes=1, share=True)
+    found = simulate_presses(many, circles, base, physics=QUICK, processes=1, share=True)
     assert {surface.provider for surface in found} == {"finite elements, friction 0"}
 
 
 def test_few_presses_are_all_simulated(captures: CaptureSet, base: SensorProfile) -> None:
-    found = simulate_presses(captures, CIRCLES, base, physics=DEFAULT, processes=1, share=True)
+    found = simulate_presses(captures, CIRCLES, base, physics=QUICK, processes=1, share=True)
     assert all(surface.provider == "finite elements, friction 0" for surface in found)
 
 
@@ -401,7 +410,7 @@ def test_a_cache_that_cannot_be_written_is_named(
     monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
     one = replace(captures, presses=captures.presses[:1])
     with pytest.raises(InputError, match=CACHE_VARIABLE):
-        simulate_presses(one, CIRCLES[:1], base, physics=DEFAULT, processes=1, cache=True)
+        simulate_presses(one, CIRCLES[:1], base, physics=QUICK, processes=1, cache=True)
 
 
 def test_a_stiff_skin_spreads_the_dent() -> None:
@@ -413,7 +422,7 @@ def test_a_stiff_skin_spreads_the_dent() -> None:
         assert len(profile.material.layers) == 1
         one = flat_captures("9dtact", (ContactCircle(48.0, 36.0, 10.0),))
         (surface,) = simulate_presses(
-            one, [ContactCircle(48.0, 36.0, 10.0)], profile, physics=DEFAULT, processes=1
+            one, [ContactCircle(48.0, 36.0, 10.0)], profile, physics=QUICK, processes=1
         )
         forces[skin_mpa] = surface.force_n
     assert forces[2.0] > 1.2 * forces[0.2]
@@ -436,5 +445,5 @@ def test_a_failure_in_a_worker_keeps_its_message(
 ) -> None:
     monkeypatch.setattr(simulate, "BATCH", 2)
     with pytest.raises(InputError, match="core = 5 is odd"):
-        odd = replace(DEFAULT, mesh=replace(DEFAULT.mesh, core=5))
+        odd = replace(QUICK, mesh=replace(QUICK.mesh, core=5))
         simulate_presses(captures, CIRCLES, base, physics=odd, processes=2)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the tests of bad input share: sound inputs to spoil, earlier outputs, and no work done.
 
-Every case runs the whole command line with two targets: one that is not there, of which nothing
-may remain, and one with an earlier output, which may not change by a byte. No simulation, fit or
-mesh may begin.
+Every case runs the whole command line with an earlier output as target, which may not change by a
+byte; one case of each command also with a target that is not there, of which nothing may remain.
+No simulation, fit or mesh may begin.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import importlib
 import pkgutil
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from taccel_lab.output_folder import atomic_directory
+from tests.calibration.judged_once import detect_once, judge_slopes_once
 from tests.cli.small_captures import never, write_captures, write_profile
 
 
@@ -30,6 +31,14 @@ def _all_imported() -> None:
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if not module.name.endswith("__main__"):
                 importlib.import_module(module.name)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _equal_captures_are_judged_once(_all_imported: None) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        detect_once(patch)
+        judge_slopes_once(patch)
+        yield
 
 
 @pytest.fixture

@@ -119,9 +119,13 @@ def refuse(
     command: list[str],
     words: list[str],
     capsys: pytest.CaptureFixture[str],
-    outs: tuple[str, ...] = ("new/out", "earlier"),
+    outs: tuple[str, ...] = ("earlier",),
 ) -> None:
-    """Run ``command`` in the working folder for each target: exit 2, ``words``, nothing changed."""
+    """Run ``command`` in the working folder for each target: exit 2, ``words``, nothing changed.
+
+    Both an earlier output and a folder that is not there are opened by one function, after all
+    input is read: one target tells that a command asks for it too early.
+    """
     here = Path.cwd()
     before = everything_below(here)
     for out in outs:

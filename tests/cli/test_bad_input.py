@@ -94,7 +94,7 @@ PROFILES: dict[str, tuple[Change, list[str]]] = {
 def test_bad_profile(here: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
     change, words = PROFILES[case]
     change(here / "profile")
-    refuse(["press", "profile", "--depth-mm", "0.3"], words, capsys)
+    refuse(["press", "profile", "--depth-mm", "0.3"], words, capsys, ("new/out", "earlier"))
 
 
 def test_bad_profile_of_another_family(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -212,7 +212,7 @@ DESIGNS: list[tuple[list[str], list[str]]] = [
 def test_bad_design(
     here: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: list[str]
 ) -> None:
-    refuse(["design", "gelsight", *options], words, capsys)
+    refuse(["design", "gelsight", *options], words, capsys, ("new/out", "earlier"))
 
 
 @pytest.mark.parametrize("edge", ["0", "-1", "nan", "1000"])

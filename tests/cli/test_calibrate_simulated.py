@@ -60,6 +60,7 @@ def test_base_profile_gives_the_design(tmp_path: Path) -> None:
     base = write_profile(tmp_path / "base", color=False)
     out = tmp_path / "unit"
     options = ["--base", str(base), "--steps", "5", "--ensemble", "0", "--holdout-every", "0"]
+    options += ["--surface", "hertz"]
     assert calibrate(captures, out, *options) == 0
     assert load_profile(out).material == load_profile(base).material
     # Again, in the place of the first.

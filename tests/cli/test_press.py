@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,12 @@ import numpy as np
 import pytest
 
 from taccel_lab.cli.app import main
+from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.errors import SimulationError
 from taccel_lab.output_folder import OUTPUT_MARKER
 from taccel_lab.profile import load_profile
+from taccel_lab.scene import Element
 from tests.cli.small_captures import GRID, background, everything_below, write_profile
 from tests.geometry.vtu_files import read_mesh_vtu
 
@@ -33,11 +36,20 @@ FILES = {
 IMAGES = {"image.png", "image_raw.png"}
 PREDICTED = {"predicted.png"}
 """Of a sensor without colour model whose optics are known."""
+QUICK = ("--accuracy", "fast", "--friction", "0")
 
 
 @pytest.fixture(autouse=True)
-def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_pictures_and_quick_presses(monkeypatch: pytest.MonkeyPatch) -> None:
+    fast = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
+    monkeypatch.setitem(PHYSICS, Accuracy.FAST, fast)
     monkeypatch.setattr("taccel_lab.envs.press_files.PREDICTED_PX", 64)
+
+
+@pytest.fixture(scope="module")
+def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A GelSight without colour model whose pictures are small."""
+    return write_profile(tmp_path_factory.mktemp("unit") / "unit", color=False)
 
 
 def press(sensor: object, out: Path, *options: str) -> int:
@@ -126,22 +138,21 @@ def test_press_on_a_profile_gives_an_image(tmp_path: Path) -> None:
     assert np.median(changed[:, :10]) < np.median(changed[mask]) / 2
 
 
-def test_profile_without_colour_gives_a_predicted_image(tmp_path: Path) -> None:
-    profile = write_profile(tmp_path / "unit", color=False)
+def test_profile_without_colour_gives_a_predicted_image(unit: Path, tmp_path: Path) -> None:
     out = tmp_path / "press"
-    options = ["--depth-mm", "0.2", "--friction", "0", "--mesh", "profile"]
-    assert press(profile, out, *options, "--indenter", "box:4x3") == 0
+    options = ["--depth-mm", "0.1", "--mesh", "profile", *QUICK]
+    assert press(unit, out, *options, "--indenter", "sphere:3") == 0
     assert {path.name for path in out.iterdir()} == FILES | PREDICTED
     values = read(out)
-    assert values["mesh"]["tet_count"] == load_profile(profile).mesh.tet_count
-    assert values["indenter"] == "box:4x3"
+    assert values["mesh"]["tet_count"] == load_profile(unit).mesh.tet_count
+    assert values["indenter"] == "sphere:3"
 
 
-def test_options_reach_the_solver(tmp_path: Path) -> None:
-    common = ["--depth-mm", "0.3", "--friction", "0", "--step-mm", "0.1"]
-    assert press("gelsight", tmp_path / "a", *common) == 0
-    assert press("gelsight", tmp_path / "b", *common, "--tolerance", "1e-7") == 0
-    assert press("gelsight", tmp_path / "c", *common, "--dhat-mm", "0.05") == 0
+def test_options_reach_the_solver(unit: Path, tmp_path: Path) -> None:
+    common = ["--depth-mm", "0.3", "--friction", "0", "--step-mm", "0.1", "--accuracy", "fast"]
+    assert press(unit, tmp_path / "a", *common) == 0
+    assert press(unit, tmp_path / "b", *common, "--tolerance", "1e-7") == 0
+    assert press(unit, tmp_path / "c", *common, "--dhat-mm", "0.05") == 0
     a, b, c = (read(tmp_path / name)["press"] for name in "abc")
     assert a["step_count"] == 3
     # The absolute tolerance of 1e-7 N is always good enough.
@@ -149,49 +160,49 @@ def test_options_reach_the_solver(tmp_path: Path) -> None:
     assert a["min_distance_m"] < 2e-5 < c["min_distance_m"] < 5e-5
 
 
-def test_same_press_gives_same_files(tmp_path: Path) -> None:
+def test_same_press_gives_same_files(unit: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
-        assert press("gelsight", tmp_path / name, "--depth-mm", "0.2") == 0
+        assert press(unit, tmp_path / name, "--depth-mm", "0.2", *QUICK) == 0
     with np.load(tmp_path / "a" / "signals.npz") as a, np.load(tmp_path / "b" / "signals.npz") as b:
         for key in a.files:
             assert np.array_equal(a[key], b[key], equal_nan=True), key
 
 
-def test_earlier_press_is_replaced(tmp_path: Path) -> None:
+def test_earlier_press_is_replaced(unit: Path, tmp_path: Path) -> None:
     out = tmp_path / "press"
-    assert press("gelsight", out, "--depth-mm", "0.2") == 0
+    assert press(unit, out, "--depth-mm", "0.2", *QUICK) == 0
     (out / "image.png").write_bytes(b"of another press")
-    assert press("gelsight", out, "--depth-mm", "0.3") == 0
+    assert press(unit, out, "--depth-mm", "0.3", *QUICK) == 0
     assert {path.name for path in out.iterdir()} == FILES | PREDICTED
     assert read(out)["path"]["depth_mm"] == 0.3
     assert os.listdir(tmp_path) == ["press"]
 
 
 def test_a_press_that_fails_leaves_the_earlier_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    unit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "press"
-    assert press("gelsight", out, "--depth-mm", "0.2") == 0
+    assert press(unit, out, "--depth-mm", "0.2", *QUICK) == 0
     before = everything_below(tmp_path)
 
     def fail(self: PressEnv, *_: object) -> None:
         raise SimulationError("no luck at depth 0.2 mm")
 
     monkeypatch.setattr(PressEnv, "move_to", fail)
-    assert press("gelsight", out, "--depth-mm", "0.3") == 3
+    assert press(unit, out, "--depth-mm", "0.3", *QUICK) == 3
     assert "simulation failed: no luck at depth 0.2 mm" in capsys.readouterr().err
     assert everything_below(tmp_path) == before
-    assert press("gelsight", tmp_path / "new", "--depth-mm", "0.3") == 3
+    assert press(unit, tmp_path / "new", "--depth-mm", "0.3", *QUICK) == 3
     assert everything_below(tmp_path) == before
 
 
 def test_an_interrupted_press_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    unit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
     # While the files are being written, after the press.
     monkeypatch.setattr("taccel_lab.envs.press_files.draw_normals", interrupt)
-    assert press("gelsight", tmp_path / "a" / "press", "--depth-mm", "0.2") == 130
+    assert press(unit, tmp_path / "a" / "press", "--depth-mm", "0.2", *QUICK) == 130
     assert everything_below(tmp_path) == {}

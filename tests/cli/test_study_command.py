@@ -110,7 +110,8 @@ def test_no_design_within_the_constraints_is_exit_code_1(
         app.main(["study", str(file), "--out", "out"])
     assert caught.value.code == 1
     assert "range at least 1000 is missed by" in " ".join(capsys.readouterr().out.split())
-    assert "No design keeps the constraints" in (file.parent / "out" / "report.html").read_text()
+    page = (file.parent / "out" / "report.html").read_text(encoding="utf-8")
+    assert "No design keeps the constraints" in page
 
 
 def test_no_figures_at_all_is_exit_code_3(file: Path, capsys: pytest.CaptureFixture[str]) -> None:

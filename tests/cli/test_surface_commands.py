@@ -8,7 +8,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -22,11 +21,12 @@ from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, load_profile, save_profile
 from tests.calibration.synthetic import (
-    BALL_RADIUS_MM,
     GRID,
     flat_profile,
     synthetic_captures,
     without_check,
+    write_captures,
+    write_folder,
 )
 
 
@@ -37,38 +37,11 @@ def quick_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit, "PIXEL_BASELINE", baseline)
 
 
-def write_folder(path: Path, background: np.ndarray, images: dict[str, np.ndarray], ball_mm: float,
-                 circles: dict[str, ContactCircle]) -> Path:  # fmt: skip
-    path.mkdir()
-    lines = [
-        "schema_version = 2",
-        'sensor = "gelsight"',
-        'background = "background.png"',
-        f"mm_per_px_x = {GRID.mm_per_px_x}",
-        f"mm_per_px_y = {GRID.mm_per_px_y}",
-        "[indenter]",
-        f"radius_mm = {ball_mm}",
-    ]
-    cv2.imwrite(str(path / "background.png"), background[..., ::-1])
-    for name, image in images.items():
-        cv2.imwrite(str(path / f"{name}.png"), image[..., ::-1])
-        lines += ["[[presses]]", f'image = "{name}.png"']
-        if name in circles:
-            c = circles[name]
-            lines.append(
-                f"contact = {{ u_px = {c.u_px}, v_px = {c.v_px}, radius_px = {c.radius_px} }}"
-            )
-    (path / "captures.toml").write_text("\n".join(lines))
-    return path
-
-
 @pytest.fixture
 def presses(tmp_path: Path) -> Path:
     captures, _ = synthetic_captures(8)
-    circles = {p.name: p.circle for p in captures.presses if p.circle is not None}
     save_profile(flat_profile(GRID), tmp_path / "base")
-    images = {p.name: p.image() for p in captures.presses}
-    return write_folder(tmp_path / "captures", captures.background, images, BALL_RADIUS_MM, circles)
+    return write_captures(tmp_path / "captures", captures)
 
 
 def test_normals_then_depth(
@@ -104,7 +77,7 @@ def test_grey_depth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     distance = circle.distance_px(GRID) * 0.1
     depth = np.sqrt(np.maximum(16.0 - distance**2, 0)) - np.sqrt(16.0 - 2.5**2)
     image = np.rint(background - 50 * np.maximum(depth, 0)[..., None]).astype(np.uint8)
-    folder = write_folder(tmp_path / "captures", background, {"ball": image}, 4.0, {})
+    folder = write_folder(tmp_path / "captures", background, {"ball": image}, {}, 4.0)
     profile = str(tmp_path / "profile")
     base = str(tmp_path / "base")
     assert main(["calibrate", "depth", str(folder), "--out", profile, "--base", base]) == 0

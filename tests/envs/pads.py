@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
-from taccel_lab.envs import PressMeshOptions
+from taccel_lab.envs import PHYSICS, Accuracy, PressMeshOptions
 from taccel_lab.geometry import TetMesh
-from taccel_lab.scene import Material
+from taccel_lab.scene import Element, Material
 from taccel_lab.sensors.press_mesh import press_mesh
 
 GEL = Material(1.5e5, 0.46)
+LINEAR = replace(PHYSICS[Accuracy.DEFAULT], element=Element.LINEAR)
+"""For what does not depend on the elements: which steps are taken, what is refused, which way
+forces point."""
 COARSE = PressMeshOptions(elements_per_radius=3.0, core=4, rings=8, layers=2)
 FINER = PressMeshOptions(elements_per_radius=6.0, core=6, rings=10, layers=3)
 

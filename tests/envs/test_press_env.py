@@ -9,16 +9,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, PressPath, parse_indenter
+from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
 from taccel_lab.envs.press import FIRST_SETBACK, START_CLEARANCE_M
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.ipc.intersection import find_intersections, require_separated
 from taccel_lab.scene import Material
 from taccel_lab.solvers import EnvStatus, SolverConfig, StepReport
 from taccel_lab.state import State, initial_state
-from tests.envs.pads import COARSE, FINER, GEL, pad
+from tests.envs.pads import COARSE, FINER, GEL, LINEAR, pad
 
-DHAT_M = PHYSICS[Accuracy.DEFAULT].dhat_m
+DEFAULT = PHYSICS[Accuracy.DEFAULT]
+DHAT_M = DEFAULT.dhat_m
 CENTRE = np.array([[0.0, 0.0]])
 
 
@@ -27,6 +28,7 @@ def press_env(
     at_mm: tuple[float, float] = (0.0, 0.0),
     friction: float = 0.0,
     config: SolverConfig | None = None,
+    physics: PressPhysics = LINEAR,
 ) -> PressEnv:
     return PressEnv(
         pad(at_mm),
@@ -34,13 +36,14 @@ def press_env(
         parse_indenter(indenter),
         np.array([at_mm]),
         friction_coefficient=friction,
+        physics=physics,
         config=config,
     )
 
 
 @pytest.mark.parametrize("indenter", ["sphere:2.0", "cylinder:1.0", "box:2x1.5"])
 def test_force_grows_with_depth(indenter: str) -> None:
-    env = press_env(indenter)
+    env = press_env(indenter, physics=DEFAULT if indenter == "sphere:2.0" else LINEAR)
     assert env.wrench == pytest.approx(np.zeros((1, 6)), abs=0)
     forces = []
     for depth in (0.1, 0.2, 0.4, 0.6):
@@ -104,7 +107,7 @@ def test_moment_of_an_off_centre_press(at_mm: tuple[float, float]) -> None:
 
 @pytest.mark.parametrize("direction", [(1, 0), (-1, 0), (0, 1), (0, -1)])
 def test_shear_is_resisted(direction: tuple[int, int]) -> None:
-    env = press_env(friction=0.5)
+    env = press_env(friction=0.5, physics=DEFAULT)
     env.move_to(0.4)
     normal = env.wrench[0, 2]
     env.move_to(0.4, np.array(direction) * 0.05)
@@ -129,7 +132,9 @@ def test_sliding_keeps_to_coulombs_law() -> None:
 @pytest.mark.parametrize("twist", [4.0, -4.0])
 def test_twist_is_resisted(twist: float) -> None:
     mesh = pad((0.0, 0.0), 1.41)
-    env = PressEnv(mesh, GEL, parse_indenter("box:2x2"), CENTRE, friction_coefficient=0.5)
+    env = PressEnv(
+        mesh, GEL, parse_indenter("box:2x2"), CENTRE, friction_coefficient=0.5, physics=LINEAR
+    )
     env.move_to(0.3)
     before = env.wrench[0, 5]
     env.move_to(0.3, twist_deg=twist)
@@ -174,7 +179,7 @@ def test_a_step_that_fails_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = press_env()
     first = Steps(whole, monkeypatch)
     whole.move_to(0.6)
-    limited = PHYSICS[Accuracy.DEFAULT].solver(max_newton_iterations=first.newton[0] - 2)
+    limited = DEFAULT.solver(max_newton_iterations=first.newton[0] - 2)
     env = press_env(config=limited)
     steps = Steps(env, monkeypatch)
     report = env.move_to(0.6)
@@ -193,7 +198,7 @@ def test_a_step_that_fails_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_only_what_failed_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     at = np.array([[0.0, 0.0], [0.0, 0.0]])
     env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), at)
-    alone, deep = press_env(), press_env()
+    alone, deep = press_env(physics=DEFAULT), press_env(physics=DEFAULT)
     easy_steps, hard_steps = Steps(alone, monkeypatch), Steps(deep, monkeypatch)
     alone.move_to(0.05)
     deep.move_to(0.8)
@@ -256,6 +261,7 @@ def test_batch_equals_single_presses() -> None:
         np.array(places),
         friction_coefficient=0.5,
         rest_positions_m=np.stack([mesh.nodes_m for mesh in meshes]),
+        physics=LINEAR,
     )
     batch.move_to(depths)
     for i, place in enumerate(places):

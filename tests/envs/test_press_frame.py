@@ -17,7 +17,7 @@ from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model.embedding import rotate
 from taccel_lab.solvers import SolverConfig
-from tests.envs.pads import GEL, pad
+from tests.envs.pads import GEL, LINEAR, pad
 
 angles = st.floats(-1.0, 1.0)
 
@@ -85,6 +85,7 @@ def pressed(mesh: TetMesh, indenter: str, at_mm: tuple[float, float], **frame: n
         parse_indenter(indenter),
         np.array([at_mm]),
         friction_coefficient=0.4,
+        physics=LINEAR,
         config=TIGHT,
         **frame,
     )

@@ -10,14 +10,21 @@ import numpy as np
 import pytest
 import pyvista
 
-from taccel_lab.envs import PressOutcome, PressPath, PressStep, parse_indenter, simulate_press
+from taccel_lab.envs import (
+    PressMeshOptions,
+    PressOutcome,
+    PressPath,
+    PressStep,
+    parse_indenter,
+    simulate_press,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.output import to_jsonable
 from taccel_lab.scene import Ball
 from taccel_lab.signals.forces import resultant_wrench
-from tests.envs.pads import FINER, GEL, pad
+from tests.envs.pads import COARSE, FINER, GEL, pad
 
 GRID = PixelGrid(64, 48, 0.1, 0.1)
 AT_MM = (0.5, -0.3)
@@ -25,11 +32,11 @@ PATH = PressPath(0.5, (0.06, 0.0), 2.0, step_mm=0.25)
 
 
 def press(
-    indenter: str, friction: float = 0.5
+    indenter: str, friction: float = 0.5, options: PressMeshOptions = FINER
 ) -> tuple[PressOutcome, list[tuple[int, int, PressStep]]]:
     told: list[tuple[int, int, PressStep]] = []
     outcome = simulate_press(
-        pad(AT_MM, 1.0, FINER),
+        pad(AT_MM, 1.0, options),
         GEL,
         parse_indenter(indenter),
         AT_MM,
@@ -149,7 +156,7 @@ def test_figures(outcome: PressOutcome) -> None:
 
 
 def test_flat_indenter_leaves_a_flat_floor() -> None:
-    outcome, _ = press("cylinder:1.0", friction=0.0)
+    outcome, _ = press("cylinder:1.0", friction=0.0, options=COARSE)
     x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
     away = np.hypot(x - outcome.indenter_pose[0], y - outcome.indenter_pose[1])
     end = outcome.indenter_pose[2] - 2e-3

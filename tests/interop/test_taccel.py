@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
 from pathlib import Path
 
@@ -18,9 +17,9 @@ from taccel_lab.geometry import Region
 from taccel_lab.interop.export import export_profile
 from taccel_lab.interop.frames import TACCEL_FROM_GEL
 from taccel_lab.profile import SensorProfile
+from tests.real_data import real_data
 
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
-SHIPPED = DATA / "taccel_assets" / "pads" / "single_sensor__pad_maxv_1e-05"
+SHIPPED = "taccel_assets/pads/single_sensor__pad_maxv_1e-05"
 
 
 class PlainNumpy(pickle.Unpickler):
@@ -139,10 +138,9 @@ def test_the_values_of_the_configuration(pad: Pad, mini: SensorProfile) -> None:
     assert config["cam_fov"] == pytest.approx(np.degrees(2 * np.arctan(10.144 / 19.7127)), rel=1e-3)
 
 
-@pytest.mark.skipif(not SHIPPED.with_suffix(".npz").is_file(), reason=f"{SHIPPED} not found")
 def test_the_same_arrays_as_a_shipped_pad(pad: Pad) -> None:
-    shipped = np.load(SHIPPED.with_suffix(".npz"))
-    grid = pyvista.read(SHIPPED.with_suffix(".vtk"))
+    shipped = np.load(real_data(f"{SHIPPED}.npz"))
+    grid = pyvista.read(real_data(f"{SHIPPED}.vtk"))
     assert isinstance(grid, pyvista.UnstructuredGrid)
     assert set(shipped.files) <= set(pad.metadata)
     for name in shipped.files:

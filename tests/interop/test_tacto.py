@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +21,7 @@ from taccel_lab.interop.tacto import MOST_LIGHTS, merged_lights
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.profile import catalogue_profile
-
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
-SHIPPED = DATA / "sensor_geometry" / "configs" / "config_digit.yml"
+from tests.real_data import real_data
 
 
 def exported(profile: SensorProfile, out: Path) -> dict:
@@ -73,9 +70,9 @@ def test_frames_units_and_the_null_key(mini: SensorProfile, tmp_path: Path) -> N
     assert sensor["lights"]["polar"] is False and sensor["lights"]["intensities"] == [1, 1, 1]
 
 
-@pytest.mark.skipif(not SHIPPED.is_file(), reason=f"{SHIPPED} not found")
 def test_the_keys_are_those_of_a_shipped_file(mini: SensorProfile, tmp_path: Path) -> None:
-    theirs = yaml.safe_load(SHIPPED.read_text())["sensor"]
+    shipped = real_data("sensor_geometry/configs/config_digit.yml")
+    theirs = yaml.safe_load(shipped.read_text())["sensor"]
     ours = exported(mini, tmp_path / "out")
 
     def keys(value: object, path: str = "") -> set[str]:

@@ -31,7 +31,7 @@ from tests.signals.pressed_surface import angle_deg, pixel_xy
 
 GRID = PixelGrid(640, 480, 0.0295, 0.0295)
 BALL_M = 2e-3
-FINE = PressMeshOptions(elements_per_radius=6.0, core=8, rings=12)
+FINE = PressMeshOptions(elements_per_radius=6.0, core=6, rings=8)
 COARSE = PressMeshOptions(elements_per_radius=4.0, core=6, rings=10)
 PRESSES = {
     # The last goes past the ball's equator.
@@ -246,7 +246,7 @@ def test_contact_radius_follows_small_changes_of_depth():
 @pytest.fixture(scope="module")
 def converged_radius() -> tuple[float, float]:
     """Force [N] and contact radius [m] on a fine mesh with a short contact range."""
-    return _radius_at(2e-6, PressMeshOptions(8.0, core=12, rings=14, layers=2))
+    return _radius_at(2e-6, PressMeshOptions(6.0, core=8, rings=12, layers=2))
 
 
 def _radius_at(dhat_m: float, options: PressMeshOptions) -> tuple[float, float]:

@@ -56,10 +56,10 @@ def test_thin_bonded_gels_are_stiffer() -> None:
     assert forces[2] > 1.3 * forces[0]
 
 
-@pytest.mark.parametrize("friction", [0.0, 1.0])
-def test_positions_do_not_depend_on_the_modulus(friction: float) -> None:
-    """What lets designs of other stiffness take over simulations: forces scale, shapes stay."""
-    job = jobs(coarse("shear", steps=2, shear_steps=1, twist_steps=1), friction=friction)[0]
+def test_positions_do_not_depend_on_the_modulus() -> None:
+    """What lets designs of other stiffness take over simulations: forces scale, shapes stay; with
+    friction as well."""
+    job = jobs(coarse("shear", steps=2, shear_steps=1, twist_steps=1), friction=1.0)[0]
     press = job.press
     found = {}
     for modulus in (REFERENCE_PA, 7.3 * REFERENCE_PA):
@@ -106,7 +106,7 @@ def test_edges_are_blurred_over_the_thickness() -> None:
     widths = []
     for thickness in (2.0, 4.0, 8.0):
         record = pressed(
-            coarse("edge", depth_fraction=0.0, depth_mm=0.2, steps=1, mesh=DEFAULT),
+            coarse("edge", depth_fraction=0.0, depth_mm=0.2, steps=1),
             thickness_mm=thickness,
             crown_radius_mm=0,
         )

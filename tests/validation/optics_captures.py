@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real backgrounds and ball presses of catalogue sensors, for comparison with the optical model.
 
-Files lie in the data folder (``taccel_lab.benchmarks.assets``); those of the classic GelSight in
-the PyPI wheel ``taxim``. What is not there raises ``FileNotFoundError``.
+What is not there skips the test (``tests.real_data``).
 """
 
 from __future__ import annotations
@@ -12,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.benchmarks.assets import data_folder
-from taccel_lab.calibration.capture import find_taxim_pack, load_captures
-from taccel_lab.errors import InputError
+from taccel_lab.calibration.capture import load_captures
+from tests.real_data import real_data, taxim_presses
 
 
 @dataclass(frozen=True)
@@ -43,10 +41,7 @@ class RealSensor:
 
 def classic_gelsight() -> RealSensor:
     """Taxim's calibration presses (MIT)."""
-    try:
-        captures = load_captures(find_taxim_pack())
-    except InputError as error:
-        raise FileNotFoundError(str(error)) from error
+    captures = load_captures(taxim_presses())
     # Presses well inside the image, one in each part of it.
     chosen = [captures.presses[i] for i in (5, 20, 30, 40)]
     presses = []
@@ -66,10 +61,8 @@ def classic_gelsight() -> RealSensor:
 
 def gelsight_mini() -> RealSensor:
     """The Mini of R. Gao (NormalFlow, MIT)."""
-    folder = data_folder() / "gsmini_ruihangao_calib" / "calib_ball"
+    folder = real_data("gsmini_ruihangao_calib/calib_ball")
     files = sorted(folder.glob("frame_*.jpg"))
-    if not files:
-        raise FileNotFoundError(folder)
     frames = [_read(path) for path in files]
     rest = np.median(np.stack(frames), axis=0).astype(np.uint8)
     found = [(frame, _find_dent(rest, frame, 0.35)) for frame in frames]
@@ -79,7 +72,7 @@ def gelsight_mini() -> RealSensor:
         for frame, (u, v, radius) in found
         if 0.22 * width < u < 0.78 * width and 0.25 * height < v < 0.75 * height
     ]
-    background = _read(data_folder() / "gsmini_normalflow/examples/data/background.png")
+    background = _read(real_data("gsmini_normalflow/examples/data/background.png"))
     return RealSensor(
         "gelsight_mini",
         background,
@@ -90,7 +83,7 @@ def gelsight_mini() -> RealSensor:
 
 def ninedtact() -> RealSensor:
     """The official calibration press of 9DTact (MIT)."""
-    folder = data_folder() / "9dtact_official/shape_reconstruction/calibration/sensor_1"
+    folder = real_data("9dtact_official/shape_reconstruction/calibration/sensor_1")
     rest = _read(folder / "depth_calibration/rectify_crop_ref.png")
     image = _read(folder / "depth_calibration/rectify_crop_sample.png")
     u, v, radius = _find_dent(rest, image, 0.15)

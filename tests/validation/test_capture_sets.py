@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,15 +12,14 @@ import pytest
 
 from taccel_lab.calibration.capture import (
     CaptureFolder,
-    find_taxim_pack,
     import_captures,
     load_capture_folder,
 )
 from taccel_lab.calibration.capture.importers import detect_layout
 from taccel_lab.calibration.check import CaptureCheck, check_captures
 from taccel_lab.errors import InputError
+from tests.real_data import real_data, taxim_presses
 
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
 LAYOUTS = {
     "9dtact_official": "9dtact",
     "backgrounds_misc": "plain",
@@ -38,12 +36,6 @@ LAYOUTS = {
 }
 
 
-def source(name: str) -> Path:
-    if not (DATA / name).is_dir():
-        pytest.skip(f"the real captures {name} are not at {DATA}")
-    return DATA / name
-
-
 def some_presses(folder: CaptureFolder, count: int) -> CaptureFolder:
     """Evenly picked presses: enough to judge, in a fraction of the time."""
     pick = np.linspace(0, len(folder.presses) - 1, count).astype(int)
@@ -56,14 +48,14 @@ def codes(check: CaptureCheck) -> dict[str, str]:
 
 @pytest.mark.parametrize("name", sorted(LAYOUTS))
 def test_every_set_imports(name: str, tmp_path: Path) -> None:
-    folder = source(name)
+    folder = real_data(name)
     assert detect_layout(folder).name == LAYOUTS[name]
     for out in import_captures(folder, tmp_path / "out"):
         assert sum(load_capture_folder(out).contents().values()) > 0
 
 
 def imported(name: str, tmp_path: Path, part: str = "") -> CaptureFolder:
-    import_captures(source(name), tmp_path / "out")
+    import_captures(real_data(name), tmp_path / "out")
     return load_capture_folder(tmp_path / "out" / part)
 
 
@@ -95,7 +87,7 @@ def test_good_captures_are_usable(tmp_path: Path) -> None:
 
 def test_frames_of_another_unit_and_swapped_channels(tmp_path: Path) -> None:
     folder = some_presses(imported("gsmini_ruihangao_calib", tmp_path), 10)
-    other = load_capture_folder(import_captures(source("gsmini_gs_sdk"), tmp_path / "other")[0])
+    other = load_capture_folder(import_captures(real_data("gsmini_gs_sdk"), tmp_path / "other")[0])
     foreign = replace(other.presses[0], name="foreign")
     mixed = check_captures(replace(folder, presses=(*folder.presses, foreign)), fit_ball=False)
     finding = next(f for f in mixed.findings if f.code == "mixed_sensors")
@@ -110,11 +102,7 @@ def test_frames_of_another_unit_and_swapped_channels(tmp_path: Path) -> None:
 
 
 def test_mini_presses_of_taxim_are_refused_with_the_reasons() -> None:
-    try:
-        pack = find_taxim_pack().parents[1] / "gelsight_mini" / "dataPack.npz"
-    except InputError as error:
-        pytest.skip(f"the real captures are not there: {error}")
-    folder = some_presses(load_capture_folder(pack), 8)
+    folder = some_presses(load_capture_folder(taxim_presses("gelsight_mini")), 8)
     assert folder.sensor == "gelsight_mini" and folder.ball_radius_mm is None
     check = check_captures(folder)
     found = codes(check)
@@ -130,5 +118,5 @@ def test_boards_edges_and_dots(tmp_path: Path) -> None:
     assert check.usable and "board_not_found" not in codes(check)
     assert {b.command: str(b.readiness) for b in check.blocks}["depth"] in ("ready", "weak")
     assert {b.command: str(b.readiness) for b in check.blocks}["color"] == "absent"
-    dots = load_capture_folder(import_captures(source("fots_calib"), tmp_path / "fots")[2])
+    dots = load_capture_folder(import_captures(real_data("fots_calib"), tmp_path / "fots")[2])
     assert "no_markers" not in codes(check_captures(dots))

@@ -9,38 +9,31 @@ other presses, 0.06 mm at the median and 0.13 mm (rms).
 
 from __future__ import annotations
 
-import os
 from functools import cache, partial
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.calibration.capture.schema import EdgeEntry
 from taccel_lab.calibration.scale.edges import MeasuredEdge, measure_edges, scale_from_edges
+from tests.real_data import real_data
 
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
-CUBE = DATA / "gsmini_cube_edges"
 LENGTH_MM = 10.0
 PUBLISHED_MM_PER_PX = 0.0634
-
-pytestmark = pytest.mark.skipif(
-    not CUBE.is_dir(), reason=f"the presses of a cube's edge are not in {DATA}"
-)
 
 
 @cache
 def measured() -> tuple[list[MeasuredEdge], list[str]]:
+    cube = real_data("gsmini_cube_edges")
     presses = [
         EdgeCapture(
             EdgeEntry(image="gelsight.png", length_mm=LENGTH_MM),
             Frame(path.parent.name, str(path), "0" * 64, partial(read_image, path)),
         )
-        for path in sorted(CUBE.glob("*/gelsight.png"))
+        for path in sorted(cube.glob("*/gelsight.png"))
     ]
-    return measure_edges(presses, read_image(CUBE / "background.png"), None)
+    return measure_edges(presses, read_image(cube / "background.png"), None)
 
 
 def rms(error: np.ndarray) -> float:

@@ -10,19 +10,15 @@ needs a modulus that rises by more than half.
 from __future__ import annotations
 
 import json
-import os
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.envs import PressEnv, parse_indenter
 from taccel_lab.scene import Material
+from tests.real_data import real_data
 
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
-MEASURED = DATA / "gsmini_feats_calib" / "force_indentation.json"
 UNIT_MODULUS_PA = 1e6
 
 
@@ -62,9 +58,8 @@ def simulated_forces(depths_mm: list[float], poisson_ratio: float) -> np.ndarray
     return np.array(forces)
 
 
-@pytest.mark.skipif(not MEASURED.is_file(), reason=f"measured forces not found at {MEASURED}")
 def test_one_modulus_and_a_zero_explain_the_measured_forces() -> None:
-    data = json.loads(MEASURED.read_text())
+    data = json.loads(real_data("gsmini_feats_calib/force_indentation.json").read_text())
     measured = np.array(data["normal_force_N"])
     depth_mm = np.array(data["indentation_mm"])
 

@@ -8,7 +8,6 @@ ratio nor friction, and the calibration has to say so. Presses of the profile gi
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -23,19 +22,14 @@ from taccel_lab.cli.app import main
 from taccel_lab.envs.physics import PHYSICS, Accuracy
 from taccel_lab.profile import save_profile
 from taccel_lab.sensors.profile import catalogue_profile
-
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[3] / "shared" / "data"))
-MEASURED = DATA / "gsmini_feats_calib" / "force_indentation.json"
-pytestmark = pytest.mark.skipif(
-    not MEASURED.is_file(), reason=f"measured forces not found at {MEASURED}"
-)
+from tests.real_data import real_data
 
 
 @pytest.fixture
 def feats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The points as a capture folder, and an empty cache."""
     monkeypatch.setenv("TACCEL_LAB_CACHE", str(tmp_path / "cache"))
-    data = json.loads(MEASURED.read_text())
+    data = json.loads(real_data("gsmini_feats_calib/force_indentation.json").read_text())
     rows = zip(data["indentation_mm"], data["normal_force_N"], strict=True)
     (tmp_path / "press.csv").write_text(
         "depth_mm,force_n\n" + "".join(f"{depth},{force}\n" for depth, force in rows)

@@ -21,11 +21,7 @@ from tests.validation.optics_captures import RealSensor
 
 @cache
 def compared(read: Callable[[], RealSensor]) -> optics_comparison.Comparison:
-    try:
-        sensor = read()
-    except FileNotFoundError as missing:
-        pytest.skip(f"captures are not here: {missing}")
-    return optics_comparison.compare(sensor)
+    return optics_comparison.compare(read())
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,10 @@ def force_n(shape: Ball | TriangleMesh, dhat_m: float, size: float, depth_mm: fl
     return float(env.wrench[0, 2])
 
 
-@pytest.mark.parametrize(("dhat_m", "size"), [(2e-5, 3.0), (2e-5, 1.5), (5e-6, 3.0)])
+@pytest.mark.parametrize(
+    ("dhat_m", "size"),
+    [pytest.param(2e-5, 3.0, marks=pytest.mark.slow), (2e-5, 1.5), (5e-6, 3.0)],
+)
 def test_a_ball_presses_like_its_mesh(dhat_m: float, size: float) -> None:
     meshed = force_n(sphere_mesh(RADIUS_M, 0.08e-3), dhat_m, size, 0.1)
     assert force_n(Ball(RADIUS_M), dhat_m, size, 0.1) == pytest.approx(meshed, rel=0.01)

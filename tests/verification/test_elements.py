@@ -135,7 +135,7 @@ def test_the_referee_of_cooks_membrane(poisson: float) -> None:
     assert referee(poisson) == pytest.approx(COOK_ENERGY[poisson], abs=2e-4)
 
 
-@pytest.mark.parametrize("poisson", [0.45, 0.499])
+@pytest.mark.parametrize("poisson", [pytest.param(0.45, marks=pytest.mark.slow), 0.499])
 def test_force_of_a_bonded_layer(poisson: float) -> None:
     """Force over depth of a ball on a bonded layer: within 3 % on the coarsest quadratic mesh."""
     coarse, fine = (press(Element.QUADRATIC, n, poisson) for n in (2, 3))

@@ -20,16 +20,21 @@ def pressed(cells: int, poisson: float = 0.3, dhat: float = 0.002) -> HertzResul
 
 
 def test_force_converges_to_hertz_with_the_square_of_the_element_size() -> None:
-    coarse, middle, fine = (pressed(n).force_error for n in (3, 4, 6))
+    coarse, middle, fine = (pressed(n).force_error for n in (3, 4, 5))
     assert coarse > middle > fine > 0, "linear tets are too stiff"
-    limit = fine - (middle - fine) / ((6 / 4) ** 2 - 1)
+    limit = fine - (middle - fine) / ((5 / 4) ** 2 - 1)
     assert abs(limit) < 0.02, "the rest is the size of the block, dhat and a / R"
-    order = np.log((coarse - limit) / (fine - limit)) / np.log(6 / 3)
+    order = np.log((coarse - limit) / (fine - limit)) / np.log(5 / 3)
     assert order == pytest.approx(2.0, abs=0.3)
-    assert fine < 0.042
+    assert fine < 0.05, "below 0.042 with 6 cells, by the square of the element size"
 
 
-@pytest.mark.parametrize("cells", [4, 6])
+@pytest.mark.slow
+def test_force_is_below_four_percent() -> None:
+    assert 0 < pressed(6).force_error < 0.042
+
+
+@pytest.mark.parametrize("cells", [4, 5, pytest.param(6, marks=pytest.mark.slow)])
 def test_contact_radius_is_within_one_element(cells: int) -> None:
     result = pressed(cells)
     assert result.element_m < 1.5 * RADIUS / cells
@@ -38,8 +43,9 @@ def test_contact_radius_is_within_one_element(cells: int) -> None:
     assert result.radius_m == pytest.approx(RADIUS, rel=0.01)
 
 
-def test_pressure_is_an_ellipse() -> None:
-    result, case = pressed(6), HertzCase(cells=6)
+@pytest.mark.parametrize("cells", [5, pytest.param(6, marks=pytest.mark.slow)])
+def test_pressure_is_an_ellipse(cells: int) -> None:
+    result, case = pressed(cells), HertzCase(cells=cells)
     peak = 1.5 * case.force_n / (np.pi * RADIUS**2)
     inside = result.radii_m < 0.8 * RADIUS
     expected = peak * np.sqrt(1 - (result.radii_m[inside] / RADIUS) ** 2)
@@ -48,7 +54,8 @@ def test_pressure_is_an_ellipse() -> None:
     assert np.sqrt((error**2).mean()) < 0.07
 
 
-def test_dhat_acts_like_depth() -> None:
+@pytest.mark.parametrize("cells", [(3, 4), pytest.param((4, 6), marks=pytest.mark.slow)])
+def test_dhat_acts_like_depth(cells: tuple[int, int]) -> None:
     """Contact begins at a gap of dhat: the force grows like that of a depth larger by dhat.
 
     In the limit of fine meshes: at the small dhat the chords of coarse faces hold the ball up, at
@@ -56,13 +63,14 @@ def test_dhat_acts_like_depth() -> None:
     """
 
     def limit(dhat: float) -> float:
-        coarse, fine = pressed(4, dhat=dhat).force_n, pressed(6, dhat=dhat).force_n
-        return fine - (coarse - fine) / ((6 / 4) ** 2 - 1)
+        coarse, fine = (pressed(n, dhat=dhat).force_n for n in cells)
+        return fine - (coarse - fine) / ((cells[1] / cells[0]) ** 2 - 1)
 
     ratio = limit(0.05) / limit(0.002)
     assert ratio == pytest.approx(((1 + 0.05) / (1 + 0.002)) ** 1.5, rel=0.01)
 
 
+@pytest.mark.slow
 def test_force_is_within_three_percent() -> None:
     result = pressed(8)
     assert abs(result.force_error) < 0.03
@@ -71,14 +79,23 @@ def test_force_is_within_three_percent() -> None:
 
 
 def test_quadratic_tets_are_within_two_percent() -> None:
-    """With 15,000 nodes (linear tets: 94,000 for 2.1 %), and near nu = 0.5 too."""
+    """With 4,600 nodes (linear tets: 94,000 for 2.1 %), and near nu = 0.5 too."""
+    result = press(HertzCase(2, Element.QUADRATIC))
+    assert result.node_count < 5_000
+    assert abs(result.force_error) < 0.02
+    assert abs(result.outermost_m - RADIUS) < result.element_m
+    assert result.residual_n < 1e-4 * result.force_n
+    almost = press(HertzCase(2, Element.QUADRATIC, poisson_ratio=0.499))
+    assert abs(almost.force_error) < 0.035
+
+
+@pytest.mark.slow
+def test_quadratic_tets_give_the_contact_radius() -> None:
     result = press(HertzCase(3, Element.QUADRATIC))
     assert result.node_count < 15_000
     assert abs(result.force_error) < 0.02
     assert abs(result.outermost_m - RADIUS) < result.element_m
     assert result.radius_m == pytest.approx(RADIUS, rel=0.015)
-    almost = press(HertzCase(2, Element.QUADRATIC, poisson_ratio=0.499))
-    assert abs(almost.force_error) < 0.035
 
 
 @pytest.mark.slow

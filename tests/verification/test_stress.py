@@ -61,7 +61,7 @@ def advance(solver: SolverIPC, state: State, target: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize(
-    "presses", [20, pytest.param(200, marks=pytest.mark.slow, id="200 presses")]
+    "presses", [10, pytest.param(200, marks=pytest.mark.slow, id="200 presses")]
 )
 def test_rough_presses_never_intersect(presses: int) -> None:
     parts: list[int] = []

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -23,9 +21,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.optics.camera_model import CameraModel
 from tests.calibration.camera.views import COLUMNS, PITCH, ROWS, SIZE, TRUTHS, views_of
 from tests.calibration.drawn.boards import exact_view, pose_over
-
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
-OSAKA = DATA / "gelsight_osaka_photon26" / "fisheye" / "cam2"
+from tests.real_data import real_data
 
 
 @pytest.mark.parametrize("name", list(LENSES))
@@ -184,12 +180,12 @@ def test_the_pose_of_a_board_is_found_from_any_side(
     np.testing.assert_allclose(found[3:], pose[3:], atol=1e-4)
 
 
-@pytest.mark.skipif(not OSAKA.is_dir(), reason=f"the chessboard views are not in {DATA}")
 def test_real_fisheye_camera_is_predicted_to_half_a_pixel() -> None:
     """Every second board of a home-made sensor; plain OpenCV leaves 0.68 px held out."""
+    folder = real_data("gelsight_osaka_photon26/fisheye/cam2")
     views = [
         detect_chessboard(read_image(path), 6, 6, name=path.name)
-        for path in sorted(OSAKA.glob("*.jpg"))[::2]
+        for path in sorted(folder.glob("*.jpg"))[::2]
     ]
     found = calibrate_intrinsics(views, models=["fisheye"], folds=3)
     assert found.lens.name == "fisheye" and not found.outliers

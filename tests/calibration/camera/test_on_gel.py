@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,9 +25,9 @@ from taccel_lab.errors import InputError
 from taccel_lab.optics.refraction import FlatMedia
 from tests.calibration.camera.views import SIZE, TRUTHS, views_of
 from tests.calibration.drawn.boards import exact_view, lattice_points, pose_over
+from tests.real_data import real_data
 
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
-NINE = DATA / "9dtact_official" / "shape_reconstruction" / "calibration"
+NINE = "9dtact_official/shape_reconstruction/calibration"
 MEDIA = FlatMedia((-7.0, -4.0), (1.0, 1.49, 1.41))
 
 
@@ -192,12 +191,10 @@ def test_a_board_beside_the_middle_is_said_to_be_so() -> None:
     assert any(remark.code == "off_center" for remark in found.remarks)
 
 
-@pytest.mark.skipif(not NINE.is_dir(), reason=f"the pressed boards are not in {DATA}")
-@pytest.mark.parametrize("unit", [1, 2])
-@pytest.mark.parametrize("removed", [0, 21])
+@pytest.mark.parametrize(("unit", "removed"), [(1, 0), (2, 21)])
 def test_scale_of_pressed_boards_of_9dtact(unit: int, removed: int) -> None:
     """Within 1 % of the scale that the authors stored; also when a third of the dots is gone."""
-    folder = NINE / f"sensor_{unit}" / "camera_calibration"
+    folder = real_data(f"{NINE}/sensor_{unit}/camera_calibration")
     row, column, stored = np.load(folder / "position_scale.npy")
     image, reference = read_image(folder / "sample.png"), read_image(folder / "ref.png")
     if removed:

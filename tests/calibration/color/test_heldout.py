@@ -29,14 +29,15 @@ from taccel_lab.calibration.color.tiles import even_tiles, filled_from
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError, SimulationError
+from tests.calibration.judged_once import detect_once, judge_slopes_once
 from tests.calibration.synthetic import (
-    BALL_RADIUS_MM,
     GRID,
     calibrated,
     synthetic_captures,
     tiny_profile,
     true_surfaces,
     without_check,
+    write_captures,
 )
 
 QUICK = ColorFitOptions(
@@ -48,29 +49,6 @@ BRIEF = replace(QUICK, hidden=(16,), steps=60)
 """For short fits whose result has to be the same, be it good or not."""
 
 
-def write_folder(path: Path, captures: CaptureSet, labelled: bool) -> Path:
-    path.mkdir(parents=True)
-    lines = [
-        "schema_version = 2",
-        'sensor = "gelsight"',
-        'background = "background.png"',
-        f"mm_per_px_x = {GRID.mm_per_px_x}",
-        f"mm_per_px_y = {GRID.mm_per_px_y}",
-        "[indenter]",
-        f"radius_mm = {BALL_RADIUS_MM}",
-    ]
-    cv2.imwrite(str(path / "background.png"), captures.background[..., ::-1])
-    for press in captures.presses:
-        cv2.imwrite(str(path / f"{press.name}.png"), press.image()[..., ::-1])
-        lines += ["[[presses]]", f'image = "{press.name}.png"']
-        if labelled and (c := press.circle) is not None:
-            lines.append(
-                f"contact = {{ u_px = {c.u_px}, v_px = {c.v_px}, radius_px = {c.radius_px} }}"
-            )
-    (path / "captures.toml").write_text("\n".join(lines))
-    return path
-
-
 @pytest.mark.parametrize("labelled", [True, False])
 def test_canary_noise_in_held_out_images_changes_nothing_that_is_fitted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, labelled: bool
@@ -79,9 +57,12 @@ def test_canary_noise_in_held_out_images_changes_nothing_that_is_fitted(
     short = partial(register_presses, fit=BRIEF)
     monkeypatch.setattr("taccel_lab.calibration.color.fit.register_presses", short)
     captures, _ = synthetic_captures(12, noise=1.0)
-    folder = write_folder(tmp_path / "captures", captures, labelled)
+    names = [press.name for press in captures.presses]
+    folder = write_captures(tmp_path / "captures", captures, () if labelled else names)
     names = load_captures(folder).split(4).heldout_names
     assert len(names) == 3
+    detect_once(monkeypatch)
+    judge_slopes_once(monkeypatch)
     if not labelled:
         # What it finds does not depend on labels being there.
         without_check(monkeypatch)

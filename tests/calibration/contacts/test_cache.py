@@ -51,6 +51,7 @@ def test_nothing_is_kept_unless_asked(captures: CaptureSet) -> None:
 def test_anything_that_matters_asks_for_a_search(
     captures: CaptureSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    captures = replace(captures, presses=captures.presses[:3])
     cached_contacts(captures)
     monkeypatch.setattr(cache, "find_contacts", searched)
     mask = captures.mask.copy()
@@ -94,4 +95,4 @@ def test_a_cache_that_cannot_be_written_is_named(
     (tmp_path / "file").touch()
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file"))
     with pytest.raises(InputError, match=CACHE_VARIABLE):
-        cached_contacts(captures)
+        cached_contacts(replace(captures, presses=captures.presses[:3]))

@@ -90,7 +90,7 @@ def test_sigma_holds_what_the_law_of_the_gel_may_be_wrong_by() -> None:
     centers, radii = [], []
     for seed, skirt in enumerate((0.9, 1.6, 2.0)):
         rng = np.random.default_rng(seed)
-        circles = scattered(12, seed=20 + seed)
+        circles = scattered(8, seed=20 + seed)
         captures = press_set(circles, [faulty(c, rng, skirt) for c in circles])
         contacts = contacts_of(captures)
         off = offsets(captures, contacts)

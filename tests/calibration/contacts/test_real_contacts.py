@@ -11,10 +11,8 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import os
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,18 +29,13 @@ from taccel_lab.calibration.contacts.rim import fit_rim
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.contacts.presses import contacts_of, press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
-
-DATA = Path(
-    os.environ.get("TACCEL_LAB_DATA", Path(__file__).resolve().parents[4] / "shared" / "data")
-)
+from tests.real_data import real_data
 
 
 def labelled(
     folder: str, labels: str, background: str, mm_per_px: float, ball_mm: float, every: int
 ) -> CaptureSet:
-    root = DATA / folder
-    if not (root / labels).is_file():
-        pytest.skip(f"{root / labels} is not there")
+    root = real_data(folder)
     image = read_image(root / background)
     with (root / labels).open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))[::every]

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,11 +25,11 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.depth_response import DepthResponse
 from tests.calibration.synthetic import flat_profile
+from tests.real_data import real_data
 
 GRID = PixelGrid(200, 150, 0.1, 0.1)
 BALL_MM = 4.0
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
-NINE = DATA / "9dtact_official" / "shape_reconstruction" / "calibration"
+NINE = "9dtact_official/shape_reconstruction/calibration"
 
 TRUE = DepthResponse("grey", np.linspace(0, 80, 81), 1.6 * (np.linspace(0, 1, 81) ** 1.2))
 
@@ -220,10 +219,8 @@ def test_unusable_images_are_refused() -> None:
 
 
 def real_press(unit: int, mm_per_px: float) -> DepthCalibration:
-    folder = NINE / f"sensor_{unit}" / "depth_calibration"
+    folder = real_data(f"{NINE}/sensor_{unit}/depth_calibration")
     image, background = folder / "rectify_crop_sample.png", folder / "rectify_crop_ref.png"
-    if not image.is_file():
-        pytest.skip(f"the 9DTact presses are not at {NINE}; set TACCEL_LAB_DATA")
     untouched = read_image(background)
     return fit_depth(
         CaptureSet(
@@ -239,7 +236,7 @@ def real_press(unit: int, mm_per_px: float) -> DepthCalibration:
 def test_the_authors_tables_of_two_units(unit: int, mm_per_px: float) -> None:
     """Their Pixel_to_Depth.npy, made from the same press by averaging and a circle of their own."""
     result = real_press(unit, mm_per_px)
-    table = np.load(NINE / f"sensor_{unit}" / "depth_calibration" / "Pixel_to_Depth.npy")
+    table = np.load(real_data(f"{NINE}/sensor_{unit}/depth_calibration/Pixel_to_Depth.npy"))
     drop = np.arange(5, len(table))
     off = result.response.depth_of(drop) - table[drop]
     assert np.abs(off).mean() < 0.035

@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,16 +11,13 @@ from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.errors import InputError
+from tests.real_data import real_data
 
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
 BOARD = "9dtact_official/shape_reconstruction/calibration/sensor_1/camera_calibration"
 
 
 def real(name: str) -> np.ndarray:
-    path = DATA / name
-    if not path.is_file():
-        pytest.skip(f"{path} is not there; TACCEL_LAB_DATA names the folder of real captures")
-    return read_image(path)
+    return read_image(real_data(name))
 
 
 @pytest.mark.parametrize(
@@ -70,9 +64,7 @@ def test_displacements_agree_with_a_peers_table() -> None:
     Its numbers are cut, not rounded: found places lie half a pixel beyond them at the median.
     """
     image = real("fots_calib/marker_calib/data/0.png")
-    table = np.loadtxt(
-        DATA / "fots_calib" / "marker_calib" / "data" / "0.csv", delimiter=",", skiprows=1
-    )
+    table = np.loadtxt(real_data("fots_calib/marker_calib/data/0.csv"), delimiter=",", skiprows=1)
     rest, moved = table[:, :2] + 0.5, table[:, 2:]
     found = find_markers(image).dots
     whole = found.uv_px[found.whole]

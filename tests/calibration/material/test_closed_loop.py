@@ -80,7 +80,9 @@ def calibrated(
     return found, load_profile(folder / "profile")
 
 
-@pytest.mark.parametrize("indenter", ["sphere:6", "cylinder:3"])
+@pytest.mark.parametrize(
+    "indenter", ["sphere:6", pytest.param("cylinder:3", marks=pytest.mark.slow)]
+)
 def test_presses_of_the_profile_reproduce_the_record(
     mini: SensorProfile,
     press_cache: Path,

@@ -66,8 +66,11 @@ def points(
     return IndentationPoints("press", "press.csv", "0" * 64, tool, depth, force, sigma)
 
 
-def test_tables_interpolate_and_differentiate(simulated: ForceTable) -> None:
-    table = simulated
+def test_tables_interpolate_and_differentiate(
+    gel: Gel, tool: Tool, press_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 4)
+    table = force_table(gel.with_physics(COARSER), tool, (0.2, 1.2))
     assert table.press_count == 4 * len(table.depths_mm)
     assert table.error.interpolation < 2e-3
     depth = np.array([0.05, 0.3, 1.0])
@@ -185,6 +188,7 @@ def test_a_late_zero_is_found(tool: Tool, table: ForceTable) -> None:
     assert low < -0.15 < high and high - low < 0.1
 
 
+@pytest.mark.slow
 def test_the_modulus_of_a_finer_simulation_within_its_interval(
     gel: Gel, tool: Tool, simulated: ForceTable, press_cache: Path
 ) -> None:

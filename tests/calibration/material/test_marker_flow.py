@@ -17,7 +17,7 @@ from taccel_lab.calibration.material.press_plans import simulate
 from taccel_lab.calibration.material.tool_path import ToolPath
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
-from tests.calibration.material.physics import COARSE, COARSER, DEFAULT, FAST
+from tests.calibration.material.physics import COARSE, COARSER, DEFAULT
 
 FRICTION, POISSON = 0.5, 0.475
 X, Y = np.meshgrid(np.linspace(-4, 4, 7), np.linspace(-3, 3, 5))
@@ -67,8 +67,8 @@ def test_friction_from_the_slip_of_markers(
     gel: Gel, tool: Tool, press_cache: Path, motion: str
 ) -> None:
     way = path() if motion == "shear" else path(0.0, 20.0)
-    flow = flow_of(gel, tool, way, 0.004, FAST)
-    coarse = gel.with_law(POISSON).with_physics(COARSE)
+    flow = flow_of(gel, tool, way, 0.004, COARSE)
+    coarse = gel.with_law(POISSON).with_physics(COARSER)
     fit = fit_flow(flow, way, coarse, tool, free_nu=False)
     assert fit.friction_determined
     assert fit.friction == pytest.approx(FRICTION, rel=0.05)

@@ -18,7 +18,7 @@ from taccel_lab.calibration.material.tangential import fit_tangential
 from taccel_lab.calibration.material.tangential_table import Motion, motion_plan
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from tests.calibration.material.physics import COARSE, COARSER, FAST
+from tests.calibration.material.physics import COARSER, FAST
 from tests.calibration.material.records import record
 
 FRICTION, POISSON, MODULUS, DEPTH = 0.45, 0.47, 2.4e5, 0.6
@@ -35,7 +35,7 @@ def small_tables(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def gel(mini: SensorProfile) -> Gel:
-    return Gel.of_profile(mini, physics=COARSE).with_law(POISSON)
+    return Gel.of_profile(mini, physics=COARSER).with_law(POISSON)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_a_shear_tells_friction_and_stiffness(gel: Gel, tool: Tool, sheared: dic
 
 def test_a_shear_that_sticks_gives_a_lower_bound(gel: Gel, tool: Tool, sheared: dict) -> None:
     given = shear_record(sheared, 0.08, 0.03)
-    fit = fit_tangential(given, gel.with_physics(COARSER), tool)
+    fit = fit_tangential(given, gel, tool)
     assert not fit.friction_determined
     assert [remark.code for remark in fit.remarks] == ["friction_undetermined"]
 

@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import csv
-import os
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,16 +14,13 @@ from taccel_lab.calibration.capture.images import file_sha256, read_image
 from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.skirt import hertz_skirts
 from taccel_lab.geometry import PixelGrid
-
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
+from tests.real_data import real_data
 
 
 def labelled(
     folder: str, labels: str, background: str, images: str, ball_mm: float, mm_per_px: float
 ) -> CaptureSet:
-    root = DATA / folder
-    if not (root / labels).is_file():
-        pytest.skip(f"the captures are not at {root}; set TACCEL_LAB_DATA")
+    root = real_data(folder)
     with (root / labels).open() as stream:
         rows = sorted(csv.DictReader(stream), key=lambda row: row["file"])
     presses = []

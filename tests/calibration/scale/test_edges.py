@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,9 +15,8 @@ from taccel_lab.calibration.scale.edge_line import find_edge
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
 from taccel_lab.errors import InputError
 from tests.calibration.drawn.faults import add_dust, add_noise, blur, poison, quantise
+from tests.real_data import real_data
 
-DATA = Path(os.environ.get("TACCEL_LAB_DATA", Path(__file__).parents[4] / "shared" / "data"))
-CUBE = DATA / "gsmini_cube_edges"
 BACKGROUND = np.full((240, 320, 3), (90.0, 120.0, 130.0))
 
 
@@ -150,12 +146,12 @@ def test_a_drawn_line_stands_in_for_an_edge_that_is_not_found() -> None:
         scale_from_edges(measured, refused)
 
 
-@pytest.mark.skipif(not CUBE.is_dir(), reason=f"the presses of a cube's edge are not in {DATA}")
 def test_real_cube_edges_without_clicking() -> None:
     """Against hand-drawn lines, which the fit does not see, and the published 0.0634 mm/px."""
-    background = read_image(CUBE / "background.png")
+    cube = real_data("gsmini_cube_edges")
+    background = read_image(cube / "background.png")
     captures, labels = [], []
-    for folder in sorted(path for path in CUBE.iterdir() if path.is_dir()):
+    for folder in sorted(path for path in cube.iterdir() if path.is_dir()):
         image = read_image(folder / "gelsight.png")
         captures += captured([image])
         labels.append(float(np.load(folder / "label.npz")["line_length"]))

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the check of captures does with a frame, once for all tests that show it the same one.
+
+Most frames of a spoilt set are those of the sound one, and most commands of a file of tests begin
+with the same captures.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.check.balls import check_slopes
+from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.errors import InputError
+
+
+def detect_once(patch: pytest.MonkeyPatch) -> None:
+    """The contact of equal images before equal backgrounds is found once."""
+    known: dict[str, Any] = {}
+
+    def detected(*given: Any, **named: Any) -> Any:
+        return _remembered(known, (given, named), lambda: detect_contact(*given, **named))
+
+    patch.setattr("taccel_lab.calibration.check.frames.detect_contact", detected)
+
+
+def judge_slopes_once(patch: pytest.MonkeyPatch) -> None:
+    """Equal presses, by the hashes of their files, are held against a ball once."""
+    known: dict[str, Any] = {}
+
+    def judged(folder: CaptureFolder, background: np.ndarray) -> Any:
+        presses = [(press.sha256, press.radius_mm) for press in folder.presses]
+        about = (presses, folder.sensor, folder.mm_per_px, folder.ball_radius_mm, folder.mask)
+        return _remembered(known, (about, background), lambda: check_slopes(folder, background))
+
+    patch.setattr("taccel_lab.calibration.check.run.check_slopes", judged)
+
+
+def _remembered(known: dict[str, Any], about: object, find: Callable[[], Any]) -> Any:
+    key = hashlib.sha256(pickle.dumps(about)).hexdigest()
+    if key not in known:
+        try:
+            known[key] = find()
+        except InputError as fault:
+            known[key] = fault
+    if isinstance(known[key], InputError):
+        raise known[key]
+    return known[key]
