@@ -9,7 +9,8 @@ from typing import Any
 
 from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.background.report import background_page
-from taccel_lab.calibration.camera.fit import CameraOptions, calibrate_camera
+from taccel_lab.calibration.camera.fit import calibrate_camera
+from taccel_lab.calibration.camera.options import CameraOptions
 from taccel_lab.calibration.camera.report import camera_page
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.color.fit import calibrate_color

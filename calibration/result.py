@@ -80,6 +80,10 @@ class Estimate:
             return self.interval
         return self.value - NORMAL_95 * self.sigma, self.value + NORMAL_95 * self.sigma
 
+    def figures(self) -> dict[str, Any]:
+        """Value, sigma and 95 % interval, ready for JSON."""
+        return {"value": self.value, "sigma": self.sigma, "interval95": list(self.interval95)}
+
     def __str__(self) -> str:
         return f"{self.value:.5g} ± {self.sigma:.2g} {self.unit}".rstrip()
 

@@ -17,8 +17,8 @@ from hypothesis import HealthCheck, settings
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import MeshQuality, measure_quality
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.geometry import TetMesh
 from taccel_lab.file_cache import CACHE_VARIABLE
+from taccel_lab.geometry import TetMesh
 from taccel_lab.sensors import profile
 
 # Shared machines stall now and then, which says nothing about the code: no deadlines. Examples are

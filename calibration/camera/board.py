@@ -7,9 +7,10 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
+
+from taccel_lab.calibration.capture.folder import Frame
 
 
 @dataclass(frozen=True)
@@ -47,18 +48,7 @@ class BoardView:
         return replace(self, index=self.index[chosen], uv_px=self.uv_px[chosen])
 
 
-class _Hashed(Protocol):
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def source(self) -> str: ...
-
-    @property
-    def sha256(self) -> str: ...
-
-
-def hashes_by_name(images: Sequence[_Hashed]) -> dict[str, str]:
+def hashes_by_name(images: Sequence[BoardView | Frame]) -> dict[str, str]:
     """SHA-256 of each image by its name, with its folder where two are named alike."""
     names = Counter(image.name for image in images)
     return {

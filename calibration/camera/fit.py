@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import hashes_by_name
 from taccel_lab.calibration.camera.board_on_gel import OnGel, fit_on_gel
@@ -15,8 +12,8 @@ from taccel_lab.calibration.camera.intrinsics import (
     calibrate_intrinsics,
     require_choices,
 )
-from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS
+from taccel_lab.calibration.camera.options import CameraOptions
 from taccel_lab.calibration.camera.pixel_grid import (
     origin_px,
     stated_scale_remarks,
@@ -30,20 +27,6 @@ from taccel_lab.optics.media import OUTSIDE_INDEX
 from taccel_lab.optics.refraction import FlatMedia
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
-
-
-@dataclass(frozen=True)
-class CameraOptions:
-    """What a calibration of the camera tries."""
-
-    models: tuple[str, ...] = tuple(LENSES)
-    """Lenses to choose from."""
-    folds: int = 5
-    """Parts of the cross-validation over views."""
-    refraction: Literal["auto", "media", "none"] = "auto"
-    """``media`` fits the pose through the profile's window and gel, ``none`` in air; ``auto``
-    through them where the profile describes flat ones and the board does not clearly speak against
-    it."""
 
 
 def calibrate_camera(

@@ -55,6 +55,15 @@ class LensScore:
     excess_error: float = 0.0
     """Its standard error."""
 
+    def errors_px(self) -> dict[str, float]:
+        """Root mean square errors: of the fit, and of views that it did not see."""
+        return {
+            "fit_rms_px": self.fit.rms_px,
+            "heldout_rms_px": self.heldout_all_px,
+            "heldout_robust_rms_px": self.heldout_robust_px,
+            "heldout_half_board_rms_px": self.heldout_half_px,
+        }
+
     @property
     def within_one_error(self) -> bool:
         """As good as the best lens, as far as these views can tell or anybody would notice."""

@@ -9,11 +9,10 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.camera.options import LensName
 from taccel_lab.errors import InputError
 from taccel_lab.optics.camera_model import CameraModel
 from taccel_lab.profile.optical_design import Camera
-
-LensName = Literal["k1", "fisheye", "pinhole", "rational"]
 
 
 @dataclass(frozen=True)

@@ -11,21 +11,13 @@ from taccel_lab.calibration.camera.board_on_gel import OnGel
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.robust import rms
+from taccel_lab.calibration.report.image_axes import frame_image, round_enlargement
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _GRID_LINES = 13
-
-
-def _image_axes(axes: Axes, size_px: tuple[int, int]) -> None:
-    axes.set_xlim(-0.5, size_px[0] - 0.5)
-    axes.set_ylim(size_px[1] - 0.5, -0.5)
-    axes.set_aspect("equal")
-    axes.set_xlabel("u [px]")
-    axes.set_ylabel("v [px]")
 
 
 def _plain_number(value: float, _position: int) -> str:
@@ -33,11 +25,8 @@ def _plain_number(value: float, _position: int) -> str:
 
 
 def _arrow_scale(residuals: np.ndarray, size_px: tuple[int, int]) -> float:
-    """Enlargement, of 1, 2 or 5 times a power of ten, that makes arrows legible."""
-    typical = max(rms(residuals), 1e-9)
-    wanted = 0.03 * max(size_px) / typical
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(max(step * power for step in (1, 2, 5) if step * power <= wanted))
+    """Enlargement that makes arrows legible."""
+    return round_enlargement(0.03 * max(size_px) / max(rms(residuals), 1e-9))
 
 
 @in_report_style
@@ -46,7 +35,7 @@ def draw_views(found: Intrinsics) -> Figure:
     figure, (left, right) = new_figure(9.5, 3.8, 1, 2)
     for view in found.views:
         left.plot(view.uv_px[:, 0], view.uv_px[:, 1], ".", ms=2, color=BLUE, alpha=0.6)
-    _image_axes(left, found.size_px)
+    frame_image(left, found.size_px)
     left.set_title(f"{len(found.views)} views, {found.coverage:.0%} of the image")
     names = [score.lens.name for score in found.scores]
     data = [np.sqrt(score.view_mse) for score in found.scores]
@@ -76,7 +65,7 @@ def draw_residuals(found: Intrinsics) -> Figure:
         points[:, 0], points[:, 1], residuals[:, 0] * scale, residuals[:, 1] * scale,
         angles="xy", scale_units="xy", scale=1, width=0.0018, color=BLUE,
     )  # fmt: skip
-    _image_axes(axes, found.size_px)
+    frame_image(axes, found.size_px)
     axes.set_title(f"seen minus projected, {scale:g} times enlarged; {rms(residuals):.2f} px rms")
     return figure
 
@@ -101,7 +90,7 @@ def draw_distortion(found: Intrinsics) -> Figure:
     image = axes.contourf(u, v, moved, levels=levels, cmap="viridis", extend="max")
     figure.colorbar(image, ax=axes, label="displacement by distortion [px]", shrink=0.75)
     axes.plot(cx, cy, "+", ms=12, color=ORANGE, mew=2)
-    _image_axes(axes, found.size_px)
+    frame_image(axes, found.size_px)
     axes.set_title(f"{found.lens.name} lens; cross: principal point")
     return figure
 
@@ -133,7 +122,7 @@ def draw_on_gel(found: OnGel, image: np.ndarray) -> Figure:
         angles="xy", scale_units="xy", scale=1, width=0.003, color=ORANGE,
     )  # fmt: skip
     axes.plot(*found.center_px, "+", ms=14, mew=2, color=ORANGE)
-    _image_axes(axes, view.size_px)
+    frame_image(axes, view.size_px)
     axes.set_title(
         f"{len(view.index)} of {view.expected} points; residuals {scale:g} times enlarged"
     )
@@ -146,13 +135,13 @@ def draw_rectified(maps: RectificationMaps, image: np.ndarray) -> Figure:
     figure, (left, right) = new_figure(9.5, 3.9, 1, 2)
     height, width = maps.map_u_px.shape
     left.imshow(image)
-    _image_axes(left, (image.shape[1], image.shape[0]))
+    frame_image(left, (image.shape[1], image.shape[0]))
     left.set_title("as recorded")
     after = maps.apply(image)
     grid = maps.grid
     if grid is None:
         right.imshow(after)
-        _image_axes(right, (width, height))
+        frame_image(right, (width, height))
     else:
         x, y = grid.x_mm(), grid.y_mm()
         dimmed = np.where(maps.measured[..., None], after, (after * 0.45).astype(after.dtype))

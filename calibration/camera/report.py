@@ -139,10 +139,7 @@ def _lens_tables(result: CameraCalibration) -> list[Table]:
             [
                 (
                     score.lens.name + (" (chosen)" if score is found.chosen else ""),
-                    score.fit.rms_px,
-                    score.heldout_all_px,
-                    score.heldout_robust_px,
-                    score.heldout_half_px,
+                    *score.errors_px().values(),
                     score.excess,
                     score.excess_error,
                 )

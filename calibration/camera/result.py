@@ -116,12 +116,7 @@ def optics_block(result: CameraCalibration, profile: SensorProfile) -> OpticsBlo
         zip(found.lens.parameter_names, (float(s) for s in found.chosen.fit.sigma), strict=True)
     )
     pose = None if on_gel is None else on_gel.pose
-    residuals = {
-        "fit_rms_px": found.chosen.fit.rms_px,
-        "heldout_rms_px": found.chosen.heldout_all_px,
-        "heldout_robust_rms_px": found.chosen.heldout_robust_px,
-        "heldout_half_board_rms_px": found.chosen.heldout_half_px,
-    }
+    residuals = found.chosen.errors_px()
     if pose is not None:
         position, rotation = pose.position_mm, pose.rotation
         where = "pose from the board on the gel" + (
@@ -191,10 +186,7 @@ def _intrinsics_figures(found: Intrinsics) -> dict[str, Any]:
                 lens.parameter_names, fit.parameters, fit.sigma, strict=True
             )
         },
-        "fit_rms_px": fit.rms_px,
-        "heldout_rms_px": found.chosen.heldout_all_px,
-        "heldout_robust_rms_px": found.chosen.heldout_robust_px,
-        "heldout_half_board_rms_px": found.chosen.heldout_half_px,
+        **found.chosen.errors_px(),
         "folds": found.folds,
         "views": len(found.views),
         "views_held_out": len(found.views) + len(found.outliers),
@@ -203,10 +195,7 @@ def _intrinsics_figures(found: Intrinsics) -> dict[str, Any]:
         "tilt_deg": list(found.tilt_deg),
         "models": {
             score.lens.name: {
-                "fit_rms_px": score.fit.rms_px,
-                "heldout_rms_px": score.heldout_all_px,
-                "heldout_robust_rms_px": score.heldout_robust_px,
-                "heldout_half_board_rms_px": score.heldout_half_px,
+                **score.errors_px(),
                 "excess_mse_px2": score.excess,
                 "excess_standard_error_px2": score.excess_error,
             }

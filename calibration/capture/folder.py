@@ -103,6 +103,19 @@ class ForceRecord:
     columns: dict[str, np.ndarray]
     """By name, each of shape [row]."""
 
+    @property
+    def name(self) -> str:
+        """Name of the file without its folder."""
+        return self.source.replace("\\", "/").rsplit("/", 1)[-1]
+
+    def sigma_n(self) -> np.ndarray | None:
+        """Standard deviation of each force [N], shape [row]; None where the record does not say."""
+        if "sigma_n" in self.columns:
+            return self.columns["sigma_n"]
+        if self.entry.force_sigma_n is None:
+            return None
+        return np.full(len(next(iter(self.columns.values()))), self.entry.force_sigma_n)
+
 
 @dataclass(frozen=True)
 class CaptureFolder:

@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
-from pydantic import ValidationError
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.folder import (
@@ -66,31 +64,8 @@ def load_capture_folder(path: Path | str) -> CaptureFolder:
     return _load_folder(manifest_path)
 
 
-def read_manifest(path: Path) -> CaptureManifest:
-    """Parse and validate ``captures.toml``; unknown keys are refused."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not valid TOML: {error}") from error
-    try:
-        return CaptureManifest.model_validate(data)
-    except ValidationError as error:
-        raise InputError(f"{path}: {describe_validation_error(error)}") from error
-
-
-def describe_validation_error(error: ValidationError) -> str:
-    """One line per fault: where in the manifest, what is wrong, what was found."""
-    lines = []
-    for fault in error.errors():
-        where = ".".join(str(part) for part in fault["loc"]) or "manifest"
-        value = fault.get("input")
-        found = f" (found {value!r})" if isinstance(value, (str, int, float)) else ""
-        lines.append(f"{where}: {fault['msg']}{found}")
-    return "; ".join(lines)
-
-
 def _load_folder(manifest_path: Path) -> CaptureFolder:
-    manifest = read_manifest(manifest_path)
+    manifest = CaptureManifest.read(manifest_path)
     folder = manifest_path.parent
     background = None
     if manifest.background is not None:

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.capture.schema import Finite
+from taccel_lab.calibration.capture.schema import Finite, StrictModel
 from taccel_lab.errors import InputError
 
 CONTACTS_NAME = "contacts.toml"
@@ -29,10 +28,8 @@ HEADER = """\
 """
 
 
-class ContactOverride(BaseModel):
+class ContactOverride(StrictModel):
     """What a person says about one press: its circle, or that it is left out."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     press: str = Field(min_length=1)
     """Name of the press."""
@@ -56,9 +53,7 @@ class ContactOverride(BaseModel):
         return ContactCircle(self.u_px, self.v_px, self.radius_px)
 
 
-class _OverrideFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
+class _OverrideFile(StrictModel):
     contact: list[ContactOverride] = Field(default_factory=list)
 
 
@@ -67,18 +62,7 @@ def read_overrides(path: Path | str) -> dict[str, ContactOverride]:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path} does not exist; taccel-lab capture review writes one")
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not valid TOML: {error}") from error
-    try:
-        entries = _OverrideFile.model_validate(data).contact
-    except ValidationError as error:
-        lines = [
-            f"{'.'.join(str(part) for part in fault['loc']) or 'file'}: {fault['msg']}"
-            for fault in error.errors()
-        ]
-        raise InputError(f"{path}: {'; '.join(lines)}") from error
+    entries = _OverrideFile.read(path).contact
     names = [entry.press for entry in entries]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

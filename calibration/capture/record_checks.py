@@ -18,7 +18,7 @@ from taccel_lab.errors import InputError
 SOFTEST_MPA, STIFFEST_MPA = 2e-4, 10.0
 """Apparent moduli of gels on a window: from the softest silicone to 1 MPa ten times stiffened."""
 LIKELY_MPA = (0.005, 3.0)
-FORCE_UNITS = {"mN": 1e-3, "grams": 9.80665e-3, "kg": 9.80665, "ounces": 0.278}
+FORCE_UNITS = {"mN": 1e-3, "grams": 9.80665e-3, "ounces": 0.278, "kg": 9.80665, "kN": 1e3}
 """Newtons of a unit that a cell may have been read in."""
 MAX_DEPTH_MM = 20.0
 MIN_DEPTH_MM = 0.02

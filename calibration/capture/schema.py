@@ -6,10 +6,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from taccel_lab.errors import InputError
 from taccel_lab.inner_path import require_inner_name
 
 MANIFEST_NAME = "captures.toml"
@@ -25,11 +28,34 @@ FileName = Annotated[str, Field(min_length=1), AfterValidator(require_inner_name
 """A file of the folder, relative to the manifest."""
 
 
-class _Strict(BaseModel):
+class StrictModel(BaseModel):
+    """Contents of a TOML file: unknown keys are refused."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Parse and validate a file; InputError says where it is wrong and what was found."""
+        try:
+            return cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{path} is not valid TOML: {error}") from error
+        except ValidationError as error:
+            raise InputError(f"{path}: {_describe(error)}") from error
 
-class SphereIndenter(_Strict):
+
+def _describe(error: ValidationError) -> str:
+    """Each fault: where in the file, what is wrong, what was found."""
+    faults = []
+    for fault in error.errors():
+        where = ".".join(str(part) for part in fault["loc"]) or "file"
+        value = fault.get("input")
+        found = f" (found {value!r})" if isinstance(value, (str, int, float)) else ""
+        faults.append(f"{where}: {fault['msg']}{found}")
+    return "; ".join(faults)
+
+
+class SphereIndenter(StrictModel):
     """A ball, the calibration target whose surface normals are known everywhere."""
 
     kind: Literal["sphere"] = "sphere"
@@ -37,7 +63,7 @@ class SphereIndenter(_Strict):
     """Ball radius [mm], 0.05 to 50."""
 
 
-class CircleEntry(_Strict):
+class CircleEntry(StrictModel):
     """Contact circle in the image; pixel (0, 0) is the centre of the top left pixel."""
 
     u_px: Finite
@@ -48,7 +74,7 @@ class CircleEntry(_Strict):
     """Radius of the circle in columns [px]."""
 
 
-class PressEntry(_Strict):
+class PressEntry(StrictModel):
     """One image of one press."""
 
     image: FileName
@@ -70,7 +96,7 @@ class SpherePress(PressEntry):
     """Normal force [N], positive into the gel."""
 
 
-class BoardEntry(_Strict):
+class BoardEntry(StrictModel):
     """Views of one calibration board, or presses of one into the gel."""
 
     kind: Literal["chessboard", "charuco", "dots", "pins"]
@@ -92,7 +118,7 @@ class BoardEntry(_Strict):
     """Image without contact that a pressed board is compared with; ``background`` if missing."""
 
 
-class LineEntry(_Strict):
+class LineEntry(StrictModel):
     """A line in the image, by its middle."""
 
     u_px: Finite
@@ -102,7 +128,7 @@ class LineEntry(_Strict):
     """From the image's x axis towards its y axis (clockwise as seen)."""
 
 
-class EdgeEntry(_Strict):
+class EdgeEntry(StrictModel):
     """A press of a straight edge of known length."""
 
     image: FileName
@@ -114,7 +140,7 @@ class EdgeEntry(_Strict):
     """Where the edge is in the image, when it is known; found otherwise."""
 
 
-class LandmarkPoint(_Strict):
+class LandmarkPoint(StrictModel):
     """A point of known place."""
 
     u_px: Finite
@@ -124,14 +150,14 @@ class LandmarkPoint(_Strict):
     y_mm: Finite
 
 
-class LandmarkEntry(_Strict):
+class LandmarkEntry(StrictModel):
     """Points of known place in one image: corners of a pressed cuboid, a ruled pattern."""
 
     image: FileName
     points: list[LandmarkPoint] = Field(min_length=3)
 
 
-class VideoEntry(_Strict):
+class VideoEntry(StrictModel):
     """Frames of one motion, in order: a video file, or images."""
 
     file: FileName | None = None
@@ -143,7 +169,7 @@ class VideoEntry(_Strict):
     """CSV of the indenter's path: ``time_s, x_mm, y_mm, z_mm, angle_deg`` (all or some)."""
 
 
-class MarkersEntry(_Strict):
+class MarkersEntry(StrictModel):
     """Dots painted on the gel."""
 
     rest: FileName | None = None
@@ -156,7 +182,7 @@ class MarkersEntry(_Strict):
     videos: list[VideoEntry] = Field(default_factory=list)
 
 
-class ToolEntry(_Strict):
+class ToolEntry(StrictModel):
     """What touches the gel in a force record."""
 
     kind: Literal["sphere", "cylinder", "flat"] = "sphere"
@@ -166,7 +192,7 @@ class ToolEntry(_Strict):
     """Where on the gel, gel frame [mm]."""
 
 
-class RecordEntry(_Strict):
+class RecordEntry(StrictModel):
     """A record of forces: a CSV with a header, columns named with their unit."""
 
     file: FileName
@@ -179,14 +205,14 @@ class RecordEntry(_Strict):
     """Standard deviation of a force reading [N]."""
 
 
-class SplitEntry(_Strict):
+class SplitEntry(StrictModel):
     """Which presses are held out for the figures, frozen before any image was looked at."""
 
     heldout: list[str] = Field(min_length=1)
     """Names of presses."""
 
 
-class CaptureManifest(_Strict):
+class CaptureManifest(StrictModel):
     """Contents of ``captures.toml``, version 2; every part is optional but ``sensor``."""
 
     schema_version: Literal[1, 2]

@@ -103,11 +103,6 @@ def find_blobs(answer: np.ndarray, sigma_px: float, sign: int, least: float) -> 
     return Blobs(uv[order].astype(np.float64), strength[order].astype(np.float64))
 
 
-def noise_contrast(answer: np.ndarray) -> float:
-    """Robust standard deviation of an answer, from its half nearest to zero."""
-    return spread_about_zero(answer)
-
-
 def split_by_gap(contrast: np.ndarray) -> tuple[int, float]:
     """Where strengths, sorted downwards, split best into dots and the rest.
 
@@ -159,7 +154,7 @@ def scale_candidates(image: np.ndarray) -> list[DotScale]:
 
 def describe_scale(answer: np.ndarray, sigma_px: float, sign: int) -> DotScale:
     """Dots of a known size and sign: how many stand out, and by how much."""
-    noise = noise_contrast(answer)
+    noise = spread_about_zero(answer)
     least = max(MIN_CONTRAST, 1.5 * noise)
     blobs = find_blobs(answer, sigma_px, sign, least)
     # At the border a part of a dot, or the end of the light, answers as it likes.
@@ -182,7 +177,7 @@ def _weight_by_scale(answers: np.ndarray, sigmas: np.ndarray, sign: int) -> np.n
     weight = np.zeros(len(sigmas))
     for k in range(1, len(sigmas) - 1):
         sigma = sigmas[k]
-        noise = noise_contrast(answers[k])
+        noise = spread_about_zero(answers[k])
         blobs = find_blobs(answers[k], float(sigma), sign, max(MIN_CONTRAST, 3.0 * noise))
         if len(blobs.contrast) == 0:
             continue

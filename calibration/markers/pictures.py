@@ -11,6 +11,7 @@ from taccel_lab.calibration.dots import soft_ellipse as model
 from taccel_lab.calibration.dots.dots import DotFlag
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.markers.track_figures import marker_jitter_px
+from taccel_lab.calibration.report.image_axes import frame_image, round_enlargement
 from taccel_lab.report.style import (
     BLUE,
     GREEN,
@@ -82,7 +83,7 @@ def draw_residuals(result: MarkerCalibration) -> Figure:
     residual = layout.residual[numbered]
     figure, ax = new_figure(7.2, 5.2)
     length = float(np.percentile(np.hypot(*residual.T), 90))
-    enlarged = _round_down(0.6 * min(layout.pitch) / max(length, 1e-9))
+    enlarged = round_enlargement(0.6 * min(layout.pitch) / max(length, 1e-9))
     ax.plot(*(points - residual).T, "o", ms=3, color=GREY, mec="none")
     tips = points - residual + enlarged * residual
     ax.plot(*tips.T, ls="none")  # arrow tips count for the limits
@@ -175,10 +176,7 @@ def _over(image: np.ndarray) -> tuple[Figure, Axes]:
     figure, ax = new_figure(8.4, 8.4 * height / width + 0.9)
     grey = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
     ax.imshow(grey, interpolation="bilinear")
-    ax.set_xlim(-0.5, width - 0.5)
-    ax.set_ylim(height - 0.5, -0.5)
-    ax.set_xlabel("u [px]")
-    ax.set_ylabel("v [px]")
+    frame_image(ax, (width, height))
     return figure, ax
 
 
@@ -214,9 +212,3 @@ def _circle(color: str) -> Line2D:
 
 def _legend_below(figure: Figure, handles: list, labels: list[str]) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
-
-
-def _round_down(value: float) -> float:
-    """To one significant digit 1, 2 or 5."""
-    power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)))

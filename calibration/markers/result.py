@@ -159,14 +159,7 @@ class MarkerCalibration:
             "missing": [list(place) for place in self.layout_mm.missing],
             "skew_deg": float(np.degrees(self.layout_mm.skew_rad)),
             "scale_from": self.view.description,
-            "estimates": {
-                name: {
-                    "value": estimate.value,
-                    "sigma": estimate.sigma,
-                    "interval95": list(estimate.interval95),
-                }
-                for name, estimate in self.estimates().items()
-            },
+            "estimates": {name: found.figures() for name, found in self.estimates().items()},
             "residuals": self.residuals(),
             "videos": [video.figures.as_dict() for video in self.videos],
         }

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 
 from taccel_lab.calibration.material.bonded_layer import layer_force_n
 from taccel_lab.calibration.material.gel import Gel, Tool
-from taccel_lab.calibration.material.press_plans import simulate_each
+from taccel_lab.calibration.material.press_plans import GelBench, simulate_each
 from taccel_lab.calibration.material.tangential_table import FULL_SLIP_DEPTHS, GRID, motion_plan
 from taccel_lab.progress import Progress, silent
 
@@ -77,7 +77,7 @@ def simulate_ball_slide(
     first, last = math.floor(math.log(0.8 * ratio, GRID)), math.ceil(math.log(ratio, GRID))
     mus, ratios = [GRID**k for k in range(first, last + 1)], []
     scaled = FULL_SLIP_DEPTHS * depth * np.linspace(0, 1, STEPS + 1)
-    bench = gel.bench(tool, depth)
+    bench = GelBench(gel, tool, depth)
     plans = [motion_plan(bench, "shear", scaled, mu) for mu in mus]
     for found in simulate_each(bench, plans, progress, f"slides of {tool.description}"):
         value = float(found["tangential"][-1] / found["normal_n"][-1])

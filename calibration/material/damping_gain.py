@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.calibration.material.gel import Gel, Tool
+from taccel_lab.calibration.material.press_plans import GelBench
 from taccel_lab.envs import profile_material
 from taccel_lab.envs.touch import first_touch_m
 from taccel_lab.errors import SimulationError
@@ -48,7 +49,7 @@ def damping_gain(
             "moving_n": damped_forces(gel, tool, deepest_mm, DAMPING_S),
         }
 
-    bench = gel.bench(tool, deepest_mm)
+    bench = GelBench(gel, tool, deepest_mm)
     recipe = bench.recipe("viscous gain", gel, {"deepest_mm": deepest_mm, "steps": STEPS})
     found = cached_arrays("responses", recipe).read_or_make(simulate)
     depth = deepest_mm * np.arange(1, STEPS + 1) / STEPS

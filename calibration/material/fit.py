@@ -301,7 +301,7 @@ def _result(
     inputs = {item.name: item.sha256 for item in (*captures.points, *fits)}
     if provenance.get("manifest_sha256"):
         inputs["captures.toml"] = provenance["manifest_sha256"]
-    remarks = [r for item in (*captures.points, *captures.slides) for r in item.remarks]
+    remarks = [r for item in captures.slides for r in item.remarks]
     remarks += () if stiffness is None else stiffness.remarks
     remarks += [*known.friction_remarks, *(r for item in damping for r in item.remarks)]
     estimates = {

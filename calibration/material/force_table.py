@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, Gel, GelBench, Tool
+from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, Gel, Tool
 from taccel_lab.calibration.material.gel_presses import GelPresses, MaterialStep, Stop
 from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
-from taccel_lab.calibration.material.press_plans import PressPlan, simulate_each
+from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate_each
 from taccel_lab.envs import PressPath, profile_material
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
@@ -77,11 +77,6 @@ class ForceTable:
     seconds: float = 0.0
     """What the simulations took, whenever that was."""
     press_count: int = 0
-
-    @property
-    def depths_mm(self) -> np.ndarray:
-        """Simulated depths, rising."""
-        return np.exp(self.responses.way)
 
     @property
     def nu_range(self) -> tuple[float, float]:
@@ -209,7 +204,7 @@ def _table(
         progress(task, len(rows) * each + done, len(depths) * each)
 
     for depth in depths.tolist():
-        bench = gel.bench(tool, depth)
+        bench = GelBench(gel, tool, depth)
         plans = [press_plan(bench, each, friction, wanted) for each, wanted in gels]
         row = list(simulate_each(bench, plans, told))
         rows.append(row)

@@ -11,7 +11,7 @@ import numpy as np
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.material.ball_slide import simulate_ball_slide
 from taccel_lab.calibration.material.gel import Gel
-from taccel_lab.calibration.material.likelihood import Solution
+from taccel_lab.calibration.material.likelihood import Solution, widened
 from taccel_lab.calibration.material.remarks import (
     BALL_LEANS,
     FRICTION_DISAGREES,
@@ -47,13 +47,9 @@ class FrictionFit:
     @property
     def friction_interval(self) -> tuple[float, float]:
         """95 % interval: the profile's, widened by the error of the table."""
-        value = self.solution.value("ln_mu")
-        low, high = self.solution.profiles["ln_mu"].interval
-        model = NORMAL_95 * self.table_error
-        return (
-            math.exp(value - math.hypot(value - low, model)),
-            math.exp(value + math.hypot(high - value, model)),
-        )
+        profile, value = self.solution.profiles["ln_mu"], self.solution.value("ln_mu")
+        low, high = widened(profile.interval, value, NORMAL_95 * self.table_error)
+        return math.exp(low), math.exp(high)
 
     @property
     def relative_sigma(self) -> float:

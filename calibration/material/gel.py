@@ -11,18 +11,14 @@ there.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.bonded_layer import ToolKind
-from taccel_lab.calibration.material.gel_presses import GelPresses, Stop
-from taccel_lab.calibration.material.press_plans import PressPlan
-from taccel_lab.envs import Indenter, parse_indenter, profile_material
+from taccel_lab.envs import Indenter, parse_indenter
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
@@ -37,13 +33,6 @@ COMPARED = {
     Accuracy.REFERENCE: Accuracy.DEFAULT,
 }
 """The accuracy whose difference stands for the error of one."""
-
-
-RUBBING_LIMITS = {"max_substep_halvings": 3, "max_friction_lags": 60}
-"""Of iterations, on which no result depends."""
-RECIPE_VERSION = 2
-"""Raised when the solver or the way of simulating changes forces, so that none are taken from the
-cache that were made otherwise."""
 
 
 @dataclass(frozen=True)
@@ -170,78 +159,3 @@ class Gel:
         """The pad as ``taccel-lab press`` meshes it for this tool and depth."""
         contact = tool.indenter().contact(depth_mm)
         return press_mesh(self.family, self.parameters, tool.at_mm, contact, self.physics.mesh)
-
-    def bench(self, tool: Tool, depth_mm: float) -> GelBench:
-        """Where presses of ``tool`` down to ``depth_mm`` are simulated."""
-        return GelBench(self, tool, depth_mm)
-
-
-@dataclass(frozen=True)
-class GelBench:
-    """A gel and a tool, on the mesh of one depth."""
-
-    gel: Gel
-    tool: Tool
-    depth_mm: float
-
-    @property
-    def device(self) -> str:
-        return self.gel.device
-
-    @cached_property
-    def mesh(self) -> TetMesh:
-        return self.gel.mesh(self.tool, self.depth_mm)
-
-    def plan(
-        self,
-        what: str,
-        gel: Gel,
-        friction: float,
-        way: Mapping[str, Any],
-        stops: Sequence[Stop],
-        read: Callable[[GelPresses, Sequence[PressPlan]], np.ndarray],
-        arrays: Callable[[np.ndarray], dict[str, np.ndarray]],
-        must_reach: int = 0,
-    ) -> PressPlan:
-        """A press of ``gel``, which differs from that of the bench in its law at most; its key is
-        made of gel, tool, physics and the ``way`` that the tool goes."""
-        return PressPlan(
-            self.recipe(what, gel, way),
-            gel.material.poisson_ratio,
-            gel.material.mooney_ratio,
-            friction,
-            stops,
-            read,
-            arrays,
-            must_reach,
-        )
-
-    def recipe(self, what: str, gel: Gel, way: Mapping[str, Any]) -> dict[str, Any]:
-        """All that a press of ``gel`` here depends on."""
-        return {
-            "version": RECIPE_VERSION,
-            "what": what,
-            "gel": gel.recipe(),
-            "tool": self.tool.description,
-            "at_mm": list(self.tool.at_mm),
-            "nu": gel.material.poisson_ratio,
-            "ratio": gel.material.mooney_ratio,
-            "physics": gel.physics.record(),
-            **way,
-        }
-
-    def presses(self, plans: Sequence[PressPlan]) -> GelPresses:
-        """Gels of 1 MPa at rest."""
-        gels = [self.gel.with_law(plan.poisson_ratio, plan.mooney_ratio) for plan in plans]
-        rubs = any(plan.friction for plan in plans)
-        return GelPresses(
-            self.mesh,
-            [profile_material(gel.unit_material(), self.mesh) for gel in gels],
-            self.tool.indenter(),
-            self.tool.at_mm,
-            [plan.friction for plan in plans],
-            physics=self.gel.physics,
-            # With much friction a step that does not converge soon will not, see ``tangential``.
-            config=self.gel.physics.solver(**(RUBBING_LIMITS if rubs else {})),
-            device=self.gel.device,
-        )

@@ -15,7 +15,13 @@ import numpy as np
 
 from taccel_lab.calibration.material.force_table import ForceTable
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
-from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter, Solution
+from taccel_lab.calibration.material.likelihood import (
+    Group,
+    Likelihood,
+    Parameter,
+    Solution,
+    widened,
+)
 from taccel_lab.calibration.result import NORMAL_95
 
 TOUCH_SIGMA_MM = {"sphere": 0.1, "cylinder": 0.05, "flat": 0.05}
@@ -131,11 +137,8 @@ class IndentationFit:
         profile = self.solution.profiles.get("ln_e")
         half = NORMAL_95 * self.solution.sigma_of("ln_e")
         low, high = (value - half, value + half) if profile is None else profile.interval
-        model = NORMAL_95 * self.model_error
-        return (
-            math.exp(value - math.hypot(value - low, model)),
-            math.exp(value + math.hypot(high - value, model)),
-        )
+        low, high = widened((low, high), value, NORMAL_95 * self.model_error)
+        return math.exp(low), math.exp(high)
 
     def touch_mm(self, index: int) -> float:
         """How much later the tool touched than the record says [mm]; 0 where that is trusted."""

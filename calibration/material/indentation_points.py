@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force-depth points of an indentation record, or of presses with both given; faults in them."""
+"""Force-depth points of an indentation record, or of presses with both given, and their units.
+
+Signs and order of a record were checked when it was read (``capture.record_checks``).
+"""
 
 from __future__ import annotations
 
@@ -7,28 +10,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import rankdata
 
 from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
+from taccel_lab.calibration.capture.record_checks import FORCE_UNITS
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.bonded_layer import layer_young_modulus_pa
 from taccel_lab.calibration.material.gel import Gel, Tool
-from taccel_lab.calibration.material.remarks import FORCE_DROPS, UNLOADING, UNUSUAL_MODULUS
+from taccel_lab.calibration.material.remarks import UNUSUAL_MODULUS
 from taccel_lab.calibration.result import Remark
-from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 
 PLAUSIBLE_PA = (1e4, 1e7)
 """Young's moduli of gels; a fit outside is a fault of units."""
 USUAL_PA = (2e4, 2.5e6)
 """Young's moduli that gels of tactile sensors have; used to guess which unit was meant."""
-GRAM_N = 9.80665e-3
-FORCE_UNITS = {"mN": 1e-3, "grams": GRAM_N, "kilograms": 1e3 * GRAM_N, "kN": 1e3}
-"""Newtons in one of a unit that forces are recorded in by mistake."""
 DEPTH_UNITS = {"m": 1e3, "cm": 10.0, "um": 1e-3}
 """Millimetres in one of a unit that depths are recorded in by mistake."""
-FALLING_CORRELATION = -0.3
-"""Rank correlation of force and depth below which a curve falls."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +42,6 @@ class IndentationPoints:
     """Normal force into the gel, shape [point]."""
     sigma_n: np.ndarray | None
     """Standard deviation of each force [N]; None where the record does not say."""
-    remarks: tuple[Remark, ...] = ()
 
     @property
     def deepest_mm(self) -> float:
@@ -60,31 +56,20 @@ class IndentationPoints:
 
 
 def points_of_record(record: ForceRecord, gel: Gel, ball_mm: float | None) -> IndentationPoints:
-    """The loading branch of an indentation record, checked.
+    """The points of an indentation record below first touch.
 
     Raises:
-        InputError: A curve that falls, negative forces, no depth above 0, or a missing tool.
+        InputError: No depth above 0, too few forces there, or a missing tool.
     """
-    depth, force = record.columns["depth_mm"], record.columns["force_n"]
-    sigma = record_sigma(record, len(depth))
-    remarks = []
-    keep, unloading = loading_branch(depth)
-    if unloading is not None:
-        lost = hysteresis(depth[keep], force[keep], depth[unloading], force[unloading])
-        remarks.append(UNLOADING(source=record.source, count=int(unloading.sum()), lost=lost))
-    points = _checked(
-        record.source.replace("\\", "/").rsplit("/", 1)[-1],
+    return _touching(
+        record.name,
         record.source,
         record.sha256,
         gel.tool(record.entry.tool, ball_mm),
-        depth[keep],
-        force[keep],
-        None if sigma is None else sigma[keep],
+        record.columns["depth_mm"],
+        record.columns["force_n"],
+        record.sigma_n(),
     )
-    drops = _drops(points)
-    if drops is not None:
-        remarks.append(drops)
-    return IndentationPoints(**{**vars(points), "remarks": tuple(remarks)})
 
 
 def points_of_presses(folder: CaptureFolder, gel: Gel) -> list[IndentationPoints]:
@@ -100,50 +85,8 @@ def points_of_presses(folder: CaptureFolder, gel: Gel) -> list[IndentationPoints
         tool = gel.tool(ToolEntry(kind="sphere", radius_mm=radius))
         depth, force = np.array([row[:2] for row in rows]).T
         name = f"ball presses of {radius:g} mm"
-        sets.append(_checked(name, folder.source, rows[0][2], tool, depth, force, None))
+        sets.append(_touching(name, folder.source, rows[0][2], tool, depth, force, None))
     return sets
-
-
-def record_sigma(record: ForceRecord, count: int) -> np.ndarray | None:
-    """Standard deviation of each force of a record [N], or None."""
-    if "sigma_n" in record.columns:
-        sigma = record.columns["sigma_n"]
-        if (sigma <= 0).any():
-            raise InputError(f"{record.source}: sigma_n must be above 0 in every row")
-        return sigma
-    if record.entry.force_sigma_n is not None:
-        return np.full(count, record.entry.force_sigma_n)
-    return None
-
-
-def loading_branch(depth_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Masks of the way down and of the way up, which is None where there is none.
-
-    A record that goes down and up again in order has both; other rows (depths in any order) are
-    points of their own and all count as loading.
-    """
-    count = len(depth_mm)
-    top = int(np.argmax(depth_mm))
-    down, up = np.diff(depth_mm[: top + 1]), np.diff(depth_mm[top:])
-    noise = 0.02 * np.ptp(depth_mm)
-    ordered = (down >= -noise).all() and (up <= noise).all()
-    everything = np.ones(count, dtype=bool)
-    if not ordered or count - top - 1 < 3 or top < 2:
-        return everything, None
-    loading = np.arange(count) <= top
-    return loading, ~loading
-
-
-def hysteresis(
-    down_mm: np.ndarray, down_n: np.ndarray, up_mm: np.ndarray, up_n: np.ndarray
-) -> float:
-    """Part of the work of the way down that the way up does not give back, where both were."""
-    order = np.argsort(up_mm)
-    low, high = max(down_mm.min(), up_mm.min()), min(down_mm.max(), up_mm.max())
-    depth = np.linspace(low, high, 100)
-    work = float(np.trapezoid(np.interp(depth, down_mm, down_n), depth))
-    back = float(np.trapezoid(np.interp(depth, up_mm[order], up_n[order]), depth))
-    return 1 - back / work if work > 0 else 0.0
 
 
 def require_plausible(
@@ -207,7 +150,7 @@ def _guess(item: IndentationPoints, thickness_mm: float, poisson_ratio: float) -
     return f"What would fit: {', or '.join(fits)}"
 
 
-def _checked(
+def _touching(
     name: str,
     source: str,
     sha256: str,
@@ -223,44 +166,17 @@ def _checked(
             f"(found {depth.min():g} to {depth.max():g} mm)"
         )
     positive = force[touching] > 0
-    middle = float(np.median(force[touching]))
-    if middle < 0:
-        raise InputError(
-            f"{source}: forces are negative (median {middle:.3g} N); force_n is positive when the "
-            "tool presses into the gel: turn the sign"
-        )
     if positive.mean() < 0.5:
         raise InputError(
             f"{source}: {(~positive).sum()} of {len(positive)} rows below first touch show no "
             "force; is depth_mm counted from first touch?"
         )
-    if len(np.unique(depth[touching])) > 2:
-        ranks = rankdata(depth[touching]), rankdata(force[touching])
-        correlation = float(np.corrcoef(ranks[0], ranks[1])[0, 1])
-        if correlation < FALLING_CORRELATION:
-            raise InputError(
-                f"{source}: the force falls with depth (rank correlation {correlation:.2f}); "
-                "depth_mm must grow into the gel and force_n with it: turn the sign of one of them"
-            )
-    keep = touching
     return IndentationPoints(
-        name, source, sha256, tool, depth[keep], force[keep], None if sigma is None else sigma[keep]
+        name,
+        source,
+        sha256,
+        tool,
+        depth[touching],
+        force[touching],
+        None if sigma is None else sigma[touching],
     )
-
-
-def _drops(points: IndentationPoints) -> Remark | None:
-    """Whether the force falls where the depth rises by more than the record's noise."""
-    order = np.argsort(points.depth_mm, kind="stable")
-    force = points.force_n[order]
-    if len(force) < 4:
-        worst = float(np.diff(force).min()) if len(force) > 1 else 0.0
-        limit = 0.05 * force.max()
-    else:
-        second = np.diff(force, 2)
-        noise = spread_about_median(second) / np.sqrt(6)
-        worst = float(np.diff(force).min())
-        limit = max(5 * noise, 0.05 * force.max())
-    if worst >= -limit:
-        return None
-    where = float(points.depth_mm[order][int(np.argmin(np.diff(force)))])
-    return FORCE_DROPS(name=points.name, drop_n=-worst, depth_mm=where)

@@ -90,6 +90,13 @@ class Profile:
         """Whether the data end the interval on both sides."""
         return not (self.open_low or self.open_high)
 
+    @property
+    def bound(self) -> float | None:
+        """The end that an interval open on the other side has; None of any other interval."""
+        if self.open_low == self.open_high:
+            return None
+        return self.interval[0] if self.open_high else self.interval[1]
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -113,6 +120,15 @@ class Solution:
 
     def sigma_of(self, name: str) -> float:
         return float(self.sigma[self.names.index(name)])
+
+
+def widened(interval: tuple[float, float], value: float, half: float) -> tuple[float, float]:
+    """An interval about a value, with a further independent error of half width ``half``."""
+    low, high = interval
+    return (
+        value - math.hypot(max(value - low, 0.0), half),
+        value + math.hypot(max(high - value, 0.0), half),
+    )
 
 
 class Likelihood:

@@ -17,7 +17,7 @@ import numpy as np
 from taccel_lab.calibration.markers.flow import MarkerFlow
 from taccel_lab.calibration.material.friction import FrictionFit
 from taccel_lab.calibration.material.gel import Gel, Tool
-from taccel_lab.calibration.material.likelihood import Solution
+from taccel_lab.calibration.material.likelihood import Solution, widened
 from taccel_lab.calibration.material.marker_flow_table import (
     FlowTable,
     flow_likelihood,
@@ -69,17 +69,10 @@ class FlowFit(FrictionFit):
     @property
     def nu_estimate(self) -> Estimate:
         """Poisson's ratio with its 95 % interval, the error of the table included."""
-        low, high = self.solution.profiles["nu"].interval
-        model = NORMAL_95 * self.table.nu_error
-        return Estimate(
-            self.poisson_ratio,
-            math.hypot(self.solution.sigma_of("nu"), self.table.nu_error),
-            "",
-            (
-                self.poisson_ratio - math.hypot(self.poisson_ratio - low, model),
-                self.poisson_ratio + math.hypot(high - self.poisson_ratio, model),
-            ),
-        )
+        nu, error = self.poisson_ratio, self.table.nu_error
+        interval = self.solution.profiles["nu"].interval
+        sigma = math.hypot(self.solution.sigma_of("nu"), error)
+        return Estimate(nu, sigma, "", widened(interval, nu, NORMAL_95 * error))
 
     @property
     def nu_determined(self) -> bool:
@@ -175,11 +168,11 @@ def _remarks(name: str, solution: Solution, rms_mm: float, moved_mm: float) -> l
         profile = solution.profiles.get(key)
         if profile is None or profile.closed:
             continue
-        low, high = (math.exp(v) if key == "ln_mu" else v for v in profile.interval)
-        if profile.open_low and profile.open_high:
+        if profile.bound is None:
             remarks.append(kind(name=name, verb="does not determine", bounds=""))
         else:
-            bounds = f" is above {low:.3g}" if profile.open_high else f" is below {high:.3g}"
+            end = math.exp(profile.bound) if key == "ln_mu" else profile.bound
+            bounds = f" is {'above' if profile.open_high else 'below'} {end:.3g}"
             remarks.append(kind(name=name, verb="only shows that", bounds=bounds))
     if rms_mm > 0.3 * moved_mm:
         remarks.append(FLOW_MISFIT(name=name, rms_mm=rms_mm, moved_mm=moved_mm))

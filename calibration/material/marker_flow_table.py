@@ -11,19 +11,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import Delaunay
 
 from taccel_lab.calibration.material.force_table import NU_RANGE
-from taccel_lab.calibration.material.gel import Gel, GelBench, Tool
+from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.gel_presses import GelPresses
 from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
 from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter
-from taccel_lab.calibration.material.press_plans import PressPlan, prepare, simulate, simulate_each
+from taccel_lab.calibration.material.press_plans import (
+    GelBench,
+    PressPlan,
+    prepare,
+    simulate,
+    simulate_each,
+)
 from taccel_lab.calibration.material.tool_path import ToolPath, path_stops
-from taccel_lab.envs import PressEnv
-from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.geometry import Region
+from taccel_lab.errors import SimulationError
 from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.markers import MarkerLayout
 
 MU_NODES = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1)
 _CHECK_MU, _CHECK_MU_OF_FEW = 0.47, 0.24
@@ -95,7 +99,7 @@ def flow_table(
         own = bench.gel.with_law(nu, ratio)
         return [path_plan(bench, own, path, frames, points_mm, mu) for mu in mus]
 
-    bench = gel.bench(tool, depth)
+    bench = GelBench(gel, tool, depth)
     mus, rows, nus = MU_NODES, [], axis.nodes(NU_NODES).tolist()
     prepare(bench, [plan for nu in nus for plan in plans(bench, nu, mus)], progress, task)
     for nu in nus:
@@ -119,7 +123,7 @@ def flow_table(
     )  # fmt: skip
     check_nu = _CHECK_NU if free_nu else held_nu
     check_mu = _CHECK_MU if mus[-1] > _CHECK_MU else _CHECK_MU_OF_FEW
-    other = gel.for_comparison().bench(tool, depth)
+    other = GelBench(gel.for_comparison(), tool, depth)
     check = simulate(other, plans(other, check_nu, [check_mu])[0])["displacement_mm"]
     if not np.isfinite(check).all():
         raise SimulationError(
@@ -155,12 +159,12 @@ def path_plan(
     way = np.column_stack([path.depth_mm[frames], path.shift_mm[frames], path.angle_deg[frames]])
 
     def read(env: GelPresses, _: Sequence[PressPlan]) -> np.ndarray:
-        nodes, corners, weights = face_weights(env, points_mm)
-        change = (env.positions[:, nodes, :2] - env.mesh.nodes_m[nodes, :2]) * 1e3
-        return np.einsum("pc,epcx->epx", weights, change[:, corners])
+        markers = MarkerLayout.from_points(env.mesh, points_mm)
+        change = (env.positions[..., :2] - env.mesh.nodes_m[:, :2]) * 1e3
+        return np.einsum("pc,epcx->epx", markers.weights, change[:, markers.nodes])
 
     return bench.plan(
-        "flow",
+        "markers",
         gel,
         mu,
         {"path": way, "points_mm": points_mm, "mu": mu},
@@ -168,21 +172,3 @@ def path_plan(
         read,
         arrays=lambda rows: {"displacement_mm": rows},
     )
-
-
-def face_weights(env: PressEnv, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes of the contact face, and for each point three of them with barycentric weights.
-
-    Returns:
-        Node numbers [node], places in that list [point, 3], weights [point, 3].
-    """
-    nodes = np.unique(env.mesh.region_faces(Region.CONTACT))
-    triangles = Delaunay(env.mesh.nodes_m[nodes, :2] * 1e3)
-    simplex = triangles.find_simplex(points_mm)
-    if (simplex < 0).any():
-        x, y = points_mm[int(np.argmax(simplex < 0))]
-        raise InputError(f"the marker at ({x:.2f}, {y:.2f}) mm lies beside the contact face")
-    transform = triangles.transform[simplex]
-    two = np.einsum("pij,pj->pi", transform[:, :2], points_mm - transform[:, 2])
-    weights = np.column_stack([two, 1 - two.sum(axis=1)])
-    return nodes, triangles.simplices[simplex], weights

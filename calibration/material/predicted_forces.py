@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.material.indentation import IndentationFit
-from taccel_lab.calibration.material.likelihood import Likelihood, Parameter
+from taccel_lab.calibration.material.likelihood import Likelihood, Parameter, widened
 from taccel_lab.calibration.result import NORMAL_95
 
 FOLDS = 12
@@ -57,15 +57,12 @@ def force_interval_n(
                   for i, p in enumerate(old.parameters)]  # fmt: skip
     parameters[e] = Parameter("ln_f", middle, middle - 4, middle + 4, 0.05)
     found = Likelihood(parameters, old.groups, residuals).solve(["ln_f"])
-    low, high = found.profiles["ln_f"].interval
     extra = NORMAL_95 * fit.tables[index].error.interpolation
     if reading:
         force = math.exp(middle)
         extra = math.hypot(extra, old.quantile * fit.noise_n(index, force, found.noise) / force)
-    return (
-        math.exp(middle - math.hypot(max(middle - low, 0.0), extra)),
-        math.exp(middle + math.hypot(max(high - middle, 0.0), extra)),
-    )
+    low, high = widened(found.profiles["ln_f"].interval, middle, extra)
+    return math.exp(low), math.exp(high)
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.gel_presses import GelPresses, Stop
+from taccel_lab.envs import profile_material
 from taccel_lab.errors import SimulationError
 from taccel_lab.file_cache import CachedFile, cached_arrays
+from taccel_lab.geometry import TetMesh
 from taccel_lab.progress import Progress, silent
 
+RUBBING_LIMITS = {"max_substep_halvings": 3, "max_friction_lags": 60}
+"""Of iterations, on which no result depends."""
+RECIPE_VERSION = 2
+"""Raised when the solver or the way of simulating changes forces, so that none are taken from the
+cache that were made otherwise."""
 CPU_BATCH, GPU_BATCH = 1, 128
 """Environments a scene."""
 
@@ -48,15 +57,75 @@ class PressPlan:
         return cached_arrays("responses", self.recipe)
 
 
-class PressBench(Protocol):
-    """Where the presses of one tool on one mesh are simulated."""
+@dataclass(frozen=True)
+class GelBench:
+    """A gel and a tool, on the mesh of one depth."""
+
+    gel: Gel
+    tool: Tool
+    depth_mm: float
 
     @property
-    def device(self) -> str: ...
+    def device(self) -> str:
+        return self.gel.device
+
+    @cached_property
+    def mesh(self) -> TetMesh:
+        return self.gel.mesh(self.tool, self.depth_mm)
+
+    def plan(
+        self,
+        what: str,
+        gel: Gel,
+        friction: float,
+        way: Mapping[str, Any],
+        stops: Sequence[Stop],
+        read: Callable[[GelPresses, Sequence[PressPlan]], np.ndarray],
+        arrays: Callable[[np.ndarray], dict[str, np.ndarray]],
+        must_reach: int = 0,
+    ) -> PressPlan:
+        """A press of ``gel``, which differs from that of the bench in its law at most; its key is
+        made of gel, tool, physics and the ``way`` that the tool goes."""
+        return PressPlan(
+            self.recipe(what, gel, way),
+            gel.material.poisson_ratio,
+            gel.material.mooney_ratio,
+            friction,
+            stops,
+            read,
+            arrays,
+            must_reach,
+        )
+
+    def recipe(self, what: str, gel: Gel, way: Mapping[str, Any]) -> dict[str, Any]:
+        """All that a press of ``gel`` here depends on."""
+        return {
+            "version": RECIPE_VERSION,
+            "what": what,
+            "gel": gel.recipe(),
+            "tool": self.tool.description,
+            "at_mm": list(self.tool.at_mm),
+            "nu": gel.material.poisson_ratio,
+            "ratio": gel.material.mooney_ratio,
+            "physics": gel.physics.record(),
+            **way,
+        }
 
     def presses(self, plans: Sequence[PressPlan]) -> GelPresses:
-        """Gels of 1 MPa at rest, an environment each."""
-        ...
+        """Gels of 1 MPa at rest."""
+        gels = [self.gel.with_law(plan.poisson_ratio, plan.mooney_ratio) for plan in plans]
+        rubs = any(plan.friction for plan in plans)
+        return GelPresses(
+            self.mesh,
+            [profile_material(gel.unit_material(), self.mesh) for gel in gels],
+            self.tool.indenter(),
+            self.tool.at_mm,
+            [plan.friction for plan in plans],
+            physics=self.gel.physics,
+            # With much friction a step that does not converge soon will not, see ``tangential``.
+            config=self.gel.physics.solver(**(RUBBING_LIMITS if rubs else {})),
+            device=self.gel.device,
+        )
 
 
 @dataclass(frozen=True)
@@ -126,7 +195,7 @@ def follow(
 
 
 def simulate_each(
-    bench: PressBench,
+    bench: GelBench,
     plans: Sequence[PressPlan],
     progress: Progress = silent,
     task: str = "presses",
@@ -142,7 +211,7 @@ def simulate_each(
     progress(task, len(plans), len(plans))
 
 
-def simulate(bench: PressBench, plan: PressPlan) -> dict[str, np.ndarray]:
+def simulate(bench: GelBench, plan: PressPlan) -> dict[str, np.ndarray]:
     """The arrays of a plan and the ``seconds`` that it took, from the cache or simulated.
 
     Raises:
@@ -159,7 +228,7 @@ def simulate(bench: PressBench, plan: PressPlan) -> dict[str, np.ndarray]:
 
 
 def prepare(
-    bench: PressBench,
+    bench: GelBench,
     plans: Sequence[PressPlan],
     progress: Progress = silent,
     task: str = "presses",

@@ -22,7 +22,6 @@ from scipy.stats import f as f_distribution
 from taccel_lab.calibration.capture import ForceRecord
 from taccel_lab.calibration.material.force_table import ForceTable
 from taccel_lab.calibration.material.gel import Tool
-from taccel_lab.calibration.material.indentation_points import record_sigma
 from taccel_lab.calibration.material.remarks import DAMPING_UNDETERMINED, RELAXES
 from taccel_lab.calibration.material.robust_statistics import robust_regression
 from taccel_lab.calibration.result import Estimate, Remark
@@ -89,13 +88,10 @@ class DampingFit:
 
 
 def check_relaxation(record: ForceRecord) -> None:
-    """Refuse a record that is too short, or whose time does not rise."""
+    """Refuse a record that is too short, or that presses nothing."""
     time = record.columns["time_s"]
     if len(time) < MIN_ROWS:
         raise InputError(f"{record.source}: {len(time)} rows; at least {MIN_ROWS} over time")
-    if (np.diff(time) <= 0).any():
-        row = int(np.argmax(np.diff(time) <= 0)) + 2
-        raise InputError(f"{record.source}: time_s does not rise at row {row}; rows are in order")
     if np.ptp(record.columns["depth_mm"]) <= 0 or record.columns["depth_mm"].max() <= 0:
         raise InputError(
             f"{record.source}: depth_mm never rises above first touch, so nothing is pressed"
@@ -115,7 +111,7 @@ def fit_damping(
     """
     check_relaxation(record)
     time, depth, force = (record.columns[key] for key in ("time_s", "depth_mm", "force_n"))
-    name = record.source.replace("\\", "/").rsplit("/", 1)[-1]
+    name = record.name
     rate = _rate(time, depth)
     fastest = float(np.abs(rate).max())
     elastic, slope = np.zeros(len(depth)), np.zeros(len(depth))
@@ -133,7 +129,7 @@ def fit_damping(
     if hold is not None and relaxation is not None:
         # The elastic part is what is left in the end.
         use[hold[: 2 * len(hold) // 3]] = False
-    sigma = record_sigma(record, len(time))
+    sigma = record.sigma_n()
     weight = np.ones(len(time)) if sigma is None else 1 / sigma
     fit = robust_regression(columns[use] * weight[use, None], force[use] * weight[use])
     modulus, resistance = (float(value) for value in fit.values)

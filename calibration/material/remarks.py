@@ -14,23 +14,11 @@ _SECOND_TOOL = (
 """What separates E and nu (docs/calibration_material.md)."""
 
 # Indentation records.
-UNLOADING = RemarkKind(
-    "unloading",
-    Severity.INFO,
-    "{source}: {count} rows of the way up are not fitted; the press loses {lost:.0%} of its work "
-    "between down and up",
-)
 UNUSUAL_MODULUS = RemarkKind(
     "unusual_modulus",
     Severity.WARNING,
     "{name}: about {modulus_pa:.3g} Pa is unusual for a gel of a tactile sensor ({low_pa:g} to "
     "{high_pa:g} Pa); check units and tool. {guess}",
-)
-FORCE_DROPS = RemarkKind(
-    "force_drops",
-    Severity.WARNING,
-    "{name}: the force drops by {drop_n:.3g} N while the depth rises past {depth_mm:.3g} mm; the "
-    "tool slipped, the gel broke loose, or rows are out of order",
 )
 FRICTION_UNSIMULATED = RemarkKind(
     "friction_unsimulated",

@@ -106,14 +106,7 @@ class MaterialCalibration:
         figures: dict[str, Any] = {
             "model": self.model,
             "verdict": judge(self.remarks),
-            "estimates": {
-                name: {
-                    "value": item.value,
-                    "sigma": item.sigma,
-                    "interval95": item.interval95,
-                }
-                for name, item in self.estimates.items()
-            },
+            "estimates": {name: item.figures() for name, item in self.estimates.items()},
             "held": self.held(),
             "fitted_with": self.fitted_with().model_dump(exclude_none=True),
             "constants": self.mooney_rivlin_pa(),

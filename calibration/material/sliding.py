@@ -127,7 +127,7 @@ def fit_slide(record: ForceRecord) -> SlideFit:
     shift, normal, tangential = (
         record.columns[key] for key in ("shift_mm", "normal_n", "tangential_n")
     )
-    name = record.source.replace("\\", "/").rsplit("/", 1)[-1]
+    name = record.name
     _check(record.source, shift, normal)
     strokes = _strokes(shift, normal, tangential)
     if not strokes:
@@ -158,11 +158,6 @@ def _check(source: str, shift: np.ndarray, normal: np.ndarray) -> None:
     if np.ptp(shift) <= 0:
         raise InputError(f"{source}: shift_mm does not change; the tool has to move sideways")
     low, high = float(normal.min()), float(normal.max())
-    if np.median(normal) < 0:
-        raise InputError(
-            f"{source}: normal_n is negative (median {np.median(normal):.3g} N); it is positive "
-            "when the tool presses into the gel: turn the sign"
-        )
     if low <= 0.02 * high:
         raise InputError(
             f"{source}: normal_n falls to {low:.3g} N (at most {high:.3g} N); the tool has to stay "

@@ -334,13 +334,12 @@ def _young(found: IndentationFit, left: Sequence[IndentationFit]) -> Estimate:
 
 
 def _undetermined(profile: Profile, kind: RemarkKind, bounds: tuple[float, float]) -> Remark:
-    low, high = profile.interval
-    if profile.open_low and profile.open_high:
+    if profile.bound is None:
         return kind(
             verb="do not determine", bounds=f"(any from {bounds[0]:g} to {bounds[1]:g} fits)"
         )
-    bound = f"is above {low:.3g}" if profile.open_high else f"is below {high:.3g}"
-    return kind(verb="only show that", bounds=bound)
+    side = "above" if profile.open_high else "below"
+    return kind(verb="only show that", bounds=f"is {side} {profile.bound:.3g}")
 
 
 def _held_nu(profile: Profile, base: float) -> tuple[float, list[Remark]]:

@@ -15,7 +15,6 @@ import numpy as np
 from taccel_lab.calibration.capture import ForceRecord
 from taccel_lab.calibration.material.friction import FrictionFit
 from taccel_lab.calibration.material.gel import Gel, Tool
-from taccel_lab.calibration.material.indentation_points import record_sigma
 from taccel_lab.calibration.material.likelihood import Group, Likelihood, Parameter, Solution
 from taccel_lab.calibration.material.remarks import FRICTION_UNDETERMINED, TANGENTIAL_MISFIT
 from taccel_lab.calibration.material.tangential_table import (
@@ -111,7 +110,7 @@ def fit_tangential(
         InputError: A depth that is not held, no motion, or a twist record without a modulus.
     """
     motion, moved, tangential, normal, depth, rows = _loading_rows(record)
-    name = record.source.replace("\\", "/").rsplit("/", 1)[-1]
+    name = record.name
     lever = 1.0 if motion == "shear" else 2 / 3 * tool.contact_radius_mm(depth)
     if normal is None:
         if young_pa is None:
@@ -167,7 +166,7 @@ def fit_tangential(
             "zero", 0.0, -0.3 * largest[0], 0.3 * largest[0], 0.01 * largest[0], ZERO * largest[0]
         ),
     ]
-    sigma = record_sigma(record, len(record.columns["depth_mm"]))
+    sigma = record.sigma_n()
     known = sigma is not None and motion == "shear"
     scale = sigma[rows] if sigma is not None and known else largest[:, None]
 

@@ -20,12 +20,11 @@ import numpy as np
 from taccel_lab.calibration.material.gel import (
     UNIT_MODULUS_PA,
     Gel,
-    GelBench,
     Tool,
 )
 from taccel_lab.calibration.material.gel_presses import Stop
 from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
-from taccel_lab.calibration.material.press_plans import PressPlan, simulate, simulate_each
+from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate, simulate_each
 from taccel_lab.envs import PressEnv
 from taccel_lab.errors import SimulationError
 from taccel_lab.progress import Progress, silent
@@ -114,7 +113,7 @@ def tangential_table(
     longest = min(full, GRID ** math.ceil(math.log(1.02 * reach / axis.low, GRID)))
     scaled = longest * np.linspace(0, 1, STEPS + 1) ** 1.3
     mus = [*axis.nodes(NODES).tolist(), check_mu]
-    benches = [gel.bench(tool, depth_mm), gel.for_comparison().bench(tool, depth_mm)]
+    benches = [GelBench(gel, tool, depth_mm), GelBench(gel.for_comparison(), tool, depth_mm)]
     plans = [motion_plan(benches[i >= NODES], motion, scaled, mu) for i, mu in enumerate(mus)]
     task = f"{motion} of {tool.description}"
     found = [

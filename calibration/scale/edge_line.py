@@ -53,8 +53,6 @@ class EdgeLine:
     """Standard deviation of the length by the law of the fall beyond the ends, the same for all
     edges on one gel."""
     jump_levels: float
-    straightness_px: float
-    """Root mean square distance of the jump from the line."""
 
     @property
     def vector_px(self) -> np.ndarray:
@@ -108,9 +106,8 @@ def find_edge(
     if len(points) < 20:
         raise InputError(f"{name}: no edge is pressed into the gel; nothing changes sharply")
     point, along = _best_line(points, strength, normals)
-    spread = 0.0
     for _ in range(3):
-        point, along, spread = _refine(points, strength, normals, point, along)
+        point, along = _refine(points, strength, normals, point, along)
     positions, jump = _profile(change, point, along)
     start, stop = _longest_run(jump, 0.4 * float(np.quantile(jump, 0.98)))
     level = float(np.median(jump[start:stop]))
@@ -140,7 +137,7 @@ def find_edge(
             f"{name}: the edge runs out of the image (ends at {ends_px.round(0).tolist()} px of "
             f"{size[0] + 1}x{size[1] + 1}); both ends have to be seen"
         )
-    return EdgeLine(ends_px, (sigmas[0], sigmas[1]), _DECAY_SHARE * sum(decays), level, spread)
+    return EdgeLine(ends_px, (sigmas[0], sigmas[1]), _DECAY_SHARE * sum(decays), level)
 
 
 def _jumps(
@@ -211,18 +208,16 @@ def _refine(
     normals: np.ndarray,
     point: np.ndarray,
     along: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Line through the jumps near a line, weighted by their strength, and their spread across."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Line through the jumps near a line, weighted by their strength."""
     close = _on_line(points, normals, point, along)
     if close.sum() < 5:
-        return point, along, 0.0
+        return point, along
     weights = strength[close] ** 2
     middle = np.average(points[close], axis=0, weights=weights)
     away = points[close] - middle
     _, vectors = np.linalg.eigh((away * weights[:, None]).T @ away)
-    direction = vectors[:, 1]
-    across = away @ np.array([-direction[1], direction[0]])
-    return middle, direction, float(np.sqrt(np.average(across**2, weights=weights)))
+    return middle, vectors[:, 1]
 
 
 def _profile(

@@ -69,7 +69,7 @@ def _labelled(label: LineEntry) -> EdgeLine:
     half = 0.5 * label.length_px * np.array([np.cos(angle), np.sin(angle)])
     middle = np.array([label.u_px, label.v_px])
     sigma = LABEL_SIGMA_PX
-    return EdgeLine(np.stack([middle - half, middle + half]), (sigma, sigma), 0.0, 0.0, 0.0)
+    return EdgeLine(np.stack([middle - half, middle + half]), (sigma, sigma), 0.0, 0.0)
 
 
 def _label_error_px(edge: EdgeCapture, line: EdgeLine) -> float | None:

@@ -36,11 +36,7 @@ class ScaleEstimate:
         for axis in ("x", "y"):
             estimate = self.along(axis)
             if estimate is not None:
-                found[f"mm_per_px_{axis}"] = {
-                    "value": estimate.value,
-                    "sigma": estimate.sigma,
-                    "interval95": list(estimate.interval95),
-                }
+                found[f"mm_per_px_{axis}"] = estimate.figures()
         if self.upper_x is not None:
             found["mm_per_px_upper95"] = self.upper_x
         return found

@@ -55,10 +55,8 @@ class ScaleCalibration:
             "methods": {estimate.method: estimate.figures() for estimate in self.estimates},
             "failed_methods": dict(self.failures),
             "combined": {
-                axis: {
-                    "value": found.estimate.value,
-                    "sigma": found.estimate.sigma,
-                    "interval95": list(found.estimate.interval95),
+                axis: found.estimate.figures()
+                | {
                     "chi_square": found.chi_square,
                     "freedom": found.freedom,
                     "probability": found.probability,

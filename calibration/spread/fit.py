@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +10,8 @@ import numpy as np
 from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.background.result import BackgroundCalibration, FrameLight
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.spread.result import SpreadCalibration
-from taccel_lab.calibration.spread.units import UnitSpread, spread_of_units
-from taccel_lab.errors import InputError
+from taccel_lab.calibration.spread.units import spread_of_units
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 
@@ -46,14 +43,14 @@ def calibrate_spread(
     """
     units = spread_of_units(options.units) if options.units else None
     light = calibrate_background(folder, base, progress)
-    return fit_spread(
-        [frame.drift for frame in _compared_frames(light)],
+    return SpreadCalibration(
+        tuple(frame.drift for frame in _compared_frames(light)),
+        light.noise_levels,
         units,
-        light.image,
-        inputs=light.inputs,
-        source=light.source,
-        noise_levels=light.noise_levels,
-        sensor=folder.sensor,
+        light.image.astype(np.float64).mean(axis=(0, 1)),
+        dict(light.inputs),
+        light.source,
+        folder.sensor,
     )
 
 
@@ -62,35 +59,3 @@ def _compared_frames(light: BackgroundCalibration) -> list[FrameLight]:
     untouched = [frame for frame in light.frames if frame.kind == "untouched"]
     presses = [frame for frame in light.frames if frame.kind == "press"]
     return untouched if len(untouched) > 1 else presses
-
-
-def fit_spread(
-    frame_drifts: Sequence[Light],
-    units: UnitSpread | None,
-    background: np.ndarray,
-    *,
-    inputs: dict[str, str],
-    source: str,
-    noise_levels: float | None = None,
-    sensor: str = "",
-) -> SpreadCalibration:
-    """Combine what was measured; InputError when there is nothing to take a spread of.
-
-    Args:
-        frame_drifts: Light of each frame of one unit against its background.
-        units: Spread between units, if there are profiles of several.
-        background: RGB levels of the untouched sensor, shape [height_px, width_px, 3].
-        inputs: SHA-256 of what was measured, by name.
-        source: Where it comes from.
-        noise_levels: Standard deviation of a pixel between frames in one light [levels].
-        sensor: Its family, for the page.
-    """
-    if len(frame_drifts) < 2 and units is None:
-        raise InputError(
-            f"a spread needs at least 2 frames or 2 profiles of units, got {len(frame_drifts)} "
-            "frames and no profiles"
-        )
-    pivot = background.astype(np.float64).mean(axis=(0, 1))
-    return SpreadCalibration(
-        tuple(frame_drifts), noise_levels, units, pivot, dict(inputs), source, sensor
-    )

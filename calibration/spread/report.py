@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from taccel_lab.calibration.report.page import Page, Picture, Table
-from taccel_lab.calibration.spread.figures import draw_lights
+from taccel_lab.calibration.spread.pictures import draw_lights
 from taccel_lab.calibration.spread.result import SpreadCalibration
 
 

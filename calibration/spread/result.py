@@ -19,6 +19,7 @@ from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.calibration.spread import remarks
 from taccel_lab.calibration.spread.units import UnitSpread
+from taccel_lab.errors import InputError
 from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
 
 FEW = 5
@@ -39,6 +40,13 @@ class SpreadCalibration:
     source: str
     sensor: str = ""
     """Family of the sensor, for the title of the page."""
+
+    def __post_init__(self) -> None:
+        if len(self.frame_drifts) < 2 and self.units is None:
+            raise InputError(
+                "a spread needs at least 2 frames or 2 profiles of units, got "
+                f"{len(self.frame_drifts)} frames and no profiles"
+            )
 
     def values(self) -> dict[str, Any]:
         """Fields of the block."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tyro.conf import Positional
+from taccel_lab.cli.calibrate.base import CalibrationFiles, report_folder, require_outputs
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class CalibrateAll:
+class CalibrateAll(CalibrationFiles):
     """Fit every block that the captures allow and write one profile and one report.
 
     The captures are checked first (taccel-lab capture check). Then camera, scale, background,
@@ -26,26 +26,17 @@ class CalibrateAll:
     Exits with 1 when the captures of a block cannot be used.
     """
 
-    captures: Positional[Path]
-    """Capture folder with captures.toml (docs/captures.md)."""
-    out: Path
-    """Profile folder to write."""
-    base: Path | None = None
-    """Profile to extend; the catalogue's design of the sensor when left out."""
     report: Path | None = None
     """Folder for the reports: one of the whole and one for each block; <out>_report when left
     out."""
     only: tuple[str, ...] = ()
     """Blocks to fit, by name; all when left out."""
-    json: bool = False
-    """Print how each block ended as JSON."""
 
     def run(self) -> None:
         import warp as wp
         from rich.console import Console
 
         from taccel_lab.calibration.calibrate import calibrate
-        from taccel_lab.cli.calibrate.base import report_folder, require_outputs
         from taccel_lab.cli.console import print_json
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.profile import save_profile

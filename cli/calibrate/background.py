@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from tyro.conf import Positional
+from taccel_lab.cli.calibrate.base import BlockCommand, Fitted
+
+if TYPE_CHECKING:
+    from taccel_lab.calibration.capture.folder import CaptureFolder
+    from taccel_lab.progress import Progress
 
 
 @dataclass(frozen=True)
-class CalibrateBackground:
+class CalibrateBackground(BlockCommand):
     """Average all frames to a quieter background, the drift of each frame's light taken off.
 
     Uses the background, the further untouched images and the untouched parts of the presses; with
@@ -19,27 +23,11 @@ class CalibrateBackground:
     block ``background``, and dust.png beside the report, which serves as the captures' mask.
     """
 
-    captures: Positional[Path]
-    """Capture folder with captures.toml (docs/captures.md)."""
-    out: Path
-    """Profile folder to write."""
-    base: Path | None = None
-    """Profile to extend; the catalogue's design of the sensor when left out."""
-    report: Path | None = None
-    """Folder for the report; <out>_report when left out."""
-    json: bool = False
-    """Print the figures as JSON."""
-
-    def run(self) -> None:
+    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
+        """Average the frames."""
         from taccel_lab.calibration.background.fit import calibrate_background
         from taccel_lab.calibration.background.report import background_page
-        from taccel_lab.cli.calibrate.base import open_job
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import stage_progress
 
-        job = open_job(self.captures, self.out, self.base, self.report)
-        with stage_progress(job.console) as progress:
-            result = calibrate_background(job.folder, job.base, progress)
-        job.write(result, background_page(result))
-        if self.json:
-            print_json({"profile": str(self.out), "background": result.figures()})
+        base = self.profile_to_extend(folder)
+        result = calibrate_background(folder, base, progress)
+        return Fitted("background", base, result, background_page(result))

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the calibration commands share: captures and profile to start from, where results go."""
+"""What the calibration commands share: their files, and the way from captures to a profile."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
 
 from taccel_lab.errors import InputError
 
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
     from taccel_lab.calibration.report import Page
     from taccel_lab.calibration.result import CalibrationResult
     from taccel_lab.profile import SensorProfile
+    from taccel_lab.progress import Progress
 
 
 def report_folder(out: Path, report: Path | None) -> Path:
@@ -46,50 +50,94 @@ def require_outputs(out: Path, report: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Job:
-    """What one calibration command starts from, and where its results go."""
+class Fitted:
+    """What a command found, and how it is shown."""
 
-    folder: CaptureFolder
+    name: str
+    """Of the block."""
     base: SensorProfile
+    """Profile that was extended."""
+    result: CalibrationResult
+    page: Page
+    summarise: Callable[[Console], None] | None = None
+    """Prints the figures for people; None where the report says all."""
+    files: Mapping[Path, Callable[[Path], None]] = field(default_factory=dict)
+    """Further files that were asked for, with what writes them."""
+
+
+@dataclass(frozen=True)
+class CalibrationFiles:
+    """What every calibration reads and writes."""
+
+    captures: Positional[Path]
+    """Capture folder with captures.toml (docs/captures.md)."""
     out: Path
-    report: Path
-    console: Console
-    """For people; standard output is for figures."""
+    """Profile folder to write."""
+    base: Path | None = None
+    """Profile to extend; the catalogue's design of the captures' sensor when left out."""
+    report: Path | None = None
+    """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
+    json: bool = False
+    """Print the figures as JSON instead of a summary."""
 
-    def write(self, result: CalibrationResult, page: Page) -> None:
-        """Save the extended profile and the report."""
-        write_results(result, page, self.base, self.out, self.report, self.console)
+
+@dataclass(frozen=True)
+class BlockCommand(CalibrationFiles):
+    """Captures and a profile to extend in, the extended profile and a report out."""
+
+    def check(self) -> None:
+        """Refuse options that cannot be used before anything is read."""
+
+    def profile_to_extend(self, folder: CaptureFolder) -> SensorProfile:
+        """The base profile, or the catalogue's design of the captures' sensor."""
+        from taccel_lab.calibration.base_profile import base_profile
+
+        return base_profile(self.base, folder)
+
+    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
+        """Calibrate the block."""
+        raise NotImplementedError
+
+    def run(self) -> None:
+        """Refuse unusable outputs, fit, and write profile, report and figures."""
+        import warp as wp
+        from rich.console import Console
+
+        from taccel_lab.calibration.capture.load import load_capture_folder
+        from taccel_lab.cli.progress import stage_progress
+
+        wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
+        self.check()
+        report = report_folder(self.out, self.report)
+        require_outputs(self.out, report)
+        console = Console(stderr=True)
+        folder = load_capture_folder(self.captures)
+        with stage_progress(console) as progress:
+            fitted = self.fit(folder, progress)
+        write_results(fitted, self.out, report, console, json=self.json)
 
 
-def open_job(captures: Path, out: Path, base: Path | None, report: Path | None) -> Job:
-    """Refuse unusable outputs, then load the captures and the profile to extend."""
+def write_results(fitted: Fitted, out: Path, report: Path, console: Console, *, json: bool) -> None:
+    """Save the extended profile and the report, say the verdict with its remarks, and give the
+    figures: on standard output, as JSON or for people."""
     from rich.console import Console
 
-    from taccel_lab.calibration.base_profile import base_profile
-    from taccel_lab.calibration.capture.load import load_capture_folder
-
-    report = report_folder(out, report)
-    require_outputs(out, report)
-    folder = load_capture_folder(captures)
-    return Job(folder, base_profile(base, folder), out, report, Console(stderr=True))
-
-
-def write_results(
-    result: CalibrationResult,
-    page: Page,
-    base: SensorProfile,
-    out: Path,
-    report: Path,
-    console: Console,
-) -> None:
-    """Save the extended profile and the report, and say the verdict with its remarks."""
     from taccel_lab.calibration.report import write_page
     from taccel_lab.calibration.result import judge
+    from taccel_lab.cli.console import print_json
     from taccel_lab.profile import save_profile
 
-    save_profile(result.apply_to(base), out)
-    write_page(page, report)
+    result = fitted.result
+    save_profile(result.apply_to(fitted.base), out)
+    write_page(fitted.page, report)
+    for path, write in fitted.files.items():
+        write(path)
     for remark in result.remarks:
         console.print(str(remark), highlight=False)
     console.print(f"verdict: {judge(result.remarks)}", highlight=False)
-    console.print(f"wrote {out} and {report / 'report.html'}", highlight=False)
+    wrote = " and ".join(str(path) for path in (out, report / "report.html", *fitted.files))
+    console.print(f"wrote {wrote}", highlight=False)
+    if json:
+        print_json({"profile": str(out), fitted.name: result.figures()})
+    elif fitted.summarise is not None:
+        fitted.summarise(Console())

@@ -4,19 +4,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
+
+from taccel_lab.calibration.camera.options import CameraOptions
+from taccel_lab.cli.calibrate.base import BlockCommand, Fitted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.calibration.camera.result import CameraCalibration
+    from taccel_lab.calibration.capture.folder import CaptureFolder
+    from taccel_lab.progress import Progress
 
 
 @dataclass(frozen=True)
-class CalibrateCamera:
+class CalibrateCamera(BlockCommand, CameraOptions):
     """Fit the camera to views of a calibration board and write a profile.
 
     Boards held before the camera give the lens (optics block); boards that lie on the gel or are
@@ -26,56 +32,25 @@ class CalibrateCamera:
 
     captures: Positional[Path]
     """Capture folder whose captures.toml names [[boards]] (docs/calibration_camera.md)."""
-    out: Path
-    """Profile folder to write."""
-    base: Path | None = None
-    """Profile to extend; the catalogue's design of the captures' sensor when left out."""
-    report: Path | None = None
-    """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
     maps: Path | None = None
     """File (.npz) for rectification maps: map_u_px and map_v_px for cv2.remap, the pixels that the
     board measured, and the grid's scale."""
-    models: tuple[Literal["k1", "fisheye", "pinhole", "rational"], ...] = (
-        "k1",
-        "fisheye",
-        "pinhole",
-        "rational",
-    )
-    """Lenses to choose from by held-out error: one radial term, fisheye (4 coefficients), pinhole
-    (5) or rational (8)."""
-    folds: int = 5
-    """Parts that the views are split into to score the lenses."""
-    refraction: Literal["auto", "media", "none"] = "auto"
-    """Pose of the gel through the profile's window and gel (media) or with straight sight lines
-    (none); auto takes them where the profile describes flat ones, unless the board clearly speaks
-    against it. Needs views and a board on the gel; the report gives both poses."""
-    json: bool = False
-    """Print the figures as JSON instead of a summary."""
 
-    def run(self) -> None:
-        from rich.console import Console
-
-        from taccel_lab.calibration.camera.fit import CameraOptions, calibrate_camera
-        from taccel_lab.calibration.camera.report import camera_page
-        from taccel_lab.cli.calibrate.base import open_job
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import stage_progress
-
+    def check(self) -> None:
+        """Refuse a file of maps that cannot be written."""
         if self.maps is not None:
             _require_file(self.maps)
-        job = open_job(self.captures, self.out, self.base, self.report)
-        folder = job.folder
-        with stage_progress(job.console) as progress:
-            options = CameraOptions(self.models, self.folds, self.refraction)
-            result = calibrate_camera(folder, job.base, options, progress)
-        job.write(result, camera_page(result, folder))
-        if self.maps is not None:
-            result.maps().save(self.maps)
-            job.console.print(f"wrote {self.maps}", highlight=False)
-        if self.json:
-            print_json({"profile": str(self.out), "camera": result.figures()})
-        else:
-            _print_summary(Console(), result)
+
+    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
+        """Fit lens, scale and pose."""
+        from taccel_lab.calibration.camera.fit import calibrate_camera
+        from taccel_lab.calibration.camera.report import camera_page
+
+        base = self.profile_to_extend(folder)
+        result = calibrate_camera(folder, base, self, progress)
+        files = {} if self.maps is None else {self.maps: lambda path: result.maps().save(path)}
+        page = camera_page(result, folder)
+        return Fitted("camera", base, result, page, partial(_print_summary, result), files)
 
 
 def _require_file(path: Path) -> None:
@@ -86,7 +61,7 @@ def _require_file(path: Path) -> None:
         raise InputError(f"--maps writes one .npz file, got {path}")
 
 
-def _print_summary(console: Console, result: CameraCalibration) -> None:
+def _print_summary(result: CameraCalibration, console: Console) -> None:
     if result.intrinsics is not None:
         found = result.intrinsics
         console.print(

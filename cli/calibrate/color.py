@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,19 +12,21 @@ import tyro
 from tyro.conf import Positional
 
 from taccel_lab.calibration.color.options import ColorOptions
+from taccel_lab.cli.calibrate.base import BlockCommand, Fitted
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.capture import CaptureFolder
+    from taccel_lab.calibration.capture.folder import CaptureFolder
     from taccel_lab.calibration.color.result import ColorCalibration
     from taccel_lab.calibration.result import Remark
     from taccel_lab.profile import SensorProfile
+    from taccel_lab.progress import Progress
 
 
 @dataclass(frozen=True)
-class CalibrateColor(ColorOptions):
+class CalibrateColor(BlockCommand, ColorOptions):
     """Fit the pixel-to-colour model to captured ball presses and write a profile.
 
     Every press is simulated to get the gel's surface under it; the model then learns the colour
@@ -34,50 +37,28 @@ class CalibrateColor(ColorOptions):
 
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
-    out: Path
-    """Profile folder to write."""
     base: Path | None = None
     """Profile of the designed sensor to extend; the catalogue's design of the sensor, turned as the
     images are, when left out. A sensor that the catalogue does not know is taken as a flat pad."""
-    report: Path | None = None
-    """Folder of the report; <out>_report when left out."""
     sensor: str | None = None
     """Sensor of the catalogue; the captures' own when left out."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())
     """Dimensions of the gel that differ from the catalogue's, such as thickness_mm=2.5; not with
     --base."""
-    json: bool = False
-    """Print the figures as JSON instead of a table."""
 
-    def run(self) -> None:
-        import warp as wp
-        from rich.console import Console
-
-        from taccel_lab.calibration.capture import load_capture_folder
+    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
+        """Simulate the presses and train the model."""
         from taccel_lab.calibration.color.fit import calibrate_color
         from taccel_lab.calibration.color.report import color_page
-        from taccel_lab.cli.calibrate.base import Job, report_folder, require_outputs
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import stage_progress
 
-        wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
-        report = report_folder(self.out, self.report)
-        require_outputs(self.out, report)
-        folder = load_capture_folder(self.captures)
         base, assumed = self._base(folder)
-        job = Job(folder, base, self.out, report, Console(stderr=True))
-        with stage_progress(job.console) as progress:
-            result = calibrate_color(folder, base, self, progress, assumed=assumed)
-        job.write(result, color_page(result))
-        if self.json:
-            print_json({"profile": str(self.out), "color": result.figures()})
-        else:
-            _print_figures(Console(), result)
+        result = calibrate_color(folder, base, self, progress, assumed=assumed)
+        page = color_page(result)
+        return Fitted("color", base, result, page, partial(_print_figures, result))
 
     def _base(self, folder: CaptureFolder) -> tuple[SensorProfile, list[Remark]]:
         """The profile to extend, and what was assumed of a sensor that no profile describes."""
         from taccel_lab.cad.parameters import parse_overrides
-        from taccel_lab.calibration.base_profile import base_profile
         from taccel_lab.calibration.surfaces.design import fitted_design
         from taccel_lab.sensors.registry import sensor_family
 
@@ -90,12 +71,12 @@ class CalibrateColor(ColorOptions):
         overrides = parse_overrides(self.set)
         sensor_family(folder.sensor)
         if self.base is not None or folder.mm_per_px is None or folder.background is None:
-            return base_profile(self.base, folder), []
+            return self.profile_to_extend(folder), []
         design = fitted_design(folder.sensor, folder.grid(), overrides)
         return design.profile, design.remarks
 
 
-def _print_figures(console: Console, result: ColorCalibration) -> None:
+def _print_figures(result: ColorCalibration, console: Console) -> None:
     from rich.table import Table
 
     from taccel_lab.calibration.color.report import FIGURES, figure_columns

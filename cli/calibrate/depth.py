@@ -4,15 +4,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.cli.calibrate.base import BlockCommand, Fitted
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.calibration.capture.folder import CaptureFolder
+    from taccel_lab.calibration.depth.result import DepthCalibration
+    from taccel_lab.progress import Progress
 
 
 @dataclass(frozen=True)
-class CalibrateDepth(DepthOptions):
+class CalibrateDepth(BlockCommand, DepthOptions):
     """Fit the depth of a grey sensor (9DTact) to ball presses and write a profile.
 
     Where such a gel is pressed it looks darker. The ball's shape gives the depth of every pixel
@@ -23,38 +33,26 @@ class CalibrateDepth(DepthOptions):
 
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md): background and [[presses]]."""
-    out: Path
-    """Profile folder to write."""
     base: Path | None = None
     """Profile to extend; the catalogue's design of the captures' sensor when left out. Its camera
     gives the scale where the captures state none."""
-    report: Path | None = None
-    """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
-    json: bool = False
-    """Print the figures as JSON instead of a summary."""
 
-    def run(self) -> None:
-        import warp as wp
-        from rich.console import Console
-
+    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
+        """Fit the depth curve."""
         from taccel_lab.calibration.depth.fit import calibrate_depth
         from taccel_lab.calibration.depth.report import depth_page
-        from taccel_lab.cli.calibrate.base import open_job
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import stage_progress
 
-        wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
-        job = open_job(self.captures, self.out, self.base, self.report)
-        with stage_progress(job.console) as progress:
-            result = calibrate_depth(job.folder, job.base, self, progress)
-        job.write(result, depth_page(result))
-        if self.json:
-            print_json({"profile": str(self.out), "depth": result.figures()})
-            return
-        error = result.left_out_mm
-        Console().print(
-            f"depth up to {result.response.depth_mm[-1]:.2f} mm over "
-            f"{result.response.drop_levels[-1]:.0f} levels; off by {error.mean():.3f} mm on pixels "
-            f"of a left-out {result.left_out}",
-            highlight=False,
-        )
+        base = self.profile_to_extend(folder)
+        result = calibrate_depth(folder, base, self, progress)
+        page = depth_page(result)
+        return Fitted("depth", base, result, page, partial(_print_summary, result))
+
+
+def _print_summary(result: DepthCalibration, console: Console) -> None:
+    error = result.left_out_mm
+    console.print(
+        f"depth up to {result.response.depth_mm[-1]:.2f} mm over "
+        f"{result.response.drop_levels[-1]:.0f} levels; off by {error.mean():.3f} mm on pixels "
+        f"of a left-out {result.left_out}",
+        highlight=False,
+    )

@@ -5,19 +5,22 @@ profile's markers and the dots' tracks out."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tyro.conf import Positional
+from taccel_lab.cli.calibrate.base import BlockCommand, Fitted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from taccel_lab.calibration.capture.folder import CaptureFolder
     from taccel_lab.calibration.markers.result import MarkerCalibration
+    from taccel_lab.progress import Progress
 
 
 @dataclass(frozen=True)
-class CalibrateMarkers:
+class CalibrateMarkers(BlockCommand):
     """Find the dots painted on the gel, fit their grid and follow them through videos.
 
     Dots may be dark or bright, of any size, in a square, rectangular or hexagonal grid, with some
@@ -25,48 +28,39 @@ class CalibrateMarkers:
     background; videos are those of [[markers.videos]].
     """
 
-    captures: Positional[Path]
-    """Capture folder with captures.toml (docs/captures.md)."""
-    out: Path
-    """Profile folder to write."""
     base: Path | None = None
     """Profile to extend; the catalogue's design of the sensor when left out. A profile with a
     calibrated camera or scale gives the millimetres."""
-    report: Path | None = None
-    """Folder for the report with its pictures; <out>_report when left out."""
     tracks: Path | None = None
     """File for the dots' places and displacements in every frame, pixels and millimetres:
     .json, .npz or .csv."""
-    json: bool = False
-    """Print the figures as JSON."""
 
-    def run(self) -> None:
-        from rich.console import Console
-
-        from taccel_lab.calibration.markers.fit import calibrate_markers
-        from taccel_lab.calibration.markers.report import marker_page
-        from taccel_lab.calibration.markers.track_files import require_track_file, write_tracks
-        from taccel_lab.cli.calibrate.base import open_job
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import stage_progress
+    def check(self) -> None:
+        """Refuse a file of tracks of an unknown kind."""
+        from taccel_lab.calibration.markers.track_files import require_track_file
 
         if self.tracks is not None:
             require_track_file(self.tracks)
-        job = open_job(self.captures, self.out, self.base, self.report)
-        with stage_progress(job.console) as progress:
-            result = calibrate_markers(job.folder, job.base, progress)
-        if self.tracks is not None:
-            write_tracks(self.tracks, {v.name: v.tracks for v in result.videos}, result.flows())
-        if self.json:
-            print_json({"profile": str(self.out), "markers": result.figures()})
-        else:
-            _print_figures(Console(), result)
-        job.write(result, marker_page(result))
-        if self.tracks is not None:
-            job.console.print(f"wrote {self.tracks}", highlight=False)
+
+    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
+        """Find the dots and follow them."""
+        from taccel_lab.calibration.markers.fit import calibrate_markers
+        from taccel_lab.calibration.markers.report import marker_page
+        from taccel_lab.calibration.markers.track_files import write_tracks
+
+        base = self.profile_to_extend(folder)
+        result = calibrate_markers(folder, base, progress)
+        tracks = {video.name: video.tracks for video in result.videos}
+        files = (
+            {}
+            if self.tracks is None
+            else {self.tracks: lambda path: write_tracks(path, tracks, result.flows())}
+        )
+        page = marker_page(result)
+        return Fitted("markers", base, result, page, partial(_print_figures, result), files)
 
 
-def _print_figures(console: Console, result: MarkerCalibration) -> None:
+def _print_figures(result: MarkerCalibration, console: Console) -> None:
     from rich.table import Table
 
     table = Table(

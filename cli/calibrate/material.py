@@ -4,21 +4,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
+from taccel_lab.cli.calibrate.base import BlockCommand, Fitted
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from taccel_lab.calibration.capture.folder import CaptureFolder
+    from taccel_lab.calibration.material.options import MaterialOptions
     from taccel_lab.calibration.material.result import MaterialCalibration
+    from taccel_lab.progress import Progress
 
 
 @dataclass(frozen=True)
-class CalibrateMaterial:
+class CalibrateMaterial(BlockCommand):
     """Fit stiffness, Poisson's ratio, friction and damping to force records and write a profile.
 
     Presses of the record's tool on the sensor's gel are simulated once and kept; the fit gives
@@ -27,12 +32,6 @@ class CalibrateMaterial:
 
     captures: Positional[Path]
     """Capture folder with captures.toml whose [[records]] name force records (docs/captures.md)."""
-    out: Path
-    """Profile folder to write."""
-    base: Path | None = None
-    """Profile to extend; the catalogue's design of the sensor when left out."""
-    report: Path | None = None
-    """Folder of the report; <out>_report when left out."""
     model: (
         Literal["neo_hookean", "stable_neo_hookean", "st_venant_kirchhoff", "mooney_rivlin"] | None
     ) = None
@@ -46,40 +45,36 @@ class CalibrateMaterial:
     """How closely presses are simulated: as those that are to reproduce the records."""
     device: str = "cpu"
     """Device of the presses: cpu, or cuda:0, which takes those of a table together."""
-    json: bool = False
-    """Print the figures as JSON instead of a table."""
 
-    def run(self) -> None:
-        import warp as wp
-        from rich.console import Console
-
-        from taccel_lab.calibration.material.fit import calibrate_material
-        from taccel_lab.calibration.material.options import MaterialOptions
-        from taccel_lab.calibration.material.report import material_page
-        from taccel_lab.cli.calibrate.base import open_job
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import stage_progress
-        from taccel_lab.envs.physics import PHYSICS, Accuracy
+    def check(self) -> None:
+        """Refuse an unknown device and parameters that cannot be held."""
         from taccel_lab.model.devices import require_device
 
-        wp.config.log_level = wp.LOG_WARNING
         require_device(self.device)
-        options = MaterialOptions(
+        self._options()
+
+    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
+        """Fit the law, friction and damping."""
+        from taccel_lab.calibration.material.fit import calibrate_material
+        from taccel_lab.calibration.material.report import material_page
+
+        base = self.profile_to_extend(folder)
+        result = calibrate_material(folder, base, self._options(), progress)
+        return Fitted(
+            "material", base, result, material_page(result), partial(_print_estimates, result)
+        )
+
+    def _options(self) -> MaterialOptions:
+        from taccel_lab.calibration.material.options import MaterialOptions
+        from taccel_lab.envs.physics import PHYSICS, Accuracy
+
+        return MaterialOptions(
             model=self.model,
             fixed=parse_fixed(self.fix),
             touch_sigma_mm=self.touch_sigma_mm,
             physics=PHYSICS[Accuracy(self.accuracy)],
             device=self.device,
         )
-        job = open_job(self.captures, self.out, self.base, self.report)
-        folder = job.folder
-        with stage_progress(job.console) as progress:
-            result = calibrate_material(folder, job.base, options, progress)
-        job.write(result, material_page(result))
-        if self.json:
-            print_json({"profile": str(self.out), "material": result.figures()})
-        else:
-            _print_estimates(Console(), result)
 
 
 def parse_fixed(items: tuple[str, ...]) -> dict[str, float]:
@@ -96,7 +91,7 @@ def parse_fixed(items: tuple[str, ...]) -> dict[str, float]:
     return fixed
 
 
-def _print_estimates(console: Console, result: MaterialCalibration) -> None:
+def _print_estimates(result: MaterialCalibration, console: Console) -> None:
     from rich.table import Table
 
     table = Table("parameter", "value", "sigma", "95 % from", "to", title_justify="left")

@@ -4,21 +4,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from taccel_lab.calibration.normals.options import NormalOptions
+from taccel_lab.cli.calibrate.base import BlockCommand, Fitted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from taccel_lab.calibration.capture.folder import CaptureFolder
     from taccel_lab.calibration.normals.result import NormalCalibration
+    from taccel_lab.progress import Progress
 
 
 @dataclass(frozen=True)
-class CalibrateNormals(NormalOptions):
+class CalibrateNormals(BlockCommand, NormalOptions):
     """Fit the model from colour to surface normal to captured ball presses and write a profile.
 
     Inside a contact the ball gives the normal of every pixel; a small ensemble of networks learns
@@ -29,37 +33,20 @@ class CalibrateNormals(NormalOptions):
 
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
-    out: Path
-    """Profile folder to write."""
-    base: Path | None = None
-    """Profile to extend; the catalogue's design of the captures' sensor when left out."""
-    report: Path | None = None
-    """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
-    json: bool = False
-    """Print the figures as JSON instead of a summary."""
 
-    def run(self) -> None:
-        import warp as wp
-        from rich.console import Console
-
+    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
+        """Train the ensemble."""
         from taccel_lab.calibration.normals.fit import calibrate_normals
         from taccel_lab.calibration.normals.report import normals_page
-        from taccel_lab.cli.calibrate.base import open_job
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import stage_progress
 
-        wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
-        job = open_job(self.captures, self.out, self.base, self.report)
-        with stage_progress(job.console) as progress:
-            result = calibrate_normals(job.folder, job.base, self, progress)
-        job.write(result, normals_page(result))
-        if self.json:
-            print_json({"profile": str(self.out), "normals": result.figures()})
-        else:
-            _print_summary(Console(), result)
+        base = self.profile_to_extend(folder)
+        result = calibrate_normals(folder, base, self, progress)
+        return Fitted(
+            "normals", base, result, normals_page(result), partial(_print_summary, result)
+        )
 
 
-def _print_summary(console: Console, result: NormalCalibration) -> None:
+def _print_summary(result: NormalCalibration, console: Console) -> None:
     if not result.heldout:
         console.print("no press was held out, so there are no figures")
         return

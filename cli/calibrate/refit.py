@@ -41,8 +41,12 @@ class CalibrateRefit:
         from taccel_lab.calibration.capture import load_capture_folder
         from taccel_lab.calibration.refit.fit import RefitOptions, calibrate_refit
         from taccel_lab.calibration.refit.report import refit_page
-        from taccel_lab.cli.calibrate.base import report_folder, require_outputs, write_results
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.calibrate.base import (
+            Fitted,
+            report_folder,
+            require_outputs,
+            write_results,
+        )
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.profile import load_profile
 
@@ -53,6 +57,5 @@ class CalibrateRefit:
         folder = load_capture_folder(self.captures)
         with stage_progress(console) as progress:
             result = calibrate_refit(folder, profile, RefitOptions(self.surface), progress)
-        write_results(result, refit_page(result, profile), profile, self.out, report, console)
-        if self.json:
-            print_json({"profile": str(self.out), "refit": result.figures()})
+        fitted = Fitted("refit", profile, result, refit_page(result, profile))
+        write_results(fitted, self.out, report, console, json=self.json)

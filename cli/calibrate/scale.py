@@ -4,19 +4,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
+from taccel_lab.cli.calibrate.base import BlockCommand, Fitted
+
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from taccel_lab.calibration.capture.folder import CaptureFolder
     from taccel_lab.calibration.scale.result import ScaleCalibration
+    from taccel_lab.progress import Progress
 
 
 @dataclass(frozen=True)
-class CalibrateScale:
+class CalibrateScale(BlockCommand):
     """Measure mm/px along x and y from whatever of known length was captured.
 
     Boards on the gel, presses of a straight edge, markers of known pitch, landmarks, and ball
@@ -26,35 +31,19 @@ class CalibrateScale:
 
     captures: Positional[Path]
     """Capture folder (docs/calibration_camera.md)."""
-    out: Path
-    """Profile folder to write."""
-    base: Path | None = None
-    """Profile to extend; the catalogue's design of the captures' sensor when left out."""
-    report: Path | None = None
-    """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
-    json: bool = False
-    """Print the figures as JSON instead of a summary."""
 
-    def run(self) -> None:
-        from rich.console import Console
-
+    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
+        """Measure every known length."""
         from taccel_lab.calibration.scale.fit import calibrate_scale
         from taccel_lab.calibration.scale.report import scale_page
-        from taccel_lab.cli.calibrate.base import open_job
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.cli.progress import stage_progress
 
-        job = open_job(self.captures, self.out, self.base, self.report)
-        with stage_progress(job.console) as progress:
-            result = calibrate_scale(job.folder, job.base, progress)
-        job.write(result, scale_page(result, job.folder))
-        if self.json:
-            print_json({"profile": str(self.out), "scale": result.figures()})
-        else:
-            _print_summary(Console(), result)
+        base = self.profile_to_extend(folder)
+        result = calibrate_scale(folder, base, progress)
+        page = scale_page(result, folder)
+        return Fitted("scale", base, result, page, partial(_print_summary, result))
 
 
-def _print_summary(console: Console, result: ScaleCalibration) -> None:
+def _print_summary(result: ScaleCalibration, console: Console) -> None:
     from rich.table import Table
 
     table = Table("method", "along x [mm/px]", "along y [mm/px]", title_justify="left")

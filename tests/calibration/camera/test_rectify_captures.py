@@ -13,7 +13,7 @@ from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import rectify_captures
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.capture.images import file_sha256
-from taccel_lab.calibration.capture.load import read_manifest
+from taccel_lab.calibration.capture.schema import CaptureManifest
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -96,7 +96,7 @@ def test_a_folder_is_rectified(captures: Path, tmp_path: Path) -> None:
 
 def test_what_was_rectified_is_recorded(captures: Path, tmp_path: Path) -> None:
     rectify_captures(load_capture_folder(captures), cropping_maps(), tmp_path / "even")
-    manifest = read_manifest(tmp_path / "even" / "captures.toml")
+    manifest = CaptureManifest.read(tmp_path / "even" / "captures.toml")
     for name in ("bg.png", "p0.png", "p1.png", "captures.toml"):
         assert manifest.raw_sha256[name] == file_sha256(captures / name)
     even = load_capture_folder(tmp_path / "even")

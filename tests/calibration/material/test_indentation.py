@@ -11,11 +11,11 @@ import pytest
 
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.force_table import ForceTable, force_table, press_plan
-from taccel_lab.calibration.material.gel import Gel, GelBench, Tool
+from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.indentation import fit_indentation
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.indentation_remarks import young_with_nu
-from taccel_lab.calibration.material.press_plans import PressPlan, simulate
+from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate
 from taccel_lab.calibration.result import Severity
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
@@ -56,7 +56,7 @@ def pressed_n(
 ) -> np.ndarray:
     """Forces [N] of presses of 1 MPa to each depth."""
     own = gel.with_law(nu, ratio).with_physics(physics)
-    benches = [own.bench(tool, depth) for depth in depths_mm.tolist()]
+    benches = [GelBench(own, tool, depth) for depth in depths_mm.tolist()]
     return np.array([simulate(b, press_plan(b, own))["force_n"][0] for b in benches])
 
 
@@ -71,7 +71,7 @@ def test_tables_interpolate_and_differentiate(
 ) -> None:
     monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 4)
     table = force_table(gel.with_physics(COARSER), tool, (0.2, 1.2))
-    assert table.press_count == 4 * len(table.depths_mm)
+    assert table.press_count == 4 * len(table.responses.way)
     assert table.error.interpolation < 2e-3
     depth = np.array([0.05, 0.3, 1.0])
     value, by_depth, by_nu, _ = table.log_force(depth, 0.47)
@@ -95,7 +95,7 @@ def test_both_parameters_of_mooney_and_rivlin(
     assert table.error.interpolation < 2e-3
     assert table.nu_range[0] > 1 / 3  # softer volumes do not go with a ratio of 1
     for nu, ratio in ((0.485, 0.7), (0.36, 0.15)):
-        depths = table.depths_mm[[1]]
+        depths = np.exp(table.responses.way[[1]])
         force = pressed_n(gel, tool, depths, nu, ratio, COARSER)
         found = table.force_n(depths, 1e6, nu, ratio)
         np.testing.assert_allclose(found, force, rtol=3e-3)
@@ -139,11 +139,11 @@ def test_slopes_replace_presses(
 
     monkeypatch.setattr("taccel_lab.calibration.material.press_plans.simulate", made_up)
     table = force_table(gel, tool, (0.2, 1.0), friction=friction)
-    count *= len(table.depths_mm)
+    count *= len(table.responses.way)
     assert (table.press_count, table.seconds) == (count, 0.5 * count)
     assert table.error.interpolation < 1e-9
     np.testing.assert_allclose(table.error.mesh, 0.01)
-    depth = table.depths_mm
+    depth = np.exp(table.responses.way)
     for nu in (0.31, 0.45, 0.498):
         s = np.sqrt(1 - 2 * nu)
         value, _, by_nu, _ = table.log_force(depth, nu)

@@ -13,7 +13,7 @@ from taccel_lab.calibration.markers.flow import MarkerFlow
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.marker_flow import fit_flow
 from taccel_lab.calibration.material.marker_flow_table import path_plan
-from taccel_lab.calibration.material.press_plans import simulate
+from taccel_lab.calibration.material.press_plans import GelBench, simulate
 from taccel_lab.calibration.material.tool_path import ToolPath
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
@@ -38,7 +38,7 @@ def flow_of(
 ) -> MarkerFlow:
     frames = way.chosen()
     own = gel.with_law(POISSON).with_physics(physics)
-    bench = own.bench(tool, float(way.depth_mm.max()))
+    bench = GelBench(own, tool, float(way.depth_mm.max()))
     plan = path_plan(bench, own, way, frames, POINTS, FRICTION)
     moved = simulate(bench, plan)["displacement_mm"]
     everywhere = np.zeros((len(way.depth_mm), len(POINTS), 2))

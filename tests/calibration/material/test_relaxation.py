@@ -96,7 +96,6 @@ def test_a_gel_that_relaxes_is_reported_and_not_fitted() -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"time_s": TIME[::-1]}, "does not rise"),
         ({"depth_mm": -DEPTH}, "never rises"),
         ({"force_n": -elastic()}, "does not grow"),
     ],

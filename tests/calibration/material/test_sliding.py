@@ -110,7 +110,6 @@ def test_records_that_scatter_widen_the_error_and_load_dependence_is_said() -> N
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"normal_n": lambda v: -v}, "turn the sign"),
         ({"normal_n": lambda v: np.where(np.arange(len(v)) == 5, 0.0, v)}, "lifted"),
         ({"shift_mm": np.zeros_like}, "does not change"),
         ({"tangential_n": lambda v: 100 * v}, "not swapped"),

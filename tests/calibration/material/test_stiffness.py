@@ -39,7 +39,7 @@ def table() -> ForceTable:
 def rubbed(table: ForceTable) -> ForceTable:
     """As if friction made presses stiffer, the deeper the more."""
     coefficients = table.responses.coefficients.copy()
-    coefficients[0, 0] += 0.15 * table.depths_mm / table.depths_mm[-1]
+    coefficients[0, 0] += 0.15 * np.exp(table.responses.way) / np.exp(table.responses.way)[-1]
     responses = replace(table.responses, coefficients=coefficients)
     return replace(table, responses=responses, error=TableError(0.0, np.zeros(1)))
 

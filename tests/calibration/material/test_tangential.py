@@ -13,7 +13,7 @@ from taccel_lab.calibration.capture import ForceRecord
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.ball_slide import simulate_ball_slide
 from taccel_lab.calibration.material.gel import Gel, Tool
-from taccel_lab.calibration.material.press_plans import simulate
+from taccel_lab.calibration.material.press_plans import GelBench, simulate
 from taccel_lab.calibration.material.tangential import fit_tangential
 from taccel_lab.calibration.material.tangential_table import Motion, motion_plan
 from taccel_lab.errors import InputError
@@ -45,7 +45,7 @@ def tool(gel: Gel) -> Tool:
 
 def moved(gel: Gel, tool: Tool, motion: Motion, scaled: np.ndarray) -> dict[str, np.ndarray]:
     """Forces of the true gel, at 1 MPa."""
-    bench = gel.with_physics(FAST).bench(tool, DEPTH)
+    bench = GelBench(gel.with_physics(FAST), tool, DEPTH)
     return simulate(bench, motion_plan(bench, motion, scaled, FRICTION))
 
 

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.spread.fit import fit_spread
-from taccel_lab.calibration.spread.units import spread_of_units
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.spread.result import SpreadCalibration
+from taccel_lab.calibration.spread.units import UnitSpread, spread_of_units
 from taccel_lab.errors import InputError
 from taccel_lab.profile import (
     BackgroundBlock,
@@ -39,6 +42,13 @@ def textured_background() -> np.ndarray:
     return flat_background() + np.kron(pattern, np.ones((4, 4, 1)))
 
 
+def spread(
+    drifts: Sequence[Light], units: UnitSpread | None = None, noise_levels: float | None = None
+) -> SpreadCalibration:
+    pivot = textured_background().mean(axis=(0, 1))
+    return SpreadCalibration(tuple(drifts), noise_levels, units, pivot, {"a": "0" * 64}, "test")
+
+
 def drawn_frames(count: int, noise: float, background: np.ndarray, seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     draw = draw_perturbation(TRUTH, count, rng)
@@ -51,13 +61,12 @@ def test_the_spread_of_many_frames_is_recovered() -> None:
     # A quarter of the picture: how many frames there are limits what is found, not their pixels.
     background = textured_background()[:60, :80]
     drifts = [fit_light(frame, background) for frame in drawn_frames(count, 1.0, background)]
-    found = fit_spread(
-        drifts, None, background, inputs={"a": "0" * 64}, source="test", noise_levels=1.0
-    ).values()
+    found = spread(drifts, noise_levels=1.0).values()
     # A standard deviation from 200 samples is uncertain by 5 %: 3 of these.
     for name in ("gain_rgb", "offset_rgb", "gradient_rgb"):
         assert found[name] == pytest.approx(getattr(TRUTH, name), rel=0.15), name
-    assert found["pivot_rgb"] == pytest.approx(background.mean(axis=(0, 1)))
+    pivot = textured_background().mean(axis=(0, 1))
+    assert found["pivot_rgb"] == pytest.approx(pivot)
     assert found["noise_levels"] == 1.0
 
 
@@ -65,7 +74,7 @@ def test_the_block_draws_images_like_the_measured_ones() -> None:
     background = textured_background()[:60, :80]
     frames = drawn_frames(100, 0.5, background)
     drifts = [fit_light(frame, background) for frame in frames]
-    result = fit_spread(drifts, None, background, inputs={"a": "0" * 64}, source="test")
+    result = spread(drifts)
     block = result.apply_to(tiny_profile(GRID)).perturbation
     assert block is not None and block.provenance.verdict == "good"
     draw = draw_perturbation(block, 400, np.random.default_rng(1))
@@ -91,7 +100,7 @@ def test_units_are_compared_by_what_was_measured() -> None:
     assert units.mm_per_px_relative is None  # the cameras were assumed
     gains = np.array([light.gain for light in units.lights])
     assert gains == pytest.approx(np.array([0.9, 1.0, 1.1])[:, None].repeat(3, 1), abs=0.01)
-    result = fit_spread([], units, textured_background(), inputs={"a": "0" * 64}, source="t")
+    result = spread([], units)
     assert result.values()["gain_rgb"] == pytest.approx((0.1, 0.1, 0.1), abs=0.005)
     assert [r.code for r in result.remarks] == ["few_units"]
     assumed = spread_of_units([unit(b, e, ASSUMED) for b, e in ((1.0, 1e5), (1.1, 2e5))])
@@ -102,7 +111,7 @@ def test_too_little_is_refused() -> None:
     with pytest.raises(InputError, match="at least 2 profiles"):
         spread_of_units([tiny_profile(GRID)])
     with pytest.raises(InputError, match="at least 2 frames or 2 profiles"):
-        fit_spread([], None, textured_background(), inputs={}, source="t")
+        spread([])
     other = tiny_profile(GRID)
     other = other.with_block(other.sensor.replace(family="digit"))
     with pytest.raises(InputError, match="different families"):
