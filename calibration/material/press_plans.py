@@ -11,17 +11,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.gel_presses import GelPresses, Stop
 from taccel_lab.envs import profile_material
 from taccel_lab.errors import SimulationError
 from taccel_lab.file_cache import CachedFile, cached_arrays
-from taccel_lab.geometry import TetMesh
 from taccel_lab.progress import Progress, silent
+
+if TYPE_CHECKING:
+    # Machines that only simulate have no reader of profiles.
+    from taccel_lab.calibration.material.gel import Gel, Tool
+    from taccel_lab.geometry import TetMesh
 
 RUBBING_LIMITS = {"max_substep_halvings": 3, "max_friction_lags": 60}
 """Of iterations, on which no result depends."""
