@@ -168,14 +168,20 @@ def test_same_press_gives_same_files(unit: Path, tmp_path: Path) -> None:
             assert np.array_equal(a[key], b[key], equal_nan=True), key
 
 
-def test_earlier_press_is_replaced(unit: Path, tmp_path: Path) -> None:
+def test_earlier_press_is_replaced_unless_somebody_changed_it(
+    unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "press"
     assert press(unit, out, "--depth-mm", "0.2", *QUICK) == 0
-    (out / "image.png").write_bytes(b"of another press")
     assert press(unit, out, "--depth-mm", "0.3", *QUICK) == 0
     assert {path.name for path in out.iterdir()} == FILES | PREDICTED
     assert read(out)["path"]["depth_mm"] == 0.3
     assert os.listdir(tmp_path) == ["press"]
+    (out / "image.png").write_bytes(b"retouched")
+    before = everything_below(tmp_path)
+    assert press(unit, out, "--depth-mm", "0.2", *QUICK) == 2
+    assert "changed since: image.png; move them away" in capsys.readouterr().err
+    assert everything_below(tmp_path) == before
 
 
 def test_a_press_that_fails_leaves_the_earlier_one(

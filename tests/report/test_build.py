@@ -56,7 +56,7 @@ def written(tmp_path_factory) -> Path:
 
 
 def test_page_is_well_formed_and_self_contained(written):
-    text = (written / "report.html").read_text()
+    text = (written / "report.html").read_text(encoding="utf-8")
     page = _Page(text)
     assert len(page.images) == len(list((written / "figures").glob("*.png"))) >= 14
     for image in page.images:
@@ -93,7 +93,7 @@ def test_frames_are_listed_worst_first(written):
         "press 0",
         "press 2",
     ]
-    text = (written / "report.html").read_text()
+    text = (written / "report.html").read_text(encoding="utf-8")
     places = [text.index(f"<b>press {i}</b>") for i in (1, 0, 2)]
     assert places == sorted(places)
 
@@ -108,7 +108,7 @@ def test_detection_errors_leave_out_what_was_not_found(written):
 
 def test_detection_can_be_left_out(tmp_path):
     write_report(replace(full_report(), detection=None), tmp_path)
-    text = (tmp_path / "report.html").read_text()
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
     page = _Page(text)
     assert {link.lstrip("#") for link in page.links} <= page.ids
     assert json.loads((tmp_path / "report.json").read_text())["detection"] is None
