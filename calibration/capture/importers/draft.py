@@ -75,11 +75,20 @@ class Draft:
             suffix = suffix if suffix in COPIED_SUFFIXES else ".png"
         else:
             stem, suffix = name or "image", ".png"
+        return self._add(image, stem, suffix)
+
+    def add_file(self, path: Path, root: Path) -> str:
+        """Take any other file in under its path below ``root``, folders joined by "_"; returns its
+        name in the folder, made different where it is taken."""
+        name = Path("_".join(path.relative_to(root).parts))
+        return self._add(path, name.stem, name.suffix)
+
+    def _add(self, content: Path | np.ndarray, stem: str, suffix: str) -> str:
         chosen, count = f"{stem}{suffix}", 1
         while chosen in self.files:
             count += 1
             chosen = f"{stem}_{count}{suffix}"
-        self.files[chosen] = image
+        self.files[chosen] = content
         return chosen
 
     def set_background(self, image: Path | np.ndarray) -> None:

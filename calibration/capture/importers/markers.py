@@ -30,7 +30,7 @@ def _recognises(path: Path) -> bool:
         return False
     images = images_in(path)
     if not images:
-        return len(_videos(path)) == 1
+        return bool(_videos(path))
     # Frames of a video count on without a gap, all with as many digits.
     numbers = [image.stem for image in images]
     return (
@@ -75,14 +75,12 @@ def _shows_dots(path: Path) -> bool:
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
     draft = Draft("", "gelsight_mini", f"frames of a gel with dots, {path.name}")
-    if path.is_dir() and not images_in(path) and _videos(path):
-        path = _videos(path)[0]
-    if path.is_file():
-        frames = read_video(path)
-        draft.files[path.name] = path
+    videos = [path] if path.is_file() else [] if images_in(path) else _videos(path)
+    if videos:
+        root = path.parent if path.is_file() else path
         draft.manifest["markers"] = {
-            "rest": draft.add_image(frames[0], "rest"),
-            "videos": [{"file": path.name}],
+            "rest": draft.add_image(read_video(videos[0])[0], "rest"),
+            "videos": [{"file": draft.add_file(video, root)} for video in videos],
         }
     else:
         images = images_in(path)
@@ -90,7 +88,8 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
             raise InputError(f"{path} holds {len(images)} images; a video needs at least 2 frames")
         names = [draft.add_image(image, f"frame_{image.stem}") for image in images]
         draft.manifest["markers"] = {"rest": names[0], "videos": [{"frames": names}]}
-    draft.notes.append("the first frame is taken as the gel at rest")
+    of = f" of {videos[0].name}" if len(videos) > 1 else ""
+    draft.notes.append(f"the first frame{of} is taken as the gel at rest")
     return [draft]
 
 

@@ -159,8 +159,7 @@ def _take_records(path: Path, draft: Draft) -> None:
         kind = kind_of_record(table)
         if kind is None:
             continue
-        name = "_".join(table.relative_to(path).parts)
-        draft.files[name] = table
+        name = draft.add_file(table, path)
         draft.manifest.setdefault("records", []).append({"file": name, "kind": kind})
         draft.notes.append(f"{name} is taken as a record of kind {kind}; state its tool")
 
@@ -168,10 +167,7 @@ def _take_records(path: Path, draft: Draft) -> None:
 def _take_videos(path: Path, draft: Draft) -> None:
     videos = [p for p in sorted(path.rglob("*")) if p.suffix.lower() in VIDEO_SUFFIXES]
     if videos and "background" in draft.manifest:
-        entries = []
-        for video in videos:
-            draft.files[video.name] = video
-            entries.append({"file": video.name})
+        entries = [{"file": draft.add_file(video, path)} for video in videos]
         draft.manifest["markers"] = {"videos": entries}
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -244,20 +244,48 @@ def test_numbered_presses_are_no_video(tmp_path: Path) -> None:
     assert len(draft.manifest["markers"]["videos"][0]["frames"]) == 22
 
 
-def test_a_video_file_or_a_folder_with_one(tmp_path: Path) -> None:
-    video = tmp_path / "in" / "v.avi"
-    video.parent.mkdir()
-    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (160, 120))
+def write_video(path: Path, shifts: Sequence[float]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (160, 120))
     if not writer.isOpened():
         pytest.skip("OpenCV is built without a video writer")
-    for shift in (0.0, 2.0, 4.0):
+    for shift in shifts:
         writer.write(dots_at(shift))
     writer.release()
+
+
+def test_a_video_file_or_a_folder_with_some(tmp_path: Path) -> None:
+    video = tmp_path / "in" / "v.avi"
+    write_video(video, (0.0, 2.0, 4.0))
     for source in (video, video.parent):
         assert detect_layout(source).name == "markers"
         (out,) = import_captures(source, tmp_path / "out")
         markers = load_capture_folder(out).markers
         assert markers is not None and markers.videos[0].frame_count == 3
+    write_video(video.parent / "w.avi", (0.0, 1.0))
+    (out,) = import_captures(video.parent, tmp_path / "out")
+    markers = load_capture_folder(out).markers
+    assert markers is not None and [v.frame_count for v in markers.videos] == [3, 2]
+    assert "first frame of v.avi" in (out / "captures.toml").read_text()
+
+
+def test_files_of_the_same_name_in_two_folders_are_both_kept(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    plain(source)
+    write_video(source / "a" / "v.avi", (0.0, 2.0))
+    write_video(source / "b" / "v.avi", (0.0, 2.0, 4.0))
+    for folder, forces in (("a", "0.1"), ("b", "0.3")):
+        text = f"depth_mm,force_n\n0.1,{forces}\n0.2,0.5\n"
+        (source / folder / "force.csv").write_text(text)
+        (source / f"{folder}_force.csv").write_text(text)
+    options = ImportOptions(sensor="flat_pad")
+    (out,) = import_captures(source, tmp_path / "out", "plain", options)
+    manifest = tomllib.loads((out / "captures.toml").read_text())
+    videos = [entry["file"] for entry in manifest["markers"]["videos"]]
+    assert videos == ["a_v.avi", "b_v.avi"]
+    assert (out / "a_v.avi").read_bytes() != (out / "b_v.avi").read_bytes()
+    records = [entry["file"] for entry in manifest["records"]]
+    assert len(set(records)) == 5 and all((out / name).is_file() for name in records)
 
 
 def test_natural_order() -> None:
