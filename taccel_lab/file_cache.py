@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results that are slow to make, kept in files of the user's cache folder.
 
-A file is named by the content key of its recipe, which holds all that the result depends on. A
-damaged file is reported with a warning, and the result is made again.
+A file is named by the content key of its recipe, which holds all that the result depends on, and
+begins with a digest of its contents: any damage is reported with a warning, and the result is made
+again.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import warnings
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, BinaryIO, Generic, TypeVar
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from taccel_lab.output import atomic_file, to_jsonable
 
 CACHE_VARIABLE = "TACCEL_LAB_CACHE"
 """Environment variable that names the cache folder."""
+_HEAD = b"taccel-lab cache\n"
 
 Result = TypeVar("Result")
 
@@ -36,16 +38,15 @@ class CachedFile(Generic[Result]):
     """Names such results, in the plural; also the name of their folder."""
     recipe: Mapping[str, Any]
     """All that the result depends on: plain values and arrays."""
-    load: Callable[[Path], Result]
-    """Reads a file; raises ValueError, KeyError or TypeError when it holds something else."""
-    save: Callable[[Path, Result], None]
-    """Writes a file."""
-    suffix: str = ".npz"
+    load: Callable[[BinaryIO], Result]
+    """Reads a result; raises ValueError, KeyError or TypeError when it is something else."""
+    save: Callable[[BinaryIO, Result], None]
+    """Writes a result."""
 
     @property
     def path(self) -> Path:
         """Where it is, or would be."""
-        return cache_folder() / self.what / f"{content_key(self.recipe)}{self.suffix}"
+        return cache_folder() / self.what / f"{content_key(self.recipe)}.cache"
 
     def exists(self) -> bool:
         """Whether there is a file; a damaged one counts."""
@@ -53,14 +54,14 @@ class CachedFile(Generic[Result]):
 
     def read(self) -> Result | None:
         """What is kept; None without a file, or with a warning when it is damaged."""
-        path = self.path
-        if not path.exists():
-            return None
         try:
-            return self.load(path)
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            data = self.path.read_bytes()
+            return self.load(io.BytesIO(_checked(data)))
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, ValueError, KeyError, TypeError) as error:
             warnings.warn(
-                f"kept {self.what} {path} are damaged ({error}): made again", stacklevel=3
+                f"kept {self.what} {self.path} are damaged ({error}): made again", stacklevel=3
             )
             return None
 
@@ -71,9 +72,12 @@ class CachedFile(Generic[Result]):
             InputError: The cache folder cannot be written.
         """
         path = self.path
+        content = io.BytesIO()
+        self.save(content, result)
+        data = content.getvalue()
         try:
             with atomic_file(path) as staging:
-                self.save(staging, result)
+                staging.write_bytes(_HEAD + hashlib.sha256(data).digest() + data)
         except OSError as error:
             raise InputError(
                 f"cannot write the cache of {self.what} {path.parent} ({error.strerror}); set "
@@ -89,20 +93,29 @@ class CachedFile(Generic[Result]):
         return found
 
 
+def _checked(data: bytes) -> bytes:
+    """What follows the head and the digest; ValueError unless the digest is its own."""
+    start = len(_HEAD) + hashlib.sha256().digest_size
+    digest, content = data[len(_HEAD) : start], data[start:]
+    if not data.startswith(_HEAD) or digest != hashlib.sha256(content).digest():
+        raise ValueError("its digest is another")
+    return content
+
+
 def cached_arrays(what: str, recipe: Mapping[str, Any]) -> CachedFile[dict[str, np.ndarray]]:
     """The file of a result that is arrays by their names."""
     return CachedFile(what, recipe, load_arrays, save_arrays)
 
 
-def load_arrays(path: Path) -> dict[str, np.ndarray]:
+def load_arrays(file: BinaryIO) -> dict[str, np.ndarray]:
     """Arrays of a file by their names."""
-    with np.load(path, allow_pickle=False) as stored:
+    with np.load(file, allow_pickle=False) as stored:
         return {name: stored[name] for name in stored.files}
 
 
-def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+def save_arrays(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays by their names."""
-    np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType]
+    np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
 def cache_folder() -> Path:

@@ -157,8 +157,8 @@ def cached_mesh(recipe: Mapping[str, Any]) -> CachedFile[TetMesh]:
     return CachedFile(
         "meshes",
         recipe,
-        lambda path: TetMesh(**load_arrays(path)),
-        lambda path, mesh: save_arrays(path, {name: getattr(mesh, name) for name in _ARRAYS}),
+        lambda file: TetMesh(**load_arrays(file)),
+        lambda file, mesh: save_arrays(file, {name: getattr(mesh, name) for name in _ARRAYS}),
     )
 
 

@@ -13,6 +13,7 @@ import json
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
+from typing import BinaryIO
 
 import taccel_lab.calibration.contacts
 import taccel_lab.calibration.light
@@ -58,9 +59,8 @@ def kept_contacts(captures: CaptureSet) -> CachedFile[FoundContacts]:
                 for press in captures.presses
             ],
         },
-        lambda path: _load(path, count),
+        lambda file: _load(file, count),
         _save,
-        ".json",
     )
 
 
@@ -73,16 +73,16 @@ def _code_sha256() -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
-def _save(path: Path, found: FoundContacts) -> None:
+def _save(file: BinaryIO, found: FoundContacts) -> None:
     values = {
         "contacts": [None if contact is None else asdict(contact) for contact in found.contacts],
         "refusals": {str(i): asdict(refusal) for i, refusal in found.refusals.items()},
     }
-    path.write_text(json.dumps(to_jsonable(values), allow_nan=False), encoding="utf-8")
+    file.write(json.dumps(to_jsonable(values), allow_nan=False).encode())
 
 
-def _load(path: Path, count: int) -> FoundContacts:
-    values = json.loads(path.read_text(encoding="utf-8"))
+def _load(file: BinaryIO, count: int) -> FoundContacts:
+    values = json.load(file)
     contacts = [
         None
         if value is None

@@ -7,7 +7,7 @@ simulation and what is kept of it agree to the last bit.
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import BinaryIO
 
 from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
 from taccel_lab.file_cache import CachedFile, load_arrays, save_arrays
@@ -21,14 +21,14 @@ def kept_outcome(batch: PressBatch) -> CachedFile[BatchOutcome]:
     """The file of the outcome of a batch."""
     count = len(batch.at_mm)
 
-    def load(path: Path) -> BatchOutcome:
-        found = BatchOutcome(**load_arrays(path))
+    def load(file: BinaryIO) -> BatchOutcome:
+        found = BatchOutcome(**load_arrays(file))
         if not all(len(values) == count for values in vars(found).values()):
             raise ValueError("it is of another number of presses")
         return found
 
-    def save(path: Path, outcome: BatchOutcome) -> None:
-        save_arrays(path, vars(outcome))
+    def save(file: BinaryIO, outcome: BatchOutcome) -> None:
+        save_arrays(file, vars(outcome))
 
     recipe = {"recipe": RECIPE, "version": __version__, **batch.recipe()}
     return CachedFile("presses", recipe, load, save)

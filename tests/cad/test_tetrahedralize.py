@@ -176,7 +176,7 @@ def test_damaged_cache_is_reported_and_rebuilt() -> None:
         return gel_mesh(pad, 2.0)
 
     cached_mesh({"a": 1.0}).read_or_make(build)
-    (stored,) = (cache_folder() / "meshes").glob("*.npz")
+    (stored,) = (cache_folder() / "meshes").glob("*.cache")
     stored.write_bytes(stored.read_bytes()[:1000])
     with pytest.warns(UserWarning, match="damaged"):
         mesh = cached_mesh({"a": 1.0}).read_or_make(build)
