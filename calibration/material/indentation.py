@@ -3,12 +3,17 @@
 
 Each press has a touch point of its own, a nuisance parameter: force sensors and eyes find first
 touch to a few hundredths of a millimetre, which at shallow depth is several per cent of the force.
+
+Simulated forces have an error of their mesh, a factor of each tool's. What all tools share of it
+moves Young's modulus alone; what they do not share looks like another Poisson's ratio too.
+Intervals are widened by what factors of the estimated size, independent of each other or common to
+all, do to the fit.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,8 +123,8 @@ class IndentationFit:
     misfit: float
     """Q of the likelihood, to compare fits of the same points."""
     likelihood: Likelihood
-    model_error: float
-    """Relative error of Young's modulus from mesh and tables, one standard deviation."""
+    model_errors: Mapping[str, float]
+    """Standard deviation of each parameter from the errors of meshes and tables."""
 
     @property
     def young_modulus_pa(self) -> float:
@@ -128,16 +133,29 @@ class IndentationFit:
     @property
     def relative_sigma(self) -> float:
         """Standard deviation of Young's modulus as a part of it: noise and model."""
-        return math.hypot(self.solution.sigma_of("ln_e"), self.model_error)
+        return self.sigma_of("ln_e")
+
+    def sigma_of(self, name: str) -> float:
+        """Standard deviation of a parameter: noise and model."""
+        return math.hypot(self.solution.sigma_of(name), self.model_errors[name])
+
+    def interval_of(self, name: str) -> tuple[float, float]:
+        """95 % interval of a parameter: the profile's, widened by the error of the model."""
+        value = self.solution.value(name)
+        profile = self.solution.profiles.get(name)
+        half = NORMAL_95 * self.solution.sigma_of(name)
+        low, high = (value - half, value + half) if profile is None else profile.interval
+        return widened((low, high), value, NORMAL_95 * self.model_errors[name])
+
+    def bounds_of(self, name: str) -> tuple[float, float]:
+        """Between which a parameter was searched."""
+        (found,) = (p for p in self.likelihood.parameters if p.name == name)
+        return found.low, found.high
 
     @property
     def young_interval_pa(self) -> tuple[float, float]:
-        """95 % interval [Pa]: the profile's, widened by the error of the tables."""
-        value = self.solution.value("ln_e")
-        profile = self.solution.profiles.get("ln_e")
-        half = NORMAL_95 * self.solution.sigma_of("ln_e")
-        low, high = (value - half, value + half) if profile is None else profile.interval
-        low, high = widened((low, high), value, NORMAL_95 * self.model_error)
+        """95 % interval [Pa], see ``interval_of``."""
+        low, high = self.interval_of("ln_e")
         return math.exp(low), math.exp(high)
 
     def touch_mm(self, index: int) -> float:
@@ -149,12 +167,7 @@ class IndentationFit:
     def touch_interval_mm(self, index: int) -> tuple[float, float]:
         """95 % interval of ``touch_mm``."""
         name = f"touch_{index}"
-        if name not in self.solution.names:
-            return 0.0, 0.0
-        if name in self.solution.profiles:
-            return self.solution.profiles[name].interval
-        half = NORMAL_95 * self.solution.sigma_of(name)
-        return self.touch_mm(index) - half, self.touch_mm(index) + half
+        return self.interval_of(name) if name in self.solution.names else (0.0, 0.0)
 
     def predicted_n(self, index: int, depth_mm: np.ndarray) -> np.ndarray:
         """Forces of the fit [N] at recorded depths of one press."""
@@ -283,8 +296,33 @@ def fit_indentation(
         best[0],
         lowest,
         best[1],
-        max(table.error.scale for table in tables),
+        _model_errors(best[1], solution, points, tables),
     )
+
+
+def _model_errors(
+    likelihood: Likelihood,
+    solution: Solution,
+    points: Sequence[IndentationPoints],
+    tables: Sequence[ForceTable],
+) -> dict[str, float]:
+    """Standard deviation of each parameter when the forces of each tool are off by a factor."""
+    e = solution.names.index("ln_e")
+    # Young's modulus is such a factor for all of them.
+    by_factor = likelihood.residuals(solution.values)[1][:, e]
+    tools = np.repeat([p.tool.description for p in points], [len(p.depth_mm) for p in points])
+    variance = np.zeros(len(solution.names))
+    for tool in np.unique(tools):
+        sigma = max(
+            table.error.scale
+            for item, table in zip(points, tables, strict=True)
+            if item.tool.description == tool
+        )
+        by = np.where(tools == tool, sigma * by_factor, 0.0)
+        variance += likelihood.response(solution.values, by) ** 2
+    errors = np.sqrt(variance)
+    errors[e] = max(errors[e], max(table.error.scale for table in tables))
+    return dict(zip(solution.names, errors.tolist(), strict=True))
 
 
 def touch_sigma(item: IndentationPoints, given_mm: float | None) -> float:

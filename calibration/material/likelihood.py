@@ -238,6 +238,16 @@ class Likelihood:
                 curvature[i, i] += 2 / p.prior_sigma**2
         return total, gradient, curvature, tuple(noise)
 
+    def response(self, theta: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """How the minimum at ``theta`` moves, shape [parameter], when the residuals change by
+        ``by``, shape [point]: to first order, with the noise as it is."""
+        _, jacobian = self.residuals(theta)
+        _, _, curvature, noise = self._expand(theta)
+        pull = np.zeros(len(theta))
+        for scatter, part in zip(noise, self._parts, strict=True):
+            pull += jacobian[part].T @ by[part] / scatter**2
+        return -np.linalg.pinv(0.5 * curvature, hermitian=True) @ pull
+
     def solve(self, profiled: Sequence[str] | None = None, drawn: bool = False) -> Solution:
         """Minimum, covariance and profiles (of all parameters when ``profiled`` is None).
 

@@ -123,8 +123,9 @@ def material_page(result: MaterialCalibration) -> Page:
                         item.depth_mm, item.force_n, fit.predicted_n(i, item.depth_mm)
                     )
                 ],
-                f"Noise: {fit.noise}; mesh and tables add {100 * fit.model_error:.2g} % to "
-                f"Young's modulus (one standard deviation). First touch of "
+                f"Noise: {fit.noise}; mesh and tables add "
+                f"{100 * fit.model_errors['ln_e']:.2g} % to Young's modulus (one standard "
+                "deviation). First touch of "
                 + ", ".join(
                     f"{item.name}: {fit.touch_mm(i):+.3f} mm "
                     f"({fit.touch_interval_mm(i)[0]:+.3f} to {fit.touch_interval_mm(i)[1]:+.3f})"

@@ -30,7 +30,7 @@ from taccel_lab.calibration.material.indentation_remarks import (
     residual_remarks,
     young_uncertain,
 )
-from taccel_lab.calibration.material.likelihood import Profile, Solution
+from taccel_lab.calibration.material.likelihood import Profile
 from taccel_lab.calibration.material.predicted_forces import HeldOut, force_interval_n, held_out
 from taccel_lab.calibration.material.remarks import (
     MOONEY_RATIO_UNDETERMINED,
@@ -126,7 +126,7 @@ class Stiffness:
                 "kind": fit.noise,
                 "scale": fit.solution.noise,
                 "chi2_per_dof": fit.solution.chi2_per_dof,
-                "model_relative": fit.model_error,
+                "model_relative": fit.model_errors["ln_e"],
             },
             "simulated": {
                 "presses": sum(table.press_count for table in fit.tables),
@@ -307,22 +307,23 @@ def fit_stiffness(
                 set(left),
             )
         )
-    solution = found.solution
     return Stiffness(
         fit=found,
         profiled=free,
         open_fits=tuple(left.values()),
         friction=likeliest,
         young=young,
-        nu=_estimate(found.poisson_ratio, "nu", solution) if nu_determined else None,
-        ratio=_estimate(found.mooney_ratio, "mooney_ratio", solution) if ratio_determined else None,
+        nu=_estimate(found, "nu") if nu_determined else None,
+        ratio=_estimate(found, "mooney_ratio") if ratio_determined else None,
         held_out=predicted,
         remarks=tuple(remarks),
     )
 
 
-def _estimate(value: float, name: str, solution: Solution) -> Estimate:
-    return Estimate(value, solution.sigma_of(name), "", solution.profiles[name].interval)
+def _estimate(fit: IndentationFit, name: str) -> Estimate:
+    (low, high), bounds = fit.interval_of(name), fit.bounds_of(name)
+    interval = max(low, bounds[0]), min(high, bounds[1])
+    return Estimate(fit.solution.value(name), fit.sigma_of(name), "", interval)
 
 
 def _young(found: IndentationFit, left: Sequence[IndentationFit]) -> Estimate:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -10,7 +12,12 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material.force_table import ForceTable, force_table, press_plan
+from taccel_lab.calibration.material.force_table import (
+    ForceTable,
+    TableError,
+    force_table,
+    press_plan,
+)
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.indentation import fit_indentation
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
@@ -212,6 +219,30 @@ def test_the_modulus_of_a_finer_simulation_within_its_interval(
     assert np.percentile(np.abs(errors), 95) < 0.04
 
 
+def test_errors_of_two_tables_that_differ_widen_poisson_ratio(gel: Gel) -> None:
+    """Forces of one of two balls are 2 % off, which no residual shows."""
+    tools = [gel.tool(ToolEntry(kind="sphere", radius_mm=radius)) for radius in (2.0, 15.0)]
+    tables = [layer_table("sphere", radius) for radius in (2.0, 15.0)]
+    rough = [replace(t, error=TableError(0.0, np.full(7, 0.02))) for t in tables]
+    force = [t.force_n(DEPTH, MODULUS, POISSON) for t in tables]
+    sets = [points(t, DEPTH, f * s) for t, f, s in zip(tools, force, (1.02, 1.0), strict=True)]
+    start = {"start_pa": 4e5, "poisson_ratio": 0.45, "touch_sigma_mm": 0.0}
+    fit = fit_indentation(sets, rough, **start)
+    low, high = fit.interval_of("nu")
+    plain_low, plain_high = fit.solution.profiles["nu"].interval
+    assert low <= POISSON <= high
+    assert not plain_low <= POISSON <= plain_high
+    # What the factor does to the fit, against a fit to forces with it.
+    other = fit_indentation(
+        [points(t, DEPTH, f) for t, f in zip(tools, force, strict=True)], rough, **start
+    )
+    moved = abs(fit.poisson_ratio - other.poisson_ratio)
+    assert fit.model_errors["nu"] == pytest.approx(math.sqrt(2) * moved, rel=0.25)
+    # One tool cannot tell them from the modulus.
+    alone = fit_indentation(sets[:1], rough[:1], free_nu=False, **start)
+    assert alone.model_errors["ln_e"] == pytest.approx(0.02, rel=1e-6)
+
+
 @pytest.mark.slow
 def test_two_balls_tell_poisson_ratio(
     gel: Gel, tool: Tool, simulated: ForceTable, press_cache: Path
@@ -230,7 +261,7 @@ def test_two_balls_tell_poisson_ratio(
             points(small, depth, force * (1 + 0.005 * rng.standard_normal(8))),
         ]
         fit = fit_indentation(sets, [simulated, second], start_pa=4e5, poisson_ratio=0.45)
-        low, high = fit.solution.profiles["nu"].interval
+        low, high = fit.interval_of("nu")
         hits[0] += low <= POISSON <= high
         low, high = fit.young_interval_pa
         hits[1] += low <= MODULUS <= high
