@@ -44,6 +44,17 @@ def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder)
     return profile
 
 
+def require_image_of(profile: SensorProfile, folder: CaptureFolder) -> None:
+    """InputError where raw captures meet a profile whose pixel grid is that of rectified images."""
+    if profile.camera.rectified and not folder.rectified:
+        raise InputError(
+            f"{folder.source}: these images are raw, the profile's pixel grid is that of rectified "
+            "ones; make those with `taccel-lab capture rectify` and the maps of the profile's "
+            "calibration, or, if they are rectified already, write rectified = true into "
+            "captures.toml"
+        )
+
+
 def presses_on_camera(
     folder: CaptureFolder, base: SensorProfile
 ) -> tuple[CaptureSet, SensorProfile]:
@@ -52,6 +63,7 @@ def presses_on_camera(
     The grid is the profile's where its camera was measured on this unit and shows images of this
     size; else the one that the captures state.
     """
+    require_image_of(base, folder)
     if base.camera.provenance.kind in MEASURED:
         grid = base.camera.grid()
         captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))

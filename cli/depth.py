@@ -62,12 +62,28 @@ class Depth:
 
         def image_of(path: Path) -> np.ndarray:
             image = read_image(path)
-            return image if maps is None else maps.apply(image)
+            if maps is None:
+                return image
+            maps.require_raw_size((image.shape[1], image.shape[0]), str(path))
+            return maps.apply(image)
 
+        mask = None if self.mask is None else read_mask(self.mask, profile)
+        if maps is not None:
+            height, width = read_image(self.images[0]).shape[:2]
+            # What the raw image does not show is black in the rectified one, not a dent.
+            shown = maps.inside((height, width))
+            camera = profile.camera.width_px, profile.camera.height_px
+            if shown.shape != camera[::-1]:
+                raise InputError(
+                    f"{self.maps} makes images of {shown.shape[1]}x{shown.shape[0]} px, the "
+                    f"profile's camera has {camera[0]}x{camera[1]} px; give the maps of the "
+                    "profile's calibration"
+                )
+            mask = shown if mask is None else mask & shown
         reader = SurfaceReader(
             profile,
             background=None if self.background is None else image_of(self.background),
-            mask=None if self.mask is None else read_mask(self.mask, profile),
+            mask=mask,
             method=self.method,
             drift=self.drift,
         )

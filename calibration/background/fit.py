@@ -11,6 +11,7 @@ import numpy as np
 from taccel_lab.calibration.background import remarks
 from taccel_lab.calibration.background.dust import dust_mask, speck_count
 from taccel_lab.calibration.background.result import BackgroundCalibration, FrameLight
+from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check.background import check_background
 from taccel_lab.calibration.light.average import RunningMean
@@ -42,9 +43,10 @@ def calibrate_background(
     The background image, the other untouched images and the untouched parts of the presses are
     brought to one light and averaged; without any untouched image the background is the median of
     the presses. Each frame is then compared with the mean of the others. ``base`` is what the
-    result extends; nothing of it is used. Raises InputError when there is nothing to make a
-    background of.
+    result extends; of it only the kind of image counts. Raises InputError when there is nothing to
+    make a background of, and for raw images of a rectified profile.
     """
+    require_image_of(base, folder)
     sources = _sources(folder)
     mask = folder.mask
     if mask is not None and mask.all():

@@ -34,6 +34,9 @@ class BoardView:
     is held out goes by it."""
     pitch_mm: float | None = None
     """Distance of neighbouring points, where it is known."""
+    other_uv_px: np.ndarray | None = None
+    """Where another picture of the same dents shows the points, shape [n, 2]; what both differ by
+    is the detector's own error. None where there is one picture."""
     first_square_dark: bool | None = None
     """Chessboards: colour of the square before column 0 and row 0, when it tells a mirrored board
     from a turned one."""
@@ -45,7 +48,8 @@ class BoardView:
 
     def take(self, chosen: np.ndarray) -> BoardView:
         """The view with some of its points: a mask or indices."""
-        return replace(self, index=self.index[chosen], uv_px=self.uv_px[chosen])
+        other = None if self.other_uv_px is None else self.other_uv_px[chosen]
+        return replace(self, index=self.index[chosen], uv_px=self.uv_px[chosen], other_uv_px=other)
 
 
 def hashes_by_name(images: Sequence[BoardView | Frame]) -> dict[str, str]:

@@ -7,7 +7,10 @@ known number of columns and rows.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.spatial import KDTree
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.dots.board_lattice import board_lattice
@@ -19,6 +22,8 @@ MIN_SHARE = 0.4
 MIN_POINTS = 9
 MIN_CHANGE_LEVELS = 1.0
 """Least 99th percentile of the change that counts as a press [levels of 255]."""
+_SAME_PITCHES = 0.3
+"""Two pictures of a dot are this near each other at most."""
 _GREY = 128.0
 _IRREGULAR = 0.09
 """Largest error of a lattice's points in pitches; among random ones it is 0.12 and more."""
@@ -43,19 +48,10 @@ def detect_dots(
     """
     expected = columns * rows
     least = max(MIN_POINTS, int(np.ceil(MIN_SHARE * expected)))
-    index, uv, strangers = np.zeros((0, 2), dtype=int), np.zeros((0, 2)), 0
-    for picture in _pictures(image, reference, name):
-        try:
-            found = find_markers(picture).dots.uv_px
-        except InputError:
-            continue
-        lattice = board_lattice(found, columns, rows)
-        if lattice is None or lattice.irregularity > _IRREGULAR:
-            continue
-        if lattice.count - lattice.strangers > len(index) - strangers:
-            index, uv, strangers = lattice.index, found[lattice.points], lattice.strangers
-        if len(index) == expected and not strangers:
-            break
+    none = _Found(np.zeros((0, 2), dtype=int), np.zeros((0, 2)), 0)
+    found = [_find(picture, columns, rows) or none for picture in _pictures(image, reference, name)]
+    best = max(found, key=lambda f: len(f.index) - f.strangers)
+    index, uv, strangers = best.index, best.uv_px, best.strangers
     count = len(index)
     if count < least:
         raise InputError(
@@ -73,7 +69,40 @@ def detect_dots(
         raise InputError(
             f"{name}: the {count} dots found span {span[0]} x {span[1]} sites; at least 3 x 3"
         )
-    return BoardView(name, name, (image.shape[1], image.shape[0]), index, uv, expected)
+    size = image.shape[1], image.shape[0]
+    others = [f.same_dots(best) for f in found if f is not best]
+    other = next((uv for uv in others if uv is not None), None)
+    return BoardView(name, name, size, index, uv, expected, other_uv_px=other)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Dots of a picture on the board's lattice."""
+
+    index: np.ndarray
+    """Column and row of each, shape [n, 2]."""
+    uv_px: np.ndarray
+    strangers: int
+    """Dots of the lattice that lie beyond the board."""
+
+    def same_dots(self, other: _Found) -> np.ndarray | None:
+        """Where this picture shows the dots of another one; None where it does not show all."""
+        if not len(self.uv_px) or len(other.uv_px) < 2:
+            return None
+        pitch = float(np.median(KDTree(other.uv_px).query(other.uv_px, k=2)[0][:, 1]))
+        distance, nearest = KDTree(self.uv_px).query(other.uv_px)
+        return self.uv_px[nearest] if distance.max() < _SAME_PITCHES * pitch else None
+
+
+def _find(picture: np.ndarray, columns: int, rows: int) -> _Found | None:
+    try:
+        uv = find_markers(picture).dots.uv_px
+    except InputError:
+        return None
+    lattice = board_lattice(uv, columns, rows)
+    if lattice is None or lattice.irregularity > _IRREGULAR:
+        return None
+    return _Found(lattice.index, uv[lattice.points], lattice.strangers)
 
 
 def detect_pins(

@@ -33,6 +33,8 @@ class RectificationMaps:
     """Pixels under the board or within a pitch of it, bool; the map is extrapolated elsewhere."""
     grid: PixelGrid | None
     """Pixels of the rectified image on the gel; None where the scale is not known."""
+    raw_size_px: tuple[int, int] | None = None
+    """Width and height of the raw images; None of maps that do not say."""
 
     @classmethod
     def load(cls, path: Path | str) -> RectificationMaps:
@@ -49,6 +51,7 @@ class RectificationMaps:
                 u, v = (np.asarray(stored[key], dtype=np.float32) for key in wanted[:2])
                 known = stored["measured"] if "measured" in stored.files else np.ones(u.shape)
                 scale, center = (np.asarray(stored[key], dtype=float) for key in wanted[2:])
+                size = stored["raw_size_px"] if "raw_size_px" in stored.files else None
         except (OSError, EOFError, zipfile.BadZipFile, ValueError) as error:
             if isinstance(error, InputError):
                 raise
@@ -58,6 +61,8 @@ class RectificationMaps:
                 f"{path}: maps {u.shape} and {v.shape}, scale {scale.shape} and middle "
                 f"{center.shape}; two maps of one size and two numbers each are needed"
             )
+        if size is not None and (size.shape != (2,) or size.dtype.kind not in "iu"):
+            raise InputError(f"{path}: raw_size_px has to be width and height in whole pixels")
         grid = PixelGrid(
             u.shape[1],
             u.shape[0],
@@ -66,7 +71,8 @@ class RectificationMaps:
             float(center[0]),
             float(center[1]),
         )
-        return cls(u, v, np.asarray(known, dtype=bool), grid)
+        raw = None if size is None else (int(size[0]), int(size[1]))
+        return cls(u, v, np.asarray(known, dtype=bool), grid, raw)
 
     def require_grid(self) -> PixelGrid:
         """The rectified image's pixel grid; InputError where the scale is not known."""
@@ -75,6 +81,21 @@ class RectificationMaps:
                 "these maps only remove the lens's distortion; a scale needs a board on the gel"
             )
         return self.grid
+
+    def require_raw_size(self, size_px: tuple[int, int], source: str) -> None:
+        """InputError unless images of ``source``, of (width, height), are what these rectify.
+
+        Maps may reach past the image: what lies there is masked.
+        """
+        if self.raw_size_px is not None and self.raw_size_px != size_px:
+            raise InputError(
+                f"{source}: the maps were made for images of {self.raw_size_px[0]}x"
+                f"{self.raw_size_px[1]} px, these are {size_px[0]}x{size_px[1]} px"
+            )
+        if not self.inside((size_px[1], size_px[0])).any():
+            raise InputError(
+                f"{source}: no pixel of the maps lies within images of {size_px[0]}x{size_px[1]} px"
+            )
 
     def apply(self, image: np.ndarray) -> np.ndarray:
         """The rectified image; black where the raw one shows nothing."""
@@ -87,13 +108,13 @@ class RectificationMaps:
         return (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
 
     def save(self, path: Path | str) -> None:
-        """Write an npz: map_u_px, map_v_px, measured, and the grid's scale and middle."""
+        """Write an npz: map_u_px, map_v_px, measured, raw_size_px, mm_per_px and center_px."""
         about: dict[str, Any] = {}
+        if self.raw_size_px is not None:
+            about["raw_size_px"] = np.array(self.raw_size_px)
         if self.grid is not None:
-            about = {
-                "mm_per_px": np.array([self.grid.mm_per_px_x, self.grid.mm_per_px_y]),
-                "center_px": np.array([self.grid.center_u_px, self.grid.center_v_px]),
-            }
+            about["mm_per_px"] = np.array([self.grid.mm_per_px_x, self.grid.mm_per_px_y])
+            about["center_px"] = np.array([self.grid.center_u_px, self.grid.center_v_px])
         with atomic_file(path) as staging, staging.open("wb") as stream:
             np.savez_compressed(
                 stream,
@@ -126,6 +147,7 @@ def gel_maps(on_gel: OnGel) -> RectificationMaps:
         uv[:, 1].reshape(shape).astype(np.float32),
         np.reshape(measured, shape),
         grid,
+        on_gel.views[0].size_px,
     )
 
 
@@ -145,4 +167,5 @@ def lens_maps(intrinsics: Intrinsics) -> RectificationMaps:
         uv[:, 1].reshape(shape).astype(np.float32),
         np.reshape(inside, shape),
         None,
+        intrinsics.size_px,
     )

@@ -36,7 +36,8 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
         InputError: Maps without a scale, or of another image size than the captures.
     """
     grid = maps.require_grid()
-    _check_size(folder, maps)
+    height, width = folder.require_background().image().shape[:2]
+    maps.require_raw_size((width, height), folder.source)
     if not (folder.root / MANIFEST_NAME).is_file():
         raise InputError(
             f"{folder.source} has no {MANIFEST_NAME}; make a capture folder of it first "
@@ -47,6 +48,7 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
     with atomic_directory(out) as target:
         writer = _Writer(folder.root, target, maps)
         document["schema_version"] = SCHEMA_VERSION
+        document["rectified"] = True
         document["mm_per_px_x"], document["mm_per_px_y"] = grid.mm_per_px_x, grid.mm_per_px_y
         if folder.background is not None:
             document["background"] = writer.image("background", folder.background.image)
@@ -100,17 +102,6 @@ def _presses(
     if named:
         notes.append(f"presses that contacts.toml skips were left out: {', '.join(named)}")
     return kept
-
-
-def _check_size(folder: CaptureFolder, maps: RectificationMaps) -> None:
-    height, width = folder.require_background().image().shape[:2]
-    u, v = maps.map_u_px, maps.map_v_px
-    seen = (u >= 0) & (v >= 0)
-    if not seen.any() or u[seen].max() > width or v[seen].max() > height:
-        raise InputError(
-            f"{folder.source}: the maps were made for images of another size than "
-            f"{width}x{height} px"
-        )
 
 
 def _markers(entry: dict[str, Any], folder: CaptureFolder, writer: _Writer) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.camera.board_on_gel import OnGel
+from taccel_lab.calibration.camera.board_on_gel import DISTORTED, OnGel
 from taccel_lab.calibration.camera.find_boards import Detections
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.camera.pixel_grid import with_camera_block
@@ -69,6 +69,8 @@ def camera_block(result: CameraCalibration) -> CameraBlock:
     assert on_gel is not None
     frame = on_gel.frame
     x_mm, y_mm = on_gel.points_in_gel_mm.T
+    least, largest = on_gel.scale_range
+    grid = on_gel.grid.width_px, on_gel.grid.height_px
     return CameraBlock.from_grid(
         on_gel.grid,
         Provenance(
@@ -100,6 +102,7 @@ def camera_block(result: CameraCalibration) -> CameraBlock:
             verdict=judge(on_gel.remarks).value,
             remarks=tuple(remark.message for remark in on_gel.remarks),
         ),
+        rectified=grid != on_gel.views[0].size_px or largest - least > DISTORTED,
     )
 
 

@@ -141,6 +141,8 @@ class CaptureFolder:
     provenance: dict[str, str] = field(default_factory=dict)
     heldout: tuple[str, ...] | None = None
     """Names of the presses that the manifest holds out; None where it leaves that to the rule."""
+    rectified: bool = False
+    """Whether the images are rectified."""
 
     def split(self, holdout_every: int = HOLDOUT_EVERY) -> PressSplit:
         """Presses to fit and to hold out, by names and labels alone (``split_presses``)."""

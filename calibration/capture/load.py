@@ -141,6 +141,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         records=tuple(load_record(folder, entry) for entry in manifest.records),
         provenance=provenance,
         heldout=_heldout(manifest, manifest_path),
+        rectified=manifest.rectified,
     )
 
 

@@ -234,6 +234,8 @@ class CaptureManifest(StrictModel):
     """Where the captures come from, free text kept as provenance."""
     license: str | None = None
     """Licence of the captures, free text kept as provenance."""
+    rectified: bool = Field(default=False, strict=True)
+    """Whether the images are rectified: one scale holds everywhere."""
     raw_sha256: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the files that these were made of, by name (taccel-lab capture rectify)."""
     indenter: SphereIndenter | None = None

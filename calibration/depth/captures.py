@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.captures import CaptureSet, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
@@ -29,7 +30,10 @@ def grey_captures(
         rectification = RectificationMaps.load(maps)
         grid = rectification.require_grid()
         captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
+        raw = captures.grid.width_px, captures.grid.height_px
+        rectification.require_raw_size(raw, folder.source)
         return _rectified(captures, rectification), remarks
+    require_image_of(base, folder)
     scale = folder.mm_per_px
     if scale is None:
         scale = (base.camera.mm_per_px_x, base.camera.mm_per_px_y)

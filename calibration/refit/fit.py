@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.light.average import RunningMean
@@ -69,6 +70,7 @@ def calibrate_refit(
         raise InputError(
             f"the captures are of a {folder.sensor}, the profile is of a {base.sensor.family}"
         )
+    require_image_of(base, folder)
     _require_background(base)
     surfaces = _simulated(base, progress) if options.surface == "simulated" else "hertz"
     new = refit_frames(base, folder, surfaces)

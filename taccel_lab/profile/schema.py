@@ -252,9 +252,13 @@ class CameraBlock(Block):
     """Column of the gel frame's origin [px]."""
     center_v_px: float
     """Row of the gel frame's origin [px]."""
+    rectified: bool = False
+    """Whether this is the grid of rectified images: the camera's own have another."""
 
     @classmethod
-    def from_grid(cls, grid: PixelGrid, provenance: Provenance) -> CameraBlock:
+    def from_grid(
+        cls, grid: PixelGrid, provenance: Provenance, rectified: bool = False
+    ) -> CameraBlock:
         """Make the block of a pixel grid."""
         return cls(
             width_px=grid.width_px,
@@ -263,6 +267,7 @@ class CameraBlock(Block):
             mm_per_px_y=grid.mm_per_px_y,
             center_u_px=grid.center_u_px,
             center_v_px=grid.center_v_px,
+            rectified=rectified,
             provenance=provenance,
         )
 

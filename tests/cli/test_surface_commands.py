@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from taccel_lab.calibration.base_profile import lost_blocks, on_grid
+from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.check.block_findings import joined, refusing_with
 from taccel_lab.calibration.normals import fit
@@ -87,6 +88,28 @@ def test_grey_depth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = json.loads(capsys.readouterr().out)["images"]["ball"]
     assert found["method"] == "depth"
     assert found["max_depth_mm"] == pytest.approx(depth.max(), abs=0.08)
+
+    # The same through maps that shift it and reach past the raw picture, where nothing is read.
+    u, v = np.meshgrid(np.arange(GRID.width_px), np.arange(GRID.height_px))
+    u = (u + 30).astype(np.float32)
+    maps = RectificationMaps(
+        u, v.astype(np.float32), np.ones(u.shape, dtype=bool), GRID, (GRID.width_px, GRID.height_px)
+    )
+    maps.save(tmp_path / "maps.npz")
+    shifted = ["depth", profile, ball, "--out", out, "--json", "--maps", str(tmp_path / "maps.npz")]
+    assert main(shifted) == 0
+    moved = json.loads(capsys.readouterr().out)["images"]["ball"]
+    assert moved["max_depth_mm"] == pytest.approx(found["max_depth_mm"], abs=0.01)
+    assert moved["touched_mm2"] == pytest.approx(found["touched_mm2"], rel=0.05)
+    replace(maps, raw_size_px=(640, 480)).save(tmp_path / "maps.npz")
+    assert main(shifted) == 2
+    assert "the maps were made for images of 640x480 px" in capsys.readouterr().err
+    small = replace(maps.require_grid(), width_px=50)
+    replace(maps, map_u_px=u[:, :50], map_v_px=maps.map_v_px[:, :50], grid=small).save(
+        tmp_path / "maps.npz"
+    )
+    assert main(shifted) == 2
+    assert "give the maps of the profile's calibration" in capsys.readouterr().err
 
 
 def test_unusable_input_exits_with_2(presses: Path, capsys: pytest.CaptureFixture[str]) -> None:

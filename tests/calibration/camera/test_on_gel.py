@@ -19,7 +19,7 @@ from taccel_lab.calibration.camera.dot_board import detect_dots
 from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.plane_models import CameraPose
-from taccel_lab.calibration.camera.rectification import gel_maps
+from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps
 from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.errors import InputError
 from taccel_lab.optics.refraction import FlatMedia
@@ -172,6 +172,18 @@ def test_maps_are_saved_whole(tmp_path: Path) -> None:
     with np.load(tmp_path / "maps.npz") as stored:
         assert stored["map_u_px"].shape == (SIZE[1], SIZE[0])
         np.testing.assert_allclose(stored["mm_per_px"], 0.05, rtol=1e-6)
+    assert RectificationMaps.load(tmp_path / "maps.npz").raw_size_px == SIZE
+
+
+def test_two_pictures_of_the_dents_that_differ_widen_the_scale() -> None:
+    view = flat_view((0.05, 0.05), noise_px=0.05)
+    middle = np.array([322.0, 236.0])
+    shaded = replace(view, other_uv_px=middle + (view.uv_px - middle) * [1.01, 1.0])
+    plain, wide = fit_on_gel([view]).frame, fit_on_gel([shaded]).frame
+    assert wide.mm_per_px_x.value == plain.mm_per_px_x.value
+    assert plain.mm_per_px_x.sigma < 1e-3 * 0.05
+    assert wide.mm_per_px_x.sigma == pytest.approx(0.01 * 0.05, rel=0.1)
+    assert wide.mm_per_px_y.sigma < 1.1 * plain.mm_per_px_y.sigma
 
 
 def test_boards_that_give_no_scale_are_refused() -> None:

@@ -3,20 +3,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.background.fit import calibrate_background
+from taccel_lab.calibration.base_profile import presses_on_camera
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import rectify_captures
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.capture.images import file_sha256
 from taccel_lab.calibration.capture.schema import CaptureManifest
+from taccel_lab.calibration.depth.captures import grey_captures
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import CameraBlock
+from taccel_lab.sensors.profile import catalogue_profile
 
 RAW = (60, 80)
 LEFT, TOP = 12, 7
@@ -130,13 +136,53 @@ def test_the_command_takes_saved_maps(
 def test_maps_that_do_not_go_with_the_captures_are_refused(captures: Path, tmp_path: Path) -> None:
     raw = load_capture_folder(captures)
     maps = cropping_maps()
-    wide = RectificationMaps(maps.map_u_px * 4, maps.map_v_px, maps.measured, GRID)
-    with pytest.raises(InputError, match="of another size than 80x60 px"):
-        rectify_captures(raw, wide, tmp_path / "even")
+    other = replace(maps, raw_size_px=(640, 480))
+    with pytest.raises(InputError, match="for images of 640x480 px, these are 80x60 px"):
+        rectify_captures(raw, other, tmp_path / "even")
+    away = replace(maps, map_u_px=maps.map_u_px + 80)
+    with pytest.raises(InputError, match="no pixel of the maps lies within images of 80x60 px"):
+        rectify_captures(raw, away, tmp_path / "even")
     lens = RectificationMaps(maps.map_u_px, maps.map_v_px, maps.measured, None)
     with pytest.raises(InputError, match="a scale needs a board on the gel"):
         rectify_captures(raw, lens, tmp_path / "even")
     assert not (tmp_path / "even").exists()
+
+
+@pytest.mark.parametrize("shift", [(-20, 0), (45, 0), (0, -15), (0, 25), (-20, 25)])
+def test_maps_may_reach_past_the_picture(
+    captures: Path, tmp_path: Path, shift: tuple[int, int]
+) -> None:
+    """As on units whose gel is not in the middle of the camera's picture."""
+    maps = cropping_maps()
+    u, v = maps.map_u_px + np.float32(shift[0]), maps.map_v_px + np.float32(shift[1])
+    rectify_captures(
+        load_capture_folder(captures),
+        replace(maps, map_u_px=u, map_v_px=v, raw_size_px=(80, 60)),
+        tmp_path / "even",
+    )
+    even = load_capture_folder(tmp_path / "even")
+    assert even.mask is not None
+    outside = (u < 0) | (v < 0) | (u > 79) | (v > 59)
+    assert outside.any() and even.mask.any() and not even.mask[outside].any()
+
+
+def test_raw_images_do_not_go_with_a_profile_of_rectified_ones(
+    captures: Path, tmp_path: Path
+) -> None:
+    profile = catalogue_profile("gelsight")
+    grid = replace(profile.camera.grid(), width_px=50, height_px=40)
+    block = CameraBlock.from_grid(grid, profile.camera.provenance, rectified=True)
+    profile = profile.without("color", "background").with_block(block)
+    raw = load_capture_folder(captures)
+    rectify_captures(raw, cropping_maps(), tmp_path / "even")
+    even = load_capture_folder(tmp_path / "even")
+    with pytest.raises(InputError, match=r"images are raw.*taccel-lab capture rectify"):
+        presses_on_camera(raw, profile)
+    with pytest.raises(InputError, match="images are raw"):
+        calibrate_background(raw, profile)
+    with pytest.raises(InputError, match="images are raw"):
+        grey_captures(raw, profile, None)
+    assert calibrate_background(even, profile).image.shape == (40, 50, 3)
 
 
 @pytest.mark.parametrize("place", ["../evil.csv", "{absolute}"])
