@@ -3,17 +3,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from typing import Generic, Self, TypeVar
 
+from taccel_lab.child_process import ChildProcess
 from taccel_lab.progress import Progress, silent
 
 Item = TypeVar("Item")
@@ -22,7 +19,6 @@ Work = Callable[[Item, Progress], Result]
 """What is done with an item; a function of a module, or a ``partial`` of one, so that other
 processes find it. It has the main thread of its process."""
 THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""One thread each: the processes share the cores already."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +66,7 @@ class ProcessPool(Generic[Item, Result]):
 
     def __exit__(self, *_: object) -> None:
         for worker in (*self._idle, *self._busy):
-            worker.end()
+            worker.child.end()
         self._idle, self._busy = [], []
 
     def run(
@@ -93,7 +89,7 @@ class ProcessPool(Generic[Item, Result]):
                 if not isinstance(event, Underway):
                     self._busy.remove(worker)
                     if isinstance(event, Died):
-                        worker.end()
+                        worker.child.end()
                     else:
                         self._idle.append(worker)
                 yield event
@@ -108,29 +104,24 @@ class ProcessPool(Generic[Item, Result]):
             pass  # Died while it was idle or starting: its pipe says so at once.
 
     def _new_worker(self, item: Item) -> _Worker[Item, Result]:
-        context = multiprocessing.get_context("spawn")
-        mine, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, self._work), daemon=True)
-        with _single_threaded():
-            process.start()
-        theirs.close()
+        # One thread each, unless the user says else: the processes share the cores already.
+        threads = {name: os.environ.get(name, "1") for name in THREAD_LIMITS}
+        child = ChildProcess(_serve, self._work, environment=threads)
         taken = {worker.number for worker in self._busy}
         number = next(n for n in range(self._processes) if n not in taken)
-        return _Worker(number, process, mine, item, time.monotonic())
+        return _Worker(number, child, item, time.monotonic())
 
 
 @dataclass
 class _Worker(Generic[Item, Result]):
     number: int
-    process: BaseProcess
-    pipe: Connection
+    child: ChildProcess
     item: Item
     since: float
 
-    def end(self) -> None:
-        self.pipe.close()
-        self.process.kill()
-        self.process.join()
+    @property
+    def pipe(self) -> Connection:
+        return self.child.pipe
 
     def event(self, limit_s: float | None) -> Finished[Item, Result] | Died[Item] | Underway | None:
         """News, if there are any."""
@@ -142,11 +133,7 @@ class _Worker(Generic[Item, Result]):
                 return None
             kind, content = self.pipe.recv()
         except (EOFError, ConnectionResetError):
-            self.process.join()
-            code = self.process.exitcode or 0
-            how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
-            hint = "; signal 9 often means that memory ran out" if code == -9 else ""
-            return Died(self.item, f"the process {how}{hint}")
+            return Died(self.item, f"the process {self.child.cause_of_death()}")
         if kind == "result":
             return Finished(self.item, content)
         return Underway(self.number, *content)
@@ -154,13 +141,8 @@ class _Worker(Generic[Item, Result]):
 
 def _serve(pipe: Connection, work: Work) -> None:
     """Work off the items that come, for as long as the parent lives."""
-    import signal
-
     import warp as wp
 
-    # Ctrl-C is the parent's.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     # Warnings about the device were the parent's already.
     wp.config.log_level = wp.LOG_ERROR
 
@@ -172,28 +154,5 @@ def _serve(pipe: Connection, work: Work) -> None:
             os._exit(1)
 
     while True:
-        try:
-            item = pipe.recv()
-        except EOFError:
-            return
+        item = pipe.recv()
         pipe.send(("result", work(item, tell)))
-
-
-def _end_with_parent() -> None:
-    """A parent that is killed cannot end its children, so they see to it themselves."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Processes started within have one thread each; what the user set counts."""
-    added = [name for name in THREAD_LIMITS if name not in os.environ]
-    os.environ.update(dict.fromkeys(added, "1"))
-    try:
-        yield
-    finally:
-        for name in added:
-            del os.environ[name]

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readers that misbehave, for ``test_apart.py``: a process of its own finds them here."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+
+def double(value: np.ndarray) -> np.ndarray:
+    return 2 * value
+
+
+def process_number() -> int:
+    return os.getpid()
+
+
+def crash() -> None:
+    os.abort()
+
+
+def leave() -> None:
+    os._exit(7)
+
+
+def refuse() -> None:
+    raise InputError("a.ply has no faces")
+
+
+def mistake() -> None:
+    raise KeyError("vertex")
+
+
+def sleep() -> None:
+    time.sleep(60)
+
+
+def take_memory() -> int:
+    return len(bytearray(8 << 30))
+
+
+def count(n: int) -> Iterator[int]:
+    yield from range(n)
+
+
+def count_and_crash(n: int) -> Iterator[int]:
+    yield from range(n)
+    os.abort()
+
+
+def count_and_refuse(n: int) -> Iterator[int]:
+    yield from range(n)
+    raise InputError("v.avi is cut short")

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A reader that crashes, hangs or takes all memory costs one file, never the process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.errors import InputError
+from taccel_lab.reading.apart import read_apart, stream_apart
+from tests.reading import foreign_readers as readers
+
+
+def test_results_come_back_from_a_process_that_stays() -> None:
+    value = np.arange(12.0).reshape(3, 4)
+    np.testing.assert_array_equal(read_apart("a", readers.double, value), 2 * value)
+    first, second = (read_apart("a", readers.process_number) for _ in range(2))
+    assert first == second != os.getpid()
+
+
+@pytest.mark.parametrize(
+    ("read", "words"),
+    [(readers.crash, "crashed on it (the process was ended by signal 6)"),
+     (readers.leave, "crashed on it (the process ended with code 7)"),
+     (readers.refuse, "^a.ply has no faces$"),
+     (readers.take_memory, "needs more than 2 GiB of memory")],
+)  # fmt: skip
+def test_what_goes_wrong_is_a_sentence_and_the_next_file_is_read(
+    read: Callable[[], None], words: str
+) -> None:
+    with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
+        read_apart("x.ply", read)
+    assert read_apart("a", readers.double, 2) == 4
+
+
+def test_a_reader_that_hangs_is_ended() -> None:
+    start = time.monotonic()
+    with pytest.raises(InputError, match=r"^x\.ply: the reader did not finish within 0\.3 s"):
+        read_apart("x.ply", readers.sleep, limit_s=0.3)
+    assert time.monotonic() - start < 10
+    assert read_apart("a", readers.double, 2) == 4
+
+
+def test_a_mistake_of_ours_stays_one_and_tells_its_traceback() -> None:
+    with pytest.raises(KeyError) as caught:
+        read_apart("x.ply", readers.mistake)
+    assert "in mistake" in caught.value.__notes__[0]
+
+
+def test_streams() -> None:
+    assert list(stream_apart("v", readers.count, 5)) == [0, 1, 2, 3, 4]
+    assert list(stream_apart("v", readers.count, 0)) == []
+    for read, words in ((readers.count_and_crash, "crashed"), (readers.count_and_refuse, "short")):
+        seen = []
+        with pytest.raises(InputError, match=words):
+            for item in stream_apart("v", read, 3):
+                seen.append(item)
+        assert seen == [0, 1, 2]
+
+
+def test_streams_side_by_side_and_left_early() -> None:
+    one, two = stream_apart("v", readers.count, 10**6), stream_apart("w", readers.count, 3)
+    assert [next(one), next(two), next(one), next(two)] == [0, 0, 1, 1]
+    one.close()
+    assert list(two) == [2]
+    assert read_apart("a", readers.double, 2) == 4
+
+
+def test_a_plain_script_needs_no_guard_and_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import tests.reading.foreign_readers as r\n"
+        "from taccel_lab.reading.apart import read_apart\n"
+        "print(read_apart('a', r.process_number), flush=True)\n"
+        "read_apart('a', r.sleep)\n",
+        encoding="utf-8",
+    )
+    run = subprocess.Popen(
+        [sys.executable, str(script)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert run.stdout is not None
+    child = int(run.stdout.readline())
+    run.send_signal(signal.SIGINT)
+    assert run.wait(10) != 0
+    with pytest.raises(ProcessLookupError):
+        for _ in range(100):
+            os.kill(child, 0)
+            time.sleep(0.05)
