@@ -37,6 +37,10 @@ class MassProperties:
     """About the centre of mass, shape [3, 3]."""
 
 
+FRAME_MASS = MassProperties(1e-6, np.zeros(3), 1e-12 * np.eye(3))
+"""Of a link that is a frame only: a milligram. Bullet gives a link without inertia 1 kg."""
+
+
 def export_urdf(profile: SensorProfile, folder: Path) -> ExportRecord:
     """Write ``sensor.urdf`` and ``meshes/``."""
     meshes = folder / "meshes"
@@ -47,6 +51,8 @@ def export_urdf(profile: SensorProfile, folder: Path) -> ExportRecord:
     if profile.housing is not None:
         _add_inertial(base, _turned(housing_mass(profile.housing)))
         _add_shape(base, "housing.stl", profile.housing, meshes)
+    else:
+        _add_inertial(base, FRAME_MASS)
     gel = ElementTree.SubElement(robot, "link", name="gel")
     _add_inertial(gel, _turned(tet_mass(profile.mesh, profile.material.density_kg_m3)))
     points, faces = gel_surface(profile.mesh)
@@ -54,11 +60,12 @@ def export_urdf(profile: SensorProfile, folder: Path) -> ExportRecord:
     for kind in ("visual", "collision"):
         _add_mesh(ElementTree.SubElement(gel, kind), "gel.stl")
     _add_joint(robot, "gel", np.zeros(3), np.eye(3))
-    ElementTree.SubElement(robot, "link", name="gel_frame")
+    _add_inertial(ElementTree.SubElement(robot, "link", name="gel_frame"), FRAME_MASS)
     _add_joint(robot, "gel_frame", np.zeros(3), LINK_FROM_GEL)
     if profile.optics is not None:
         camera = profile.optics.camera()
-        ElementTree.SubElement(robot, "link", name="camera_optical_frame")
+        frame = ElementTree.SubElement(robot, "link", name="camera_optical_frame")
+        _add_inertial(frame, FRAME_MASS)
         _add_joint(
             robot,
             "camera_optical_frame",
@@ -79,6 +86,8 @@ def export_urdf(profile: SensorProfile, folder: Path) -> ExportRecord:
             "apex of the contact face; metres, kilograms",
             "gel_frame: x right and y down in the image, z out of the gel",
             "the gel is a rigid body: what bends belongs into a soft-body format",
+            "links that are frames only weigh a milligram: simulators give links without inertia "
+            "1 kg",
         ],
     )
     if profile.housing is not None:
