@@ -89,7 +89,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
         prog="taccel-lab",
         description=DESCRIPTION,
         args=words,
-        config=(tyro.conf.PositionalMetavarFromFieldName, tyro.conf.FlagCreatePairsOff),
+        config=(tyro.conf.PositionalMetavarFromFieldName,),
     )
 
 
