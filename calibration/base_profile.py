@@ -83,8 +83,9 @@ def on_grid(
         CameraBlock.from_grid(
             grid,
             Provenance(
-                kind="published",
-                method="image size and scale of the captures; the image centre lies over the apex",
+                kind="stated",
+                method="image size and scale that the captures state; the image centre lies over "
+                "the apex",
                 source=provenance.get("source", "captures.toml"),
             ),
         )

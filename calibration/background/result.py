@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.background.dust import speck_count
+from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.light.drift import DriftSpread
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile import BackgroundBlock, CameraBlock, Provenance, SensorProfile
+from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 
 
 @dataclass(frozen=True)
@@ -114,17 +115,8 @@ class BackgroundCalibration:
                     f"{camera.width_px}x{camera.height_px} px, and the captures state no scale; "
                     "give mm_per_px_x and mm_per_px_y, or a --base with a calibrated camera"
                 )
-            profile = profile.without("background", "color", "normals").with_block(
-                CameraBlock.from_grid(
-                    PixelGrid(width, height, *self.mm_per_px),
-                    Provenance(
-                        kind="published",
-                        method="image size and scale of the captures; the image centre lies over "
-                        "the apex",
-                        source=self.source,
-                    ),
-                )
-            )
+            grid = PixelGrid(width, height, *self.mm_per_px)
+            profile = on_grid(profile, grid, {"source": self.source})
         residuals = {
             "heldout_untouched_l1_levels": self._mean("corrected_l1"),
             "plain_untouched_l1_levels": self._mean("plain_l1"),

@@ -90,7 +90,7 @@ class ScaleCalibration:
         block = CameraBlock.from_grid(
             grid,
             Provenance(
-                kind="published" if STATED in methods else "calibrated",
+                kind="stated" if STATED in methods else "calibrated",
                 method=f"mm/px from {', '.join(methods)}, weighed by inverse variance; the gel "
                 "frame's origin as before, else in the middle of the image",
                 source=self.provenance.get("source", self.source),

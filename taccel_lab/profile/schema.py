@@ -77,9 +77,9 @@ class Provenance(Frozen):
     """Version of taccel-lab that made the block."""
     created: AwareDatetime = Field(default_factory=lambda: datetime.now(UTC).replace(microsecond=0))
     """When it was made, UTC."""
-    kind: Literal["assumed", "published", "designed", "measured", "calibrated"]
-    """Assumed for want of data; taken from a publication or data sheet; a design choice; measured
-    directly; or estimated from captures."""
+    kind: Literal["assumed", "stated", "published", "designed", "measured", "calibrated"]
+    """Assumed for want of data; stated in the captures, which nothing here checked; taken from a
+    publication or data sheet; a design choice; measured directly; or estimated from captures."""
     method: Text
     """How the values were obtained."""
     source: Text
