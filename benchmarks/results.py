@@ -94,7 +94,8 @@ class ResultFile:
 
     @contextmanager
     def finishing(self) -> Iterator[ResultFile]:
-        """Mark the file complete at the end; on Ctrl-C say what is kept."""
+        """Mark the file complete at the end, unless the budget ended it; on Ctrl-C say what is
+        kept."""
         try:
             yield self
         except KeyboardInterrupt:
@@ -102,7 +103,7 @@ class ResultFile:
                 self.write()
             note(f"interrupted; {len(self.rows)} finished rows are in {self.path}")
             raise
-        self._document["complete"] = True
+        self._document["complete"] = not self.deadline.stopped
         self.write()
         note(f"wrote {self.path}")
 
@@ -149,10 +150,14 @@ class Deadline:
 
     def __init__(self, budget_s: float | None) -> None:
         self._end = None if budget_s is None else time.perf_counter() + budget_s
+        self.stopped = False
+        """Whether something was not started for it."""
 
     @property
     def passed(self) -> bool:
-        return self._end is not None and time.perf_counter() > self._end
+        """Asked before each thing that is started."""
+        self.stopped |= self._end is not None and time.perf_counter() > self._end
+        return self.stopped
 
 
 class Ticker:

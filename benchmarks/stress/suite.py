@@ -115,7 +115,7 @@ class Stress(Suite):
                     if time.perf_counter() - saved > SAVE_EVERY_S:
                         _write(result, ids, finished)
                         saved = time.perf_counter()
-                    if result.deadline.passed:
+                    if len(finished) < len(ids) and result.deadline.passed:
                         break
         finally:
             _write(result, ids, finished)

@@ -61,7 +61,8 @@ def test_speed_rows(speed_result: Path) -> None:
 def test_a_budget_that_is_spent_starts_nothing(tmp_path: Path) -> None:
     arguments = ["speed", "--envs", "1", "--budget-s", "0", "--out", str(tmp_path)]
     assert main(arguments) == 0
-    assert read_result(tmp_path / "speed.json")["rows"] == []
+    document = read_result(tmp_path / "speed.json")
+    assert document["rows"] == [] and document["complete"] is False
     assert not Deadline(None).passed
 
 
