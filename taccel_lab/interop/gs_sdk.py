@@ -100,6 +100,7 @@ def export_gs_sdk(
             "negative in a dent",
             "gradients are over the gel at rest: gs_sdk subtracts what the network gives for the "
             "background",
+            "load it with github.com/joehjhuang/gs_sdk: the gs_sdk on PyPI is another project",
             f"framerate {DEFAULT_RATE_HZ} is assumed: no block of the profile says it",
         ],
     )
