@@ -61,7 +61,7 @@ class _Reader:
 
     def __init__(self) -> None:
         # Of 64 cores the stacks of the threads of two libraries take half of the memory.
-        threads = dict.fromkeys(THREAD_LIMITS, "1")
+        threads: dict[str, str] = dict.fromkeys(THREAD_LIMITS, "1")
         self.child = ChildProcess(
             _serve, memory_bytes=MEMORY_BYTES, environment=threads, quiet=True
         )
