@@ -122,7 +122,9 @@ def _indices(values: np.ndarray, name: str) -> np.ndarray:
 def tet_volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """Signed volumes of tets [unit of ``nodes`` cubed], from nodes [node, 3], shape [tet_count]."""
     corners = nodes[tets]
-    return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    # Coordinates of 1e200 are for others to judge: their volumes come out infinite or NaN.
+    with np.errstate(all="ignore"):
+        return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
 
 
 def boundary_faces(tets: np.ndarray) -> np.ndarray:

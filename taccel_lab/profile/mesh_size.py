@@ -9,6 +9,8 @@ from taccel_lab.geometry import Region, TetMesh
 TOLERANCE = 0.1
 """Of the thickness: chords of a coarse mesh miss a curved face by some per cent, a wrong unit by a
 factor of 25 or more."""
+MAX_EXTENT_MM = 1000.0
+"""Largest extent of a gel along an axis; the largest that the catalogue's bounds allow has 160."""
 _SLIPS = {
     1e3: "its coordinates look like millimetres, where metres belong",
     1e6: "its coordinates look like micrometres, where metres belong",
@@ -34,6 +36,11 @@ def check_mesh_size(mesh: TetMesh, thickness_mm: float) -> None:
     apex = z_mm[contact].max()
     least, most = float(apex - z_mm[glued].max()), float(apex - z_mm.min())
     if _agrees(least, most, thickness_mm):
+        extent = float(1e3 * (mesh.nodes_m.max(axis=0) - mesh.nodes_m.min(axis=0)).max())
+        if extent > MAX_EXTENT_MM:
+            raise InputError(
+                f"the mesh is {extent:g} mm large; up to {MAX_EXTENT_MM:g} mm are allowed"
+            )
         return
     found = f"{most:.4g} mm" if most - least < TOLERANCE * most else f"{least:.4g} to {most:.4g} mm"
     why = "".join(

@@ -36,7 +36,8 @@ def read_legacy_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
     except InputError as error:
         raise InputError(f"{path} {error}") from None
     p = nodes[tets]
-    inverted = np.linalg.det(p[:, 1:] - p[:, :1]) < 0
+    with np.errstate(all="ignore"):  # Coordinates of 1e200 are for others to judge.
+        inverted = np.linalg.det(p[:, 1:] - p[:, :1]) < 0
     tets[inverted] = tets[inverted][:, [0, 2, 1, 3]]
     return nodes, tets
 

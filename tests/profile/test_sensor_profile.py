@@ -140,6 +140,14 @@ def test_a_dome_may_reach_below_its_thickness(flat: SensorProfile) -> None:
         assert dataclasses.replace(flat, gel=gel, mesh=mesh).mesh is mesh
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("factor", [334, 1e150, 1e300])
+def test_a_mesh_that_is_wide_beyond_reason(factor: float, flat: SensorProfile) -> None:
+    mesh = dataclasses.replace(flat.mesh, nodes_m=flat.mesh.nodes_m * [factor, 1, 1])
+    with pytest.raises(InputError, match=r"the mesh is \S+ mm large; up to 1000 mm are allowed"):
+        dataclasses.replace(flat, mesh=mesh)
+
+
 def test_a_gel_is_touched_and_glued(flat: SensorProfile) -> None:
     for region, name in ((Region.CONTACT, "contact"), (Region.BOND, "bond or window")):
         regions = np.where(flat.mesh.face_regions == region, Region.SIDE, flat.mesh.face_regions)
