@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_vtk
+from taccel_lab.benchmarks.assets import choose_source, mesh_folder
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side
 from taccel_lab.benchmarks.scenes.pads import label
@@ -22,6 +22,7 @@ from taccel_lab.benchmarks.scenes.peg import GEL, GEL_FRICTION, GRAVITY, STIFF_F
 from taccel_lab.benchmarks.scenes.press import touching_height
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.reading.legacy_vtk import read_legacy_vtk
 from taccel_lab.scene import (
     AffineBody,
     Element,
@@ -90,7 +91,7 @@ def gel_of(link: str, source: str) -> TetMesh:
     if source == "generated":
         return block_mesh(*_BLOCKS[link], jitter=0.1, seed=3)
     path = mesh_folder() / "pads" / f"f_tac_hand_description__{link}_maxv_1e-08.vtk"
-    nodes, tets = read_vtk(path)
+    nodes, tets = read_legacy_vtk(path)
     masks = np.load(path.with_suffix(".npz"))
     mesh = label(nodes, tets, masks["stick_mask"], masks["coat_mask"])
     return TetMesh(to_gel_frame(mesh), mesh.tets, mesh.faces, mesh.face_regions)

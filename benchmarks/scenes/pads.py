@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_vtk
+from taccel_lab.benchmarks.assets import choose_source, mesh_folder
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.reading.legacy_vtk import read_legacy_vtk
 
 SIZE_M = (40e-3, 40e-3, 5.925e-3)
 HELD_M = 2.9e-3
@@ -25,7 +26,7 @@ def pad(nodes: int, source: str) -> tuple[TetMesh, str]:
     if source == "generated":
         return held_below(block_mesh(_CELLS[nodes], SIZE_M, jitter=0.15, seed=7), HELD_M), source
     folder = mesh_folder() / "pads"
-    points, tets = read_vtk(folder / f"{name}.vtk")
+    points, tets = read_legacy_vtk(folder / f"{name}.vtk")
     masks = np.load(folder / f"{name}.npz")
     # The file's contact face looks to -z: half a turn about x.
     return label(points * [1, -1, -1], tets, masks["stick_mask"], masks["coat_mask"]), source

@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_stl, read_vtk
+from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_stl
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
+from taccel_lab.reading.legacy_vtk import read_legacy_vtk
 from taccel_lab.scene import (
     AffineBody,
     Element,
@@ -92,7 +93,7 @@ class PegParts:
 def published_parts(folder: Path) -> PegParts:
     """The meshes of the published example, of ``pads`` and ``peg`` in a folder."""
     return PegParts(
-        labelled(*read_vtk(folder / "pads" / "sensor.vtk")),
+        labelled(*read_legacy_vtk(folder / "pads" / "sensor.vtk")),
         read_stl(folder / "peg" / "peg.stl"),
         read_stl(folder / "peg" / "hole.stl"),
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from build123d import Face, Solid
+from build123d.persistence import deserialize_shape, serialize_shape
 from OCP.BRepGProp import BRepGProp
 from OCP.GProp import GProp_GProps
 
@@ -24,6 +25,14 @@ class LabelledSolid:
     solid: Solid
     regions: list[Region]
     """Region of each face, in the order of ``solid.faces()``."""
+
+    def __getstate__(self) -> tuple[bytes | None, list[Region]]:
+        """For another process: the kernel's binary form, exact and with its triangles."""
+        return serialize_shape(self.solid.wrapped), self.regions
+
+    def __setstate__(self, state: tuple[bytes, list[Region]]) -> None:
+        object.__setattr__(self, "solid", Solid(deserialize_shape(state[0])))
+        object.__setattr__(self, "regions", state[1])
 
     @property
     def volume_mm3(self) -> float:

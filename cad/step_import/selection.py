@@ -21,11 +21,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
 
 import numpy as np
-from build123d import Face, GeomType, Vector
 
 from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    from build123d import Face, Vector
 
 KINDS = ("name", "color", "plane", "normal", "index", "rect")
 DEFAULT_ANGLE_DEG = 60.0
@@ -100,8 +103,7 @@ def rectangle_of(selectors: Sequence[str]) -> tuple[float, float] | None:
     return None
 
 
-def select_faces(selectors: Sequence[str], faces: Sequence[Face], table: Sequence[FaceInfo],
-                 what: str) -> set[int]:  # fmt: skip
+def select_faces(selectors: Sequence[str], table: Sequence[FaceInfo], what: str) -> set[int]:
     """Numbers of the faces that any of the selectors chooses.
 
     Raises InputError, with the list of faces, when a selector is malformed or chooses none.
@@ -117,7 +119,7 @@ def select_faces(selectors: Sequence[str], faces: Sequence[Face], table: Sequenc
             )
         if kind == "rect":
             raise InputError(f"{what}: {selector!r} is allowed for the window only")
-        found = _SELECT[kind](value.strip(), faces, table)
+        found = _SELECT[kind](value.strip(), table)
         if not found:
             raise InputError(
                 f"{what}: {selector!r} matches none of the {len(table)} faces of this body"
@@ -145,20 +147,18 @@ def _names_there(kind: str, table: Sequence[FaceInfo]) -> str:
     return f" ({kind}s in the file: {words}{other})"
 
 
-def _by_name(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> set[int]:
+def _by_name(value: str, table: Sequence[FaceInfo]) -> set[int]:
     return {info.index for info in table if info.name and fnmatchcase(info.name, value)}
 
 
-def _by_color(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> set[int]:
+def _by_color(value: str, table: Sequence[FaceInfo]) -> set[int]:
     return {info.index for info in table if info.color == value.lstrip("#").lower()}
 
 
-def _by_plane(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> set[int]:
+def _by_plane(value: str, table: Sequence[FaceInfo]) -> set[int]:
     way = direction(value)
     flat = [
-        info
-        for info, face in zip(table, faces, strict=True)
-        if face.geom_type == GeomType.PLANE and np.dot(info.normal, way) > _SAME_NORMAL
+        info for info in table if info.kind == "plane" and np.dot(info.normal, way) > _SAME_NORMAL
     ]
     if not flat:
         return set()
@@ -166,7 +166,7 @@ def _by_plane(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> s
     return {i.index for i in flat if np.dot(i.center_mm, way) > farthest - _SAME_PLANE_MM}
 
 
-def _by_normal(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> set[int]:
+def _by_normal(value: str, table: Sequence[FaceInfo]) -> set[int]:
     words, at, limit = value.partition("@")
     try:
         angle = float(limit) if at else DEFAULT_ANGLE_DEG
@@ -177,7 +177,7 @@ def _by_normal(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> 
     return {info.index for info in table if np.dot(info.normal, way) >= cosine - 1e-9}
 
 
-def _by_index(value: str, faces: Sequence[Face], table: Sequence[FaceInfo]) -> set[int]:
+def _by_index(value: str, table: Sequence[FaceInfo]) -> set[int]:
     chosen: set[int] = set()
     for item in value.split(","):
         match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", item)

@@ -8,21 +8,12 @@ import numpy as np
 from taccel_lab.bodies.crossings import self_crossings
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.tet_checks import check_connectivity, first_of, unique_rows
 
 COINCIDENT = 1e-9
 """Distance over extent at which vertices count as the same."""
 FLAT = 1e-10
 """Height over longest edge of a triangle, volume over longest edge cubed of a tet."""
-_NAMED = 5
-"""How many offenders a message lists."""
-
-
-def first_of(items: np.ndarray) -> str:
-    """The first few ids or tuples of ids, for a message."""
-    text = ", ".join(
-        str(tuple(item.tolist())) if np.ndim(item) else str(int(item)) for item in items[:_NAMED]
-    )
-    return text + (", ..." if len(items) > _NAMED else "")
 
 
 def check_extent(vertices: np.ndarray, what: str, limits_m: tuple[float, float]) -> None:
@@ -81,74 +72,9 @@ def check_tets(mesh: TetMesh, what: str) -> None:
             f"{what}: {len(flat)} tets have no volume to speak of: tets {first_of(flat)}; "
             f"6 V must exceed {FLAT:g} times the longest edge cubed"
         )
-    unused = np.setdiff1d(np.arange(len(nodes)), tets)
-    if len(unused):
-        raise InputError(
-            f"{what}: {len(unused)} nodes belong to no tet: nodes {first_of(unused)}; "
-            "such nodes have neither mass nor stiffness and must be removed"
-        )
+    check_connectivity(mesh, what)
     _check_duplicates(nodes, what)
-    _check_tet_faces(mesh, what)
     _check_shape(nodes, mesh.faces.astype(np.int64), f"the surface of {what}", closed=True)
-
-
-def _check_tet_faces(mesh: TetMesh, what: str) -> None:
-    """Tets meet in whole faces, from both sides; the surface is what belongs to one tet."""
-    tets = mesh.tets.astype(np.int64)
-    outward = tets[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
-    keys, inverse, uses = _unique_rows(np.sort(outward, axis=1))
-    owner = np.arange(len(outward)) // 4
-    crowded = np.flatnonzero(uses > 2)
-    if len(crowded):
-        where = owner[np.isin(inverse, crowded)]
-        raise InputError(
-            f"{what}: {len(crowded)} faces are shared by more than two tets: tets {first_of(where)}"
-        )
-    turn = np.bincount(inverse, _parity(outward), minlength=len(keys))
-    folded = np.flatnonzero((uses == 2) & (turn != 0))
-    if len(folded):
-        where = owner[np.isin(inverse, folded)]
-        raise InputError(
-            f"{what}: {len(folded)} pairs of tets lie on the same side of the face they share, "
-            f"so they overlap: tets {first_of(where)}"
-        )
-    expected = _rotated(outward[uses[inverse] == 1])
-    known = _unique_rows(expected)[0]
-    both = _unique_rows(np.concatenate([known, _rotated(mesh.faces.astype(np.int64))]))[0]
-    if len(both) > len(known) or len(mesh.faces) != len(known):
-        raise InputError(
-            f"{what}: TetMesh.faces has {len(mesh.faces)} faces, of which {len(both) - len(known)} "
-            f"are not outward faces of exactly one tet; the surface consists of {len(known)} such "
-            "faces (see geometry.tet_mesh.boundary_faces)"
-        )
-
-
-def _rotated(faces: np.ndarray) -> np.ndarray:
-    """The same faces with the smallest id first."""
-    first = faces.argmin(axis=1)[:, None]
-    return np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
-
-
-def _parity(faces: np.ndarray) -> np.ndarray:
-    """+1 for faces whose corners ascend up to a rotation, else -1."""
-    a, b, c = faces.T
-    return np.where((a < b).astype(int) + (b < c) + (c < a) == 2, 1, -1)
-
-
-def _unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unique rows of ids, the place of each row among them, and how often each occurs."""
-    base = rows.max() + 1
-    if base ** rows.shape[1] >= 2**62:
-        unique, inverse, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
-        return unique, inverse.ravel(), counts
-    # As one 64-bit key rows sort many times faster.
-    key = rows[:, 0]
-    for column in range(1, rows.shape[1]):
-        key = key * base + rows[:, column]
-    _, first, inverse, counts = np.unique(
-        key, return_index=True, return_inverse=True, return_counts=True
-    )
-    return rows[first], inverse.ravel(), counts
 
 
 def _check_faces(vertices: np.ndarray, faces: np.ndarray, what: str) -> None:
@@ -186,7 +112,7 @@ def check_edges(vertices: np.ndarray, faces: np.ndarray, what: str, *, closed: b
             "a face needs three vertices"
         )
     directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    edges, inverse, uses = _unique_rows(np.sort(directed, axis=1))
+    edges, inverse, uses = unique_rows(np.sort(directed, axis=1))
     crowded = edges[uses > 2]
     if len(crowded):
         raise InputError(
@@ -215,7 +141,7 @@ def check_edges(vertices: np.ndarray, faces: np.ndarray, what: str, *, closed: b
 def _inner_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Edges of two faces [n, 2], and their two places among the edges 01, 12, 20 of all faces
     [n, 2]; no edge may have more."""
-    edges, inverse, uses = _unique_rows(
+    edges, inverse, uses = unique_rows(
         np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     )
     order = np.argsort(inverse, kind="stable")

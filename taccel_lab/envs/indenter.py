@@ -4,16 +4,17 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from taccel_lab.bodies.mesh_checks import check_edges
 from taccel_lab.envs.prisms import edge_mesh, grating_mesh, pair_mesh, roller_mesh
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.tool_section import ToolSection
+from taccel_lab.reading.triangle_file import read_triangle_file
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
 
 ALLOWED = (
@@ -24,6 +25,8 @@ ALLOWED = (
 )
 _HEIGHT_M = 4e-3
 _SIZE_LIMITS_MM = (0.05, 100.0)
+_MIN_THICKNESS_MM = 1e-3
+"""Of a mesh: volume over half of its surface; coordinates of single precision hold 1e-5 mm."""
 _ANGLE_LIMITS_DEG = (10.0, 170.0)
 _RIDGE_LIMITS = (2, 100)
 
@@ -142,37 +145,26 @@ def _length_m(text: str, value: str) -> float:
 
 
 def _read_mesh(path: Path) -> TriangleMesh:
-    import pyvista
-
-    if not path.is_file():
-        raise InputError(f"indenter mesh {path} does not exist")
-    if path.suffix.lower() not in (".stl", ".ply", ".obj"):
-        raise InputError(f"indenter mesh {path}: only .stl, .ply and .obj files can be read")
-    with warnings.catch_warnings():
-        # VTK's own words about a broken file; what is wrong is said below.
-        warnings.simplefilter("ignore", UserWarning)
-        loaded = pyvista.read(path)
-    assert isinstance(loaded, pyvista.PolyData)
-    surface = loaded.triangulate().clean()
-    assert surface is not None
-    if surface.n_cells == 0:
-        raise InputError(f"indenter mesh {path} holds no faces, or is not a readable mesh file")
-    if not surface.is_manifold:
-        raise InputError(
-            f"indenter mesh {path} is not a closed manifold surface ({surface.n_open_edges} open "
-            "edges); repair it first, e.g. with pymeshlab"
-        )
-    points = np.asarray(surface.points, dtype=np.float64)
-    size = np.ptp(points, axis=0).max()
+    what = f"indenter mesh {path}"
+    points, faces = read_triangle_file(path)
+    size = float(np.ptp(points, axis=0).max())
     low, high = _SIZE_LIMITS_MM
     if not low <= size <= high:
         raise InputError(
-            f"indenter mesh {path} is {size:g} units across; a size in [{low:g}, {high:g}] mm is "
-            "needed (is the file in metres or inches?)"
+            f"{what} is {size:g} units across; a size in [{low:g}, {high:g}] mm is needed "
+            "(is the file in metres or inches?)"
         )
-    faces = surface.faces.reshape(-1, 4)[:, 1:]
-    corner = points[faces]
-    if np.einsum("fi,fi->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) < 0:
-        faces = faces[:, [0, 2, 1]]
+    check_edges(points, faces, what, closed=True)
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    corners = (points - centre)[faces]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    volume = float(np.einsum("fi,fi->", corners[:, 0], crosses)) / 6
+    thickness = 4 * abs(volume) / float(np.linalg.norm(crosses, axis=1).sum())
+    if not thickness >= _MIN_THICKNESS_MM:
+        raise InputError(
+            f"{what} encloses {abs(volume):.3g} mm^3, {thickness:.3g} mm thick on average; a body "
+            f"of at least {_MIN_THICKNESS_MM:g} mm is needed, a sheet has no inside"
+        )
+    if volume < 0:
+        faces = faces[:, [0, 2, 1]]
     return TriangleMesh((points - centre) * 1e-3, faces)

@@ -41,29 +41,35 @@ class TetMesh:
     None."""
 
     def __post_init__(self) -> None:
-        for name, dtype, width in (
-            ("nodes_m", np.float64, 3),
-            ("tets", np.int32, 4),
-            ("faces", np.int32, 3),
-        ):
-            value = np.ascontiguousarray(getattr(self, name), dtype=dtype)
+        for name, width in (("nodes_m", 3), ("tets", 4), ("faces", 3)):
+            if name == "nodes_m":
+                value = np.ascontiguousarray(self.nodes_m, dtype=np.float64)
+            else:
+                value = _indices(getattr(self, name), name)
             if value.ndim != 2 or value.shape[1] != width or value.shape[0] == 0:
                 raise InputError(f"TetMesh.{name} must have shape [n, {width}], got {value.shape}")
             object.__setattr__(self, name, value)
-        regions = np.ascontiguousarray(self.face_regions, dtype=np.int32)
+        regions = _indices(self.face_regions, "face_regions")
         if regions.shape != (len(self.faces),):
             raise InputError(
                 f"TetMesh.face_regions has shape {regions.shape}, expected [{len(self.faces)}]"
             )
+        if not np.isin(regions, list(Region)).all():
+            raise InputError(
+                f"TetMesh.face_regions holds {regions.min()} to {regions.max()}; allowed: "
+                + ", ".join(f"{int(region)} ({region.name.lower()})" for region in Region)
+            )
         object.__setattr__(self, "face_regions", regions)
         given = self.tet_layers
-        layers = np.zeros(len(self.tets), np.int32) if given is None else np.asarray(given)
+        layers = np.zeros(len(self.tets), np.int32)
+        if given is not None:
+            layers = _indices(given, "tet_layers")
         if layers.shape != (len(self.tets),) or layers.min() < 0:
             raise InputError(
                 f"TetMesh.tet_layers must be {len(self.tets)} whole numbers from 0, got shape "
                 f"{layers.shape}"
             )
-        object.__setattr__(self, "tet_layers", np.ascontiguousarray(layers, dtype=np.int32))
+        object.__setattr__(self, "tet_layers", layers)
         if not np.isfinite(self.nodes_m).all():
             raise InputError("TetMesh.nodes_m holds NaN or infinite coordinates")
         if self.tets.min() < 0 or self.tets.max() >= len(self.nodes_m):
@@ -103,10 +109,22 @@ class TetMesh:
         return self.region_nodes(Region.BOND, Region.WINDOW)
 
 
+def _indices(values: np.ndarray, name: str) -> np.ndarray:
+    """As int32; other numbers would come out as the index of something else."""
+    given = np.asarray(values)
+    with np.errstate(invalid="ignore"):
+        indices = np.ascontiguousarray(given, dtype=np.int32)
+    if given.dtype != np.int32 and (given != indices).any():
+        raise InputError(f"TetMesh.{name} must hold whole numbers that fit in 32 bits")
+    return indices
+
+
 def tet_volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """Signed volumes of tets [unit of ``nodes`` cubed], from nodes [node, 3], shape [tet_count]."""
     corners = nodes[tets]
-    return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    # Coordinates of 1e200 are for others to judge: their volumes come out infinite or NaN.
+    with np.errstate(all="ignore"):
+        return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
 
 
 def boundary_faces(tets: np.ndarray) -> np.ndarray:

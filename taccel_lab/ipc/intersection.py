@@ -20,11 +20,11 @@ import numpy as np
 from taccel_lab.bodies.bodies import SoftBody
 from taccel_lab.bodies.crossings import crossing_pairs, self_crossings
 from taccel_lab.bodies.mass_properties import winding_number
-from taccel_lab.bodies.mesh_checks import first_of
 from taccel_lab.bodies.primitives import Ball, unique_edges
 from taccel_lab.bodies.surface_topology import ball_insets
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.quadratic import TET_EDGES
+from taccel_lab.geometry.tet_checks import first_of
 from taccel_lab.ipc.gaps import point_triangle_distances
 from taccel_lab.model import BodyKind, Model
 from taccel_lab.state import State

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.bodies.mesh_checks import first_of
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.tet_checks import first_of
 from taccel_lab.ipc.gaps import SurfacePairs
 from taccel_lab.ipc.intersection import overlaps, require_separated
 from taccel_lab.model import Model

@@ -16,6 +16,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.tet_checks import check_connectivity
 
 MESH_KEYS = ("nodes_m", "tets", "faces", "face_regions")
 LAYER_KEY = "tet_layers"
@@ -58,7 +59,9 @@ def decode_mesh(data: bytes) -> TetMesh:
         kind = "f" if key == "nodes_m" else "i"
         if array.dtype.kind != kind:
             raise InputError(f"{key} has type {array.dtype}, which is not a {kind}-type")
-    return TetMesh(**arrays)
+    mesh = TetMesh(**arrays)
+    check_connectivity(mesh, "the mesh")
+    return mesh
 
 
 def encode_background(rgb: np.ndarray) -> bytes:

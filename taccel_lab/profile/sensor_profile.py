@@ -14,6 +14,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
+from taccel_lab.profile.mesh_size import check_mesh_size
 from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.profile.optics_blocks import (
     CoatingBlock,
@@ -154,6 +155,7 @@ class SensorProfile:
             raise InputError(
                 f"the mesh has tets of layer {highest}, but material.layers states {stated} of them"
             )
+        check_mesh_size(self.mesh, self.gel.thickness_mm)
 
     def _check_background(self) -> None:
         if (self.background is None) != (self.background_rgb is None):

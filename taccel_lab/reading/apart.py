@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 from taccel_lab.child_process import ChildProcess
 from taccel_lab.errors import InputError
+from taccel_lab.process_pool import THREAD_LIMITS
 
 Result = TypeVar("Result")
 MEMORY_BYTES = 2 << 30
@@ -59,7 +60,11 @@ class _Reader:
     """One readers' process."""
 
     def __init__(self) -> None:
-        self.child = ChildProcess(_serve, memory_bytes=MEMORY_BYTES, quiet=True)
+        # Of 64 cores the stacks of the threads of two libraries take half of the memory.
+        threads: dict[str, str] = dict.fromkeys(THREAD_LIMITS, "1")
+        self.child = ChildProcess(
+            _serve, memory_bytes=MEMORY_BYTES, environment=threads, quiet=True
+        )
         self.owner = os.getpid()
         self.idle = True
         """Whether it waits for a file; one that was left amid a file is of no more use."""

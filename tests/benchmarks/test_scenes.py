@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.assets import choose_source, has_data, mesh_folder, read_stl, read_vtk
+from taccel_lab.benchmarks.assets import choose_source, has_data, mesh_folder, read_stl
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.teddy import surface_value, teddy_mesh, without_pinches
@@ -140,31 +140,14 @@ def test_pinches_are_filled(cells: tuple[tuple[int, int, int], ...]) -> None:
     assert (without_pinches(filled) == filled).all()
 
 
-def test_legacy_vtk_is_read(tmp_path: Path) -> None:
-    nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.5]])
-    head = b"# vtk DataFile Version 5.1\nvtk output\nBINARY\nDATASET UNSTRUCTURED_GRID\n"
-    for version, tet in (("5.1", [0, 1, 2, 3]), ("4.2", [0, 2, 1, 3])):
-        data = head + b"POINTS 4 double\n" + nodes.astype(">f8").tobytes() + b"\n"
-        if version == "5.1":
-            data += b"CELLS 2 4\nOFFSETS vtktypeint64\n" + np.array([0, 4], ">i8").tobytes()
-            data += b"\nCONNECTIVITY vtktypeint64\n" + np.array(tet, ">i8").tobytes()
-        else:
-            data += b"CELLS 1 5\n" + np.array([4, *tet], ">i4").tobytes()
-        path = tmp_path / "mesh.vtk"
-        path.write_bytes(data + b"\nCELL_TYPES 1\n" + np.array([10], ">i4").tobytes())
-        found, tets = read_vtk(path)
-        np.testing.assert_array_equal(found, nodes)
-        p = found[tets[0]]
-        assert np.linalg.det(p[1:] - p[0]) > 0
-
-
 def test_unusable_files_are_named(tmp_path: Path) -> None:
-    path = tmp_path / "mesh.vtk"
-    path.write_bytes(b"# vtk DataFile Version 5.1\nx\nASCII\n")
-    with pytest.raises(InputError, match=r"mesh\.vtk is no legacy VTK file in binary"):
-        read_vtk(path)
+    path = tmp_path / "part.stl"
     path.write_bytes(b"solid")
-    with pytest.raises(InputError, match="no binary STL"):
+    with pytest.raises(InputError, match=r"part\.stl is no binary STL"):
+        read_stl(path)
+    nowhere = np.full(12, np.nan, "<f4").tobytes() + b"\0\0"
+    path.write_bytes(bytes(80) + b"\1\0\0\0" + nowhere)
+    with pytest.raises(InputError, match=r"part\.stl: a triangle mesh "):
         read_stl(path)
 
 

@@ -3,18 +3,29 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from build123d import Compound, Face, Plane, Shell, Solid, Wire, export_step
+from OCP.StdFail import StdFail_NotDone
 from small_sensor import PAD, small_sensor
 
 from taccel_lab.cad.export import write_assembly_step, write_step
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid
-from taccel_lab.cad.step_import import FaceSelection, import_gel, list_faces
+from taccel_lab.cad.step_import import (
+    FaceSelection,
+    gel_solid,
+    import_gel,
+    list_faces,
+    step_file,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from tests.real_data import real_data
@@ -189,6 +200,69 @@ def test_bad_bodies_are_refused(tmp_path: Path) -> None:
         import_gel(tmp_path / "no.step", BOX)
     with pytest.raises(InputError, match="does not exist"):
         import_gel(tmp_path / "missing.step", BOX)
+
+
+def entity(text: str, name: str, fields: str) -> str:
+    """The text of a STEP file with other fields in its first entity of a name; # is its own id."""
+    match = re.search(rf"#(\d+) = {name}\(([^;]*)\);", text)
+    assert match is not None
+    fields = fields.replace("#", f"#{match[1]}")
+    return text[: match.start()] + f"#{match[1]} = {name}({fields});" + text[match.end() :]
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        # The kernel follows these in circles until its stack ends.
+        (lambda t: entity(t, "ADVANCED_FACE", "'',(#),#,.F."), "its reader crashed on it"),
+        (lambda t: entity(t, "ORIENTED_EDGE", "'',*,*,#,.T."), "its reader crashed on it"),
+        (lambda t: entity(t, "CLOSED_SHELL", "'',(#)"), "no solid: the surface is open"),
+        (lambda t: t.replace("(-12.,", "(nan,"), "no finite bounding box"),
+        (lambda t: t.replace("(0.,0.,1.)", "(0.,0.,0.)"), "but no solid"),
+        (lambda t: t[: len(t) // 2], "is not a STEP file that the CAD kernel can read"),
+    ],
+)
+def test_damaged_files_end_in_a_sentence(
+    damage: Callable[[str], str], words: str, tmp_path: Path
+) -> None:
+    path = write(box(), tmp_path / "box.step")
+    path.write_text(damage(path.read_text()))
+    with pytest.raises(InputError, match=rf"box\.step.*{words}"):
+        import_gel(path, BOX)
+
+
+def test_files_that_are_large_or_take_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(box(), tmp_path / "box.step")
+    monkeypatch.setattr(step_file, "LIMIT_S", 1e-3)
+    with pytest.raises(InputError, match=r"box\.step: the reader did not finish within 0\.001 s"):
+        import_gel(path, BOX)
+    monkeypatch.setattr(step_file, "MAX_BYTES", 1000)
+    for read in (import_gel, list_faces):
+        with pytest.raises(InputError, match=r"box\.step has .* KiB; a STEP file .* 1000 bytes"):
+            read(path)
+
+
+def test_exceptions_of_the_kernel_are_sentences_and_ours_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for error, told in ((StdFail_NotDone("no"), InputError), (KeyError("no"), KeyError)):
+
+        def fail(path: Path, error: Exception = error) -> None:
+            raise error
+
+        monkeypatch.setattr(gel_solid, "read_step", fail)
+        with pytest.raises(told, match="no"):
+            gel_solid.gel_of_step(tmp_path / "x.step", BOX)
+
+
+def test_this_process_lists_faces_without_the_kernel(tmp_path: Path) -> None:
+    path = write(box(), tmp_path / "box.step")
+    code = (
+        "import sys; from taccel_lab.cad.step_import import list_faces\n"
+        f"print(len(list_faces({str(path)!r})), 'OCP' in sys.modules)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["6", "False"]
 
 
 def test_a_fin_of_no_thickness_is_refused_with_its_place(tmp_path: Path) -> None:

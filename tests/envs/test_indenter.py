@@ -86,8 +86,8 @@ def test_every_allowed_size_is_read_in_mm(size: float) -> None:
         ("grating:5x30x4", "is 150 mm wide; at most 100 mm"),
         ("pair:1", "not understood"),
         ("pair:1x0", r"must lie in \[0.05, 100\] mm, got 0 mm"),
-        ("mesh:", "does not exist"),
-        ("mesh:absent.stl", "mesh absent.stl does not exist"),
+        ("mesh:", "is a folder"),
+        ("mesh:absent.stl", "absent.stl does not exist"),
     ],
 )
 def test_bad_text(text: str, message: str) -> None:
@@ -124,7 +124,9 @@ def test_faces_that_look_inwards_are_turned(tmp_path: Path) -> None:
 
 def test_open_surface_is_refused(tmp_path: Path) -> None:
     text = save(pyvista.Plane(i_size=3, j_size=3).triangulate(), tmp_path / "plane.stl")
-    with pytest.raises(InputError, match=r"plane\.stl is not a closed manifold .*open edges"):
+    with pytest.raises(
+        InputError, match=r"plane\.stl is not closed: \d+ edges belong to one face only"
+    ):
         parse_indenter(text)
 
 
@@ -134,12 +136,43 @@ def test_surface_with_a_fin_is_refused(tmp_path: Path) -> None:
     faces = cube.faces.reshape(-1, 4)
     extra = [3, faces[0, 1], faces[0, 2], len(points) - 1]
     fin = pyvista.PolyData(points, np.vstack([faces, extra]))
-    with pytest.raises(InputError, match="not a closed manifold"):
+    with pytest.raises(InputError, match="is not manifold: 1 edges belong to more than two faces"):
         parse_indenter(save(fin, tmp_path / "fin.stl"))
 
 
+CORNERS = "v 0 0 0\nv 3 0 0\nv 0 3 0\n"
+
+
+@pytest.mark.parametrize(
+    ("faces", "words"),
+    [
+        ("f 1 2 3\n", r"is not closed: 3 edges belong to one face only"),
+        ("f 1 2 3\n" * 4, r"3 edges belong to more than two faces"),
+        ("f 1 2 3\nf 1 3 2\n", r"encloses 0 mm\^3, 0 mm thick on average; a body of at least"),
+    ],
+)
+def test_one_triangle_alone_repeated_or_from_both_sides_is_no_body(
+    faces: str, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "sheet.obj"
+    path.write_text(CORNERS + faces)
+    with pytest.raises(InputError, match=rf"sheet\.obj.*{words}"):
+        parse_indenter(f"mesh:{path}")
+
+
+def test_faces_that_look_both_ways_are_refused(tmp_path: Path) -> None:
+    cube = pyvista.Cube(x_length=3, y_length=2, z_length=1).triangulate().clean()
+    faces = np.array(cube.faces.reshape(-1, 4))
+    faces[4] = faces[4][[0, 1, 3, 2]]
+    text = save(pyvista.PolyData(np.asarray(cube.points), faces), tmp_path / "cube.obj")
+    with pytest.raises(InputError, match=r"cube\.obj: neighbouring faces are oriented differently"):
+        parse_indenter(text)
+
+
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(("scale", "unit"), [(1e-3, "metres"), (1 / 254, "inches"), (1e3, "")])
+@pytest.mark.parametrize(
+    ("scale", "unit"), [(1e-3, "metres"), (1 / 254, "inches"), (1e3, ""), (1e6, "")]
+)
 def test_mesh_in_another_unit_is_refused(tmp_path: Path, scale: float, unit: str) -> None:
     sphere = pyvista.Sphere(radius=0.4 * scale)
     with pytest.raises(InputError, match=rf"units across; a size in \[0.05, 100\] mm.*{unit}"):
@@ -151,7 +184,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     path.write_text("ISO-10303-21;")
     with pytest.raises(InputError, match=r"ball\.step: only \.stl, \.ply and \.obj"):
         parse_indenter(f"mesh:{path}")
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="is a folder; expected a triangle mesh"):
         parse_indenter(f"mesh:{tmp_path}")
 
 

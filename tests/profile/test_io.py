@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -258,6 +259,37 @@ def test_nan_in_the_mesh(profile_folder: Path, full_profile: SensorProfile, tmp_
     np.savez(tmp_path / "m.npz", face_regions=full_profile.mesh.face_regions, **arrays)
     rehash(profile_folder, "mesh.npz", (tmp_path / "m.npz").read_bytes())
     with pytest.raises(InputError, match=r"mesh\.npz: .*NaN"):
+        load_profile(profile_folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            {"faces": lambda v: np.tile(v[:1], (len(v), 1))},
+            "0 are not out.* and 5 are repeated",
+        ),
+        ({"faces": lambda v: v[:, ::-1]}, "of which 6 are not outward faces of"),
+        ({"faces": lambda v: v[1:], "face_regions": lambda v: v[1:]}, "consists of 6 such faces"),
+        ({"tets": lambda v: v + 2}, "tets refers to nodes that do not exist"),
+        ({"tets": lambda v: v.astype(np.int64) + 2**32}, "tets must hold whole numbers that fit"),
+        ({"face_regions": lambda v: v + 1}, r"holds 1 to 4; allowed: 0 \(side\), 1 \(contact\)"),
+        ({"nodes_m": lambda v: np.vstack([v, v[:1]])}, "1 nodes belong to no tet: nodes 5"),
+        ({"nodes_m": lambda v: v * [1, 1, -1]}, "2 of 2 tets are inverted or flat"),
+    ],
+)
+def test_a_mesh_that_is_none_is_refused(
+    change: dict[str, Callable[[np.ndarray], np.ndarray]],
+    words: str,
+    profile_folder: Path,
+    full_profile: SensorProfile,
+    tmp_path: Path,
+) -> None:
+    names = ("nodes_m", "tets", "faces", "face_regions", "tet_layers")
+    arrays = {name: getattr(full_profile.mesh, name) for name in names}
+    np.savez(tmp_path / "m.npz", **arrays | {k: f(arrays[k]) for k, f in change.items()})
+    rehash(profile_folder, "mesh.npz", (tmp_path / "m.npz").read_bytes())
+    with pytest.raises(InputError, match=rf"mesh\.npz: .*{words}"):
         load_profile(profile_folder)
 
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.profile import BackgroundBlock, ColorBlock, SensorProfile
 from taccel_lab.profile.blocks import OPTIONAL_BLOCKS
 from taccel_lab.profile.optical_design import Camera, Coating, Light, MarkerGrid, Window
@@ -20,6 +22,16 @@ from taccel_lab.profile.optics_blocks import (
     OpticsBlock,
     WindowBlock,
 )
+
+
+@pytest.fixture
+def flat(full_profile: SensorProfile) -> SensorProfile:
+    """A block of 3 x 3 x 1 mm."""
+    mesh = block_mesh((2, 2, 2), (3e-3, 3e-3, 1e-3))
+    gel = full_profile.gel.replace(
+        thickness_mm=1.0, node_count=mesh.node_count, tet_count=mesh.tet_count
+    )
+    return dataclasses.replace(full_profile, gel=gel, mesh=mesh)
 
 
 def test_with_block_leaves_the_original(full_profile: SensorProfile) -> None:
@@ -91,6 +103,57 @@ def test_weights_are_checked(full_profile: SensorProfile, weights: Any, words: s
     assert full_profile.color is not None
     with pytest.raises(InputError, match=words):
         full_profile.with_block(full_profile.color, weights)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (1e3, "has 1000 mm of gel under its apex, gel.thickness_mm says 1 mm.* 1,000 times too "
+              "large: its coordinates look like millimetres, where metres belong"),
+        (1e6, "1,000,000 times too large: its coordinates look like micrometres"),
+        (1 / 25.4e-3, "39 times too large: its coordinates look like inches"),
+        (1e-3, "1,000 times too small: its coordinates look like metres that were taken for milli"),
+        (1e-6, "1,000,000 times too small"),
+        (0.8, r"has 0\.8 mm of gel under its apex, .* must agree within 10%$"),
+        (1.2, r"has 1\.2 mm"),
+    ],
+)  # fmt: skip
+def test_mesh_must_have_the_size_of_its_block(
+    factor: float, words: str, flat: SensorProfile
+) -> None:
+    mesh = dataclasses.replace(flat.mesh, nodes_m=flat.mesh.nodes_m * factor)
+    with pytest.raises(InputError, match=words):
+        dataclasses.replace(flat, mesh=mesh)
+
+
+def test_a_dome_may_reach_below_its_thickness(flat: SensorProfile) -> None:
+    for thickness_mm in (0.95, 1.5, 2.0):
+        gel = flat.gel.replace(thickness_mm=thickness_mm)
+        nodes = flat.mesh.nodes_m.copy()
+        # The deepest node of the side goes down by another millimetre.
+        nodes[0, 2] -= 1e-3
+        regions = np.full(len(flat.mesh.faces), int(Region.SIDE))
+        z = nodes[flat.mesh.faces][..., 2]
+        regions[(z == 0).all(axis=1)] = int(Region.CONTACT)
+        regions[np.flatnonzero((z == -1e-3).all(axis=1))] = int(Region.BOND)
+        mesh = dataclasses.replace(flat.mesh, nodes_m=nodes, face_regions=regions)
+        assert dataclasses.replace(flat, gel=gel, mesh=mesh).mesh is mesh
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("factor", [334, 1e150, 1e300])
+def test_a_mesh_that_is_wide_beyond_reason(factor: float, flat: SensorProfile) -> None:
+    mesh = dataclasses.replace(flat.mesh, nodes_m=flat.mesh.nodes_m * [factor, 1, 1])
+    with pytest.raises(InputError, match=r"the mesh is \S+ mm large; up to 1000 mm are allowed"):
+        dataclasses.replace(flat, mesh=mesh)
+
+
+def test_a_gel_is_touched_and_glued(flat: SensorProfile) -> None:
+    for region, name in ((Region.CONTACT, "contact"), (Region.BOND, "bond or window")):
+        regions = np.where(flat.mesh.face_regions == region, Region.SIDE, flat.mesh.face_regions)
+        mesh = dataclasses.replace(flat.mesh, face_regions=regions)
+        with pytest.raises(InputError, match=f"the mesh has no {name} faces"):
+            dataclasses.replace(flat, mesh=mesh)
 
 
 def test_mesh_must_match_its_block(full_profile: SensorProfile) -> None:

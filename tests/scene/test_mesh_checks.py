@@ -155,6 +155,9 @@ def test_faults_of_tets_are_named() -> None:
     inward[4] = inward[4, ::-1]
     with pytest.raises(InputError, match="of which 1 are not outward faces"):
         check_tets(TetMesh(nodes, tets, inward, regions), "gel")
+    one = BLOCK.faces[np.zeros(len(BLOCK.faces), int)]
+    with pytest.raises(InputError, match=f"and {len(one) - 1} are repeated"):
+        check_tets(TetMesh(nodes, tets, one, regions), "gel")
 
 
 def test_a_sliver_of_no_volume_and_overlapping_tets() -> None:

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Triangle surfaces of other programs: STL, PLY and OBJ files, read by VTK in a process of its own.
+
+VTK believes what a file says of its counts and indices and crashes where that is wrong.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.reading.apart import read_apart
+from taccel_lab.reading.regular_file import require_regular_file
+
+SUFFIXES = (".stl", ".ply", ".obj")
+MAX_TRIANGLES = 500_000
+"""Of a surface; scans that are to be touched have a tenth of it, and contact with more is slow."""
+MAX_BYTES = 150 << 20
+"""As many triangles in the format that takes the most for each: STL as text, 300 bytes."""
+_PLY_HEAD_BYTES = 1 << 16
+"""Where the header of a PLY file ends, some 400 bytes as a rule."""
+
+
+def read_triangle_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Points in the unit of the file, float64, [n, 3], and triangles, int64, [m, 3].
+
+    Faces of more corners are cut into triangles, points at the same place merged, and triangles
+    without area that this leaves, such as those between two equal points, go. Nothing is said of
+    the surface: it may be open, or cross itself.
+
+    Raises InputError for a file that cannot be read, has no faces, more than ``MAX_TRIANGLES``, or
+    coordinates that are not finite.
+    """
+    require_regular_file(path, MAX_BYTES, "a triangle mesh (STL, PLY or OBJ)")
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path}: only .stl, .ply and .obj files can be read as triangles")
+    if suffix == ".ply":
+        _check_ply_counts(path)
+    points, faces = read_apart(str(path), _read_with_vtk, path)
+    if not len(faces):
+        raise InputError(f"{path} holds no faces, or is not a readable mesh file")
+    return points, faces
+
+
+def _read_with_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """What VTK makes of the file; runs in the readers' process."""
+    import pyvista
+
+    with warnings.catch_warnings():
+        # VTK's own words about a broken file; what is wrong is said by whoever gets nothing.
+        warnings.simplefilter("ignore")
+        loaded = pyvista.read(path)
+    if not isinstance(loaded, pyvista.PolyData) or loaded.n_cells == 0 or loaded.n_points == 0:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    # The filters follow an index wherever it points, and order points by coordinates.
+    _check_numbers(path, loaded.points, loaded.GetPolys())
+    surface = loaded.triangulate().clean()
+    assert surface is not None  # As it is for a filter in place only.
+    faces = np.asarray(surface.faces).reshape(-1, 4)[:, 1:]
+    _check_count(path, len(faces))
+    return np.asarray(surface.points, dtype=np.float64), faces.astype(np.int64)
+
+
+def _check_ply_counts(path: Path) -> None:
+    """Refuse counts that the file cannot hold, for which VTK would take memory first."""
+    with path.open("rb") as file:
+        head, end, _ = file.read(_PLY_HEAD_BYTES).partition(b"end_header")
+    size = path.stat().st_size
+    for name, digits in re.findall(rb"^element\s+(\S+)\s+(\d+)", head if end else b"", re.M):
+        # The shortest item takes a byte. More digits than that are no count either.
+        count = int(digits) if len(digits) < 20 else size + 1
+        if count > size:
+            raise InputError(
+                f"{path} says that it has {digits[:20].decode()} items "
+                f"{name.decode('ascii', 'replace')!r}, but it has {size:,} bytes; it is damaged"
+            )
+        if name == b"face":
+            _check_count(path, count)
+
+
+def _check_count(path: Path, count: int) -> None:
+    if count > MAX_TRIANGLES:
+        raise InputError(
+            f"{path} has {count:,} faces; up to {MAX_TRIANGLES:,} are allowed: simplify it"
+        )
+
+
+def _check_numbers(path: Path, points: np.ndarray, polygons: object) -> None:
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        raise InputError(
+            f"{path}: {len(bad)} of {len(points)} points have NaN or infinite coordinates "
+            f"(the first is point {bad[0]})"
+        )
+    corners = vtk_to_numpy(polygons.GetConnectivityArray())  # type: ignore[attr-defined]
+    if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
+        raise InputError(
+            f"{path}: its faces name points {corners.min()} to {corners.max()}, but it has points "
+            f"0 to {len(points) - 1}"
+        )

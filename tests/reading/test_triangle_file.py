@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged STL, PLY and OBJ files end in a sentence with their name, whatever VTK does with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+
+from taccel_lab.errors import InputError
+from taccel_lab.reading import triangle_file
+from taccel_lab.reading.triangle_file import read_triangle_file
+
+POINTS = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+FACES = "3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n"
+HEAD = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 4
+property list uchar int vertex_indices
+end_header
+"""
+GOOD = HEAD + POINTS + FACES
+
+
+def test_faces_become_triangles_and_equal_points_one(tmp_path: Path) -> None:
+    path = tmp_path / "square.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 0\nf 1 2 3 4\nf 5 3 2\n")
+    points, faces = read_triangle_file(path)
+    assert points.shape == (4, 3) and faces.shape == (3, 3)
+    assert points.dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        # These two end VTK by a signal.
+        (lambda t: t.replace("uchar int", "int int").replace("3 1 2 3", "-3 1 2 3"), "crashed"),
+        (lambda t: t.replace("list uchar int vertex_indices", "int a"), "crashed on it"),
+        (lambda t: t.replace("3 1 2 3", "3 1 2 9"), r"points 0 to 9, but it has points 0 to 3$"),
+        (lambda t: t.replace("0 0 1\n", "nan 0 1\n"), r"1 of 4 points have NaN .* point 3\)"),
+        (lambda t: t.replace("face 4", "face 4000000000"), "4000000000 items 'face', but it has"),
+        (lambda t: t.replace("face 4", "face " + "9" * 5000), "9{20} items 'face', but it has"),
+        (lambda t: t.replace("vertex 4", "vertex 99999"), "99999 items 'vertex', but it has"),
+        (lambda t: t.replace("uchar int", "uchar word"), "holds no faces"),
+    ],
+)
+def test_damaged_ply_files(change: Callable[[str], str], words: str, tmp_path: Path) -> None:
+    path = tmp_path / "part.ply"
+    path.write_text(GOOD)
+    assert len(read_triangle_file(path)[1]) == 4
+    path.write_text(change(GOOD))
+    with pytest.raises(InputError, match=rf"part\.ply.*{words}"):
+        read_triangle_file(path)
+
+
+def test_large_files_are_refused_before_they_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(triangle_file, "MAX_TRIANGLES", 3)
+    path = tmp_path / "part.ply"
+    path.write_text(GOOD)
+    with pytest.raises(InputError, match=r"part\.ply has 4 faces; up to 3 are allowed"):
+        read_triangle_file(path)
+    monkeypatch.setattr(triangle_file, "MAX_BYTES", 100)
+    with pytest.raises(InputError, match=r"part\.ply has \d+ bytes; a triangle mesh .* 100 bytes"):
+        read_triangle_file(path)
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
+def test_files_cut_short_or_overwritten_never_end_the_process(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"ball.{suffix}"
+    pyvista.Sphere(radius=2, theta_resolution=6, phi_resolution=6).save(path)
+    data = path.read_bytes()
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        start, length = int(rng.integers(len(data))), int(rng.integers(1, 60))
+        noise = bytes(rng.integers(0, 256, length, dtype=np.uint8))
+        for broken in (data[:start], data[:start] + noise + data[start + length :]):
+            path.write_bytes(broken)
+            try:
+                points, faces = read_triangle_file(path)
+            except InputError as error:
+                assert str(path) in str(error)
+            else:
+                assert np.isfinite(points).all() and faces.max() < len(points)
