@@ -11,11 +11,12 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import Frame, MarkerCaptures, Video
-from taccel_lab.calibration.capture.images import file_sha256, read_image
 from taccel_lab.calibration.capture.records import read_columns
 from taccel_lab.calibration.capture.schema import MarkersEntry, VideoEntry
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
+from taccel_lab.reading.images import read_image
+from taccel_lab.reading.regular_file import file_sha256
 
 LOST_SHARE = 0.95
 """Share of the frames that a file states, of which as many have to decode."""

@@ -56,3 +56,7 @@ def count_and_crash(n: int) -> Iterator[int]:
 def count_and_refuse(n: int) -> Iterator[int]:
     yield from range(n)
     raise InputError("v.avi is cut short")
+
+
+def zeros(shape: tuple[int, ...]) -> np.ndarray:
+    return np.zeros(shape, dtype=np.uint8)

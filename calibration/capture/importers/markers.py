@@ -8,13 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import images_in
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.video import read_video
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
+from taccel_lab.reading.images import read_image
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv")
 MIN_FRAMES = 20

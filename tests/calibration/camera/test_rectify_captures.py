@@ -12,11 +12,11 @@ import pytest
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import rectify_captures
 from taccel_lab.calibration.capture import load_capture_folder
-from taccel_lab.calibration.capture.images import file_sha256
 from taccel_lab.calibration.capture.schema import CaptureManifest
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.regular_file import file_sha256
 
 RAW = (60, 80)
 LEFT, TOP = 12, 7
