@@ -39,6 +39,10 @@ ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     # OpenCV compares it with an image's header before it decodes.
     "OPENCV_IO_MAX_IMAGE_PIXELS": str(MAX_IMAGE_PIXELS),
+    # Of what FFmpeg reads, playlists would name other files, and addresses.
+    "OPENCV_FFMPEG_CAPTURE_OPTIONS": (
+        "protocol_whitelist;file|format_whitelist;avi,mov,mp4,matroska,webm"
+    ),
 }
 """Variables that readers start with."""
 

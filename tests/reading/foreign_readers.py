@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -58,5 +59,19 @@ def count_and_refuse(n: int) -> Iterator[int]:
     raise InputError("v.avi is cut short")
 
 
-def zeros(shape: tuple[int, ...]) -> np.ndarray:
-    return np.zeros(shape, dtype=np.uint8)
+def same(value: Any) -> Any:
+    return value
+
+
+def times(n: int) -> Iterator[float]:
+    for _ in range(n):
+        yield time.monotonic()
+
+
+class _OwnError(Exception):
+    def __init__(self, a: int, b: int) -> None:
+        super().__init__(f"{a} and {b}")
+
+
+def own_error() -> None:
+    raise _OwnError(3, 4)
