@@ -48,12 +48,12 @@ class Depth:
         from rich.console import Console
 
         from taccel_lab.calibration.camera.rectification import RectificationMaps
-        from taccel_lab.calibration.capture.images import read_image
         from taccel_lab.calibration.normals.read_surface import SurfaceReader
         from taccel_lab.calibration.normals.reading_files import read_mask, write_reading
         from taccel_lab.cli.console import print_json
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.profile import load_profile
+        from taccel_lab.reading.images import read_image
 
         require_replaceable(self.out)
         self._check_names()

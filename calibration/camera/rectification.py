@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.output import atomic_file
+from taccel_lab.reading.arrays import finite_numbers, read_npz
 
 _CHUNK_PX = 100_000
 _BEYOND_PITCHES = 1.0
@@ -38,28 +38,33 @@ class RectificationMaps:
 
     @classmethod
     def load(cls, path: Path | str) -> RectificationMaps:
-        """Read what ``save`` wrote of a board on the gel; InputError says what it lacks."""
-        try:
-            with np.load(path, allow_pickle=False) as stored:
-                wanted = ("map_u_px", "map_v_px", "mm_per_px", "center_px")
-                missing = [key for key in wanted if key not in stored.files]
-                if missing:
-                    raise InputError(
-                        f"{path} lacks {', '.join(missing)}; maps with a scale are written by "
-                        "taccel-lab calibrate camera --maps from a board on the gel"
-                    )
-                u, v = (np.asarray(stored[key], dtype=np.float32) for key in wanted[:2])
-                known = stored["measured"] if "measured" in stored.files else np.ones(u.shape)
-                scale, center = (np.asarray(stored[key], dtype=float) for key in wanted[2:])
-                size = stored["raw_size_px"] if "raw_size_px" in stored.files else None
-        except (OSError, EOFError, zipfile.BadZipFile, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"{path} is not a readable .npz of plain arrays: {error}") from error
-        if u.shape != v.shape or u.ndim != 2 or scale.shape != (2,) or center.shape != (2,):
+        """Read what ``save`` wrote of a board on the gel; InputError says what is wrong with it."""
+        stored = read_npz(path)
+        missing = [key for key in ("mm_per_px", "center_px") if key not in stored]
+        if missing:
             raise InputError(
-                f"{path}: maps {u.shape} and {v.shape}, scale {scale.shape} and middle "
-                f"{center.shape}; two maps of one size and two numbers each are needed"
+                f"{path} lacks {', '.join(missing)}; maps with a scale are written by "
+                "taccel-lab calibrate camera --maps from a board on the gel"
+            )
+        u, v, scale, center = (
+            finite_numbers(stored, key, path)
+            for key in ("map_u_px", "map_v_px", "mm_per_px", "center_px")
+        )
+        measured = stored.get("measured", np.ones(u.shape, dtype=bool))
+        size = stored.get("raw_size_px")
+        if (
+            {v.shape, measured.shape} != {u.shape}
+            or u.ndim != 2
+            or measured.dtype.kind not in "biu"
+        ):
+            raise InputError(
+                f"{path}: maps {u.shape} and {v.shape}, measured {measured.dtype} "
+                f"{measured.shape}; two maps and a bool of one size are needed"
+            )
+        if scale.shape != (2,) or center.shape != (2,):
+            raise InputError(
+                f"{path}: mm_per_px {scale.shape} and center_px {center.shape}; two numbers each "
+                "are needed"
             )
         if size is not None and (size.shape != (2,) or size.dtype.kind not in "iu"):
             raise InputError(f"{path}: raw_size_px has to be width and height in whole pixels")
@@ -72,7 +77,7 @@ class RectificationMaps:
             float(center[1]),
         )
         raw = None if size is None else (int(size[0]), int(size[1]))
-        return cls(u, v, np.asarray(known, dtype=bool), grid, raw)
+        return cls(u.astype(np.float32), v.astype(np.float32), measured.astype(bool), grid, raw)
 
     def require_grid(self) -> PixelGrid:
         """The rectified image's pixel grid; InputError where the scale is not known."""

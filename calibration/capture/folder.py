@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -75,10 +75,13 @@ class Video:
     sha256: str
     """Hash of the file, or of the frames' hashes in order."""
     frame_count: int
-    frames: Callable[[], list[np.ndarray]]
-    """All frames, RGB uint8."""
+    """Of those that decode."""
+    frames: Callable[[], Iterator[np.ndarray]]
+    """Reads them, RGB uint8, one after another."""
     poses: dict[str, np.ndarray] = field(default_factory=dict)
     """Columns of the path, each of shape [row]."""
+    stated_count: int = 0
+    """Frames that the file says it has; 0 when it does not say."""
 
 
 @dataclass(frozen=True)

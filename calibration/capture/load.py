@@ -6,7 +6,6 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
@@ -17,7 +16,6 @@ from taccel_lab.calibration.capture.folder import (
     Frame,
     LandmarkCapture,
 )
-from taccel_lab.calibration.capture.images import decode, file_sha256, read_image
 from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_presses
 from taccel_lab.calibration.capture.records import load_record
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, CaptureManifest
@@ -25,6 +23,8 @@ from taccel_lab.calibration.capture.taxim_pack import load_taxim_folder
 from taccel_lab.calibration.capture.video import load_markers
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
+from taccel_lab.reading.images import read_grey, read_image
+from taccel_lab.reading.regular_file import file_sha256
 
 MIN_SIZE_PX = 32
 
@@ -163,7 +163,7 @@ def _load_mask(folder: Path, name: str | None, background: Frame | None) -> np.n
     if name is None:
         return None
     path = inner_path(folder, name)
-    grey = decode(path, cv2.IMREAD_GRAYSCALE)
+    grey = read_grey(path)
     if background is not None:
         _check_size(grey, background.image(), path, Path(background.source))
     if not (grey > 0).any():

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import ForceRecord
-from taccel_lab.calibration.capture.images import file_sha256
 from taccel_lab.calibration.capture.record_checks import check_record
 from taccel_lab.calibration.capture.schema import RecordEntry
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
+from taccel_lab.reading.regular_file import file_sha256
 
 COLUMNS = {
     "indentation": ("depth_mm", "force_n"),

@@ -13,7 +13,6 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
-import zipfile
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +22,8 @@ from taccel_lab.calibration.capture.captures import ContactCircle, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
+from taccel_lab.reading.arrays import finite_numbers, read_npz
+from taccel_lab.reading.regular_file import file_sha256
 
 PACK_NAME = "dataPack.npz"
 PACK_PATH_IN_WHEEL = Path("calib") / "gelsight" / PACK_NAME
@@ -57,12 +58,12 @@ def load_taxim_folder(path: Path) -> CaptureFolder:
     it is left open there.
     """
     mm_per_px = _read_scale(path.parent / "params.json", path)
-    arrays = _read_arrays(path)
-    background = np.ascontiguousarray(arrays["f0"][..., ::-1])
+    # Only these are read, so no pickle has to be trusted.
+    arrays = read_npz(path, REQUIRED_KEYS, f"a Taxim pack holds {', '.join(REQUIRED_KEYS)}")
     images = arrays["imgs"]
-    centers = np.asarray(arrays["touch_center"], dtype=np.float64)
-    radii = np.asarray(arrays["touch_radius"], dtype=np.float64)
-    _check_arrays(path, background, images, centers, radii)
+    centers, radii = (finite_numbers(arrays, key, path) for key in ("touch_center", "touch_radius"))
+    _check_arrays(path, arrays["f0"], images, centers, radii)
+    background = np.ascontiguousarray(arrays["f0"][..., ::-1])
     presses = tuple(
         Press(
             # Positional: the pack's own name list is one longer than its frames.
@@ -94,7 +95,7 @@ def load_taxim_folder(path: Path) -> CaptureFolder:
         provenance={
             "source": SOURCE_MINI if mini else SOURCE,
             "license": LICENSE,
-            "pack_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+            "pack_sha256": file_sha256(path),
         },
     )
 
@@ -116,25 +117,6 @@ def _read_scale(params_path: Path, pack_path: Path) -> float:
             "mm/px is allowed"
         )
     return scale
-
-
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        # Only the numeric arrays are read, so no pickle has to be trusted.
-        with np.load(path, allow_pickle=False) as pack:
-            missing = [key for key in REQUIRED_KEYS if key not in pack.files]
-            if missing:
-                raise InputError(
-                    f"{path} lacks {', '.join(missing)}; a Taxim pack holds "
-                    f"{', '.join(REQUIRED_KEYS)}"
-                )
-            return {key: pack[key] for key in REQUIRED_KEYS}
-    except (OSError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path} is not a readable .npz file: {error}") from error
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path} is not a readable .npz of plain arrays: {error}") from error
 
 
 def _check_arrays(

@@ -4,18 +4,20 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import Frame, MarkerCaptures, Video
-from taccel_lab.calibration.capture.images import file_sha256, read_image
 from taccel_lab.calibration.capture.records import read_columns
 from taccel_lab.calibration.capture.schema import MarkersEntry, VideoEntry
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
+from taccel_lab.reading.images import read_image
+from taccel_lab.reading.regular_file import file_sha256
+from taccel_lab.reading.videos import count_frames, read_frames
 
 LOST_SHARE = 0.95
 """Share of the frames that a file states, of which as many have to decode."""
@@ -46,10 +48,9 @@ def load_video(folder: Path, entry: VideoEntry) -> Video:
     poses = {} if entry.poses is None else read_columns(inner_path(folder, entry.poses))
     if entry.file is not None:
         path = inner_path(folder, entry.file)
-        frames = read_video(path)
-        return Video(
-            entry, str(path), file_sha256(path), len(frames), partial(read_video, path), poses
-        )
+        count, stated = count_frames(path)
+        read = partial(read_frames, path)
+        return Video(entry, str(path), file_sha256(path), count, read, poses, stated)
     paths = [path for name in entry.frames for path in _expand(folder, name)]
     if len(paths) < 2:
         raise InputError(f"{folder}: a video needs at least 2 frames, found {len(paths)}")
@@ -57,40 +58,13 @@ def load_video(folder: Path, entry: VideoEntry) -> Video:
     return Video(entry, str(paths[0]), digest, len(paths), partial(_read_images, paths), poses)
 
 
-def read_video(path: Path) -> list[np.ndarray]:
-    """All frames of a video file, RGB uint8."""
-    if not path.is_file():
-        raise InputError(f"{path} does not exist; the manifest names it")
-    capture = cv2.VideoCapture(str(path))
-    frames = []
-    try:
-        while True:
-            read, frame = capture.read()
-            if not read:
-                break
-            frames.append(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
-    finally:
-        capture.release()
-    if len(frames) < 2:
-        raise InputError(
-            f"{path} does not decode as a video ({len(frames)} frames read); AVI (MJPEG) or MP4 "
-            "(H.264) is allowed, or give the frames as images"
-        )
-    return frames
-
-
 def cut_short(video: Video) -> str | None:
     """Says so when clearly fewer frames decode than the file states; None when all do."""
-    if video.entry.file is None:
-        return None
-    capture = cv2.VideoCapture(video.source)
-    stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    capture.release()
-    if video.frame_count >= LOST_SHARE * stated:
+    if video.frame_count >= LOST_SHARE * video.stated_count:
         return None
     return (
-        f"{video.source}: {video.frame_count} of the {stated} frames that it states can be read: "
-        "the file is damaged or was not closed"
+        f"{video.source}: {video.frame_count} of the {video.stated_count} frames that it states "
+        "can be read: the file is damaged or was not closed"
     )
 
 
@@ -101,5 +75,5 @@ def _expand(folder: Path, name: str) -> list[Path]:
     return [inner_path(folder, path.relative_to(folder).as_posix()) for path in paths]
 
 
-def _read_images(paths: list[Path]) -> list[np.ndarray]:
-    return [read_image(path) for path in paths]
+def _read_images(paths: list[Path]) -> Iterator[np.ndarray]:
+    return (read_image(path) for path in paths)

@@ -133,27 +133,27 @@ def _check_markers(markers: MarkerCaptures) -> list[Remark]:
 
 
 def _check_video(video: Video, rest: np.ndarray) -> list[Remark]:
-    frames = video.frames()
     findings = _check_whole(video)
-    sizes = {frame.shape for frame in frames}
-    if sizes != {rest.shape}:
-        return [
-            remarks.VIDEO_SIZE(
-                video=video.source,
-                width=frames[0].shape[1],
-                height=frames[0].shape[0],
-                rest_width=rest.shape[1],
-                rest_height=rest.shape[0],
-            )
-        ]
-    small = [thumb(frame) for frame in frames]
+    small = []
+    for frame in video.frames():
+        if frame.shape != rest.shape:
+            return [
+                remarks.VIDEO_SIZE(
+                    video=video.source,
+                    width=frame.shape[1],
+                    height=frame.shape[0],
+                    rest_width=rest.shape[1],
+                    rest_height=rest.shape[0],
+                )
+            ]
+        small.append(thumb(frame))
     steps = np.array([float(np.abs(b - a).max()) for a, b in itertools.pairwise(small)])
     still = float((steps < STILL_LEVELS).mean())
     if still > MAX_STILL_SHARE:
-        findings.append(remarks.VIDEO_REPEATS(video=video.source, still=still, count=len(frames)))
+        findings.append(remarks.VIDEO_REPEATS(video=video.source, still=still, count=len(small)))
     moved = max(float(np.percentile(np.abs(image - small[0]), 99)) for image in small)
     if moved < 4.0:
-        findings.append(remarks.NO_MOTION(video=video.source, count=len(frames)))
+        findings.append(remarks.NO_MOTION(video=video.source, count=len(small)))
     return findings
 
 

@@ -6,15 +6,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.images import decode
 from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.output import write_json
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.images import read_grey
 from taccel_lab.report.style import (
     BLUE,
     LIGHT,
@@ -37,7 +36,7 @@ def read_mask(path: Path, profile: SensorProfile) -> np.ndarray:
     Raises:
         InputError: No image, another size, or no pixel that counts.
     """
-    mask = decode(path, cv2.IMREAD_GRAYSCALE) > 0
+    mask = read_grey(path) > 0
     expected = (profile.camera.height_px, profile.camera.width_px)
     if mask.shape != expected or not mask.any():
         raise InputError(

@@ -8,7 +8,6 @@ figures of presses that the table was not fitted to. Files of others, without th
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable, bin_indices, bin_middles
+from taccel_lab.reading.arrays import read_npz
 from taccel_lab.signals.normals import normals_from_slopes
 
 TABLE_FILE = "polycalib.npz"
@@ -48,18 +48,9 @@ def read_table(path: Path) -> TableFile:
     """Read ``polycalib.npz``.
 
     Raises:
-        InputError: There is no such file, it is no NPZ, or it holds no whole table.
+        InputError: It cannot be read as an NPZ, or it holds no whole table.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; a Taxim table is a file {TABLE_FILE}")
-    try:
-        stored = np.load(path, allow_pickle=False)
-        arrays = {} if isinstance(stored, np.ndarray) else dict(stored)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: no readable {TABLE_FILE}: {error}") from None
-    if isinstance(stored, np.ndarray):
-        raise InputError(f"{path}: a single array, not the arrays of a {TABLE_FILE}")
-    stored.close()
+    arrays = read_npz(path)
     try:
         table = TaximTable.from_arrays(arrays, "bgr")
     except InputError as error:
@@ -73,7 +64,7 @@ def read_table(path: Path) -> TableFile:
         {
             name.removeprefix(_FIGURE): float(value)
             for name, value in arrays.items()
-            if name.startswith(_FIGURE) and value.shape == ()
+            if name.startswith(_FIGURE) and value.shape == () and value.dtype.kind in "iuf"
         },
     )
 

@@ -8,8 +8,6 @@ profiles. Decoding refuses what it does not expect: missing or extra keys, wrong
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
 from collections.abc import Mapping
 
 import numpy as np
@@ -17,6 +15,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.tet_checks import check_connectivity
+from taccel_lab.reading.arrays import unpack_npz
 
 MESH_KEYS = ("nodes_m", "tets", "faces", "face_regions")
 LAYER_KEY = "tet_layers"
@@ -33,16 +32,9 @@ def _encode_npz(arrays: Mapping[str, np.ndarray]) -> bytes:
 def _decode_npz(
     data: bytes, keys: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> dict[str, np.ndarray]:
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            found = set(archive.files)
-            if not set(keys) <= found <= {*keys, *optional}:
-                raise InputError(f"must hold the arrays {sorted(keys)}, found {sorted(found)}")
-            arrays = {key: archive[key] for key in archive.files}
-    except InputError:
-        raise
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, KeyError) as error:
-        raise InputError(f"is not a readable npz archive ({error})") from None
+    arrays = unpack_npz(data)
+    if not set(keys) <= arrays.keys() <= {*keys, *optional}:
+        raise InputError(f"must hold the arrays {sorted(keys)}, found {sorted(arrays)}")
     return arrays
 
 

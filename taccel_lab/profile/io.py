@@ -18,6 +18,8 @@ from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
 from taccel_lab.profile.migrate import migrate
 from taccel_lab.profile.schema import SCHEMA_VERSION, Block
 from taccel_lab.profile.sensor_profile import ARRAY_FIELDS, SensorProfile
+from taccel_lab.reading.arrays import MAX_ARRAY_BYTES
+from taccel_lab.reading.regular_file import read_regular_file
 
 PROFILE_FILE = "profile.toml"
 
@@ -227,7 +229,7 @@ def _read_file(path: Path, stated: object) -> bytes:
         raise InputError(f"{PROFILE_FILE} lists no SHA-256 of it under files (found {stated!r})")
     if not path.is_file():
         raise InputError("no such file, though profile.toml lists it")
-    data = path.read_bytes()
+    data = read_regular_file(path, MAX_ARRAY_BYTES, "a file of arrays")
     found = _sha256(data)
     if found != stated:
         raise InputError(

@@ -10,12 +10,16 @@ from __future__ import annotations
 
 import atexit
 import os
+import pickle
 import threading
 import traceback
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import recv_handle, send_handle
 from typing import Any, TypeVar
+
+import numpy as np
 
 from taccel_lab.child_process import ChildProcess
 from taccel_lab.errors import InputError
@@ -26,6 +30,21 @@ MEMORY_BYTES = 2 << 30
 """That a reader may take."""
 LIMIT_S = 120.0
 """Seconds that a reader may stay silent."""
+KEPT_BYTES = 16 << 20
+"""Of the place for arrays, when a reader waits; larger ones are given back."""
+MAX_IMAGE_PIXELS = 1 << 26
+"""Of an image; cameras have up to 61 million."""
+ENVIRONMENT = {
+    # Of 64 cores the stacks of the threads of two libraries take half of the memory.
+    **dict.fromkeys(THREAD_LIMITS, "1"),
+    # OpenCV compares it with an image's header before it decodes.
+    "OPENCV_IO_MAX_IMAGE_PIXELS": str(MAX_IMAGE_PIXELS),
+    # Of what FFmpeg reads, playlists would name other files, and addresses.
+    "OPENCV_FFMPEG_CAPTURE_OPTIONS": (
+        "protocol_whitelist;file|format_whitelist;avi,mov,mp4,matroska,webm"
+    ),
+}
+"""Variables that readers start with."""
 
 
 def read_apart(
@@ -60,11 +79,12 @@ class _Reader:
     """One readers' process."""
 
     def __init__(self) -> None:
-        # Of 64 cores the stacks of the threads of two libraries take half of the memory.
-        threads: dict[str, str] = dict.fromkeys(THREAD_LIMITS, "1")
         self.child = ChildProcess(
-            _serve, memory_bytes=MEMORY_BYTES, environment=threads, quiet=True
+            _serve, memory_bytes=MEMORY_BYTES, environment=ENVIRONMENT, quiet=True
         )
+        self.arrays = os.memfd_create("arrays")
+        """Where it puts the contents of arrays: through the pipe they would take far longer."""
+        send_handle(self.child.pipe, self.arrays, None)
         self.owner = os.getpid()
         self.idle = True
         """Whether it waits for a file; one that was left amid a file is of no more use."""
@@ -88,6 +108,11 @@ class _Reader:
         """The next item of a stream and whether there was one."""
         kind, content = self._receive(what, limit_s)
         self.idle = kind == "end"
+        if kind == "item":
+            try:
+                self.child.pipe.send("read")
+            except (BrokenPipeError, ConnectionResetError):
+                pass  # It died of the next one: that one's turn says so.
         return content, kind == "item"
 
     def _answer(self, what: str, limit_s: float) -> Any:
@@ -102,7 +127,8 @@ class _Reader:
                     f"{what}: the reader did not finish within {limit_s:g} s; the file is damaged "
                     "or far too large"
                 )
-            kind, content = self.child.pipe.recv()
+            kind, content, sizes = self.child.pipe.recv()
+            content = pickle.loads(content, buffers=self._buffers(sizes))
         except (EOFError, ConnectionResetError):
             raise InputError(
                 f"{what}: the file is damaged: its reader crashed on it (the process "
@@ -117,6 +143,19 @@ class _Reader:
             self.idle = True
             raise content
         return kind, content
+
+    def _buffers(self, sizes: list[int]) -> Iterator[np.ndarray]:
+        at = 0
+        for size in sizes:
+            buffer, done = np.empty(size, dtype=np.uint8), 0
+            while done < size:
+                done += os.preadv(self.arrays, [buffer[done:].data], at + done)
+            at += size
+            yield buffer
+
+    def end(self) -> None:
+        self.child.end()
+        os.close(self.arrays)
 
 
 class _Readers:
@@ -137,7 +176,7 @@ class _Readers:
                 if reader.idle:
                     self._idle.append(reader)
             if not reader.idle:
-                reader.child.end()
+                reader.end()
 
     def _take(self) -> _Reader:
         with self._lock:
@@ -152,7 +191,7 @@ class _Readers:
         with self._lock:
             for reader in self._idle:
                 if reader.owner == os.getpid():
-                    reader.child.end()
+                    reader.end()
             self._idle = []
 
 
@@ -160,21 +199,58 @@ _readers = _Readers()
 atexit.register(_readers.end)
 
 
+class _Answers:
+    """What the readers' process sends back."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe = pipe
+        self._arrays = recv_handle(pipe)
+        self._unread = False
+        self._filled = 0
+
+    def send(self, kind: str, content: Any) -> None:
+        if self._unread:  # The place of its arrays is not yet free.
+            self._pipe.recv()
+        buffers: list[pickle.PickleBuffer] = []
+        data = pickle.dumps(content, protocol=5, buffer_callback=buffers.append)
+        views = [buffer.raw() for buffer in buffers]
+        sizes = [view.nbytes for view in views]
+        if self._filled > KEPT_BYTES:
+            os.ftruncate(self._arrays, 0)
+        self._filled, at = sum(sizes), 0
+        for view in views:
+            while len(view):
+                written = os.pwrite(self._arrays, view, at)
+                view, at = view[written:], at + written
+        self._pipe.send((kind, data, sizes))
+        self._unread = kind == "item"
+
+
 def _serve(pipe: Connection) -> None:
     """Answer requests for as long as there are any."""
+    answers = _Answers(pipe)
     while True:
         read, arguments, stream = pipe.recv()
         try:
             if stream:
                 for item in read(*arguments):
-                    pipe.send(("item", item))
-                pipe.send(("end", None))
+                    answers.send("item", item)
+                answers.send("end", None)
             else:
-                pipe.send(("result", read(*arguments)))
+                answers.send("result", read(*arguments))
         except MemoryError:
-            pipe.send(("memory", None))
+            answers.send("memory", None)
             return
         except Exception as error:  # Raised again where the file was asked for.
-            if not isinstance(error, InputError):
-                error.add_note(traceback.format_exc())
-            pipe.send(("error", error))
+            answers.send("error", _sendable(error))
+
+
+def _sendable(error: Exception) -> Exception:
+    if isinstance(error, InputError):
+        return error
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # Those of libraries need not pickle.
+        error = RuntimeError(f"{type(error).__name__}: {error}")
+    error.add_note(traceback.format_exc())
+    return error

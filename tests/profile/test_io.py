@@ -248,7 +248,7 @@ def test_arrays_of_the_wrong_kind(profile_folder: Path, tmp_path: Path) -> None:
         load_profile(profile_folder)
     np.savez(tmp_path / "b.npz", rgb=np.array([{"a": 1}], dtype=object))
     rehash(profile_folder, "background.npz", (tmp_path / "b.npz").read_bytes())
-    with pytest.raises(InputError, match=r"background\.npz: is not a readable npz"):
+    with pytest.raises(InputError, match=r"background\.npz: is not a readable \.npz"):
         load_profile(profile_folder)
 
 

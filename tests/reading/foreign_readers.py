@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -56,3 +57,21 @@ def count_and_crash(n: int) -> Iterator[int]:
 def count_and_refuse(n: int) -> Iterator[int]:
     yield from range(n)
     raise InputError("v.avi is cut short")
+
+
+def same(value: Any) -> Any:
+    return value
+
+
+def times(n: int) -> Iterator[float]:
+    for _ in range(n):
+        yield time.monotonic()
+
+
+class _OwnError(Exception):
+    def __init__(self, a: int, b: int) -> None:
+        super().__init__(f"{a} and {b}")
+
+
+def own_error() -> None:
+    raise _OwnError(3, 4)

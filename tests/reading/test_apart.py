@@ -66,6 +66,39 @@ def test_streams() -> None:
         assert seen == [0, 1, 2]
 
 
+def test_a_stream_is_read_one_ahead_and_no_further() -> None:
+    """However slow the one who takes the items is."""
+    stream = stream_apart("v", readers.times, 5)
+    taken = []
+    for made in stream:
+        time.sleep(0.2)
+        taken.append((made, time.monotonic()))
+    for (_, before), (made, _) in zip(taken[:-2], taken[2:], strict=True):
+        assert made > before - 0.2 - 0.05
+
+
+def test_arrays_of_all_shapes_come_back() -> None:
+    values = {
+        "empty": np.zeros((0, 3)),
+        "turned": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        "strided": np.arange(100)[::7],
+        "large": np.arange(5_000_000),
+        "small": np.arange(3, dtype=np.uint8),
+    }
+    for _ in range(2):
+        found = read_apart("a", readers.same, values)
+        assert found.keys() == values.keys()
+        for key, value in values.items():
+            np.testing.assert_array_equal(found[key], value)
+            assert found[key].flags.writeable
+
+
+def test_an_error_that_does_not_pickle_is_told() -> None:
+    with pytest.raises(RuntimeError, match="_OwnError: 3 and 4"):
+        read_apart("x.ply", readers.own_error)
+    assert read_apart("a", readers.double, 2) == 4
+
+
 def test_streams_side_by_side_and_left_early() -> None:
     one, two = stream_apart("v", readers.count, 10**6), stream_apart("w", readers.count, 3)
     assert [next(one), next(two), next(one), next(two)] == [0, 0, 1, 1]

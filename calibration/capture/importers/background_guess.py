@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.images import levels, read_image
 from taccel_lab.errors import InputError
+from taccel_lab.reading.images import levels, read_image
 
 BACKGROUND_NAME = re.compile(
     r"(^|[_\-. ])(bg|background|ref|reference|blank|no_?contact|untouched|init|empty|rest)"

@@ -19,9 +19,9 @@ from taccel_lab.calibration.capture.framing import (
     misfit_levels,
     thumb,
 )
-from taccel_lab.calibration.capture.images import levels
 from taccel_lab.calibration.capture.importers.draft import Draft
 from taccel_lab.errors import InputError
+from taccel_lab.reading.images import levels
 
 AUTO_CROP = "auto"
 MIN_PRESSES = 3

@@ -8,13 +8,13 @@ from pathlib import Path
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import (
     first_existing,
-    load_npz,
     natural_key,
     number_in,
     point_in,
     sensor_image,
 )
 from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.reading.arrays import read_npz
 
 SOURCE = "cube edges (jonaszilke/gs_sdk)"
 LICENSE = "GPL-3.0"
@@ -29,7 +29,7 @@ def _recognises(path: Path) -> bool:
     if not path.is_dir() or (path / "catalog.csv").is_file():
         return False
     labels = _labels(path)
-    return bool(labels) and "line_center" in load_npz(labels[0])
+    return bool(labels) and "line_center" in read_npz(labels[0])
 
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
@@ -43,7 +43,7 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         draft.notes.append(f"the edge is taken as {EDGE_MM:g} mm long, that of the published cube")
     edges = []
     for label in _labels(path):
-        arrays = load_npz(label)
+        arrays = read_npz(label)
         u, v = point_in(arrays, "line_center", label)
         edges.append(
             {

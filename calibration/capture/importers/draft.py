@@ -158,7 +158,7 @@ class Draft:
             elif content.suffix.lower() in IMAGE_SUFFIXES and path.suffix == ".png" != (
                 content.suffix.lower()
             ):
-                from taccel_lab.calibration.capture.images import read_image
+                from taccel_lab.reading.images import read_image
 
                 write_png(path, read_image(content))
             else:

@@ -12,7 +12,9 @@ import numpy as np
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import first_existing
 from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
+from taccel_lab.reading.arrays import finite_numbers, read_npy
 
 SOURCE = "FEATS (feats-ai/feats)"
 LICENSE = "MIT"
@@ -64,14 +66,12 @@ def _numbers(path: Path, values: object, key: str) -> list[float]:
 
 def _read_scale(path: Path, draft: Draft) -> None:
     """Scale from a homography of millimetres to pixels, whose axes may be swapped."""
-    try:
-        matrix = np.load(path, allow_pickle=False)
-    except (OSError, EOFError, ValueError) as error:
-        raise InputError(f"{path} is not a readable .npy of numbers: {error}") from error
-    if matrix.shape != (3, 3) or np.abs(matrix[2, :2]).max() > 1e-9 or matrix[2, 2] == 0:
+    matrix = finite_numbers({path.name: read_npy(path)}, path.name, path.parent)
+    affine = matrix.shape == (3, 3) and np.abs(matrix[2, :2]).max() <= 1e-9 and matrix[2, 2] != 0
+    px_per_mm = np.linalg.norm(matrix[:2, :2] / matrix[2, 2], axis=1) if affine else np.zeros(2)
+    if not np.all((px_per_mm >= 1 / MAX_MM_PER_PX) & (px_per_mm <= 1 / MIN_MM_PER_PX)):
         draft.notes.append(f"{path.name} is no affine 3 x 3 matrix; its scale was left out")
         return
-    px_per_mm = np.linalg.norm(matrix[:2, :2] / matrix[2, 2], axis=1)
     draft.set_scale(float(1 / px_per_mm[0]), float(1 / px_per_mm[1]))
     draft.notes.append(f"scale from {path.name}: {px_per_mm[0]:g} x {px_per_mm[1]:g} px/mm")
 

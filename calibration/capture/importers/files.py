@@ -14,6 +14,7 @@ import numpy as np
 from taccel_lab.calibration.capture.importers.draft import IMAGE_SUFFIXES
 from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
+from taccel_lab.reading.arrays import finite_numbers
 
 _FILE_COLUMNS = ("file", "image", "img_name", "img_names", "filename", "name", "frame")
 _U_COLUMNS = ("cx_px", "u_px", "cx", "center_x", "x_px", "x", "u")
@@ -153,36 +154,20 @@ def label_for(
     return None
 
 
-def load_npz(path: Path) -> dict[str, np.ndarray]:
-    """Plain arrays of an ``.npz``; pickles are refused."""
-    import zipfile
-
-    try:
-        with np.load(path, allow_pickle=False) as pack:
-            return {key: pack[key] for key in pack.files}
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path} is not a readable .npz of plain arrays: {error}") from error
-
-
 def number_in(arrays: dict[str, np.ndarray], key: str, path: Path) -> float:
     """A single finite number of an archive."""
-    try:
-        value = float(arrays[key].item())
-    except (KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: {key} has to be a single number ({error})") from error
-    if not math.isfinite(value):
-        raise InputError(f"{path}: {key} is {value}; a finite number is needed")
-    return value
+    values = finite_numbers(arrays, key, path)
+    if values.size != 1:
+        raise InputError(f"{path}: {key} has to be a single number, found {values.size}")
+    return float(values.item())
 
 
 def point_in(arrays: dict[str, np.ndarray], key: str, path: Path) -> tuple[float, float]:
     """Two finite numbers of an archive."""
-    values = arrays.get(key)
-    if values is None or values.size != 2 or values.dtype.kind not in "iuf":
-        raise InputError(f"{path}: {key} has to be two numbers (u, v)")
+    values = finite_numbers(arrays, key, path)
+    if values.size != 2:
+        raise InputError(f"{path}: {key} has to be two numbers (u, v), found {values.size}")
     u, v = (float(value) for value in values.ravel())
-    if not (math.isfinite(u) and math.isfinite(v)):
-        raise InputError(f"{path}: {key} is ({u}, {v}); finite numbers are needed")
     return u, v
 
 

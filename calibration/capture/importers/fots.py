@@ -77,7 +77,8 @@ def _presses(path: Path, part: str, sensor: str, labels: dict[str, dict[str, flo
 
 def _add_untouched(draft: Draft, image: Path) -> None:
     """A further background, unless it is the same image again."""
-    from taccel_lab.calibration.capture.images import file_sha256, read_image
+    from taccel_lab.reading.images import read_image
+    from taccel_lab.reading.regular_file import file_sha256
 
     first = draft.files[draft.manifest["background"]]
     assert isinstance(first, Path)

@@ -15,7 +15,6 @@ from pathlib import Path
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import (
     first_existing,
-    load_npz,
     load_yaml,
     natural_key,
     number_in,
@@ -25,6 +24,7 @@ from taccel_lab.calibration.capture.importers.files import (
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
+from taccel_lab.reading.arrays import read_npz
 
 CATALOG = "catalog.csv"
 DIAMETER = "diameter(mm)"
@@ -49,7 +49,7 @@ def _recognises(path: Path) -> bool:
     if (path / "examples" / "data" / "background.png").is_file():
         return True
     labels = _labels(path)
-    return bool(labels) and {"center", "radius"} <= load_npz(labels[0]).keys()
+    return bool(labels) and {"center", "radius"} <= read_npz(labels[0]).keys()
 
 
 def _labels(path: Path) -> list[Path]:
@@ -146,7 +146,7 @@ def _read_labelled(path: Path, draft: Draft) -> None:
 def _circle(label: Path) -> dict[str, float] | None:
     if not label.is_file():
         return None
-    arrays = load_npz(label)
+    arrays = read_npz(label)
     u, v = point_in(arrays, "center", label)
     return {"u_px": u, "v_px": v, "radius_px": number_in(arrays, "radius", label)}
 

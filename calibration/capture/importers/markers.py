@@ -8,13 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import images_in
 from taccel_lab.calibration.capture.importers.layout import Layout
-from taccel_lab.calibration.capture.video import read_video
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
+from taccel_lab.reading.images import read_image
+from taccel_lab.reading.videos import first_frame
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv")
 MIN_FRAMES = 20
@@ -79,7 +79,7 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     if videos:
         root = path.parent if path.is_file() else path
         draft.manifest["markers"] = {
-            "rest": draft.add_image(read_video(videos[0])[0], "rest"),
+            "rest": draft.add_image(first_frame(videos[0]), "rest"),
             "videos": [{"file": draft.add_file(video, root)} for video in videos],
         }
     else:

@@ -8,9 +8,6 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import cv2
-
-from taccel_lab.calibration.capture.images import image_size
 from taccel_lab.calibration.capture.importers.background_guess import (
     BACKGROUND_NAME,
     guess_background,
@@ -26,6 +23,7 @@ from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.importers.markers import VIDEO_SUFFIXES
 from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
+from taccel_lab.reading.images import image_size, read_grey
 
 _MASK_NAME = re.compile(r"(^|[_\-. ])mask($|[_\-. \d])", re.IGNORECASE)
 _DERIVED_NAME = re.compile(r"(^|[_\-. ])(labeled|labelled|drawing|contours|annotated|pseudo)", re.I)
@@ -108,8 +106,7 @@ def _of_one_size(images: list[Path], draft: Draft) -> list[Path]:
 def _take_mask(images: list[Path], draft: Draft) -> list[Path]:
     masks = [image for image in images if _MASK_NAME.search(image.stem)]
     if len(masks) == 1 and len(images) > 1:
-        grey = cv2.imread(str(masks[0]), cv2.IMREAD_GRAYSCALE)
-        if grey is not None and (grey > 0).any():
+        if (read_grey(masks[0]) > 0).any():
             draft.manifest["mask"] = draft.add_image(masks[0], "mask")
     elif masks:
         draft.notes.append("several masks were left out; name the one that holds for all frames")

@@ -15,7 +15,6 @@ from taccel_lab.calibration.base_profile import presses_on_camera
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import rectify_captures
 from taccel_lab.calibration.capture import load_capture_folder
-from taccel_lab.calibration.capture.images import file_sha256
 from taccel_lab.calibration.capture.schema import CaptureManifest
 from taccel_lab.calibration.depth.captures import grey_captures
 from taccel_lab.cli.app import main
@@ -23,6 +22,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock
 from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.reading.regular_file import file_sha256
 
 RAW = (60, 80)
 LEFT, TOP = 12, 7
@@ -95,7 +95,7 @@ def test_a_folder_is_rectified(captures: Path, tmp_path: Path) -> None:
     assert not even.mask[:, 48:].any() and not even.mask[:3].any() and even.mask[3:, :48].all()
     assert even.boards == () and even.markers is not None
     (video,) = even.markers.videos
-    assert video.frame_count == 2 and video.frames()[0].shape == (40, 50, 3)
+    assert video.frame_count == 2 and next(video.frames()).shape == (40, 50, 3)
     assert np.array_equal(even.records[0].columns["force_n"], [0.1, 0.4, 0.9])
     assert notes == ["the contact circle of corner was left out", "boards were left out"]
 

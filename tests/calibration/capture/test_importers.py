@@ -314,7 +314,7 @@ Break = Callable[[Path], object]
         (feats, lambda f: (f / "homography.npy").write_text("x"), "homography.npy is not a read"),
         (cube_edges, lambda f: np.savez(f / "2/label.npz", line_center=np.zeros(3)), "two numbers"),
         (gs_sdk, lambda f: np.savez(f / "4.760mm/0/label.npz", center=np.zeros(2), radius="x"),
-         "radius has to be a single number"),
+         "radius has type <U1; real numbers"),
         (cube_edges, lambda f: (f / "2/gelsight.png").unlink(), r"2/gelsight\.png does not exist"),
     ],
 )  # fmt: skip

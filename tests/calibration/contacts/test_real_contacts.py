@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.calibration.contacts.circle_arrays import circle_array
 from taccel_lab.calibration.contacts.color_change import color_change
 from taccel_lab.calibration.contacts.fit import find_contacts
@@ -27,6 +26,7 @@ from taccel_lab.calibration.contacts.labels import LabelAgreement, agreement
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.rim import fit_rim
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.images import read_image
 from tests.calibration.contacts.presses import contacts_of, press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.real_data import real_data

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.capture.images import file_sha256, read_image
 from taccel_lab.calibration.depth.fit import fit_depth
 from taccel_lab.calibration.depth.grey_contact import find_grey_contact
 from taccel_lab.calibration.depth.options import DepthOptions
@@ -23,6 +22,8 @@ from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.reading.images import read_image
+from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.signals.depth_response import DepthResponse
 from tests.calibration.synthetic import flat_profile
 from tests.real_data import real_data

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.capture.images import file_sha256, read_image
 from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.skirt import hertz_skirts
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.images import read_image
+from taccel_lab.reading.regular_file import file_sha256
 from tests.real_data import real_data
 
 

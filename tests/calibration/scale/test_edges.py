@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
-from taccel_lab.calibration.capture.images import read_image
 from taccel_lab.calibration.capture.schema import EdgeEntry, LineEntry
 from taccel_lab.calibration.scale.edge_line import find_edge
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
 from taccel_lab.errors import InputError
+from taccel_lab.reading.images import read_image
 from tests.calibration.drawn.faults import add_dust, add_noise, blur, poison, quantise
 from tests.real_data import real_data
 

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Image files, decoded by OpenCV in the readers' process."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.reading.apart import MAX_IMAGE_PIXELS, read_apart
+from taccel_lab.reading.regular_file import read_regular_file
+
+MAX_FILE_BYTES = 512 << 20
+"""The largest image that is allowed, of 16 bits and not compressed, fits in."""
+ALLOWED = "PNG, JPEG, BMP, TIFF or WebP"
+_BEGINNINGS = (b"\x89PNG", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF")
+LOW_16_BIT = 4096
+"""Sixteen-bit images that stay below this hold 12 bits or fewer in the low places."""
+
+
+def read_image(path: Path) -> np.ndarray:
+    """An image file as RGB uint8, shape [height, width, 3], turned as its EXIF tag says.
+
+    Raises InputError with the path when it is none of ``ALLOWED``, is damaged or cut short, has
+    more than ``MAX_IMAGE_PIXELS``, or values of other than 8 or 16 bits.
+    """
+    return read_apart(str(path), _rgb, Path(path))
+
+
+def read_grey(path: Path) -> np.ndarray:
+    """An image file as grey levels, uint8, shape [height, width]; errors as above."""
+    return read_apart(str(path), _grey, Path(path))
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of :func:`read_image` [px].
+
+    The image is decoded for it: whoever asks wants to know whether it can be read, too.
+    """
+    return read_apart(str(path), _size, Path(path))
+
+
+def levels(image: Path | np.ndarray | str) -> np.ndarray:
+    """RGB levels of an image that is in memory already, or in a file."""
+    return image if isinstance(image, np.ndarray) else read_image(Path(image))
+
+
+def _rgb(path: Path) -> np.ndarray:
+    import cv2
+
+    image = _decoded(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if image.dtype == np.uint16:
+        brightest = int(image.max())
+        if 0 < brightest < LOW_16_BIT:
+            raise InputError(
+                f"{path} has 16 bits and no value above {brightest}: raw values of a camera of 12 "
+                "bits or fewer, which would be black here. Save 8 bits, or values scaled to 65535"
+            )
+        image >>= 8
+        image = image.astype(np.uint8)
+    elif image.dtype != np.uint8:
+        raise InputError(f"{path} holds {image.dtype} values; images of 8 or 16 bits are allowed")
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _grey(path: Path) -> np.ndarray:
+    import cv2
+
+    return _decoded(path, cv2.IMREAD_GRAYSCALE)
+
+
+def _size(path: Path) -> tuple[int, int]:
+    height, width = _grey(path).shape
+    return width, height
+
+
+def _decoded(path: Path, flags: int) -> np.ndarray:
+    import cv2
+
+    cv2.setNumThreads(1)  # Each takes address space, which counts as memory.
+    data = read_regular_file(path, MAX_FILE_BYTES, "an image")
+    if not data:
+        raise InputError(f"{path} is empty (0 bytes); copy it again or leave it out")
+    image = None
+    if data.startswith(_BEGINNINGS):
+        try:
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+        except cv2.error as error:
+            if error.code == cv2.Error.StsNoMem:
+                raise MemoryError from None
+    if image is None:
+        raise InputError(f"{path} {_fault(data)}")
+    return image
+
+
+def _fault(data: bytes) -> str:
+    """Why OpenCV does not read an image, as far as its header tells."""
+    from PIL import Image
+
+    Image.MAX_IMAGE_PIXELS = None  # Only the header is read.
+    try:
+        with Image.open(io.BytesIO(data)) as header:
+            (width, height), kind = header.size, header.format
+    except Exception:  # Whatever a damaged header makes of it, it is no image to Pillow either.
+        width, height, kind = 0, 0, None
+    if width * height > MAX_IMAGE_PIXELS:
+        return (
+            f"is an image of {width} x {height} px according to its header; "
+            f"{MAX_IMAGE_PIXELS / 1e6:.0f} megapixels are allowed"
+        )
+    if kind is not None and not data.startswith(_BEGINNINGS):
+        return f"is an image of the format {kind}; {ALLOWED} is allowed"
+    return (
+        f"is not an image that can be read, or is damaged or cut short; {ALLOWED} is allowed. Copy "
+        "it again or leave it out"
+    )
