@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from build123d import Face, GeomType, Solid, Vector, Wire
 from OCP.BRepBuilderAPI import BRepBuilderAPI_Transform
 from OCP.gp import gp_Trsf
-from pydantic import BeforeValidator, StrictStr, ValidationError
+from pydantic import BeforeValidator, StrictStr
 
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
@@ -35,7 +34,7 @@ from taccel_lab.cad.step_import.selection import (
 from taccel_lab.cad.step_import.units import check_units
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
-from taccel_lab.profile.schema import Frozen, describe_errors
+from taccel_lab.reading.strict_model import StrictModel
 
 _NAMED: dict[str, Region] = {
     "contact": Region.CONTACT,
@@ -53,7 +52,7 @@ Selectors = Annotated[tuple[StrictStr, ...], BeforeValidator(_as_tuple)]
 """One or several; text stands for one."""
 
 
-class FaceSelection(Frozen):
+class FaceSelection(StrictModel):
     """Which faces are what, and how the body lies in its file; see ``selection`` for the words."""
 
     contact: Selectors = ("name:contact",)
@@ -76,17 +75,7 @@ class FaceSelection(Frozen):
 
         Raises InputError with every key that is unknown or wrong.
         """
-        if path is None:
-            return cls()
-        if not path.is_file():
-            raise InputError(f"{path} does not exist or is no file")
-        try:
-            return cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-        except ValidationError as error:
-            lines = describe_errors(error, cls).splitlines()
-            raise InputError("\n".join(f"{path}: {line}" for line in lines)) from None
-        except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{path} cannot be read as TOML: {error}") from error
+        return cls() if path is None else cls.read(path)
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ def write_review(review: Review, folder: Path | str) -> None:
             .get_template("review.html.j2")
             .render(review=review, verdict=judge(review.remarks), images=images)
         )
-        (staging / "review.html").write_text(html, encoding="utf-8")
+        (staging / "review.html").write_text(html, encoding="utf-8", errors="backslashreplace")
         write_json(staging / "review.json", _with_remarks(review))
         (staging / CONTACTS_NAME).write_text(_contacts_file(review), encoding="utf-8")
 

@@ -117,11 +117,11 @@ def test_violation_is_the_distance_to_the_nearer_bound() -> None:
 
 
 def test_files_are_named_in_errors(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such study file"):
+    with pytest.raises(InputError, match=r"none\.toml does not exist"):
         load_spec(tmp_path / "none.toml")
     path = tmp_path / "bad.toml"
     path.write_text("[study\n")
-    with pytest.raises(InputError, match=r"bad\.toml is not TOML"):
+    with pytest.raises(InputError, match=r"bad\.toml is not valid TOML"):
         load_spec(path)
 
 

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Only regular files of a bounded size are read; everything else is a sentence with the path."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taccel_lab.errors import InputError
+from taccel_lab.reading.regular_file import (
+    in_bytes,
+    read_regular_file,
+    require_regular_file,
+    sha256_of_file,
+)
+
+READERS = [require_regular_file, read_regular_file, sha256_of_file]
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_what_is_no_regular_file_of_that_size_is_refused(
+    read: Callable[[Path, int, str], Any], tmp_path: Path
+) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    listening = socket.socket(socket.AF_UNIX)
+    listening.bind(str(tmp_path / "socket"))
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "large").write_bytes(b"x" * 1025)
+    for name, words in (
+        ("none", "does not exist; expected a photo"),
+        ("", "is a folder; expected a photo"),
+        ("fifo", "is no regular file"),
+        ("socket", "is no regular file"),
+        ("/dev/zero", "is no regular file"),
+        ("loop", "cannot be read"),
+        ("a\0b", "cannot be read"),
+        ("n" * 300, "cannot be read"),
+        ("large", "has 1 KiB; a photo may have up to 1000 bytes"),
+    ):
+        with pytest.raises(InputError) as caught:
+            read(tmp_path / name, 1000, "a photo")
+        assert str(caught.value).startswith(str(tmp_path / name)), name
+        assert words in str(caught.value), name
+    listening.close()
+
+
+def test_files_that_tell_no_size_are_bounded_too() -> None:
+    status = Path("/proc/self/status")
+    if not status.exists():
+        pytest.skip("no /proc")
+    with pytest.raises(InputError, match="more than 10 bytes"):
+        read_regular_file(status, 10, "a text")
+
+
+def test_good_files_are_read_whole(tmp_path: Path) -> None:
+    path = tmp_path / "good"
+    content = os.urandom((1 << 20) + 17)
+    path.write_bytes(content)
+    assert require_regular_file(path, 1 << 21, "a file") == path
+    assert read_regular_file(path, len(content), "a file") == content
+    assert sha256_of_file(path, 1 << 21, "a file") == hashlib.sha256(content).hexdigest()
+    (tmp_path / "empty").touch()
+    assert read_regular_file(tmp_path / "empty", 10, "a file") == b""
+
+
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [(0, "0 bytes"), (1023, "1023 bytes"), (1536, "1.5 KiB"), (5 << 20, "5 MiB"),
+     (20 << 30, "20 GiB"), (10**13, "9313 GiB")],
+)  # fmt: skip
+def test_sizes(count: int, words: str) -> None:
+    assert in_bytes(count) == words
