@@ -9,6 +9,8 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 
+LARGEST_BYTES = 8 << 30
+"""More than an hour of video."""
 _CHUNK_BYTES = 1 << 20
 
 
@@ -56,10 +58,10 @@ def read_regular_file(path: Path, limit_bytes: int, what: str) -> bytes:
     return content
 
 
-def sha256_of_file(path: Path, limit_bytes: int, what: str) -> str:
-    """SHA-256 of the file's content, read bit by bit; arguments and errors as above."""
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, hexadecimal; errors as of :func:`require_regular_file`."""
     digest = hashlib.sha256()
-    with require_regular_file(path, limit_bytes, what).open("rb") as file:
+    with require_regular_file(path, LARGEST_BYTES, "a file of a capture").open("rb") as file:
         try:
             while chunk := file.read(_CHUNK_BYTES):
                 digest.update(chunk)

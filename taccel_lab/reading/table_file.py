@@ -100,7 +100,7 @@ class Table:
 
     def rows(self) -> Iterator[Row]:
         """The rows; InputError for one with other than a cell a column."""
-        for line, text in _lines(self.body, self.first_line, self.path):
+        for line, text in numbered_lines(self.body, self.first_line, self.path):
             cells = _split(text, self.delimiter, line, self.path)
             if len(cells) != len(self.header):
                 raise InputError(
@@ -116,9 +116,8 @@ def read_table(path: Path) -> Table:
     Raises InputError with the path, here or as the rows are read: no file, too large, no text, no
     header, a column that stands twice, quotes that are not closed, rows of another length.
     """
-    text = read_text(path, TABLE_LIMIT_BYTES, "a table", latin_1=True)
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
-    found = next(_lines(text, 1, path), None)
+    text = read_table_text(path)
+    found = next(numbered_lines(text, 1, path), None)
     if found is None:
         raise InputError(f"{path} is empty; a table begins with the names of its columns")
     line, head = found
@@ -131,7 +130,13 @@ def read_table(path: Path) -> Table:
     return Table(path, header, delimiter, rest[0] if rest else "", line + 1)
 
 
-def _lines(text: str, first: int, path: Path) -> Iterator[tuple[int, str]]:
+def read_table_text(path: Path) -> str:
+    """Text of a table, whose lines end with a line feed; InputError as ``read_table``."""
+    text = read_text(path, TABLE_LIMIT_BYTES, "a table", latin_1=True)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def numbered_lines(text: str, first: int, path: Path) -> Iterator[tuple[int, str]]:
     """Lines with something in them, by number; one by one, since a list of them takes 30 times
     their size."""
     start, line = 0, first

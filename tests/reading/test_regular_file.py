@@ -14,16 +14,14 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.reading.regular_file import (
+    file_sha256,
     in_bytes,
     read_regular_file,
     require_regular_file,
-    sha256_of_file,
 )
 
-READERS = [require_regular_file, read_regular_file, sha256_of_file]
 
-
-@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("read", [require_regular_file, read_regular_file])
 def test_what_is_no_regular_file_of_that_size_is_refused(
     read: Callable[[Path, int, str], Any], tmp_path: Path
 ) -> None:
@@ -48,6 +46,8 @@ def test_what_is_no_regular_file_of_that_size_is_refused(
         assert str(caught.value).startswith(str(tmp_path / name)), name
         assert words in str(caught.value), name
     listening.close()
+    with pytest.raises(InputError, match="is no regular file"):
+        file_sha256(tmp_path / "fifo")
 
 
 def test_files_that_tell_no_size_are_bounded_too() -> None:
@@ -64,7 +64,7 @@ def test_good_files_are_read_whole(tmp_path: Path) -> None:
     path.write_bytes(content)
     assert require_regular_file(path, 1 << 21, "a file") == path
     assert read_regular_file(path, len(content), "a file") == content
-    assert sha256_of_file(path, 1 << 21, "a file") == hashlib.sha256(content).hexdigest()
+    assert file_sha256(path) == hashlib.sha256(content).hexdigest()
     (tmp_path / "empty").touch()
     assert read_regular_file(tmp_path / "empty", 10, "a file") == b""
 

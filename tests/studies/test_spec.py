@@ -65,6 +65,13 @@ BAD = [
     ("constraints", [{"metric": "blur", "most": 2}], "constraints.0.most: unknown key", "min, max"),
     ("output", {"steps": True}, "output.steps: unknown key", "did you mean step?"),
     ("run", {"processes": 0}, "run.processes", "found 0"),
+    ("run", {"processes": True}, "run.processes: input should be a valid integer (found True)"),
+    ("study/load_n", "0.5", "study.load_n: input should be a valid number (found '0.5')"),
+    ("study/seed", True, "study.seed: input should be a valid integer (found True)"),
+    ("output", {"step": "no"}, "output.step: input should be a valid boolean (found 'no')"),
+    ("constraints", [{"metric": "blur", "max": True}], "input should be a valid number"),
+    ("self", {}, "self: unknown key"),
+    ("model_config", {}, "model_config: unknown key"),
 ]
 
 

@@ -18,6 +18,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
+from taccel_lab.output import write_image
 from taccel_lab.reading.text_file import printable
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -202,5 +203,4 @@ class Draft:
 def write_png(path: Path, rgb: np.ndarray) -> None:
     """Write RGB (or grey) levels, uint8, as PNG."""
     bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
-    if not cv2.imwrite(str(path), bgr):
-        raise OSError(f"{path} could not be written")
+    write_image(path, bgr)

@@ -18,8 +18,7 @@ from taccel_lab.calibration.capture.importers.files import (
 from taccel_lab.calibration.capture.importers.label_tables import Circle, read_label_tables
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
-from taccel_lab.reading.table_file import TABLE_LIMIT_BYTES
-from taccel_lab.reading.text_file import read_text
+from taccel_lab.reading.table_file import read_table_text
 
 SOURCE = "FOTS (Rancho-zhao/FOTS)"
 LICENSE = "MIT, says its README"
@@ -103,10 +102,10 @@ def _markers(data: Path) -> Draft:
     draft.manifest["markers"] = markers
     table = first_existing(frames[0].with_suffix(".csv"))
     if table is not None:
-        lines = read_text(table, TABLE_LIMIT_BYTES, "a table", latin_1=True).splitlines()
-        if lines and lines[0].replace(" ", "") == "Mx,My,dx,dy":
-            lines[0] = "u_px,v_px,du_px,dv_px"
-        draft.files["marker_labels.csv"] = "\n".join(lines) + "\n"
+        head, _, rows = read_table_text(table).partition("\n")
+        if head.replace(" ", "") == "Mx,My,dx,dy":
+            head = "u_px,v_px,du_px,dv_px"
+        draft.files["marker_labels.csv"] = f"{head}\n{rows.removesuffix(chr(10))}\n"
         markers["labels"] = "marker_labels.csv"
     if len(frames) > 1:
         names = [draft.add_image(frame, f"frame_{frame.stem}") for frame in frames]

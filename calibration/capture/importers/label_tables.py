@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
 from taccel_lab.reading.cell_number import number
-from taccel_lab.reading.table_file import TABLE_LIMIT_BYTES, read_table
-from taccel_lab.reading.text_file import read_text
+from taccel_lab.reading.table_file import numbered_lines, read_table, read_table_text
 
 Circle = dict[str, float]
 """``u_px``, ``v_px`` and ``radius_px``."""
@@ -132,8 +131,7 @@ def read_labels(path: Path) -> dict[str, Circle] | None:
         InputError: It is a table of circles, and has a fault.
     """
     try:
-        lines = read_text(path, TABLE_LIMIT_BYTES, "a table", latin_1=True).splitlines()
-        written = _tuple_lines(lines)
+        written = _tuple_lines(numbered_lines(read_table_text(path), 1, path))
         table = None if written is not None else read_table(path)
     except InputError as error:
         raise NotATable(str(error)) from None
@@ -155,13 +153,11 @@ def read_labels(path: Path) -> dict[str, Circle] | None:
 _KEYS = ("u_px", "v_px", "radius_px")
 
 
-def _tuple_lines(lines: Sequence[str]) -> list[tuple[int, str, str, str, str]] | None:
+def _tuple_lines(lines: Iterable[tuple[int, str]]) -> list[tuple[int, str, str, str, str]] | None:
     """Number of the line, name and three numbers; None when a line is of another form."""
     found = []
-    for count, line in enumerate(lines, 1):
+    for count, line in lines:
         text = line.strip()
-        if not text or text[0] == "#":
-            continue
         match = _TUPLE_LINE.fullmatch(text) if len(text) <= _MAX_TUPLE_LINE else None
         if match is None:
             return None
