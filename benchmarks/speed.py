@@ -19,7 +19,7 @@ from taccel_lab.benchmarks.runner import Motion, Runner
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.startup import measure_startup
 from taccel_lab.benchmarks.suite import Suite
-from taccel_lab.cad.parameters import parse_overrides
+from taccel_lab.cad.parameters import parse_words
 from taccel_lab.errors import InputError
 
 WARM_UP_STEPS = 3
@@ -167,7 +167,7 @@ def describe(row: dict[str, Any]) -> str:
 
 def parse_settings(texts: tuple[str, ...]) -> dict[str, Any]:
     """Fields of the solver's settings from NAME=VALUE."""
-    return {name: _value(text) for name, text in parse_overrides(texts).items()}
+    return {name: _value(text) for name, text in parse_words(texts).items()}
 
 
 def _value(text: str) -> Any:

@@ -12,11 +12,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, TypeVar
 
+import numpy as np
+
 from taccel_lab.errors import InputError
+from taccel_lab.reading.cell_number import number
+from taccel_lab.reading.text_file import shown
 
 _KEY = "parameter"
 _Group = TypeVar("_Group", bound="ParameterSet")
@@ -51,29 +56,33 @@ class Parameter:
         """Return ``value`` as the parameter's own type; raise InputError when it is not allowed."""
         if self.choices:
             if value not in self.choices:
-                raise InputError(f"{self.name} = {value!r} is not allowed; use {self.allowed()}")
+                raise InputError(
+                    f"{self.name} = {shown(value)} is not allowed; use {self.allowed()}"
+                )
             return value
-        number = self._number(value)
+        checked = self._number(value)
         minimum, maximum = float(self.minimum or 0.0), float(self.maximum or 0.0)
-        if self.zero_means and number == 0:
-            return number
-        if not minimum <= number <= maximum:
-            side = "below" if number < minimum else "above"
+        if self.zero_means and checked == 0:
+            return checked
+        if not minimum <= checked <= maximum:
+            side = "below" if checked < minimum else "above"
             raise InputError(
-                f"{self.name} = {number:g} is {side} its bound; allowed: {self.allowed()}"
+                f"{self.name} = {checked:g} is {side} its bound; allowed: {self.allowed()}"
             )
-        return number
+        return checked
 
     def _number(self, value: Any) -> int | float:
-        wanted = "a whole number" if isinstance(self.default, int) else "a number"
-        try:
-            number = float(value)
-        except (TypeError, ValueError):
-            number = math.nan
         whole = isinstance(self.default, int)
-        if isinstance(value, bool) or not math.isfinite(number) or (whole and number % 1):
-            raise InputError(f"{self.name} = {value!r} is not {wanted}; allowed: {self.allowed()}")
-        return int(number) if whole else number
+        is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+        # `float` of a whole number of 400 digits fails; no bound is that far.
+        is_finite = is_number and abs(value) <= sys.float_info.max
+        found = float(value) if is_finite else math.nan
+        if math.isnan(found) or (whole and found % 1):
+            wanted = "a whole number" if whole else "a number"
+            raise InputError(
+                f"{self.name} = {shown(value)} is not {wanted}; allowed: {self.allowed()}"
+            )
+        return int(found) if whole else found
 
 
 def parameter(
@@ -210,7 +219,7 @@ class ParameterSet:
         return found
 
     def with_values(self, overrides: Mapping[str, Any]) -> Self:
-        """A copy with other values, which may be text; unknown names raise InputError."""
+        """A copy with other values; unknown names raise InputError."""
         known = self.parameters()
         for name in overrides:
             if name not in known:
@@ -248,7 +257,18 @@ def _inherited_fields(cls: type[ParameterSet]) -> dict[str, Any]:
     return found
 
 
-def parse_overrides(items: Sequence[str]) -> dict[str, str]:
+def parse_overrides(items: Sequence[str]) -> dict[str, float | str]:
+    """Read ``name=value`` words into a dict, numbers as such; InputError as ``parse_words``."""
+    result: dict[str, float | str] = {}
+    for name, text in parse_words(items).items():
+        try:
+            result[name] = number(text)
+        except ValueError:
+            result[name] = text
+    return result
+
+
+def parse_words(items: Sequence[str]) -> dict[str, str]:
     """Read ``name=value`` words into a dict; raise InputError on any other form or a repeat."""
     result: dict[str, str] = {}
     for item in items:

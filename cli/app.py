@@ -11,6 +11,7 @@ goes wrong is a bug and keeps its traceback. Command modules import heavy librar
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import signal
@@ -95,6 +96,10 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``taccel-lab`` and return its exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        # File names may hold bytes that no text has, and a terminal may know ASCII alone.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     try:
         with _terminable():

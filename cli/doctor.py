@@ -9,11 +9,12 @@ import importlib.util
 import os
 import platform
 import sys
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from taccel_lab.reading.toml_file import read_toml
 
 # Distributions whose import package is not their own name with underscores.
 IMPORT_NAMES = {
@@ -85,7 +86,7 @@ def requirements(root: Path = ROOT) -> Iterator[tuple[str, str]]:
     """
     pyproject = root / "pyproject.toml"
     if pyproject.is_file():
-        project = tomllib.loads(pyproject.read_text(encoding="utf-8")).get("project", {})
+        project = read_toml(pyproject).get("project", {})
         if project.get("name") == DISTRIBUTION:
             yield from ((line, "") for line in project["dependencies"])
             for extra, lines in project["optional-dependencies"].items():

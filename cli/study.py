@@ -101,6 +101,8 @@ class Study:
     def _evaluate(self, study: StudyToRun, root: Path, file: Path, console: Console) -> Outcome:
         from taccel_lab.cli.study_progress import StudyProgress
         from taccel_lab.model.devices import require_device
+        from taccel_lab.reading.text_file import read_text
+        from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES
         from taccel_lab.studies.runner import run_study
 
         require_device(self.device or study.spec.run.device)
@@ -118,7 +120,7 @@ class Study:
                 device=self.device,
                 processes=self.processes,
                 limit=self.limit,
-                source=file.read_text(encoding="utf-8"),
+                source=read_text(file, TOML_LIMIT_BYTES, "a study file"),
                 listener=progress,
             )
 

@@ -78,7 +78,7 @@ class SensorFamily:
     def parameters(self, overrides: Mapping[str, Any] | None = None) -> FamilyParameters:
         """Parameters of the family, the defaults where ``overrides`` says nothing.
 
-        Values may be text. All parts are built once as formulas, so that parameters which
+        All parts are built once as formulas, so that parameters which
         contradict each other are refused here.
         """
         try:

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from taccel_lab.errors import InputError
 from taccel_lab.output import to_jsonable
+from taccel_lab.reading.json_file import read_json
 
 if TYPE_CHECKING:
     from taccel_lab.studies.design_point import DesignResult
@@ -95,10 +96,10 @@ class DesignRow:
         return to_jsonable(asdict(self))
 
 
-def row_from_json(text: str, source: str) -> DesignRow:
+def read_row(path: Path) -> DesignRow:
     """Read a ``result.json``; raises InputError for one that is damaged."""
+    values = read_json(path)
     try:
-        values = json.loads(text)
         known = {item.name for item in fields(DesignRow)}
         if set(values) != known:
             raise ValueError(f"keys {sorted(set(values) ^ known)} are missing or unknown")
@@ -106,7 +107,7 @@ def row_from_json(text: str, source: str) -> DesignRow:
             raise ValueError(f"status {values['status']!r}")
         return DesignRow(**values)
     except (ValueError, TypeError, AttributeError) as error:
-        raise InputError(f"{source} is damaged: {error}") from error
+        raise InputError(f"{path} is damaged: {error}") from error
 
 
 def row_of(

@@ -8,7 +8,6 @@ catalogue.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
@@ -16,8 +15,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     StrictStr,
     StringConstraints,
@@ -27,7 +24,10 @@ from pydantic import (
 )
 
 from taccel_lab.errors import InputError
-from taccel_lab.profile.schema import Name, describe_errors
+from taccel_lab.profile.schema import Name
+from taccel_lab.reading.plain_values import first_repeated
+from taccel_lab.reading.strict_model import Flag, Number, StrictModel, Whole, describe_errors
+from taccel_lab.reading.toml_file import read_toml
 
 MAX_DESIGNS = 10_000
 """Largest study: more is a slip of the keyboard rather than a plan."""
@@ -46,13 +46,7 @@ Value = Annotated[Any, AfterValidator(_check_value)]
 """A parameter's value: a finite number or a text."""
 
 
-class _Block(BaseModel):
-    """Immutable, no unknown keys, no NaN."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class StudyBlock(_Block):
+class StudyBlock(StrictModel):
     """What the study is about."""
 
     name: Name
@@ -62,31 +56,31 @@ class StudyBlock(_Block):
     """Columns of the table; the objective's and the constraints' are added."""
     presses: list[PlainName] = Field(default_factory=list)
     """Standard presses; those that the metrics read when left out."""
-    load_n: float = Field(default=0.5, gt=0, le=1000)
+    load_n: Number = Field(default=0.5, gt=0, le=1000)
     """Normal load at which figures are read, where they are read at a load."""
-    seed: int = Field(default=0, ge=0, lt=2**31)
+    seed: Whole = Field(default=0, ge=0, lt=2**31)
     """Of random draws and of the optimiser."""
 
     @field_validator("metrics", "presses")
     @classmethod
     def _check_repeats(cls, names: list[str]) -> list[str]:
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        if repeated:
-            raise ValueError(f"named twice: {', '.join(repeated)}")
+        repeated = first_repeated(names)
+        if repeated is not None:
+            raise ValueError(f"named twice: {repeated}")
         return names
 
 
-class ParameterRange(_Block):
+class ParameterRange(StrictModel):
     """Values of one parameter: a list, or a range."""
 
     values: list[Value] | None = None
-    min: float | None = None
-    max: float | None = None
-    count: int | None = Field(default=None, ge=1, le=MAX_DESIGNS)
+    min: Number | None = None
+    max: Number | None = None
+    count: Whole | None = Field(default=None, ge=1, le=MAX_DESIGNS)
     """Values of a range in a grid."""
     scale: Literal["linear", "log"] = "linear"
     """How a range is divided: equal steps, or equal ratios."""
-    start: float | None = None
+    start: Number | None = None
     """Where an optimiser begins; the family's default, or the middle, when left out."""
 
     @model_validator(mode="after")
@@ -111,26 +105,26 @@ class ParameterRange(_Block):
         return self
 
 
-class Tie(_Block):
+class Tie(StrictModel):
     """A parameter that follows a swept one: factor * x^power + offset."""
 
     to: PlainName
-    factor: float = 1.0
-    power: float = 1.0
-    offset: float = 0.0
+    factor: Number = 1.0
+    power: Number = 1.0
+    offset: Number = 0.0
 
 
-class Sweep(_Block):
+class Sweep(StrictModel):
     """How designs are chosen."""
 
     kind: Literal["grid", "random", "optimize"]
-    count: int | None = Field(default=None, ge=1, le=MAX_DESIGNS)
+    count: Whole | None = Field(default=None, ge=1, le=MAX_DESIGNS)
     """Designs of a random sweep, or the most that an optimiser may try."""
     sampler: Literal["latin-hypercube", "sobol"] = "latin-hypercube"
     """Of a random sweep."""
     method: StrictStr = "LN_COBYLA"
     """Algorithm of NLopt of an optimiser-driven sweep."""
-    tolerance: float = Field(default=1e-3, gt=0, lt=1)
+    tolerance: Number = Field(default=1e-3, gt=0, lt=1)
     """Step, as a part of each parameter's range, at which an optimiser is done."""
 
     @model_validator(mode="after")
@@ -150,7 +144,7 @@ class Sweep(_Block):
         return self
 
 
-class Objective(_Block):
+class Objective(StrictModel):
     """What makes a design better."""
 
     minimize: PlainName | None = None
@@ -172,12 +166,12 @@ class Objective(_Block):
         return 1.0 if self.minimize is not None else -1.0
 
 
-class Constraint(_Block):
+class Constraint(StrictModel):
     """Bounds that a design has to keep."""
 
     metric: PlainName
-    min: float | None = None
-    max: float | None = None
+    min: Number | None = None
+    max: Number | None = None
 
     @model_validator(mode="after")
     def _check_bounds(self) -> Constraint:
@@ -202,28 +196,28 @@ class Constraint(_Block):
         return f"{self.metric} from {self.min:g} to {self.max:g}"
 
 
-class Output(_Block):
+class Output(StrictModel):
     """What is kept of each design besides its row."""
 
-    meshes: bool = True
+    meshes: Flag = True
     """The gel's mesh, as VTU."""
-    pictures: bool = True
+    pictures: Flag = True
     """Contact pressures and previews, as PNG."""
-    records: bool = True
+    records: Flag = True
     """Curves and fields of each press, as NPZ."""
-    step: bool = False
+    step: Flag = False
     """The gel pad as a STEP file."""
 
 
-class Run(_Block):
+class Run(StrictModel):
     """Where it is computed; the command line overrides."""
 
     device: StrictStr = "cpu"
-    processes: int | None = Field(default=None, ge=1, le=1024)
+    processes: Whole | None = Field(default=None, ge=1, le=1024)
     """One a core when left out; one for a GPU."""
 
 
-class StudySpec(_Block):
+class StudySpec(StrictModel):
     """A whole study file."""
 
     study: StudyBlock
@@ -286,7 +280,7 @@ class StudySpec(_Block):
         return tuple(dict.fromkeys(names))
 
 
-_TABLES: dict[str, type[BaseModel]] = {
+_TABLES: dict[str, type[StrictModel]] = {
     "study": StudyBlock,
     "parameters": ParameterRange,
     "tied": Tie,
@@ -301,13 +295,7 @@ _TABLES: dict[str, type[BaseModel]] = {
 def load_spec(path: Path | str) -> StudySpec:
     """Read a study file. Raises InputError with every wrong key: what is there, what is allowed."""
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such study file")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not TOML: {error}") from error
-    return spec_of(table, str(path))
+    return spec_of(read_toml(path), str(path))
 
 
 def spec_of(table: dict[str, Any], source: str = "study") -> StudySpec:

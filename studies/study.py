@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
+from taccel_lab.reading.text_file import shown
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant
@@ -188,7 +189,10 @@ def _presses(spec: StudySpec, kit: Kit, metrics: Mapping[str, Metric]) -> dict[s
         allowed = [item.name for item in dataclasses.fields(presses[name]) if item.name != "name"]
         for key in settings:
             require_known(f"setting in [press.{name}]", key, allowed)
-        values = {key: _as_tuple(value) for key, value in settings.items()}
+        values = {
+            key: _setting(f"[press.{name}] {key}", value, getattr(presses[name], key))
+            for key, value in settings.items()
+        }
         try:
             presses[name] = dataclasses.replace(presses[name], **values)
         except (InputError, TypeError) as error:
@@ -196,5 +200,11 @@ def _presses(spec: StudySpec, kit: Kit, metrics: Mapping[str, Metric]) -> dict[s
     return presses
 
 
-def _as_tuple(value: Any) -> Any:
-    return tuple(_as_tuple(item) for item in value) if isinstance(value, list) else value
+def _setting(what: str, value: Any, standard: Any) -> Any:
+    """``value``, lists as tuples, if it is of the kind that the standard press has there."""
+    if isinstance(standard, tuple) and isinstance(value, list):
+        return tuple(_setting(what, item, standard[0]) for item in value)
+    kinds = (int, float) if isinstance(standard, float) else (type(standard),)
+    if type(value) not in kinds:
+        raise InputError(f"{what} = {shown(value)}; something like {standard!r} is allowed")
+    return value

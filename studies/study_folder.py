@@ -23,7 +23,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, write_json
-from taccel_lab.studies.design_row import DesignRow, row_from_json
+from taccel_lab.studies.design_row import DesignRow, read_row
 
 STUDY_MARKER = ".taccel_lab_study"
 """A marker of its own: no other command takes the folder for an output that it may replace."""
@@ -105,7 +105,7 @@ class StudyFolder:
         path = self.design(design_id) / RESULT
         if not path.is_file():
             return None
-        row = row_from_json(path.read_text(encoding="utf-8"), str(path))
+        row = read_row(path)
         if row.id != design_id:
             raise InputError(f"{path} is that of another design, {row.id}")
         return row
@@ -119,5 +119,5 @@ class StudyFolder:
     def write_text(self, name: str, text: str) -> None:
         """Write a text file of the study."""
         with atomic_file(self.root / name) as staging:
-            staging.write_text(text, encoding="utf-8")
+            staging.write_text(text, encoding="utf-8", errors="backslashreplace")
             staging.chmod(0o644)

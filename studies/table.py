@@ -51,7 +51,7 @@ def write_table(root: Path, study: Study, designs: Sequence[DesignRow]) -> None:
     writer.writeheader()
     writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
     with atomic_file(root / CSV_NAME) as staging:
-        staging.write_text(text.getvalue(), encoding="utf-8")
+        staging.write_text(text.getvalue(), encoding="utf-8", errors="backslashreplace")
         staging.chmod(0o644)
     if has_parquet():
         _write_parquet(root / PARQUET_NAME, rows, names)

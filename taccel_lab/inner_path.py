@@ -34,6 +34,7 @@ def inner_path(folder: Path, name: str) -> Path:
         raise InputError(f"{folder}: {name!r}: {error}") from None
     try:
         inside = path.resolve().is_relative_to(folder.resolve())
+        path.exists()  # Raises for a name that is too long, or a folder that may not be read.
     except (OSError, RuntimeError) as error:  # A circle of links.
         raise InputError(f"{path} cannot be followed: {error}") from None
     if not inside:

@@ -7,7 +7,7 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,19 @@ def atomic_file(target: Path | str) -> Iterator[Path]:
         os.replace(staging, target)
     finally:
         staging.unlink(missing_ok=True)
+
+
+def write_image(path: Path, bgr: np.ndarray, parameters: Sequence[int] = ()) -> None:
+    """Write an image; the suffix says the format, ``parameters`` are OpenCV's.
+
+    OpenCV's own writer ends the process at a path that is not UTF-8.
+    """
+    import cv2
+
+    done, data = cv2.imencode(path.suffix, bgr, list(parameters))
+    if not done:
+        raise OSError(f"{path} could not be written")
+    path.write_bytes(data.tobytes())
 
 
 def to_jsonable(value: Any) -> Any:

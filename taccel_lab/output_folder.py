@@ -22,6 +22,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.exchange import exchange
+from taccel_lab.reading.json_file import read_json
 
 OUTPUT_MARKER = ".taccel_lab_output"
 """In every folder that a command wrote: SHA-256 of each of its files, by name, as JSON."""
@@ -135,8 +136,8 @@ def _write_marker(folder: Path) -> None:
 def _read_marker(folder: Path) -> dict[str, str]:
     """Digest of each file that was written; empty where there is no sound marker."""
     try:
-        files = json.loads((folder / OUTPUT_MARKER).read_text(encoding="utf-8"))["files"]
-    except (FileNotFoundError, ValueError, KeyError, TypeError, RecursionError):
+        files = read_json(folder / OUTPUT_MARKER).get("files")
+    except (InputError, FileNotFoundError):  # The latter vanished while it was read.
         return {}
     return files if isinstance(files, dict) else {}
 

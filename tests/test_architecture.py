@@ -153,3 +153,38 @@ def test_every_block_of_a_calibration_has_the_same_shape() -> None:
         options = [] if block.options is None else ["options"]
         arguments = [argument.arg for argument in verb.args.args]
         assert arguments == ["folder", "base", *options, "progress"]
+
+
+TEXT_FORMATS = {"tomllib", "yaml", "csv", "json"}
+OWN_FILES = {"calibration/contacts/cache.py": "json"}
+"""A digest guards what a cache kept."""
+WRITERS = {
+    "calibration/markers/track_files.py": "csv",
+    "studies/table.py": "csv",
+    "taccel_lab/interop/gs_sdk.py": "yaml",
+    "taccel_lab/interop/tacto.py": "yaml",
+}
+_PARSERS = {"load", "loads", "safe_load", "reader", "DictReader"}
+
+
+def test_text_formats_are_read_in_one_place() -> None:
+    """Elsewhere they are written, or read from files of our own: their readers know the limits."""
+    known = {**OWN_FILES, **WRITERS}
+    for path in SOURCES:
+        name = name_of(path)
+        if name.startswith(("taccel_lab/reading/", "benchmarks/")):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            modules = {
+                *([alias.name for alias in node.names] if isinstance(node, ast.Import) else []),
+                *([node.module] if isinstance(node, ast.ImportFrom) else []),
+            }
+            used = modules & (TEXT_FORMATS - {"json"})
+            assert used <= {known.get(name)}, f"{name} imports {used}: use taccel_lab.reading"
+            if (
+                isinstance(node, ast.Attribute)
+                and node.attr in _PARSERS
+                and isinstance(node.value, ast.Name)
+                and node.value.id in TEXT_FORMATS
+            ):
+                assert OWN_FILES.get(name) == node.value.id, f"{name} parses {node.value.id}"

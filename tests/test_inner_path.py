@@ -26,6 +26,11 @@ def test_no_name_leads_out(parts: list[str], separator: str) -> None:
         assert path.resolve().is_relative_to(folder.resolve())
 
 
+def test_names_that_no_file_can_have(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"cannot be followed: .*too long"):
+        inner_path(tmp_path, "x" * 5000)
+
+
 @pytest.mark.parametrize("name", ["a.png", "a/b.png", "..a", "a..b/c", "./a", "~", "a b"])
 def test_ordinary_names_are_fine(tmp_path: Path, name: str) -> None:
     assert inner_path(tmp_path, name) == tmp_path / name

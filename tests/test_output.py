@@ -9,12 +9,13 @@ import os
 import stat
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.output import atomic_file, to_jsonable, write_json
+from taccel_lab.output import atomic_file, to_jsonable, write_image, write_json
 
 
 def tree(folder: Path) -> dict[str, str]:
@@ -96,3 +97,15 @@ def test_numpy_and_paths_become_json(tmp_path: Path) -> None:
     with pytest.raises(TypeError):
         write_json(target, {"what": object()})
     assert os.listdir(tmp_path) == ["values.json"]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_images_are_written_anywhere(tmp_path: Path, suffix: str) -> None:
+    """OpenCV's own writer ends the process at such a path."""
+    image = np.arange(12 * 16 * 3, dtype=np.uint8).reshape(12, 16, 3)
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/m\xe4rz")).with_suffix(suffix)
+    write_image(path, image)
+    plain = tmp_path / f"march{suffix}"
+    assert cv2.imwrite(str(plain), image) and path.read_bytes() == plain.read_bytes()
+    with pytest.raises(cv2.error):
+        write_image(tmp_path / "image.nonsense", image)

@@ -3,19 +3,17 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, StrictStr, ValidationError
+from pydantic import BeforeValidator, StrictStr
 
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.step_import.selection import FaceInfo
-from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
-from taccel_lab.profile.schema import Frozen, describe_errors
+from taccel_lab.reading.strict_model import StrictModel
 
 if TYPE_CHECKING:
     from taccel_lab.cad.parts.labelled_solid import LabelledSolid
@@ -29,7 +27,7 @@ Selectors = Annotated[tuple[StrictStr, ...], BeforeValidator(_as_tuple)]
 """One or several; text stands for one."""
 
 
-class FaceSelection(Frozen):
+class FaceSelection(StrictModel):
     """Which faces are what, and how the body lies in its file; see ``selection`` for the words."""
 
     contact: Selectors = ("name:contact",)
@@ -52,17 +50,7 @@ class FaceSelection(Frozen):
 
         Raises InputError with every key that is unknown or wrong.
         """
-        if path is None:
-            return cls()
-        if not path.is_file():
-            raise InputError(f"{path} does not exist or is no file")
-        try:
-            return cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-        except ValidationError as error:
-            lines = describe_errors(error, cls).splitlines()
-            raise InputError("\n".join(f"{path}: {line}" for line in lines)) from None
-        except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{path} cannot be read as TOML: {error}") from error
+        return cls() if path is None else cls.read(path)
 
 
 @dataclass(frozen=True)

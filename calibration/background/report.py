@@ -6,12 +6,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from taccel_lab.calibration.background.dust import speck_count
 from taccel_lab.calibration.background.result import BackgroundCalibration
 from taccel_lab.calibration.report import Page, Picture, Table
+from taccel_lab.output import write_image
 from taccel_lab.report.style import BLUE, GREEN, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:
@@ -65,8 +65,7 @@ def background_page(result: BackgroundCalibration) -> Page:
 
 def _write_mask(path: Path, mask: np.ndarray) -> None:
     """As an image that serves as the captures' mask: 255 where the gel is clean."""
-    if not cv2.imwrite(str(path), mask.astype(np.uint8) * 255):
-        raise OSError(f"{path} could not be written")
+    write_image(path, mask.astype(np.uint8) * 255)
 
 
 _IMAGES_CAPTION = (

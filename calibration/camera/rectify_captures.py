@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import shutil
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
 from taccel_lab.output_folder import atomic_directory
+from taccel_lab.reading.toml_file import read_toml
 
 
 def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) -> list[str]:
@@ -43,7 +43,7 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
             f"{folder.source} has no {MANIFEST_NAME}; make a capture folder of it first "
             "(taccel-lab capture import)"
         )
-    document = tomllib.loads((folder.root / MANIFEST_NAME).read_text(encoding="utf-8"))
+    document = read_toml(folder.root / MANIFEST_NAME)
     notes: list[str] = []
     with atomic_directory(out) as target:
         writer = _Writer(folder.root, target, maps)

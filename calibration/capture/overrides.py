@@ -16,8 +16,10 @@ from pathlib import Path
 from pydantic import Field, model_validator
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.capture.schema import Finite, StrictModel
 from taccel_lab.errors import InputError
+from taccel_lab.reading.plain_values import first_repeated
+from taccel_lab.reading.strict_model import Flag, Number, StrictModel
+from taccel_lab.reading.text_file import printable
 
 CONTACTS_NAME = "contacts.toml"
 
@@ -33,10 +35,10 @@ class ContactOverride(StrictModel):
 
     press: str = Field(min_length=1)
     """Name of the press."""
-    u_px: Finite | None = None
-    v_px: Finite | None = None
-    radius_px: Finite | None = Field(default=None, gt=0)
-    skip: bool = False
+    u_px: Number | None = None
+    v_px: Number | None = None
+    radius_px: Number | None = Field(default=None, gt=0)
+    skip: Flag = False
     """Leave the press out of every calibration."""
 
     @model_validator(mode="after")
@@ -63,10 +65,9 @@ def read_overrides(path: Path | str) -> dict[str, ContactOverride]:
     if not path.is_file():
         raise InputError(f"{path} does not exist; taccel-lab capture review writes one")
     entries = _OverrideFile.read(path).contact
-    names = [entry.press for entry in entries]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError(f"{path}: {', '.join(twice)} appears twice")
+    twice = first_repeated(entry.press for entry in entries)
+    if twice is not None:
+        raise InputError(f"{path}: {twice} appears twice")
     return {entry.press: entry for entry in entries}
 
 
@@ -106,10 +107,10 @@ def override_text(source: str, entries: Sequence[tuple[str, ContactCircle | None
     """Contents of a ``contacts.toml``: (press, circle found, note); no circle leaves it out."""
     import tomli_w
 
-    blocks = [HEADER.format(source=source)]
+    blocks = [HEADER.format(source=printable(source))]
     for name, circle, note in entries:
         quoted = tomli_w.dumps({"press": name}).strip()
-        lines = [f"# {line}" for line in note.splitlines() if line]
+        lines = [f"# {printable(line)}" for line in note.splitlines() if line]
         if circle is None:
             lines += ["[[contact]]", quoted, "skip = true"]
         else:

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force records: CSV files with a header, checked for columns, signs, units and order."""
+"""Force records: tables with a header, checked for columns, signs, units and order."""
 
 from __future__ import annotations
 
-import csv
-import math
+from array import array
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from taccel_lab.calibration.capture.schema import RecordEntry
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
 from taccel_lab.reading.regular_file import file_sha256
+from taccel_lab.reading.table_file import read_table
 
 COLUMNS = {
     "indentation": ("depth_mm", "force_n"),
@@ -42,34 +42,28 @@ def load_record(folder: Path, entry: RecordEntry) -> ForceRecord:
 
 
 def kind_of_record(path: Path) -> str | None:
-    """Kind whose columns a CSV has, the one with most columns; None when it is no record."""
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
-        header = {name.strip() for name in next(csv.reader(stream), [])}
-    fitting = [kind for kind, names in COLUMNS.items() if header.issuperset(names)]
+    """Kind whose columns a table has, the one with most columns; None when it is no record.
+
+    Raises InputError for a file that is no table at all.
+    """
+    header = read_table(path).header
+    fitting = [kind for kind, names in COLUMNS.items() if set(names) <= set(header)]
     return max(fitting, key=lambda kind: len(COLUMNS[kind]), default=None)
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
-    """Columns of a CSV by name, float64, shape [row]; at least two rows of finite numbers."""
-    if not path.is_file():
-        raise InputError(f"{path} does not exist; the manifest names it")
-    # Spreadsheets put a byte order mark first; other bytes than UTF-8 are no numbers anyway.
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
-        rows = [row for row in csv.reader(stream) if row and not row[0].startswith("#")]
-    if len(rows) < 3:
-        raise InputError(f"{path} holds {max(len(rows) - 1, 0)} rows; a header and at least 2")
-    header = [name.strip() for name in rows[0]]
-    values = np.empty((len(rows) - 1, len(header)))
-    for i, row in enumerate(rows[1:]):
-        if len(row) != len(header):
-            raise InputError(f"{path}: row {i + 1} has {len(row)} cells, the header {len(header)}")
-        for j, cell in enumerate(row):
-            try:
-                values[i, j] = float(cell)
-            except ValueError:
-                values[i, j] = math.nan
-            if not math.isfinite(values[i, j]):
-                raise InputError(
-                    f"{path}: row {i + 1}, column {header[j]}: {cell!r} is not a finite number"
-                )
-    return {name: values[:, j] for j, name in enumerate(header)}
+    """Columns of a table by name, float64, shape [row]; at least two rows of finite numbers."""
+    table = read_table(path)
+    if "" in table.header:
+        raise InputError(f"{path}: column {table.header.index('') + 1} has no name")
+    # Arrays take a tenth of the memory that lists of numbers do.
+    columns = [array("d") for _ in table.header]
+    for row in table.rows():
+        for index, column in enumerate(columns):
+            column.append(row.number(index))
+    if len(columns[0]) < 2:
+        raise InputError(f"{path} holds {len(columns[0])} rows; a header and at least 2")
+    return {
+        name: np.array(column, dtype=np.float64)
+        for name, column in zip(table.header, columns, strict=True)
+    }

@@ -6,14 +6,12 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, Field
 
-from taccel_lab.errors import InputError
 from taccel_lab.inner_path import require_inner_name
+from taccel_lab.reading.strict_model import Flag, Number, StrictModel, Whole
 
 MANIFEST_NAME = "captures.toml"
 SCHEMA_VERSION = 2
@@ -22,55 +20,26 @@ SCHEMA_VERSION = 2
 MAX_MM_PER_PX = 1.0
 MIN_MM_PER_PX = 1e-4
 
-Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-"""A number, written as one: neither "0.5" nor true."""
 FileName = Annotated[str, Field(min_length=1), AfterValidator(require_inner_name)]
 """A file of the folder, relative to the manifest."""
-
-
-class StrictModel(BaseModel):
-    """Contents of a TOML file: unknown keys are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Parse and validate a file; InputError says where it is wrong and what was found."""
-        try:
-            return cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{path} is not valid TOML: {error}") from error
-        except ValidationError as error:
-            raise InputError(f"{path}: {_describe(error)}") from error
-
-
-def _describe(error: ValidationError) -> str:
-    """Each fault: where in the file, what is wrong, what was found."""
-    faults = []
-    for fault in error.errors():
-        where = ".".join(str(part) for part in fault["loc"]) or "file"
-        value = fault.get("input")
-        found = f" (found {value!r})" if isinstance(value, (str, int, float)) else ""
-        faults.append(f"{where}: {fault['msg']}{found}")
-    return "; ".join(faults)
 
 
 class SphereIndenter(StrictModel):
     """A ball, the calibration target whose surface normals are known everywhere."""
 
     kind: Literal["sphere"] = "sphere"
-    radius_mm: Finite = Field(gt=0.05, le=50.0)
+    radius_mm: Number = Field(gt=0.05, le=50.0)
     """Ball radius [mm], 0.05 to 50."""
 
 
 class CircleEntry(StrictModel):
     """Contact circle in the image; pixel (0, 0) is the centre of the top left pixel."""
 
-    u_px: Finite
+    u_px: Number
     """Column of the centre [px]."""
-    v_px: Finite
+    v_px: Number
     """Row of the centre [px]."""
-    radius_px: Finite = Field(gt=0.0)
+    radius_px: Number = Field(gt=0.0)
     """Radius of the circle in columns [px]."""
 
 
@@ -88,11 +57,11 @@ class PressEntry(StrictModel):
 class SpherePress(PressEntry):
     """A ball press of version 2, which may come with what a stage and a load cell said."""
 
-    radius_mm: Finite | None = Field(default=None, gt=0.05, le=50.0)
+    radius_mm: Number | None = Field(default=None, gt=0.05, le=50.0)
     """Radius of the ball of this press, where it is not that of ``indenter`` [mm]."""
-    depth_mm: Finite | None = Field(default=None, ge=0.0, le=50.0)
+    depth_mm: Number | None = Field(default=None, ge=0.0, le=50.0)
     """Travel past first touch [mm]."""
-    force_n: Finite | None = Field(default=None, ge=0.0, le=1e3)
+    force_n: Number | None = Field(default=None, ge=0.0, le=1e3)
     """Normal force [N], positive into the gel."""
 
 
@@ -101,16 +70,16 @@ class BoardEntry(StrictModel):
 
     kind: Literal["chessboard", "charuco", "dots", "pins"]
     """``pins``: a board of pins or holes that is pressed into the gel."""
-    columns: int = Field(ge=2, le=200)
+    columns: Whole = Field(ge=2, le=200)
     """Inner corners (chessboard), squares (charuco) or dots along a row."""
-    rows: int = Field(ge=2, le=200)
-    pitch_mm: Finite | None = Field(default=None, gt=0.0, le=200.0)
+    rows: Whole = Field(ge=2, le=200)
+    pitch_mm: Number | None = Field(default=None, gt=0.0, le=200.0)
     """Square size or distance of dots [mm]; without it the board gives intrinsics, no scale."""
-    marker_mm: Finite | None = Field(default=None, gt=0.0, le=200.0)
+    marker_mm: Number | None = Field(default=None, gt=0.0, le=200.0)
     """ArUco marker size of a charuco board [mm]."""
     dictionary: str = "DICT_4X4_50"
     """OpenCV's name of the ArUco dictionary."""
-    on_gel: bool = False
+    on_gel: Flag = False
     """The board lies on, or is pressed into, the contact face: it gives scale and pose of the gel.
     Otherwise it is shown to the camera from many sides: intrinsics and distortion."""
     images: list[FileName] = Field(min_length=1)
@@ -121,10 +90,10 @@ class BoardEntry(StrictModel):
 class LineEntry(StrictModel):
     """A line in the image, by its middle."""
 
-    u_px: Finite
-    v_px: Finite
-    length_px: Finite = Field(gt=0.0)
-    angle_deg: Finite
+    u_px: Number
+    v_px: Number
+    length_px: Number = Field(gt=0.0)
+    angle_deg: Number
     """From the image's x axis towards its y axis (clockwise as seen)."""
 
 
@@ -132,9 +101,9 @@ class EdgeEntry(StrictModel):
     """A press of a straight edge of known length."""
 
     image: FileName
-    length_mm: Finite = Field(gt=0.1, le=200.0)
+    length_mm: Number = Field(gt=0.1, le=200.0)
     """Length of the edge that touches [mm]."""
-    dihedral_deg: Finite = Field(default=90.0, gt=0.0, lt=180.0)
+    dihedral_deg: Number = Field(default=90.0, gt=0.0, lt=180.0)
     """Angle between its faces."""
     line: LineEntry | None = None
     """Where the edge is in the image, when it is known; found otherwise."""
@@ -143,11 +112,11 @@ class EdgeEntry(StrictModel):
 class LandmarkPoint(StrictModel):
     """A point of known place."""
 
-    u_px: Finite
-    v_px: Finite
-    x_mm: Finite
+    u_px: Number
+    v_px: Number
+    x_mm: Number
     """On the gel, from any origin, along axes that run as the image's."""
-    y_mm: Finite
+    y_mm: Number
 
 
 class LandmarkEntry(StrictModel):
@@ -163,7 +132,7 @@ class VideoEntry(StrictModel):
     file: FileName | None = None
     frames: list[FileName] = Field(default_factory=list)
     """Images relative to the manifest; a single entry may hold wildcards (``video/*.png``)."""
-    fps: Finite | None = Field(default=None, gt=0.0, le=1e4)
+    fps: Number | None = Field(default=None, gt=0.0, le=1e4)
     motion: Literal["press", "shear", "twist", "free"] = "free"
     poses: FileName | None = None
     """CSV of the indenter's path: ``time_s, x_mm, y_mm, z_mm, angle_deg`` (all or some)."""
@@ -177,8 +146,8 @@ class MarkersEntry(StrictModel):
     labels: FileName | None = None
     """CSV ``u_px, v_px, du_px, dv_px``: dots of the image at rest that somebody has measured, and
     how far they lie from where they are without any load. For validation."""
-    pitch_x_mm: Finite | None = Field(default=None, gt=0.0, le=50.0)
-    pitch_y_mm: Finite | None = Field(default=None, gt=0.0, le=50.0)
+    pitch_x_mm: Number | None = Field(default=None, gt=0.0, le=50.0)
+    pitch_y_mm: Number | None = Field(default=None, gt=0.0, le=50.0)
     videos: list[VideoEntry] = Field(default_factory=list)
 
 
@@ -187,8 +156,8 @@ class ToolEntry(StrictModel):
 
     kind: Literal["sphere", "cylinder", "flat"] = "sphere"
     """``cylinder``: a flat round punch; ``flat``: a plate larger than the gel."""
-    radius_mm: Finite | None = Field(default=None, gt=0.05, le=500.0)
-    center_mm: tuple[Finite, Finite] = (0.0, 0.0)
+    radius_mm: Number | None = Field(default=None, gt=0.05, le=500.0)
+    center_mm: tuple[Number, Number] = (0.0, 0.0)
     """Where on the gel, gel frame [mm]."""
 
 
@@ -201,7 +170,7 @@ class RecordEntry(StrictModel):
     shear ``depth_mm, shift_mm, normal_n, tangential_n``; twist ``depth_mm, angle_deg, torque_nmm``;
     relaxation ``time_s, depth_mm, force_n``. ``sigma_n`` is optional everywhere."""
     tool: ToolEntry = ToolEntry()
-    force_sigma_n: Finite | None = Field(default=None, gt=0.0, le=100.0)
+    force_sigma_n: Number | None = Field(default=None, gt=0.0, le=100.0)
     """Standard deviation of a force reading [N]."""
 
 
@@ -226,9 +195,9 @@ class CaptureManifest(StrictModel):
     """Further images of the untouched sensor, at other times: noise and drift."""
     mask: FileName | None = None
     """Grey image of the same size; pixels that are 0 are never used (dust, markers, frame)."""
-    mm_per_px_x: Finite | None = Field(default=None, ge=MIN_MM_PER_PX, le=MAX_MM_PER_PX)
+    mm_per_px_x: Number | None = Field(default=None, ge=MIN_MM_PER_PX, le=MAX_MM_PER_PX)
     """Scale along the image's rows [mm/px], where it is known."""
-    mm_per_px_y: Finite | None = Field(default=None, ge=MIN_MM_PER_PX, le=MAX_MM_PER_PX)
+    mm_per_px_y: Number | None = Field(default=None, ge=MIN_MM_PER_PX, le=MAX_MM_PER_PX)
     """Scale along the image's columns [mm/px]."""
     source: str | None = None
     """Where the captures come from, free text kept as provenance."""

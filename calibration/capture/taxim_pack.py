@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import json
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +22,8 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
 from taccel_lab.reading.arrays import finite_numbers, read_npz
+from taccel_lab.reading.json_file import read_json
+from taccel_lab.reading.plain_values import number_at
 from taccel_lab.reading.regular_file import file_sha256
 
 PACK_NAME = "dataPack.npz"
@@ -107,10 +108,7 @@ def _rgb_frame(images: np.ndarray, index: int) -> np.ndarray:
 def _read_scale(params_path: Path, pack_path: Path) -> float:
     if not params_path.is_file():
         raise InputError(f"{params_path} is missing; the scale of {pack_path} is read from it")
-    try:
-        scale = float(json.loads(params_path.read_text(encoding="utf-8"))["sensor"]["pixmm"])
-    except (json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{params_path}: sensor.pixmm [mm/px] cannot be read: {error}") from error
+    scale = number_at(read_json(params_path), "sensor.pixmm", str(params_path))
     if not MIN_MM_PER_PX <= scale <= MAX_MM_PER_PX:
         raise InputError(
             f"{params_path}: sensor.pixmm is {scale:g}; {MIN_MM_PER_PX:g} to {MAX_MM_PER_PX:g} "

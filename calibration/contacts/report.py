@@ -13,7 +13,7 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_text
 from taccel_lab.calibration.contacts.review import Review, ReviewedPress
 from taccel_lab.calibration.result import judge
-from taccel_lab.output import write_json
+from taccel_lab.output import write_image, write_json
 from taccel_lab.output_folder import atomic_directory
 from taccel_lab.report.build import data_url, report_environment
 
@@ -35,14 +35,14 @@ def write_review(review: Review, folder: Path | str) -> None:
         for k, press in enumerate(review.presses):
             path = staging / f"{k:03d}.jpg"
             image = press_picture(by_name[press.name].image(), review.captures, press)
-            cv2.imwrite(str(path), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
+            write_image(path, image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
             images[press.name] = data_url(path).replace("image/png", "image/jpeg")
         html = (
             report_environment("taccel_lab.calibration.report")
             .get_template("review.html.j2")
             .render(review=review, verdict=judge(review.remarks), images=images)
         )
-        (staging / "review.html").write_text(html, encoding="utf-8")
+        (staging / "review.html").write_text(html, encoding="utf-8", errors="backslashreplace")
         write_json(staging / "review.json", _with_remarks(review))
         (staging / CONTACTS_NAME).write_text(_contacts_file(review), encoding="utf-8")
 

@@ -77,7 +77,7 @@ def write_page(page: Page, folder: Path | str) -> None:
             .get_template("page.html.j2")
             .render(page=page, verdict=verdict, images=images)
         )
-        (staging / "report.html").write_text(html, encoding="utf-8")
+        (staging / "report.html").write_text(html, encoding="utf-8", errors="backslashreplace")
         remarks = [
             {"severity": r.severity, "code": r.code, "message": r.message} for r in page.remarks
         ]

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from taccel_lab.output import write_image
+
 
 def eight_bit(rgb: np.ndarray) -> np.ndarray:
     """Levels rounded to uint8, same shape."""
@@ -16,8 +18,4 @@ def eight_bit(rgb: np.ndarray) -> np.ndarray:
 
 def write_rgb(path: Path, rgb: np.ndarray, parameters: Sequence[int] = ()) -> None:
     """Write an RGB image [h, w, 3]; the suffix says the format, ``parameters`` are OpenCV's."""
-    import cv2
-
-    bgr = np.ascontiguousarray(eight_bit(rgb)[..., ::-1])
-    if not cv2.imwrite(str(path), bgr, list(parameters)):
-        raise OSError(f"{path} could not be written")
+    write_image(path, np.ascontiguousarray(eight_bit(rgb)[..., ::-1]), parameters)

@@ -48,7 +48,7 @@ def export_isaac_lab(profile: SensorProfile, folder: Path) -> ExportRecord:
         background,
         (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111),
     )
-    stored = np.asarray(cv2.imread(str(data / "bg.jpg")))
+    stored = np.asarray(cv2.imdecode(np.fromfile(data / "bg.jpg", np.uint8), cv2.IMREAD_COLOR))
     configuration = _configuration(profile, made.mm_per_px)
     write_json(folder / "sensor_cfg.json", configuration)
     (folder / "sensor_cfg.py").write_text(_python(configuration), encoding="utf-8")

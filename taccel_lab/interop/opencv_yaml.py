@@ -56,7 +56,9 @@ def export_opencv(profile: SensorProfile, folder: Path) -> ExportRecord:
         ]
     )
     rectified = rectified_matrix(block, profile)
-    storage = cv2.FileStorage(str(folder / "camera.yaml"), cv2.FILE_STORAGE_WRITE)
+    # In memory: OpenCV's own writer ends the process at a path that is not UTF-8.
+    mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY
+    storage = cv2.FileStorage("camera.yaml", mode)
     try:
         storage.write("sensor", profile.sensor.name)
         storage.write("model", camera.model)
@@ -78,6 +80,7 @@ def export_opencv(profile: SensorProfile, folder: Path) -> ExportRecord:
         storage.write("rectification_R", camera.gel_from_camera())
         storage.write("rectification_P", rectified)
         storage.write("mm_per_px", np.array([[grid.mm_per_px_x, grid.mm_per_px_y]]))
+        (folder / "camera.yaml").write_text(storage.releaseAndGetString(), encoding="utf-8")
     finally:
         storage.release()
     record = ExportRecord(

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from taccel_lab.profile.schema import SCHEMA_VERSION, Block
 from taccel_lab.profile.sensor_profile import ARRAY_FIELDS, SensorProfile
 from taccel_lab.reading.arrays import MAX_ARRAY_BYTES
 from taccel_lab.reading.regular_file import read_regular_file
+from taccel_lab.reading.toml_file import read_toml
 
 PROFILE_FILE = "profile.toml"
 
@@ -139,6 +139,7 @@ def _read(path: Path) -> tuple[SensorProfile | None, list[Finding]]:
 
     def error(where: str | Path, problem: object) -> None:
         for line in str(problem).splitlines():
+            line = line.removeprefix(str(where)).lstrip(": ")
             findings.append(Finding("error", str(where), line))
 
     toml_path = path / PROFILE_FILE
@@ -197,12 +198,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     toml_path = path / PROFILE_FILE
     if not toml_path.is_file():
         raise InputError("no such file; a profile is a folder with profile.toml in it")
-    try:
-        return tomllib.loads(toml_path.read_bytes().decode("utf-8"))
-    except UnicodeDecodeError as error:
-        raise InputError(f"is not UTF-8 text ({error})") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"is not valid TOML ({error})") from None
+    return read_toml(toml_path)
 
 
 def _refuse_unknown_tables(document: dict[str, Any]) -> None:

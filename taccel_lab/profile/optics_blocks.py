@@ -19,10 +19,11 @@ from taccel_lab.profile.optical_design import (
     OpticalDesign,
     Window,
 )
-from taccel_lab.profile.schema import Block, Frozen, Provenance
+from taccel_lab.profile.schema import Block, Provenance
+from taccel_lab.reading.strict_model import Number, StrictModel, Whole
 
-Triple = tuple[float, float, float]
-Share = Annotated[float, Field(gt=0, le=1)]
+Triple = tuple[Number, Number, Number]
+Share = Annotated[Number, Field(gt=0, le=1)]
 
 
 class OpticsBlock(Block):
@@ -35,29 +36,29 @@ class OpticsBlock(Block):
     key: ClassVar[str] = "optics"
 
     model: Literal["pinhole", "fisheye"] = "pinhole"
-    width_px: int
-    height_px: int
-    fx_px: float
-    fy_px: float
-    cx_px: float
-    cy_px: float
-    distortion: tuple[float, ...] = ()
+    width_px: Whole
+    height_px: Whole
+    fx_px: Number
+    fy_px: Number
+    cx_px: Number
+    cy_px: Number
+    distortion: tuple[Number, ...] = ()
     """OpenCV's coefficients, in its order."""
     position_mm: Triple
     """Centre of projection in the gel frame."""
-    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    rotation: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 1.0)
     """gel_from_camera, quaternion x, y, z, w."""
-    focus_mm: float = 0.0
-    aperture_mm: float = 0.0
-    falloff: float = 4.0
-    raw_width_px: int = Field(default=0, ge=0, le=20_000)
+    focus_mm: Number = 0.0
+    aperture_mm: Number = 0.0
+    falloff: Number = 4.0
+    raw_width_px: Whole = Field(default=0, ge=0, le=20_000)
     """Width of the camera's own pictures; 0 when unknown."""
-    raw_height_px: int = Field(default=0, ge=0, le=20_000)
+    raw_height_px: Whole = Field(default=0, ge=0, le=20_000)
     crop_x: Share = 1.0
     """Share of their width that the tactile image shows, centred."""
     crop_y: Share = 1.0
-    gel_refractive_index: float = Field(default=1.41, ge=1.0, le=2.5)
-    gel_scattering_per_mm: float = Field(default=0.0, ge=0.0, le=100.0)
+    gel_refractive_index: Number = Field(default=1.41, ge=1.0, le=2.5)
+    gel_scattering_per_mm: Number = Field(default=0.0, ge=0.0, le=100.0)
     ambient_rgb: Triple = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -98,10 +99,10 @@ class WindowBlock(Block):
     key: ClassVar[str] = "window"
 
     shape: Literal["plate", "dome"] = "plate"
-    thickness_mm: float
-    size_mm: tuple[float, float]
-    refractive_index: float = 1.49
-    outer_radius_mm: float = 0.0
+    thickness_mm: Number
+    size_mm: tuple[Number, Number]
+    refractive_index: Number = 1.49
+    outer_radius_mm: Number = 0.0
     """Of a dome: radius of the face that the gel is glued to."""
 
     @model_validator(mode="after")
@@ -120,9 +121,9 @@ class CoatingBlock(Block):
     key: ClassVar[str] = "coating"
 
     albedo_rgb: Triple
-    specular: float = 0.0
-    roughness: float = 0.5
-    thickness_mm: float = 0.0
+    specular: Number = 0.0
+    roughness: Number = 0.5
+    thickness_mm: Number = 0.0
 
     @model_validator(mode="after")
     def _check_coating(self) -> Self:
@@ -134,15 +135,15 @@ class CoatingBlock(Block):
         return Coating(**{name: getattr(self, name) for name in Coating.__dataclass_fields__})
 
 
-class LightEntry(Frozen):
+class LightEntry(StrictModel):
     """One LED; see ``taccel_lab.profile.optical_design.Light``."""
 
     name: str = ""
     position_mm: Triple
     direction: Triple
     rgb: Triple
-    size_mm: tuple[float, float] = (0.0, 0.0)
-    lobe: float = 1.0
+    size_mm: tuple[Number, Number] = (0.0, 0.0)
+    lobe: Number = 1.0
 
     @model_validator(mode="after")
     def _check_light(self) -> Self:
@@ -171,15 +172,15 @@ class MarkersBlock(Block):
 
     key: ClassVar[str] = "markers"
 
-    rows: int
-    columns: int
-    pitch_x_mm: float
-    pitch_y_mm: float
-    radius_mm: float
-    offset_mm: tuple[float, float] = (0.0, 0.0)
-    rotation_deg: float = 0.0
-    stagger: float = 0.0
-    missing: tuple[tuple[int, int], ...] = ()
+    rows: Whole
+    columns: Whole
+    pitch_x_mm: Number
+    pitch_y_mm: Number
+    radius_mm: Number
+    offset_mm: tuple[Number, Number] = (0.0, 0.0)
+    rotation_deg: Number = 0.0
+    stagger: Number = 0.0
+    missing: tuple[tuple[Whole, Whole], ...] = ()
 
     @model_validator(mode="after")
     def _check_grid(self) -> Self:
@@ -198,13 +199,13 @@ class HousingBlock(Block):
     key: ClassVar[str] = "housing"
 
     size_mm: tuple[
-        Annotated[float, Field(gt=0, le=1000)],
-        Annotated[float, Field(gt=0, le=1000)],
-        Annotated[float, Field(gt=0, le=1000)],
+        Annotated[Number, Field(gt=0, le=1000)],
+        Annotated[Number, Field(gt=0, le=1000)],
+        Annotated[Number, Field(gt=0, le=1000)],
     ]
-    wall_mm: float = Field(gt=0, le=100)
-    corner_radius_mm: float = Field(ge=0, le=500)
-    front_z_mm: float = Field(ge=-1000, le=0)
+    wall_mm: Number = Field(gt=0, le=100)
+    corner_radius_mm: Number = Field(ge=0, le=500)
+    front_z_mm: Number = Field(ge=-1000, le=0)
     """z of the front face in the gel frame."""
-    offset_mm: tuple[float, float] = (0.0, 0.0)
+    offset_mm: tuple[Number, Number] = (0.0, 0.0)
     """Centre of the box in gel xy."""

@@ -10,12 +10,13 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from taccel_lab.profile.schema import Block, ConfigValue, Name
+from taccel_lab.reading.strict_model import Number
 
-Level = Annotated[float, Field(ge=0, le=255)]
+Level = Annotated[Number, Field(ge=0, le=255)]
 Triple = tuple[
-    Annotated[float, Field(ge=0, le=1e3)],
-    Annotated[float, Field(ge=0, le=1e3)],
-    Annotated[float, Field(ge=0, le=1e3)],
+    Annotated[Number, Field(ge=0, le=1e3)],
+    Annotated[Number, Field(ge=0, le=1e3)],
+    Annotated[Number, Field(ge=0, le=1e3)],
 ]
 
 
@@ -41,7 +42,7 @@ class DepthResponseBlock(Block):
     """Channel whose drop is read; grey is OpenCV's luma 0.299 R + 0.587 G + 0.114 B."""
     drop_levels: tuple[Level, ...] = Field(min_length=2)
     """Background minus image [levels of 255], rising."""
-    depth_mm: tuple[float, ...] = Field(min_length=2)
+    depth_mm: tuple[Number, ...] = Field(min_length=2)
     """Indentation of the contact face at each drop [mm], not falling."""
 
     @model_validator(mode="after")
@@ -74,13 +75,13 @@ class PerturbationBlock(Block):
     """Of the per-frame offset of each channel, at the pivot [levels]."""
     gradient_rgb: Triple = (0.0, 0.0, 0.0)
     """Of a linear gradient of the light over half the image [levels]."""
-    noise_levels: float = Field(default=0.0, ge=0, le=255)
+    noise_levels: Number = Field(default=0.0, ge=0, le=255)
     """Of one pixel between frames [levels]."""
-    mm_per_px_relative: float = Field(default=0.0, ge=0, le=1)
+    mm_per_px_relative: Number = Field(default=0.0, ge=0, le=1)
     """Of the scale, as a part of it."""
-    center_px: float = Field(default=0.0, ge=0, le=1e4)
+    center_px: Number = Field(default=0.0, ge=0, le=1e4)
     """Of the gel's place in the image [px]."""
-    young_modulus_relative: float = Field(default=0.0, ge=0, le=10)
+    young_modulus_relative: Number = Field(default=0.0, ge=0, le=10)
     """Of Young's modulus, as a part of it."""
-    friction_coefficient: float = Field(default=0.0, ge=0, le=5)
+    friction_coefficient: Number = Field(default=0.0, ge=0, le=5)
     """Of the coefficient of friction."""

@@ -17,13 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
     AwareDatetime,
-    BaseModel,
-    ConfigDict,
     Field,
-    StrictBool,
-    StrictFloat,
-    StrictInt,
-    StrictStr,
     StringConstraints,
     ValidationError,
     field_validator,
@@ -32,6 +26,14 @@ from pydantic import (
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.strict_model import (
+    Flag,
+    Number,
+    Scalar,
+    StrictModel,
+    Whole,
+    describe_errors,
+)
 from taccel_lab.version import __version__
 
 SCHEMA_VERSION = 5
@@ -39,43 +41,17 @@ SCHEMA_VERSION = 5
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
 Text = Annotated[str, StringConstraints(min_length=1, max_length=20_000)]
-Scalar = StrictBool | StrictInt | StrictFloat | StrictStr
 ConfigValue = Scalar | list[Scalar] | list[list[Scalar]]
 
 
-def describe_errors(error: ValidationError, model: type[BaseModel]) -> str:
-    """One readable line per wrong key: its path, what was found and what is allowed."""
-    lines = []
-    for item in error.errors(include_url=False):
-        path = ".".join(str(part) for part in item["loc"]) or model.__name__
-        message = item["msg"].removeprefix("Value error, ")
-        message = message[:1].lower() + message[1:]
-        if item["type"] == "extra_forbidden":
-            keys = sorted(model.model_fields) if len(item["loc"]) == 1 else []
-            message = "unknown key" + (f"; allowed: {', '.join(keys)}" if keys else "")
-        elif item["type"] != "missing" and not isinstance(item["input"], (dict, BaseModel)):
-            message += f" (found {item['input']!r})"
-        lines.append(f"{path}: {message}")
-    return "\n".join(lines)
-
-
-class Frozen(BaseModel):
-    """Shared settings: immutable, no unknown keys, no NaN or infinity, InputError on bad values."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    def replace(self, **changes: Any) -> Self:
-        """Return a copy with some fields changed, checked like a new one."""
-        values = {name: getattr(self, name) for name in type(self).model_fields}
-        return type(self)(**{**values, **changes})
-
-
-class Provenance(Frozen):
+class Provenance(StrictModel):
     """Where a block comes from and how far it can be trusted."""
 
     tool_version: Name = Field(default_factory=lambda: __version__)
     """Version of taccel-lab that made the block."""
-    created: AwareDatetime = Field(default_factory=lambda: datetime.now(UTC).replace(microsecond=0))
+    created: AwareDatetime = Field(
+        default_factory=lambda: datetime.now(UTC).replace(microsecond=0), strict=True
+    )
     """When it was made, UTC."""
     kind: Literal["assumed", "stated", "published", "designed", "measured", "calibrated"]
     """Assumed for want of data; stated in the captures, which nothing here checked; taken from a
@@ -86,15 +62,15 @@ class Provenance(Frozen):
     """The publication, data set or assumption the values rest on."""
     inputs: dict[Name, Sha256] = Field(default_factory=dict)
     """SHA-256 of every input, by file name."""
-    residuals: dict[Name, float] = Field(default_factory=dict)
+    residuals: dict[Name, Number] = Field(default_factory=dict)
     """What the fit left over; names carry the unit (``heldout_crop_psnr_db``)."""
-    spread: dict[Name, float] = Field(default_factory=dict)
+    spread: dict[Name, Number] = Field(default_factory=dict)
     """Standard deviation, or cross-validated spread, of each estimated quantity."""
-    valid_region: dict[Name, tuple[float, float]] = Field(default_factory=dict)
+    valid_region: dict[Name, tuple[Number, Number]] = Field(default_factory=dict)
     """Interval of each quantity inside which the block was tested."""
-    interval: dict[Name, tuple[float, float]] = Field(default_factory=dict)
+    interval: dict[Name, tuple[Number, Number]] = Field(default_factory=dict)
     """95 % confidence interval of each estimated quantity, where it is not 2 spreads about it."""
-    correlation: dict[Name, float] = Field(default_factory=dict)
+    correlation: dict[Name, Number] = Field(default_factory=dict)
     """Correlation of two estimates, named ``first*second``, where it matters."""
     verdict: Literal["good", "usable", "weak"] | None = None
     """What a calibration says of itself; None of a block that was not calibrated."""
@@ -124,7 +100,7 @@ class Provenance(Frozen):
         return self
 
 
-class Block(Frozen):
+class Block(StrictModel):
     """A part of a profile, with its provenance."""
 
     key: ClassVar[str]
@@ -133,8 +109,8 @@ class Block(Frozen):
     provenance: Provenance
 
     if not TYPE_CHECKING:  # keeps the checked signature that type checkers derive from the fields
-
-        def __init__(self, **values: Any) -> None:
+        # `/`: a key of a file may be called self.
+        def __init__(self, /, **values: Any) -> None:
             try:
                 super().__init__(**values)
             except ValidationError as error:
@@ -161,22 +137,22 @@ class GelBlock(Block):
     key: ClassVar[str] = "gel"
 
     file: Literal["mesh.npz"] = "mesh.npz"
-    thickness_mm: float = Field(gt=0, le=100)
+    thickness_mm: Number = Field(gt=0, le=100)
     """Depth of the pad below its apex [mm]."""
-    node_count: int = Field(ge=4)
-    tet_count: int = Field(ge=1)
-    min_dihedral_deg: float = Field(gt=0, le=70.53)
+    node_count: Whole = Field(ge=4)
+    tet_count: Whole = Field(ge=1)
+    min_dihedral_deg: Number = Field(gt=0, le=70.53)
     """Smallest dihedral angle of any tet [degrees]; a regular tet has 70.53."""
 
 
-class _Solid(Frozen):
+class _Solid(StrictModel):
     """A hyperelastic solid at small strain."""
 
-    young_modulus_pa: float = Field(ge=1e2, le=1e9)
+    young_modulus_pa: Number = Field(ge=1e2, le=1e9)
     """Young's modulus at small strain [Pa]."""
-    poisson_ratio: float
+    poisson_ratio: Number
     """Poisson's ratio, above -1 and below 0.5."""
-    density_kg_m3: float = Field(gt=0, le=3e4)
+    density_kg_m3: Number = Field(gt=0, le=3e4)
 
     @field_validator("poisson_ratio")
     @classmethod
@@ -197,7 +173,7 @@ class LayerMaterial(_Solid):
     name: Name
 
 
-class FittedWith(Frozen):
+class FittedWith(StrictModel):
     """The presses that a material was fitted with: only like ones reproduce what it was fitted to.
 
     Stiffness is what makes simulated forces those of the records, so it goes with the element, the
@@ -206,13 +182,13 @@ class FittedWith(Frozen):
 
     physics: dict[Name, Scalar | dict[Name, Scalar]]
     """``PressPhysics.record()``."""
-    friction_coefficient: float = Field(ge=0, le=5)
+    friction_coefficient: Number = Field(ge=0, le=5)
     """Between tool and gel."""
-    friction_measured: bool
+    friction_measured: Flag
     """Whether a record told it; otherwise it was held, or is the one that fits best."""
     indenters: tuple[Name, ...] = ()
     """Of the indentations, as ``taccel-lab press --indenter`` takes them."""
-    touch_shift_mm: dict[Name, float] = Field(default_factory=dict)
+    touch_shift_mm: dict[Name, Number] = Field(default_factory=dict)
     """How much later the tool touched than each record says [mm]: a press reproduces a force at
     the recorded depth minus this."""
 
@@ -226,11 +202,11 @@ class MaterialBlock(Block, _Solid):
         "neo_hookean"
     )
     """Energy of the gel and of its layers."""
-    mooney_ratio: float = Field(default=0.0, ge=0, le=1)
+    mooney_ratio: Number = Field(default=0.0, ge=0, le=1)
     """Mooney-Rivlin only: c01 / (c10 + c01)."""
-    damping_time_s: float = Field(default=0.0, ge=0, le=1e4)
+    damping_time_s: Number = Field(default=0.0, ge=0, le=1e4)
     """Viscous over elastic stress at a strain rate of one a second [s]."""
-    friction_coefficient: float = Field(ge=0, le=5)
+    friction_coefficient: Number = Field(ge=0, le=5)
     """Coulomb friction between the gel and what presses on it."""
     layers: tuple[LayerMaterial, ...] = ()
     """Materials of the mesh's layers 1, 2, ...; layer 0 is the gel proper, this block's own."""
@@ -244,13 +220,13 @@ class CameraBlock(Block):
 
     key: ClassVar[str] = "camera"
 
-    width_px: int = Field(ge=2, le=20_000)
-    height_px: int = Field(ge=2, le=20_000)
-    mm_per_px_x: float = Field(ge=1e-4, le=1.0)
-    mm_per_px_y: float = Field(ge=1e-4, le=1.0)
-    center_u_px: float
+    width_px: Whole = Field(ge=2, le=20_000)
+    height_px: Whole = Field(ge=2, le=20_000)
+    mm_per_px_x: Number = Field(ge=1e-4, le=1.0)
+    mm_per_px_y: Number = Field(ge=1e-4, le=1.0)
+    center_u_px: Number
     """Column of the gel frame's origin [px]."""
-    center_v_px: float
+    center_v_px: Number
     """Row of the gel frame's origin [px]."""
     rectified: bool = False
     """Whether this is the grid of rectified images: the camera's own have another."""

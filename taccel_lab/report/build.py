@@ -52,7 +52,7 @@ def write_report(report: Report, directory: Path | str) -> dict[str, Any]:
         .render(report=report, values=values, results=results, verdict=verdict, images=images)
     )
     with atomic_file(directory / "report.html") as staging:
-        staging.write_text(page, encoding="utf-8")
+        staging.write_text(page, encoding="utf-8", errors="backslashreplace")
     write_json(directory / "report.json", values)
     return values
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import pytest
@@ -28,8 +29,9 @@ class Box(ParameterSet):
     style: str = parameter("round", choices=("round", "square"), description="s", source="none")
 
 
-def test_text_becomes_the_parameters_own_type() -> None:
-    box = Box().with_values({"width_mm": "2.5", "count": "3", "radius_mm": "0", "style": "square"})
+def test_words_become_the_parameters_own_type() -> None:
+    words = ["width_mm=2.5", "count=3", "radius_mm=0", "style=square"]
+    box = Box().with_values(parse_overrides(words))
     assert box.values() == {"width_mm": 2.5, "count": 3, "radius_mm": 0.0, "style": "square"}
     assert isinstance(box.count, int)
 
@@ -38,8 +40,10 @@ def test_text_becomes_the_parameters_own_type() -> None:
     ("overrides", "words"),
     [
         ({"width_mm": 0.5}, ["width_mm = 0.5", "below", "1 to 3 mm"]),
-        ({"width_mm": "7"}, ["width_mm = 7", "above", "1 to 3 mm"]),
-        ({"width_mm": "nan"}, ["width_mm", "not a number"]),
+        ({"width_mm": 7}, ["width_mm = 7", "above", "1 to 3 mm"]),
+        ({"width_mm": "2.5"}, ["width_mm = '2.5'", "not a number"]),
+        ({"width_mm": math.nan}, ["width_mm", "not a number"]),
+        ({"width_mm": 10**400}, ["width_mm = 1000", "not a number"]),
         ({"width_mm": "wide"}, ["width_mm", "'wide'", "1 to 3 mm"]),
         ({"width_mm": True}, ["width_mm", "not a number"]),
         ({"count": 2.5}, ["count", "whole number"]),
@@ -69,7 +73,7 @@ def test_overrides_of_another_form_are_refused(items: list[str]) -> None:
 
 
 def test_overrides_keep_everything_after_the_first_equals_sign() -> None:
-    assert parse_overrides(["a = 1", "b=x=y"]) == {"a": "1", "b": "x=y"}
+    assert parse_overrides(["a = 1", "b=x=y", "c=1_0"]) == {"a": 1, "b": "x=y", "c": "1_0"}
 
 
 @dataclass(frozen=True)
@@ -141,7 +145,7 @@ class Cupboard(ParameterSet):
 
 def test_a_set_has_the_parameters_of_its_groups_and_hands_them_out() -> None:
     assert set(Cupboard.parameters()) == {*Box.parameters(), "frame_mm"}
-    found = Cupboard().with_values({"count": 15, "width_mm": "1.5"})
+    found = Cupboard().with_values({"count": 15, "width_mm": 1.5})
     assert found.group(Box).values() == {**Box().values(), "count": 15, "width_mm": 1.5}
     with pytest.raises(InputError, match="width_mm = 9 is above its bound"):
         Cupboard().with_values({"width_mm": 9})

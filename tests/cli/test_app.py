@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import itertools
+import os
 import subprocess
 import sys
 import textwrap
@@ -57,6 +58,18 @@ def test_exit_codes(
     assert captured.out == ""
     assert words in captured.err
     assert "Traceback" not in captured.err
+
+
+def test_file_names_that_are_no_text_can_be_printed(tmp_path: Path) -> None:
+    name = os.fsencode(tmp_path) + b"/m\xe4rz"
+    os.mkdir(name)
+    program = "import sys; from taccel_lab.cli.app import main; sys.exit(main())"
+    for options in ([], ["--json"]):
+        command = [sys.executable, "-c", program, "profile", "validate", name, *options]
+        environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True)
+        assert done.returncode == 2 and "Traceback" not in done.stderr
+        assert r"/m\udce4rz" in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError(), OSError("image file is truncated")])

@@ -101,10 +101,13 @@ CAPTURES: dict[str, tuple[Change, list[str]]] = {
     ),
     "ball of no size": (edit("radius_mm = 2.0", "radius_mm = 0"), [r"indenter\.radius_mm"]),
     "NaN ball": (edit("radius_mm = 2.0", "radius_mm = nan"), [r"indenter\.radius_mm", "finite"]),
-    "unknown key": (edit('source = "', 'sauce = "'), [r"captures\.toml: sauce", "Extra"]),
+    "unknown key": (
+        edit('source = "', 'sauce = "'),
+        [r"captures\.toml: sauce: unknown key; allowed: .*source"],
+    ),
     "newer manifest": (
         edit("schema_version = 1", "schema_version = 3"),
-        [r"captures\.toml: schema_version", "Input should be 1 or 2"],
+        [r"captures\.toml: schema_version", "input should be 1 or 2"],
     ),
     "unknown sensor": (edit('"gelsight"', '"gelsite"'), ["gelsite", "gelsight"]),
     "broken TOML": (edit("[indenter]", "[indenter"), [r"captures\.toml is not valid TOML"]),

@@ -64,6 +64,13 @@ def test_bad_input_is_told_without_a_traceback(
     assert told.startswith("error: ") and "names in the file: bond, contact, side, window" in told
     assert main(["import-step", str(tmp_path / "no.step")]) == 2
     assert main(["import-step", str(step), "--out", out, "--select", "no.toml"]) == 2
+    assert "no.toml does not exist; expected a TOML file" in capsys.readouterr().err
+    faces = tmp_path / "faces.toml"
+    faces.write_text("contact = [1]\nself = 2\n")
+    assert main(["import-step", str(step), "--out", out, "--select", str(faces)]) == 2
+    told = capsys.readouterr().err
+    assert f"{faces}: contact.0: input should be a valid string (found 1)" in told
+    assert f"{faces}: self: unknown key; allowed: body, bond" in told
     assert not (tmp_path / "out").exists()
     with pytest.raises(SystemExit):
         parse(["import-step", str(step), "--parts", "assembly"])

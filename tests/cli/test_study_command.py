@@ -126,7 +126,7 @@ def test_no_figures_at_all_is_exit_code_3(file: Path, capsys: pytest.CaptureFixt
     ("arguments", "message"),
     [
         (["study"], "name a study file"),
-        (["study", "none.toml"], "none.toml: no such study file"),
+        (["study", "none.toml"], "none.toml does not exist"),
         (["study", "thickness.toml", "--limit", "0"], "limit must be at least 1"),
         (["study", "thickness.toml", "--processes", "0"], "processes must lie in 1..1024"),
         (["study", "thickness.toml", "--device", "cuda:99"], "device 'cuda:99' is not there"),

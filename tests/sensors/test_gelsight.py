@@ -44,7 +44,7 @@ def test_a_press_fits_under_the_apex() -> None:
 
 
 def test_material_is_in_si() -> None:
-    material = FAMILY.parameters({"young_modulus_mpa": "0.3"}).material()
+    material = FAMILY.parameters({"young_modulus_mpa": 0.3}).material()
     assert material.young_modulus_pa == pytest.approx(3e5)
     assert 0 <= material.poisson_ratio < 0.5
 
@@ -52,15 +52,17 @@ def test_material_is_in_si() -> None:
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        ({"poisson_ratio": "0.5"}, ["poisson_ratio = 0.5", "0 to 0.499"]),
-        ({"young_modulus_mpa": "-1"}, ["young_modulus_mpa = -1"]),
-        ({"thickness_mm": "1.6"}, ["thickness_mm must be at least"]),
-        ({"length_x_mm": "61"}, ["length_x_mm = 61", "10 to 60 mm"]),
+        ({"poisson_ratio": 0.5}, ["poisson_ratio = 0.5", "0 to 0.499"]),
+        ({"young_modulus_mpa": -1}, ["young_modulus_mpa = -1"]),
+        ({"thickness_mm": 1.6}, ["thickness_mm must be at least"]),
+        ({"length_x_mm": 61}, ["length_x_mm = 61", "10 to 60 mm"]),
         ({"colour": "red"}, ["no parameter 'colour'", "thickness_mm"]),
-        ({"width_px": "640.5"}, ["width_px", "whole number"]),
+        ({"width_px": 640.5}, ["width_px", "whole number"]),
     ],
 )
-def test_bad_parameters_name_sensor_and_bound(overrides: dict[str, str], words: list[str]) -> None:
+def test_bad_parameters_name_sensor_and_bound(
+    overrides: dict[str, object], words: list[str]
+) -> None:
     with pytest.raises(InputError) as error:
         FAMILY.parameters(overrides)
     for word in ["sensor gelsight", *words]:

@@ -65,6 +65,13 @@ BAD = [
     ("constraints", [{"metric": "blur", "most": 2}], "constraints.0.most: unknown key", "min, max"),
     ("output", {"steps": True}, "output.steps: unknown key", "did you mean step?"),
     ("run", {"processes": 0}, "run.processes", "found 0"),
+    ("run", {"processes": True}, "run.processes: input should be a valid integer (found True)"),
+    ("study/load_n", "0.5", "study.load_n: input should be a valid number (found '0.5')"),
+    ("study/seed", True, "study.seed: input should be a valid integer (found True)"),
+    ("output", {"step": "no"}, "output.step: input should be a valid boolean (found 'no')"),
+    ("constraints", [{"metric": "blur", "max": True}], "input should be a valid number"),
+    ("self", {}, "self: unknown key"),
+    ("model_config", {}, "model_config: unknown key"),
 ]
 
 
@@ -117,11 +124,11 @@ def test_violation_is_the_distance_to_the_nearer_bound() -> None:
 
 
 def test_files_are_named_in_errors(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such study file"):
+    with pytest.raises(InputError, match=r"none\.toml does not exist"):
         load_spec(tmp_path / "none.toml")
     path = tmp_path / "bad.toml"
     path.write_text("[study\n")
-    with pytest.raises(InputError, match=r"bad\.toml is not TOML"):
+    with pytest.raises(InputError, match=r"bad\.toml is not valid TOML"):
         load_spec(path)
 
 

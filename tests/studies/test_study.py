@@ -38,6 +38,9 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"press": {"egde": {"depth_mm": 2}}}, r"did you mean edge\?"),
     ({"press": {"edge": {"depth": 2}}}, r"\[press.edge\] 'depth' \(did you mean depth_mm"),
     ({"press": {"edge": {"depth_mm": -2}}}, r"\[press.edge\] depth_mm must be above 0"),
+    ({"press": {"edge": {"depth_mm": "2"}}}, r"\[press.edge\] depth_mm = '2'; something like"),
+    ({"press": {"edge": {"depth_mm": True}}}, r"\[press.edge\] depth_mm = True; something like"),
+    ({"parameters": {"thickness_mm": {"values": ["3"]}}}, "thickness_mm = '3' is not a number"),
     (
         {"parameters": {n: {**WIDE, "count": 101} for n in ("width_px", "height_px")}},
         "101 x 101 = 10,201 designs",

@@ -27,7 +27,7 @@ AUTO_CROP = "auto"
 MIN_PRESSES = 3
 FINE_PX = 320
 MIN_SIZE_PX = 32
-_PART = re.compile(r"^(\d+),(\d+),(\d+)x(\d+)$")
+_PART = re.compile(r"^([0-9]{1,6}),([0-9]{1,6}),([0-9]{1,6})x([0-9]{1,6})$")
 
 Part = tuple[int, int, int, int]
 """Left, top, width and height [px]."""

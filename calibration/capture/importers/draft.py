@@ -18,6 +18,8 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
+from taccel_lab.output import write_image
+from taccel_lab.reading.text_file import printable
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 COPIED_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -84,6 +86,12 @@ class Draft:
         return self._add(path, name.stem, name.suffix)
 
     def _add(self, content: Path | np.ndarray, stem: str, suffix: str) -> str:
+        try:
+            (stem + suffix).encode()
+        except UnicodeEncodeError:
+            raise InputError(
+                f"{self.source}: the file name {printable(stem + suffix)} is not UTF-8; rename it"
+            ) from None
         chosen, count = f"{stem}{suffix}", 1
         while chosen in self.files:
             count += 1
@@ -173,10 +181,11 @@ class Draft:
         for key in ("unit", "background", "untouched", "mask", "mm_per_px_x", "mm_per_px_y"):
             if key in rest:
                 head[key] = rest.pop(key)
-        head["source"] = self.source
+        head["source"] = printable(self.source)
         if self.license is not None:
             head["license"] = self.license
-        comments = "".join(f"# {line}\n" for note in self.notes for line in note.splitlines())
+        lines = (line for note in self.notes for line in note.splitlines())
+        comments = "".join(f"# {printable(line)}\n" for line in lines)
         return comments + tomli_w.dumps(head | rest)
 
     @contextmanager
@@ -194,5 +203,4 @@ class Draft:
 def write_png(path: Path, rgb: np.ndarray) -> None:
     """Write RGB (or grey) levels, uint8, as PNG."""
     bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
-    if not cv2.imwrite(str(path), bgr):
-        raise OSError(f"{path} could not be written")
+    write_image(path, bgr)

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +15,14 @@ from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
 from taccel_lab.reading.arrays import finite_numbers, read_npy
+from taccel_lab.reading.cell_number import number
+from taccel_lab.reading.json_file import read_json
+from taccel_lab.reading.text_file import shown
 
 SOURCE = "FEATS (feats-ai/feats)"
 LICENSE = "MIT"
 POINTS = "force_indentation.json"
-_RADIUS = re.compile(r"radius\s*([\d.]+)\s*mm", re.IGNORECASE)
+_RADIUS = re.compile(r"radius\s*([0-9.]+)\s*mm", re.IGNORECASE)
 
 
 def _recognises(path: Path) -> bool:
@@ -29,10 +32,7 @@ def _recognises(path: Path) -> bool:
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
     points = path if path.is_file() else path / POINTS
     draft = Draft("", "gelsight_mini", SOURCE, LICENSE)
-    try:
-        values = json.loads(points.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{points} is not valid JSON: {error}") from error
+    values = read_json(points)
     depths = _numbers(points, values, "indentation_mm")
     forces = _numbers(points, values, "normal_force_N")
     if len(depths) != len(forces):
@@ -42,7 +42,10 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         match = _RADIUS.search(str(values.get("indenter", "")))
         if match is None:
             raise InputError(f"{points}: the radius of the sphere is not stated; give radius-mm")
-        radius = float(match[1])
+        try:
+            radius = number(match[1])
+        except ValueError as error:
+            raise InputError(f"{points}: the radius of the sphere: {error}") from None
     rows = [f"{depth!r},{force!r}" for depth, force in zip(depths, forces, strict=True)]
     draft.files["force_indentation.csv"] = "\n".join(["depth_mm,force_n", *rows]) + "\n"
     tool = {"kind": "sphere", "radius_mm": radius}
@@ -57,10 +60,10 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     return [draft]
 
 
-def _numbers(path: Path, values: object, key: str) -> list[float]:
-    found = values.get(key) if isinstance(values, dict) else None
-    if not isinstance(found, list) or not all(isinstance(v, (int, float)) for v in found):
-        raise InputError(f"{path}: {key} has to be a list of numbers")
+def _numbers(path: Path, values: dict[str, Any], key: str) -> list[float]:
+    found = values.get(key)
+    if not isinstance(found, list) or not all(type(v) in (int, float) for v in found):
+        raise InputError(f"{path}: {key} is {shown(found)}; a list of numbers is needed")
     return [float(value) for value in found]
 
 

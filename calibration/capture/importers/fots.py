@@ -14,11 +14,11 @@ from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import (
     first_existing,
     images_in,
-    label_for,
-    labels_of,
 )
+from taccel_lab.calibration.capture.importers.label_tables import Circle, read_label_tables
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
+from taccel_lab.reading.table_file import read_table_text
 
 SOURCE = "FOTS (Rancho-zhao/FOTS)"
 LICENSE = "MIT, says its README"
@@ -32,11 +32,15 @@ def _recognises(path: Path) -> bool:
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
     drafts = []
-    labels = labels_of(path)
-    calib = path / "mlp_calib"
-    for part, sensor in (("gelsight", "gelsight_mini"), ("digit", "digit")):
-        if (calib / part).is_dir() and images_in(calib / part):
-            drafts.append(_presses(path, part, sensor, labels))
+    sensors = {"gelsight": "gelsight_mini", "digit": "digit"}
+    folders = [path / "mlp_calib" / part for part in sensors]
+    images = {place.name: images_in(place) for place in folders if place.is_dir()}
+    circles = read_label_tables(path).of_images([i for found in images.values() for i in found])
+    drafts += [
+        _presses(path, part, sensors[part], found, circles)
+        for part, found in images.items()
+        if found
+    ]
     if (path / "marker_calib" / "data").is_dir():
         drafts.append(_markers(path / "marker_calib" / "data"))
     if not drafts:
@@ -47,7 +51,9 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     return drafts
 
 
-def _presses(path: Path, part: str, sensor: str, labels: dict[str, dict[str, float]]) -> Draft:
+def _presses(
+    path: Path, part: str, sensor: str, images: list[Path], circles: dict[Path, Circle]
+) -> Draft:
     calib = path / "mlp_calib"
     draft = Draft(part, sensor, f"{SOURCE}, mlp_calib/{part}", LICENSE)
     assets = path / "assets" / "gel" / f"{part}_bg.png"
@@ -66,8 +72,8 @@ def _presses(path: Path, part: str, sensor: str, labels: dict[str, dict[str, flo
     draft.set_background(background)
     if assets.is_file() and assets != background:
         _add_untouched(draft, assets)
-    for image in images_in(calib / part):
-        draft.add_press(image, contact=label_for(image, path, labels))
+    for image in images:
+        draft.add_press(image, contact=circles.get(image))
     shadows = path / "shadow_calib" / "shadow_data"
     if part == "digit" and shadows.is_dir():
         for image in images_in(shadows):
@@ -97,10 +103,10 @@ def _markers(data: Path) -> Draft:
     draft.manifest["markers"] = markers
     table = first_existing(frames[0].with_suffix(".csv"))
     if table is not None:
-        lines = table.read_text(encoding="utf-8").splitlines()
-        if lines and lines[0].replace(" ", "") == "Mx,My,dx,dy":
-            lines[0] = "u_px,v_px,du_px,dv_px"
-        draft.files["marker_labels.csv"] = "\n".join(lines) + "\n"
+        head, _, rows = read_table_text(table).partition("\n")
+        if head.replace(" ", "") == "Mx,My,dx,dy":
+            head = "u_px,v_px,du_px,dv_px"
+        draft.files["marker_labels.csv"] = f"{head}\n{rows.removesuffix(chr(10))}\n"
         markers["labels"] = "marker_labels.csv"
     if len(frames) > 1:
         names = [draft.add_image(frame, f"frame_{frame.stem}") for frame in frames]

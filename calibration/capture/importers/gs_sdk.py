@@ -8,14 +8,13 @@ holds millimetres per pixel, despite its name.
 
 from __future__ import annotations
 
-import csv
 import re
+from collections import Counter
 from pathlib import Path
 
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import (
     first_existing,
-    load_yaml,
     natural_key,
     number_in,
     point_in,
@@ -24,13 +23,20 @@ from taccel_lab.calibration.capture.importers.files import (
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import inner_path
 from taccel_lab.reading.arrays import read_npz
+from taccel_lab.reading.cell_number import number
+from taccel_lab.reading.plain_values import number_at
+from taccel_lab.reading.table_file import TABLE_LIMIT_BYTES, read_table
+from taccel_lab.reading.text_file import read_text
+from taccel_lab.reading.yaml_file import YAML_LIMIT_BYTES, read_yaml
 
 CATALOG = "catalog.csv"
 DIAMETER = "diameter(mm)"
+_SCALE = "ppmm"
 FOLDER = "experiment_reldir"
 SOURCE = "gs_sdk layout (joehjhuang/gs_sdk)"
-_BALL_FOLDER = re.compile(r"([\d.]+)\s*mm")
+_BALL_FOLDER = re.compile(r"([0-9]{1,4}(?:\.[0-9]{0,9})?)\s*mm")
 _SENSORS = {"gelsight mini": "gelsight_mini", "digit": "digit"}
 
 
@@ -45,7 +51,7 @@ def _background(path: Path) -> Path | None:
 def _recognises(path: Path) -> bool:
     catalog = path / CATALOG
     if catalog.is_file():
-        return DIAMETER in catalog.read_text(encoding="utf-8", errors="replace")
+        return DIAMETER in read_text(catalog, TABLE_LIMIT_BYTES, "a table", latin_1=True)
     if (path / "examples" / "data" / "background.png").is_file():
         return True
     labels = _labels(path)
@@ -87,41 +93,48 @@ def _read_config(path: Path, draft: Draft) -> None:
         found for place in places if place.is_dir() for found in sorted(place.glob("*.y*ml"))
     ]
     for config in configs:
-        values = load_yaml(config)
-        scale, device = values.get("ppmm"), str(values.get("device_name", ""))
-        if not isinstance(scale, (int, float)):
+        try:
+            values = read_yaml(config)
+        except InputError as error:
+            if _mentions_scale(config):
+                raise
+            draft.notes.append(f"{config.name} was not used: {error}")
             continue
+        if _SCALE not in values:
+            continue
+        scale = number_at(values, _SCALE, str(config))
         if not MIN_MM_PER_PX <= scale <= MAX_MM_PER_PX:
             raise InputError(
                 f"{config}: ppmm is {scale:g}; gs_sdk stores millimetres per pixel under this "
                 f"name, {MIN_MM_PER_PX:g} to {MAX_MM_PER_PX:g} is allowed"
             )
-        draft.set_scale(float(scale))
-        draft.sensor = next(
-            (name for key, name in _SENSORS.items() if key in device.lower()), draft.sensor
-        )
+        draft.set_scale(scale)
+        device = str(values.get("device_name", "")).lower()
+        draft.sensor = next((name for key, name in _SENSORS.items() if key in device), draft.sensor)
         draft.notes.append(f"scale from {config.name}: its ppmm is in mm per pixel")
         return
 
 
+def _mentions_scale(config: Path) -> bool:
+    """Whether a YAML file that cannot be read is one of gs_sdk; others may lie beside it."""
+    try:
+        return _SCALE in read_text(config, YAML_LIMIT_BYTES, "a YAML file", latin_1=True)
+    except InputError:
+        return False
+
+
 def _read_catalog(path: Path, draft: Draft) -> None:
-    catalog = path / CATALOG
-    rows = list(csv.DictReader(catalog.read_text(encoding="utf-8").splitlines()))
-    if not rows or any(row.get(FOLDER) is None or row.get(DIAMETER) is None for row in rows):
-        raise InputError(f"{catalog} needs rows with {FOLDER} and {DIAMETER}")
-    diameters = []
-    for row in rows:
-        try:
-            diameters.append(float(row[DIAMETER]))
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{catalog}: diameter {row[DIAMETER]!r} is not a number") from error
-    common = max(set(diameters), key=diameters.count)
+    table = read_table(path / CATALOG)
+    place, ball = table.require_column(FOLDER), table.require_column(DIAMETER)
+    rows = [(inner_path(path, row.text(place)), row.number(ball)) for row in table.rows()]
+    if not rows:
+        raise InputError(f"{table.path} has no rows; a press each is needed")
+    common = Counter(diameter for _, diameter in rows).most_common(1)[0][0]
     draft.set_ball(common / 2)
-    for row, diameter in zip(rows, diameters, strict=True):
-        folder = path / row[FOLDER]
+    for folder, diameter in rows:
         draft.add_press(
             sensor_image(folder),
-            row[FOLDER].replace("/", "_").replace("\\", "_"),
+            "_".join(folder.relative_to(path).parts),
             radius_mm=None if diameter == common else diameter / 2,
             contact=_circle(folder / "label.npz"),
         )
@@ -133,14 +146,14 @@ def _read_labelled(path: Path, draft: Draft) -> None:
     balls = []
     for label in _labels(path):
         match = _BALL_FOLDER.fullmatch(label.parent.parent.name)
-        balls.append(None if match is None else float(match[1]) / 2)
+        balls.append(None if match is None else number(match[1]) / 2)
         name = "_".join(label.parent.relative_to(path).parts)
         draft.add_press(
             sensor_image(label.parent), name, radius_mm=balls[-1], contact=_circle(label)
         )
     stated = [ball for ball in balls if ball is not None]
     if stated:
-        draft.set_ball(max(set(stated), key=stated.count))
+        draft.set_ball(Counter(stated).most_common(1)[0][0])
 
 
 def _circle(label: Path) -> dict[str, float] | None:

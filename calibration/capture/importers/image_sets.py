@@ -17,7 +17,8 @@ from pathlib import Path
 
 from taccel_lab.calibration.capture.importers.background_guess import BACKGROUND_NAME
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.files import images_in, label_for, labels_of
+from taccel_lab.calibration.capture.importers.files import images_in
+from taccel_lab.calibration.capture.importers.label_tables import read_label_tables
 from taccel_lab.calibration.capture.importers.layout import Layout
 
 
@@ -90,10 +91,10 @@ class ImageSet:
         draft.set_scale(self.mm_per_px)
         if self.note is not None:
             draft.notes.append(self.note)
-        labels = labels_of(place)
-        for image in images:
-            if image.match(self.presses) and image != background:
-                draft.add_press(image, contact=label_for(image, place, labels))
+        presses = [image for image in images if image.match(self.presses) and image != background]
+        circles = read_label_tables(place).of_images(presses)
+        for image in presses:
+            draft.add_press(image, contact=circles.get(image))
         return draft
 
 

@@ -35,7 +35,7 @@ def _recognises(path: Path) -> bool:
     numbers = [image.stem for image in images]
     return (
         len(images) >= MIN_FRAMES
-        and all(number.isdigit() for number in numbers)
+        and all(number.isascii() and number.isdigit() for number in numbers)
         and int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1
         and _moves_steadily(images)
         and _shows_dots(images[0])

@@ -7,12 +7,16 @@ one of a ball of 4.0 mm. Further images there are results of its own scripts and
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.files import first_existing, load_yaml
+from taccel_lab.calibration.capture.importers.files import first_existing
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
+from taccel_lab.reading.plain_values import number_at
+from taccel_lab.reading.text_file import printable
+from taccel_lab.reading.yaml_file import read_yaml
 
 SOURCE = "9DTact (linchangyi1/9DTact)"
 LICENSE = "MIT"
@@ -50,33 +54,48 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     return [_unit(unit, facts, unit.name if len(units) > 1 else "") for unit in units]
 
 
-def _facts(path: Path) -> dict[str, float]:
-    """Board and ball of a ``shape_config.yaml`` near the captures, or the published ones."""
-    facts = {
-        "rows": DOT_ROWS,
-        "columns": DOT_COLUMNS,
-        "pitch": DOT_PITCH_MM,
-        "ball": BALL_RADIUS_MM,
-    }
-    for place in (path, *list(path.resolve().parents)[:3]):
-        config = first_existing(place / "shape_config.yaml")
-        if config is not None:
-            values = load_yaml(config)
-            camera, depth = values.get("camera_calibration"), values.get("depth_calibration")
-            if isinstance(camera, dict):
-                facts["rows"] = camera.get("row_points", facts["rows"])
-                facts["columns"] = camera.get("col_points", facts["columns"])
-                facts["pitch"] = camera.get("grid_distance", facts["pitch"])
-            if isinstance(depth, dict):
-                facts["ball"] = depth.get("BallRad", facts["ball"])
-            break
-    return facts
+@dataclass(frozen=True)
+class _Facts:
+    """Board and ball."""
+
+    rows: int = DOT_ROWS
+    columns: int = DOT_COLUMNS
+    pitch_mm: float = DOT_PITCH_MM
+    ball_radius_mm: float = BALL_RADIUS_MM
 
 
-def _unit(unit: Path, facts: dict[str, float], part: str) -> Draft:
+def _facts(path: Path) -> _Facts:
+    """Those of a ``shape_config.yaml`` near the captures, or the published ones."""
+    places = (path, *list(path.resolve().parents)[:3])
+    config = first_existing(*(place / "shape_config.yaml" for place in places))
+    if config is None:
+        return _Facts()
+    settings = read_yaml(config)
+
+    def stated(key: str, default: float) -> float:
+        section, name = key.split(".")
+        table = settings.get(section)
+        known = isinstance(table, dict) and table.get(name) is not None
+        return number_at(settings, key, str(config)) if known else default
+
+    def count(key: str, default: int) -> int:
+        found = stated(key, default)
+        if found % 1:
+            raise InputError(f"{config}: {key} is {found:g}; a whole number is needed")
+        return int(found)
+
+    return _Facts(
+        count("camera_calibration.row_points", DOT_ROWS),
+        count("camera_calibration.col_points", DOT_COLUMNS),
+        stated("camera_calibration.grid_distance", DOT_PITCH_MM),
+        stated("depth_calibration.BallRad", BALL_RADIUS_MM),
+    )
+
+
+def _unit(unit: Path, facts: _Facts, part: str) -> Draft:
     draft = Draft(part, "9dtact", f"{SOURCE}, {unit.name}", LICENSE)
     if part:
-        draft.manifest["unit"] = unit.name
+        draft.manifest["unit"] = printable(unit.name)
     board, board_ref = _image(unit / _CAMERA, "sample"), _image(unit / _CAMERA, "ref")
     ball, ball_ref = _image(unit / _DEPTH, "sample"), _image(unit / _DEPTH, "ref")
     background = ball_ref or board_ref
@@ -86,9 +105,9 @@ def _unit(unit: Path, facts: dict[str, float], part: str) -> Draft:
     if board is not None:
         entry = {
             "kind": "dots",
-            "columns": int(facts["columns"]),
-            "rows": int(facts["rows"]),
-            "pitch_mm": float(facts["pitch"]),
+            "columns": facts.columns,
+            "rows": facts.rows,
+            "pitch_mm": facts.pitch_mm,
             "on_gel": True,
             "images": [draft.add_image(board, "board")],
         }
@@ -96,7 +115,7 @@ def _unit(unit: Path, facts: dict[str, float], part: str) -> Draft:
             entry["reference"] = draft.add_image(board_ref, "board_reference")
         draft.manifest["boards"] = [entry]
     if ball is not None:
-        draft.set_ball(float(facts["ball"]))
+        draft.set_ball(facts.ball_radius_mm)
         draft.add_press(ball, "ball")
     return draft
 

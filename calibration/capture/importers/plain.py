@@ -13,22 +13,19 @@ from taccel_lab.calibration.capture.importers.background_guess import (
     guess_background,
 )
 from taccel_lab.calibration.capture.importers.draft import MEDIAN, Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.files import (
-    images_in,
-    label_for,
-    label_notes,
-    labels_of,
-)
+from taccel_lab.calibration.capture.importers.files import images_in
+from taccel_lab.calibration.capture.importers.label_tables import not_used, read_label_tables
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.importers.markers import VIDEO_SUFFIXES
 from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
+from taccel_lab.reading.cell_number import number
 from taccel_lab.reading.images import image_size, read_grey
 
 _MASK_NAME = re.compile(r"(^|[_\-. ])mask($|[_\-. \d])", re.IGNORECASE)
 _DERIVED_NAME = re.compile(r"(^|[_\-. ])(labeled|labelled|drawing|contours|annotated|pseudo)", re.I)
 """Pictures that scripts drew, not captures."""
-_BOARD = re.compile(r"^(chessboard|charuco|dots|pins):(\d+)x(\d+)(?::([\d.]+))?$")
+_BOARD = re.compile(r"^(chessboard|charuco|dots|pins):([0-9]{1,4})x([0-9]{1,4})(?::([0-9.]+))?$")
 _SENSOR_WORDS = (
     ("9dtact", "9dtact"),
     ("ninedtact", "9dtact"),
@@ -65,11 +62,12 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         return [draft]
     images = _take_mask(images, draft)
     images = _take_background(images, draft, options)
-    labels = labels_of(path)
-    draft.notes += label_notes(path, labels, images)
+    labels = read_label_tables(path)
+    draft.notes += labels.unused(images)
+    circles = labels.of_images(images)
     for image in images:
         name = "_".join(image.relative_to(path).with_suffix("").parts)
-        draft.add_press(image, name, contact=label_for(image, path, labels))
+        draft.add_press(image, name, contact=circles.get(image))
     _take_records(path, draft)
     _take_videos(path, draft)
     return [draft]
@@ -147,13 +145,21 @@ def _board(text: str, images: list[Path], draft: Draft) -> dict[str, Any]:
         "images": [draft.add_image(image) for image in images],
     }
     if match[4] is not None:
-        entry["pitch_mm"] = float(match[4])
+        try:
+            entry["pitch_mm"] = number(match[4])
+        except ValueError as error:
+            raise InputError(f"board {text!r}: the pitch: {error}") from None
     return entry
 
 
 def _take_records(path: Path, draft: Draft) -> None:
     for table in sorted(path.rglob("*.csv")):
-        kind = kind_of_record(table)
+        try:
+            kind = kind_of_record(table)
+        except InputError as error:
+            if (note := not_used(table, error)) not in draft.notes:
+                draft.notes.append(note)
+            continue
         if kind is None:
             continue
         name = draft.add_file(table, path)

@@ -7,14 +7,16 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import first_existing
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import inner_path
+from taccel_lab.reading.json_file import read_json
+from taccel_lab.reading.plain_values import number_at
+from taccel_lab.reading.table_file import read_table
 
 SOURCE = "py3DCal layout (rohankotanu/py3DCal)"
 _DEPTH_COLUMNS = ("penetration_depth_mm", "penetration_mm", "depth_mm")
@@ -36,35 +38,22 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         draft.set_background(blank)
     metadata = path / "annotations" / "metadata.json"
     if metadata.is_file():
-        try:
-            values = json.loads(metadata.read_text(encoding="utf-8"))
-            draft.set_scale(1 / float(values["px_per_mm"]))
-            draft.set_ball(float(values["probe_radius_mm"]))
-        except (ValueError, KeyError, TypeError, ZeroDivisionError) as error:
-            raise InputError(
-                f"{metadata}: px_per_mm and probe_radius_mm cannot be read: {error}"
-            ) from error
-    table = _tables(path)[0]
-    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
-    if not rows or "img_name" not in rows[0]:
-        raise InputError(f"{table} needs rows with a column img_name")
-    depth = next((name for name in _DEPTH_COLUMNS if name in rows[0]), None)
-    for row in rows:
-        image = path / "probe_images" / row["img_name"]
+        values = read_json(metadata)
+        px_per_mm = number_at(values, "px_per_mm", str(metadata))
+        if px_per_mm <= 0:
+            raise InputError(f"{metadata}: px_per_mm is {px_per_mm:g}; a positive number is needed")
+        draft.set_scale(1 / px_per_mm)
+        draft.set_ball(number_at(values, "probe_radius_mm", str(metadata)))
+    table = read_table(_tables(path)[0])
+    name, depth = table.require_column("img_name"), table.column(*_DEPTH_COLUMNS)
+    for row in table.rows():
+        image = inner_path(path / "probe_images", row.text(name))
         if not image.is_file():
-            raise InputError(f"{image} does not exist; {table} names it")
-        draft.add_press(image, depth_mm=_travel(table, row, depth))
+            raise row.error(f"{image} does not exist")
+        travel = None if depth is None or not row.text(depth) else row.number(depth)
+        draft.add_press(image, depth_mm=travel)
     draft.notes.append("the travel of the probe is kept; circles are found in the images")
     return [draft]
-
-
-def _travel(table: Path, row: dict[str, str], column: str | None) -> float | None:
-    if column is None or not row[column]:
-        return None
-    try:
-        return float(row[column])
-    except ValueError as error:
-        raise InputError(f"{table}: {column} {row[column]!r} is not a number") from error
 
 
 LAYOUT = Layout("py3dcal", "py3DCal: annotations, probe_images, blank_images", _recognises, _read)

@@ -104,4 +104,7 @@ class CaptureMaker:
 
 
 def write_image(path: Path, rgb: np.ndarray) -> None:
-    assert cv2.imwrite(str(path), np.ascontiguousarray(rgb[..., ::-1]))
+    # Not `imwrite`, which ends the process at a path that is not UTF-8.
+    done, data = cv2.imencode(path.suffix, np.ascontiguousarray(rgb[..., ::-1]))
+    assert done
+    path.write_bytes(data.tobytes())

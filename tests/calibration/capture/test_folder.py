@@ -199,7 +199,7 @@ def test_links_out_of_the_folder_are_refused(
 @pytest.mark.parametrize("value", ['"0.5"', "true"])
 def test_a_number_is_written_as_one(folder: Path, value: str) -> None:
     edit(folder, "depth_mm = 0.5", f"depth_mm = {value}")
-    with pytest.raises(InputError, match=r"presses\.0\.depth_mm: Input should be a valid number"):
+    with pytest.raises(InputError, match=r"presses\.0\.depth_mm: input should be a valid number"):
         load_capture_folder(folder)
 
 

@@ -12,7 +12,7 @@ import pytest
 from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_capture_folder
 from taccel_lab.calibration.capture.importers import ImportOptions
 from taccel_lab.calibration.capture.importers.background_guess import guess_background
-from taccel_lab.calibration.capture.importers.files import read_labels
+from taccel_lab.calibration.capture.importers.label_tables import read_labels
 from taccel_lab.calibration.capture.records import kind_of_record, read_columns
 from taccel_lab.errors import InputError
 from taccel_lab.reading.images import image_size, read_image

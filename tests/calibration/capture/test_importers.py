@@ -19,7 +19,8 @@ from taccel_lab.calibration.capture.importers import (
     read_drafts,
 )
 from taccel_lab.calibration.capture.importers.background_guess import guess_background
-from taccel_lab.calibration.capture.importers.files import natural_key, read_labels
+from taccel_lab.calibration.capture.importers.files import natural_key
+from taccel_lab.calibration.capture.importers.label_tables import read_labels
 from taccel_lab.errors import InputError
 from tests.calibration.capture.capture_sets import gel, press, spread_circles, write_image
 from tests.calibration.capture.made_up_layouts import (
@@ -231,7 +232,7 @@ def test_label_tables(tmp_path: Path) -> None:
     table.write_text("nothing of the kind\n")
     assert read_labels(table) is None
     table.write_text("file,cx,cy,r\na.png,1,2,x\n")
-    with pytest.raises(InputError, match=r"circle of a\.png"):
+    with pytest.raises(InputError, match=r"t\.txt: line 2: column r: 'x' is not"):
         read_labels(table)
 
 
@@ -302,15 +303,16 @@ Break = Callable[[Path], object]
         (gs_sdk, lambda f: (f / "catalog.csv").write_text("experiment_reldir,diameter(mm)\nx,1\n"),
          r"x/gelsight\.png does not exist"),
         (gs_sdk, lambda f: (f / "gsmini.yaml").write_text("ppmm: 15.8\n"), "ppmm is 15.8; gs_sdk"),
-        (gs_sdk, lambda f: (f / "gsmini.yaml").write_text("[1,"), "not valid YAML"),
+        (gs_sdk, lambda f: (f / "gsmini.yaml").write_text("ppmm: [1,"),
+         "gsmini.yaml cannot be read as YAML"),
         (gs_sdk, lambda f: (f / "4.760mm/0/label.npz").write_text("x"), "label.npz is not a"),
         (feats, lambda f: (f / "force_indentation.json").write_text("{"), "not valid JSON"),
-        (feats, lambda f: (f / "force_indentation.json").write_text("{}"), "indentation_mm has to"),
+        (feats, lambda f: (f / "force_indentation.json").write_text("{}"), "a list of numbers"),
         (fots, lambda f: (f / "mlp_calib/0000.png").unlink(), "no background"),
         (fots, lambda f: (f / "mlp_calib/gelsight/0001.png").write_text("x"), "is not an image"),
         (py3dcal, lambda f: (f / "probe_images/0.png").unlink(), r"0\.png does not exist"),
         (py3dcal, lambda f: (f / "annotations/annotations.csv").write_text(
-            "img_name,depth_mm\n0.png,deep\n"), "depth_mm 'deep' is not a number"),
+            "img_name,depth_mm\n0.png,deep\n"), r"csv: line 2: column depth_mm: 'deep' is not a"),
         (feats, lambda f: (f / "homography.npy").write_text("x"), "homography.npy is not a read"),
         (cube_edges, lambda f: np.savez(f / "2/label.npz", line_center=np.zeros(3)), "two numbers"),
         (gs_sdk, lambda f: np.savez(f / "4.760mm/0/label.npz", center=np.zeros(2), radius="x"),

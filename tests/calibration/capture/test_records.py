@@ -130,8 +130,8 @@ def write(folder: Path, text: str) -> Path:
     ("text", "message"),
     [
         ("depth_mm,force_n\n", "holds 0 rows; a header and at least 2"),
-        ("depth_mm,force_n\n0.1,0.2\n0.2\n", "row 2 has 1 cells, the header 2"),
-        ("depth_mm,force_n\n0.1,0.2\n0.2,nan\n", "row 2, column force_n: 'nan' is not a finite"),
+        ("depth_mm,force_n\n0.1,0.2\n0.2\n", "line 3 has 1 cells, the header 2"),
+        ("depth_mm,force_n\n0.1,0.2\n0.2,nan\n", "line 3: column force_n: 'nan' is not a finite"),
         ("depth_mm,force_n\n0.1,0.2\n0.2,1e999\n", "not a finite number"),
         ("depth_mm,force_g\n0.1,20\n0.2,30\n", r"lacks the column force_n.*found depth_mm"),
         ("depth_mm,force_n,sigma_n\n0.1,0.1,0\n0.2,0.3,0.1\n", "sigma_n has to be positive"),

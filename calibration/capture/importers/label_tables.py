@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of contact circles beside images that follow no manifest."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from taccel_lab.calibration.capture.records import kind_of_record
+from taccel_lab.errors import InputError
+from taccel_lab.reading.cell_number import number
+from taccel_lab.reading.table_file import numbered_lines, read_table, read_table_text
+
+Circle = dict[str, float]
+"""``u_px``, ``v_px`` and ``radius_px``."""
+_FILE_COLUMNS = ("file", "image", "img_name", "img_names", "filename", "name", "frame")
+_U_COLUMNS = ("cx_px", "u_px", "cx", "center_x", "x_px", "x", "u")
+_V_COLUMNS = ("cy_px", "v_px", "cy", "center_y", "y_px", "y", "v")
+_RADIUS_COLUMNS = (
+    "contact_r_px",
+    "radius_px",
+    "contact_r",
+    "contact_radius",
+    "r_px",
+    "radius",
+    "r",
+)
+_NUMBER = r"([-+.0-9]{1,64})"
+_TUPLE_LINE = re.compile(
+    rf"(\S{{1,255}}\.\w{{1,16}})(?=[\s(])\s*\(?\s*{_NUMBER}\s*,\s*{_NUMBER}[\s,)]+{_NUMBER}\s*"
+)
+"""``name.png (204, 98) 31``, as some labelling scripts print it."""
+_MAX_TUPLE_LINE = 500
+"""Characters: a file name has up to 255."""
+
+
+@dataclass
+class LabelTables:
+    """Circles of all label tables of a folder."""
+
+    folder: Path
+    circles: dict[str, Circle] = field(default_factory=dict)
+    """By the image as its table names it: path below the folder, file name, or stem."""
+    tables: dict[str, Path] = field(default_factory=dict)
+    """By the same names: the table that says so."""
+    notes: list[str] = field(default_factory=list)
+    """What was not used, in sentences."""
+
+    def of_images(self, images: Sequence[Path]) -> dict[Path, Circle]:
+        """The circle of each image that has one.
+
+        Raises InputError for a name that stands for several of the images.
+        """
+        found: dict[Path, Circle] = {}
+        taken: dict[str, Path] = {}
+        for image in images:
+            path = image.relative_to(self.folder).as_posix()
+            if path in self.circles:
+                found[image] = self.circles[path]
+                continue
+            name = next((n for n in (image.name, image.stem) if n in self.circles), None)
+            if name is None:
+                continue
+            if name in taken:
+                other = taken[name].relative_to(self.folder).as_posix()
+                raise InputError(
+                    f"{self.tables[name]}: {name!r} may be {other} or {path}; name images by their "
+                    f"path below {self.folder}"
+                )
+            taken[name] = image
+            found[image] = self.circles[name]
+        return found
+
+    def unused(self, images: Sequence[Path]) -> list[str]:
+        """What of the tables has no effect on these presses, in sentences."""
+        used = {image.name for image in images} | {image.stem for image in images}
+        used |= {image.relative_to(self.folder).as_posix() for image in images}
+        lost = sorted(name for name in self.circles if name not in used)
+        if not lost:
+            return self.notes
+        shown = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
+        return [*self.notes, f"circles of images that are not there, or no presses: {shown}"]
+
+
+def read_label_tables(folder: Path) -> LabelTables:
+    """Those of a folder and its ``labels``.
+
+    Raises InputError for a table of circles with a fault, and for two circles of one image.
+    """
+    found = LabelTables(folder)
+    for place in (folder, folder / "labels"):
+        for path in sorted([*place.glob("*.txt"), *place.glob("*.csv")]):
+            try:
+                circles = read_labels(path)
+                is_foreign = circles is None and path.suffix == ".csv" and place == folder
+                if is_foreign and kind_of_record(path) is None:
+                    found.notes.append(
+                        f"{path.name} was not used: it has no columns for file, centre and radius "
+                        "of circles"
+                    )
+            except NotATable as error:
+                found.notes.append(not_used(path, error))
+                continue
+            for name, circle in (circles or {}).items():
+                if found.circles.setdefault(name, circle) != circle:
+                    raise InputError(
+                        f"{path} and {found.tables[name]} have different circles of {name!r}"
+                    )
+                found.tables.setdefault(name, path)
+    return found
+
+
+class NotATable(InputError):
+    """A file that has no columns at all, so that it may well be something else."""
+
+
+def not_used(path: Path, cause: Exception) -> str:
+    """Note about a file beside the images that is left out."""
+    return f"{path.name} was not used: {cause}"
+
+
+def read_labels(path: Path) -> dict[str, Circle] | None:
+    """Contact circles by image (as the table names it), or None when the file is no such table.
+
+    A table with a header in any of the usual spellings, or lines of the form ``name (u, v) r``.
+
+    Raises:
+        NotATable: The file cannot be read as text with columns.
+        InputError: It is a table of circles, and has a fault.
+    """
+    try:
+        written = _tuple_lines(numbered_lines(read_table_text(path), 1, path))
+        table = None if written is not None else read_table(path)
+    except InputError as error:
+        raise NotATable(str(error)) from None
+    circles: dict[str, Circle] = {}
+    if table is None:
+        for line, name, *cells in written or []:
+            _add(circles, name, _circle(cells, f"{path}: line {line}: {name}"), path)
+        return circles
+    kinds = (_FILE_COLUMNS, _U_COLUMNS, _V_COLUMNS, _RADIUS_COLUMNS)
+    columns = [column for names in kinds if (column := table.column(*names)) is not None]
+    if len(columns) < len(kinds):
+        return None
+    for row in table.rows():
+        values = [row.number(column) for column in columns[1:]]
+        _add(circles, row.text(columns[0]), dict(zip(_KEYS, values, strict=True)), path)
+    return circles or None
+
+
+_KEYS = ("u_px", "v_px", "radius_px")
+
+
+def _tuple_lines(lines: Iterable[tuple[int, str]]) -> list[tuple[int, str, str, str, str]] | None:
+    """Number of the line, name and three numbers; None when a line is of another form."""
+    found = []
+    for count, line in lines:
+        text = line.strip()
+        match = _TUPLE_LINE.fullmatch(text) if len(text) <= _MAX_TUPLE_LINE else None
+        if match is None:
+            return None
+        found.append((count, match[1], match[2], match[3], match[4]))
+    return found or None
+
+
+def _circle(cells: Sequence[str], place: str) -> Circle:
+    try:
+        return dict(zip(_KEYS, map(number, cells), strict=True))
+    except ValueError as error:
+        raise InputError(f"{place}: {error}; three finite numbers of pixels are needed") from None
+
+
+def _add(circles: dict[str, Circle], name: str, circle: Circle, path: Path) -> None:
+    if circles.setdefault(name, circle) != circle:
+        raise InputError(f"{path} has two circles of {name!r}")
