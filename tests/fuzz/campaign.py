@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many examples in processes that a reader may crash, hang or fill."""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import re
+import traceback
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache, partial
+from pathlib import Path
+from typing import TextIO
+
+from taccel_lab.process_pool import Died, Finished, ProcessPool, Underway
+from taccel_lab.progress import Progress
+from tests.fuzz import memory
+from tests.fuzz.example import MUTATION_NAME, Bench, Outcome
+
+BATCH = 20
+"""Examples a request."""
+LIMIT_S = 90.0
+"""For a batch, of which each example takes milliseconds."""
+MEMORY_BYTES = 2 << 30
+"""More than what the modules take; what needs more is ended."""
+
+_OURS = re.compile(
+    r'File "[^"]*?/((?:taccel_lab|calibration|cad|sensors|studies|cli)/[^"]*)", line \d+ in (\w+)'
+)
+Batch = tuple[str, tuple[int, ...]]
+"""A reader and seeds."""
+
+
+def run(examples: Iterable[tuple[str, int]], processes: int, folder: Path) -> Iterator[Outcome]:
+    """Outcomes as they come in, in any order.
+
+    Args:
+        examples: Readers and seeds.
+        processes: That work side by side.
+        folder: For guarded folders and crash reports.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    waiting = list(_batches(examples))
+    with ProcessPool(partial(_work, str(folder)), processes, LIMIT_S) as pool:
+        while waiting:
+            left: list[Batch] = []
+            begun: dict[tuple[str, int], str] = {}
+            for event in pool.run(waiting):
+                if isinstance(event, Underway):
+                    reader, seed, process = event.what.split()
+                    begun[reader, int(seed)] = process
+                elif isinstance(event, Finished):
+                    yield from event.result
+                elif isinstance(event, Died):
+                    outcome, rest = _death(event, begun, folder)
+                    yield outcome
+                    left += rest
+            waiting = left
+
+
+def _batches(examples: Iterable[tuple[str, int]]) -> Iterator[Batch]:
+    by_reader: dict[str, list[int]] = {}
+    for reader, seed in examples:
+        by_reader.setdefault(reader, []).append(seed)
+    for reader, seeds in by_reader.items():
+        for begin in range(0, len(seeds), BATCH):
+            yield reader, tuple(seeds[begin : begin + BATCH])
+
+
+def _death(
+    event: Died[Batch], begun: Mapping[tuple[str, int], str], folder: Path
+) -> tuple[Outcome, list[Batch]]:
+    """The example that a process died of, and the others of its batch.
+
+    Those before it are run again: their outcomes died with the process.
+    """
+    reader, seeds = event.item
+    guilty = [seed for seed in seeds if (reader, seed) in begun][-1:] or [seeds[0]]
+    process = begun.get((reader, guilty[0]), "none")
+    kind = "hang" if event.cause.startswith("no answer") else "crash"
+    ours = _OURS.search(_text(folder / f"{process}.txt"))
+    where = kind if ours is None else f"{kind} in {ours[1]}:{ours[2]}"
+    words = _text(folder / process / MUTATION_NAME)
+    outcome = Outcome(reader, guilty[0], words, kind, event.cause, where)
+    rest = tuple(seed for seed in seeds if seed != guilty[0])
+    return outcome, [(reader, rest)] if rest else []
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+
+
+@cache
+def _bench(folder: str) -> Bench:
+    """This process's own, with its limits."""
+    faulthandler.enable(_report(folder))
+    silent = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):  # Libraries print past Python.
+        os.dup2(silent, stream)
+    memory.limit(MEMORY_BYTES)
+    return Bench(Path(folder) / str(os.getpid()))
+
+
+@cache
+def _report(folder: str) -> TextIO:
+    return open(Path(folder) / f"{os.getpid()}.txt", "w", encoding="utf-8")
+
+
+def _work(folder: str, batch: Batch, tell: Progress) -> list[Outcome]:
+    reader, seeds = batch
+    outcomes = []
+    for number, seed in enumerate(seeds):
+        tell(f"{reader} {seed} {os.getpid()}", number, len(seeds))
+        faulthandler.dump_traceback_later(LIMIT_S - 10, file=_report(folder))
+        try:
+            outcomes.append(_bench(folder).run(reader, seed))
+        except Exception:  # A fault of the suite, which has to be seen.
+            outcomes.append(Outcome(reader, seed, "?", "suite", traceback.format_exc()[-1500:]))
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+    return outcomes
