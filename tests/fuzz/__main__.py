@@ -36,12 +36,18 @@ def main() -> int:
     print(f"{len(names)} readers, seeds {seeds[0]} to {seeds[-1]}", flush=True)
     found: dict[str, list[Outcome]] = {name: [] for name in names}
     begun = time.monotonic()
+    options.output.mkdir(parents=True, exist_ok=True)
+    faults = options.output / "faults.toml"
+    faults.write_text("")
+    examples = [(name, seed) for name in names for seed in seeds]
     try:
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            examples = [(name, seed) for name in names for seed in seeds]
             for outcome in run(examples, options.jobs, Path(folder)):
                 of_reader = found[outcome.reader]
                 of_reader.append(outcome)
+                if outcome.fault:
+                    with faults.open("a", encoding="utf-8", errors="backslashreplace") as file:
+                        file.write(_described(outcome))
                 _tick(outcome.reader, len(of_reader), len(seeds))
                 if len(of_reader) == len(seeds):
                     print(_row(outcome.reader, of_reader, time.monotonic() - begun), flush=True)
@@ -53,7 +59,7 @@ def main() -> int:
     everything = [outcome for outcomes in found.values() for outcome in outcomes]
     if options.choose:
         print(choose(everything))
-    return _conclude([o for o in everything if o.fault], len(everything), options.output)
+    return _conclude(everything, faults)
 
 
 def _options() -> argparse.Namespace:
@@ -87,21 +93,24 @@ def _row(name: str, outcomes: list[Outcome], seconds: float) -> str:
     )
 
 
-def _conclude(faults: list[Outcome], total: int, output: Path) -> int:
-    print(f"{total} examples, {len(faults)} faults")
+def _described(fault: Outcome) -> str:
+    lines = f"{fault.kind} {fault.where}: {fault.message[:300]}".splitlines()
+    return "".join(f"# {line}\n" for line in lines) + entry(fault) + "\n"
+
+
+def _conclude(everything: list[Outcome], path: Path) -> int:
+    faults = [outcome for outcome in everything if outcome.fault]
+    print(f"{len(everything)} examples, {len(faults)} faults")
     if not faults:
         return 0
     groups: dict[tuple[str, str, str], list[Outcome]] = {}
     for fault in faults:
         groups.setdefault((fault.reader, fault.kind, fault.where), []).append(fault)
-    output.mkdir(parents=True, exist_ok=True)
-    path = output / "faults.toml"
-    with path.open("w", encoding="utf-8") as file:
-        for (reader, kind, where), group in sorted(groups.items(), key=lambda item: -len(item[1])):
-            print(f"{reader}: {len(group)} x {kind} {where}: {group[0].message[:200]!r}")
-            for fault in group:
-                lines = f"{kind} {where}: {fault.message[:300]}".splitlines()
-                file.write("".join(f"# {line}\n" for line in lines) + entry(fault) + "\n")
+    for (reader, kind, where), group in sorted(groups.items(), key=lambda item: -len(item[1])):
+        seeds = ", ".join(str(fault.seed) for fault in group[:5])
+        print(
+            f"{reader}: {len(group)} x {kind} {where} (seeds {seeds}): {group[0].message[:200]!r}"
+        )
     print(f"seeds: {path}{_HOW_TO_KEEP}")
     return 1
 

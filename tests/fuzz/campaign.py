@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import faulthandler
+import importlib
 import os
 import re
 import traceback
@@ -31,17 +32,27 @@ Batch = tuple[str, tuple[int, ...]]
 """A reader and seeds."""
 
 
-def run(examples: Iterable[tuple[str, int]], processes: int, folder: Path) -> Iterator[Outcome]:
+def run(
+    examples: Iterable[tuple[str, int]],
+    processes: int,
+    folder: Path,
+    *,
+    table: str = "tests.fuzz.readers",
+    limit_s: float = LIMIT_S,
+) -> Iterator[Outcome]:
     """Outcomes as they come in, in any order.
 
     Args:
         examples: Readers and seeds.
         processes: That work side by side.
         folder: For guarded folders and crash reports.
+        table: Module that holds the ``READERS``.
+        limit_s: For a batch of examples.
     """
     folder.mkdir(parents=True, exist_ok=True)
     waiting = list(_batches(examples))
-    with ProcessPool(partial(_work, str(folder)), processes, LIMIT_S) as pool:
+    work = partial(_work, str(folder), table, limit_s)
+    with ProcessPool(work, processes, limit_s) as pool:
         while waiting:
             left: list[Batch] = []
             begun: dict[tuple[str, int], str] = {}
@@ -78,8 +89,9 @@ def _death(
     guilty = [seed for seed in seeds if (reader, seed) in begun][-1:] or [seeds[0]]
     process = begun.get((reader, guilty[0]), "none")
     kind = "hang" if event.cause.startswith("no answer") else "crash"
-    ours = _OURS.search(_text(folder / f"{process}.txt"))
-    where = kind if ours is None else f"{kind} in {ours[1]}:{ours[2]}"
+    ours = _OURS.findall(_text(folder / f"{process}.txt"))
+    frames = [frame for frame in ours if "/child_process.py" not in frame[0]]
+    where = f"{kind} in {frames[0][0]}:{frames[0][1]}" if frames else kind
     words = _text(folder / process / MUTATION_NAME)
     outcome = Outcome(reader, guilty[0], words, kind, event.cause, where)
     rest = tuple(seed for seed in seeds if seed != guilty[0])
@@ -91,14 +103,14 @@ def _text(path: Path) -> str:
 
 
 @cache
-def _bench(folder: str) -> Bench:
+def _bench(folder: str, table: str) -> Bench:
     """This process's own, with its limits."""
     faulthandler.enable(_report(folder))
     silent = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):  # Libraries print past Python.
         os.dup2(silent, stream)
     memory.limit(MEMORY_BYTES)
-    return Bench(Path(folder) / str(os.getpid()))
+    return Bench(Path(folder) / str(os.getpid()), importlib.import_module(table).READERS)
 
 
 @cache
@@ -106,14 +118,14 @@ def _report(folder: str) -> TextIO:
     return open(Path(folder) / f"{os.getpid()}.txt", "w", encoding="utf-8")
 
 
-def _work(folder: str, batch: Batch, tell: Progress) -> list[Outcome]:
+def _work(folder: str, table: str, limit_s: float, batch: Batch, tell: Progress) -> list[Outcome]:
     reader, seeds = batch
     outcomes = []
     for number, seed in enumerate(seeds):
         tell(f"{reader} {seed} {os.getpid()}", number, len(seeds))
-        faulthandler.dump_traceback_later(LIMIT_S - 10, file=_report(folder))
+        faulthandler.dump_traceback_later(0.8 * limit_s, file=_report(folder))
         try:
-            outcomes.append(_bench(folder).run(reader, seed))
+            outcomes.append(_bench(folder, table).run(reader, seed))
         except Exception:  # A fault of the suite, which has to be seen.
             outcomes.append(Outcome(reader, seed, "?", "suite", traceback.format_exc()[-1500:]))
         finally:

@@ -11,7 +11,7 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from tests.fuzz import memory
 from tests.fuzz.guard import Guard, changes, remove
 from tests.fuzz.mutations.draw import Draw
 from tests.fuzz.mutations.mutate import mutate
-from tests.fuzz.readers import READERS, Reader, Refused
+from tests.fuzz.readers import Reader, Refused
 
 MEMORY_BYTES = 1 << 30
 """That an example may add to what its process takes."""
@@ -53,7 +53,8 @@ class Outcome:
 class Bench:
     """Runs examples of readers, one after the other, in one guarded folder."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, readers: Mapping[str, Reader]) -> None:
+        self._readers = readers
         self._guard = Guard(root / "guarded")
         self._guard.root.mkdir(parents=True, exist_ok=True)
         self._note = root / MUTATION_NAME
@@ -66,7 +67,7 @@ class Bench:
 
     def run(self, name: str, seed: int) -> Outcome:
         """The example of ``seed``; the reader's own sample is tried first, once."""
-        reader = READERS[name]
+        reader = self._readers[name]
         sample = self._sample(name, reader)
         return self._judged(name, reader, sample, seed)
 
@@ -75,15 +76,16 @@ class Bench:
             given = self._guard.given
             self._guard.prepare()
             reader.make(given)
-            self._samples[name] = {
+            sample = {
                 str(path.relative_to(given)): path.read_bytes()
                 for path in sorted(given.rglob("*"))
                 if path.is_file()
             }
             # Loads all that the reader needs, which is then no memory of an example.
-            found = self._judged(name, reader, self._samples[name], None)
+            found = self._judged(name, reader, sample, None)
             if found.kind != "accepted":
                 raise AssertionError(f"{name}: its own sample is not accepted: {found}")
+            self._samples[name] = sample
         return self._samples[name]
 
     def _judged(
@@ -154,7 +156,7 @@ def _judged_message(message: str, names: tuple[str, ...]) -> tuple[str, str]:
         return "message", f"{len(message)} letters: {short}"
     if "Traceback" in message or "errors.pydantic.dev" in message or " object at 0x" in message:
         return "message", f"a programmer's words: {short}"
-    if any(ord(letter) < 32 and letter != "\n" for letter in message):
+    if any(ord(letter) < 32 and letter not in "\n\t" for letter in message):
         return "message", f"control characters: {short!r}"
     if not any(Path(name).name in message for name in names):
         return "message", f"names no file: {short}"

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.errors import InputError
-from tests.fuzz.readers import READERS, Reader
+from tests.fuzz.readers import Reader
 
 
 def _make(given: Path) -> None:
@@ -101,4 +101,4 @@ FAULTS = {
     "refuses": (_refuses, "refused"),
 }
 """By name, with what is to be noticed."""
-READERS.update({name: Reader(_make, call) for name, (call, _) in FAULTS.items()})
+READERS = {name: Reader(_make, call) for name, (call, _) in FAULTS.items()}

@@ -28,7 +28,7 @@ def kept() -> dict[tuple[str, int], str]:
 
 def entry(outcome: Outcome) -> str:
     """The lines of a seed in the file of kept ones."""
-    mutation = json.dumps(outcome.mutation, ensure_ascii=False)
+    mutation = json.dumps(outcome.mutation)
     return f"[[{outcome.reader}]]\nseed = {outcome.seed}\nmutation = {mutation}\n"
 
 

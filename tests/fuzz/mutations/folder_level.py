@@ -11,7 +11,7 @@ from tests.fuzz.mutations.draw import Draw, Surroundings
 
 ENORMOUS = 3 << 30
 _NAMES = (
-    b"\xff\xfe.png", b"a\nb.png", b"-rf.csv", b"[red]x[/bold].png", b"z" * 250 + b".csv", b".png",
+    b"\xff\xfe.png", b"a\nb.png", b"-rf.csv", b"[red]x[bold].png", b"z" * 250 + b".csv", b".png",
     b"\xf0\x9f\x98\x80.png", b" .png", b"a\x1b[2J.csv", b"mask.png", b"bg.png",
     b"shape_config.yaml", b"..png", b"CON.csv", b"labels.csv", b"0x10.png", b"\xd9\xa3.png",
     b"\xc2\xb2.png", b"a;b.toml",
@@ -67,7 +67,8 @@ def renamed(path: Path, draw: Draw, around: Surroundings) -> None:
 def other_suffix(path: Path, draw: Draw, around: Surroundings) -> None:
     """What one kind of file holds under the name of another."""
     suffixes = (".png", ".csv", ".npz", ".toml", ".avi", ".json", ".txt", ".jpg", ".yaml", ".mp4")
-    shutil.copyfile(path, path.with_suffix(draw.pick(suffixes) if path.stem else ".x"))
+    data = path.read_bytes()
+    path.with_suffix(draw.pick(suffixes)).write_bytes(data)
 
 
 def deeper(path: Path, draw: Draw, around: Surroundings) -> None:

@@ -61,4 +61,4 @@ def _mutators(name: str, draw: Draw) -> Sequence[Mutator]:
 
 def _plain(path: Path) -> bool:
     """A file of a size that can be taken into memory."""
-    return path.is_file() and not path.is_symlink() and path.stat().st_size < 1 << 26
+    return not path.is_symlink() and path.is_file() and path.stat().st_size < 1 << 26

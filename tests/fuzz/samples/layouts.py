@@ -20,8 +20,6 @@ def maker(name: str) -> Callable[[Path], None]:
     def make(given: Path) -> None:
         made_up_layouts.RNG = np.random.default_rng(0)
         made_up_layouts.MAKERS[name](given)
-        if name == "plain":
-            write_image(given / "mask.png", made_up_layouts.dots_at(0.0)[:48, :64])
         if name == "9dtact":
             (given / "shape_config.yaml").write_text(
                 "camera_calibration:\n  row_points: 7\n  col_points: 9\n  grid_distance: 2.5\n"
@@ -29,6 +27,12 @@ def maker(name: str) -> Callable[[Path], None]:
             )
 
     return make
+
+
+def plain_with_mask(given: Path) -> None:
+    """Any folder of images, one of which is a mask."""
+    maker("plain")(given)
+    write_image(given / "mask.png", made_up_layouts.dots_at(0.0)[:48, :64])
 
 
 def video_of_dots(given: Path) -> None:

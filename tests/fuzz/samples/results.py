@@ -48,7 +48,7 @@ pictures = false
 device = "cpu"
 
 [press.sphere]
-depth_mm = 0.5
+depth_fraction = 0.3
 """
 
 
