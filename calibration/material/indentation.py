@@ -133,11 +133,8 @@ class IndentationFit:
     @property
     def young_interval_pa(self) -> tuple[float, float]:
         """95 % interval [Pa]: the profile's, widened by the error of the tables."""
-        value = self.solution.value("ln_e")
-        profile = self.solution.profiles.get("ln_e")
-        half = NORMAL_95 * self.solution.sigma_of("ln_e")
-        low, high = (value - half, value + half) if profile is None else profile.interval
-        low, high = widened((low, high), value, NORMAL_95 * self.model_error)
+        value, interval = self.solution.value("ln_e"), self.solution.interval_of("ln_e")
+        low, high = widened(interval, value, NORMAL_95 * self.model_error)
         return math.exp(low), math.exp(high)
 
     def touch_mm(self, index: int) -> float:
@@ -151,10 +148,7 @@ class IndentationFit:
         name = f"touch_{index}"
         if name not in self.solution.names:
             return 0.0, 0.0
-        if name in self.solution.profiles:
-            return self.solution.profiles[name].interval
-        half = NORMAL_95 * self.solution.sigma_of(name)
-        return self.touch_mm(index) - half, self.touch_mm(index) + half
+        return self.solution.interval_of(name)
 
     def predicted_n(self, index: int, depth_mm: np.ndarray) -> np.ndarray:
         """Forces of the fit [N] at recorded depths of one press."""
