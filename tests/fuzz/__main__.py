@@ -15,13 +15,13 @@ from collections import Counter
 from fnmatch import fnmatch
 from pathlib import Path
 
-from tests.fuzz.campaign import run
+from tests.fuzz.campaign import LIMIT_S, run
 from tests.fuzz.example import Outcome
 from tests.fuzz.kept import KEPT, choose, entry
 from tests.fuzz.readers import READERS
 
 _HOW_TO_KEEP = f"""
-To keep one: mend the reader, then add its lines to
+To keep one: mend the reader, then add its line to
 {KEPT}
 so that it is tried in every run of the tests."""
 
@@ -42,7 +42,7 @@ def main() -> int:
     examples = [(name, seed) for name in names for seed in seeds]
     try:
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            for outcome in run(examples, options.jobs, Path(folder)):
+            for outcome in run(examples, options.jobs, Path(folder), limit_s=options.limit_s):
                 of_reader = found[outcome.reader]
                 of_reader.append(outcome)
                 if outcome.fault:
@@ -68,6 +68,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--count", type=int, default=2000, help="examples of each reader")
     parser.add_argument("--first", type=int, help="first seed; the time when left out")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument(
+        "--limit-s", type=float, default=LIMIT_S, help="seconds for some twenty examples"
+    )
     parser.add_argument(
         "--output", type=Path, default=Path("out/explore"), help="folder for seeds of faults"
     )
@@ -95,7 +98,7 @@ def _row(name: str, outcomes: list[Outcome], seconds: float) -> str:
 
 def _described(fault: Outcome) -> str:
     lines = f"{fault.kind} {fault.where}: {fault.message[:300]}".splitlines()
-    return "".join(f"# {line}\n" for line in lines) + entry(fault) + "\n"
+    return "".join(f"# {line}\n" for line in lines) + entry(fault)
 
 
 def _conclude(everything: list[Outcome], path: Path) -> int:

@@ -89,8 +89,11 @@ def _death(
     guilty = [seed for seed in seeds if (reader, seed) in begun][-1:] or [seeds[0]]
     process = begun.get((reader, guilty[0]), "none")
     kind = "hang" if event.cause.startswith("no answer") else "crash"
-    ours = _OURS.findall(_text(folder / f"{process}.txt"))
-    frames = [frame for frame in ours if "/child_process.py" not in frame[0]]
+    # Reports of earlier examples, which were slow and ended well, stand before the last one.
+    report = re.split("Fatal Python error|Timeout", _text(folder / f"{process}.txt"))[-1]
+    ours = _OURS.findall(report)
+    own = ("taccel_lab/child_process.py", "taccel_lab/process_pool.py")
+    frames = [frame for frame in ours if frame[0] not in own]
     where = f"{kind} in {frames[0][0]}:{frames[0][1]}" if frames else kind
     words = _text(folder / process / MUTATION_NAME)
     outcome = Outcome(reader, guilty[0], words, kind, event.cause, where)

@@ -20,7 +20,7 @@ from tests.fuzz import memory
 from tests.fuzz.guard import Guard, changes, remove
 from tests.fuzz.mutations.draw import Draw
 from tests.fuzz.mutations.mutate import mutate
-from tests.fuzz.readers import Reader, Refused
+from tests.fuzz.reader import Reader, Refused
 
 MEMORY_BYTES = 1 << 30
 """That an example may add to what its process takes."""

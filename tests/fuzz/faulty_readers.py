@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.errors import InputError
-from tests.fuzz.readers import Reader
+from tests.fuzz.reader import Reader
 
 
 def _make(given: Path) -> None:

@@ -16,20 +16,19 @@ MOST = 30
 
 
 def kept() -> dict[tuple[str, int], str]:
-    """What each kept seed did to the sample when it was kept."""
+    """What each kept seed did to the sample when it was kept: ``reader.seed = "mutation"``."""
     with KEPT.open("rb") as file:
         table = tomllib.load(file)
     return {
-        (reader, entry["seed"]): entry["mutation"]
-        for reader, entries in table.items()
-        for entry in entries
+        (reader, int(seed)): mutation
+        for reader, seeds in table.items()
+        for seed, mutation in seeds.items()
     }
 
 
 def entry(outcome: Outcome) -> str:
-    """The lines of a seed in the file of kept ones."""
-    mutation = json.dumps(outcome.mutation)
-    return f"[[{outcome.reader}]]\nseed = {outcome.seed}\nmutation = {mutation}\n"
+    """The line of a seed in the file of kept ones."""
+    return f"{outcome.reader}.{outcome.seed} = {json.dumps(outcome.mutation)}\n"
 
 
 def choose(outcomes: Iterable[Outcome]) -> str:
@@ -50,4 +49,4 @@ def choose(outcomes: Iterable[Outcome]) -> str:
                 done |= kinds
                 picked.append(outcome)
         lines += [entry(outcome) for outcome in sorted(picked, key=lambda o: o.seed)]
-    return "\n".join(lines)
+    return "".join(lines)

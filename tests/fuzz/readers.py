@@ -10,36 +10,12 @@ import io
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
-from fnmatch import fnmatch
 from pathlib import Path
 from unittest.mock import patch
 
 from taccel_lab.cli.app import Command
+from tests.fuzz.reader import Reader, Refused
 from tests.fuzz.samples import captures, layouts, profiles, results, shapes
-
-
-class Refused(Exception):
-    """A command that ended with exit code 2; the message is what it printed."""
-
-
-@dataclass(frozen=True)
-class Reader:
-    """One way in for files."""
-
-    make: Callable[[Path], None]
-    """Writes a sound sample into an empty folder."""
-    call: Callable[[Path, Path], None]
-    """Reads the sample in the first folder; writes, if at all, the second, which is not there."""
-    files: tuple[str, ...] = ("*",)
-    """Patterns of the files that are damaged."""
-    seal: Callable[[Path], None] | None = None
-    """Makes hashes that a sample states those of the damaged files."""
-    own: str | None = None
-    """Folder of the sample, if any, that the reader may change: its own output of earlier."""
-
-    def damages(self, name: str) -> bool:
-        return any(fnmatch(name, pattern) for pattern in self.files)
 
 
 def _run(command: Command) -> None:
