@@ -25,6 +25,8 @@ LIMIT_S = 90.0
 MEMORY_BYTES = 2 << 30
 """More than what the modules take; what needs more is ended."""
 
+_MOST_ROUNDS = 100
+"""Examples of a batch that die are as many rounds; more means that nothing works."""
 _OURS = re.compile(
     r'File "[^"]*?/((?:taccel_lab|calibration|cad|sensors|studies|cli)/[^"]*)", line \d+ in (\w+)'
 )
@@ -50,10 +52,13 @@ def run(
         limit_s: For a batch of examples.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    waiting = list(_batches(examples))
+    waiting, rounds = list(_batches(examples)), 0
     work = partial(_work, str(folder), table, limit_s)
     with ProcessPool(work, processes, limit_s) as pool:
         while waiting:
+            rounds += 1
+            if rounds > _MOST_ROUNDS:
+                raise RuntimeError(f"processes keep dying: {waiting[:3]} ...")
             left: list[Batch] = []
             begun: dict[tuple[str, int], str] = {}
             for event in pool.run(waiting):
@@ -64,8 +69,9 @@ def run(
                     yield from event.result
                 elif isinstance(event, Died):
                     outcome, rest = _death(event, begun, folder)
-                    yield outcome
                     left += rest
+                    if outcome is not None:
+                        yield outcome
             waiting = left
 
 
@@ -80,15 +86,20 @@ def _batches(examples: Iterable[tuple[str, int]]) -> Iterator[Batch]:
 
 def _death(
     event: Died[Batch], begun: Mapping[tuple[str, int], str], folder: Path
-) -> tuple[Outcome, list[Batch]]:
+) -> tuple[Outcome | None, list[Batch]]:
     """The example that a process died of, and the others of its batch.
 
-    Those before it are run again: their outcomes died with the process.
+    The others are run again: their outcomes died with the process. None where it is not certain
+    which example it was: on a machine that is busy, many may take longer than the limit, or all
+    that the process imports. Then they are tried again, the last one alone.
     """
     reader, seeds = event.item
-    guilty = [seed for seed in seeds if (reader, seed) in begun][-1:] or [seeds[0]]
-    process = begun.get((reader, guilty[0]), "none")
+    guilty = [seed for seed in seeds if (reader, seed) in begun][-1:]
+    rest = tuple(seed for seed in seeds if seed not in guilty)
     kind = "hang" if event.cause.startswith("no answer") else "crash"
+    if not guilty or (kind == "hang" and rest):
+        return None, [(reader, part) for part in (tuple(guilty), rest) if part]
+    process = begun[reader, guilty[0]]
     # Reports of earlier examples, which were slow and ended well, stand before the last one.
     report = re.split("Fatal Python error|Timeout", _text(folder / f"{process}.txt"))[-1]
     ours = _OURS.findall(report)
@@ -97,7 +108,6 @@ def _death(
     where = f"{kind} in {frames[0][0]}:{frames[0][1]}" if frames else kind
     words = _text(folder / process / MUTATION_NAME)
     outcome = Outcome(reader, guilty[0], words, kind, event.cause, where)
-    rest = tuple(seed for seed in seeds if seed != guilty[0])
     return outcome, [(reader, rest)] if rest else []
 
 
@@ -124,6 +134,11 @@ def _report(folder: str) -> TextIO:
 def _work(folder: str, table: str, limit_s: float, batch: Batch, tell: Progress) -> list[Outcome]:
     reader, seeds = batch
     outcomes = []
+    try:
+        _bench(folder, table).sample(reader)
+    except Exception:
+        words = traceback.format_exc()[-1500:]
+        return [Outcome(reader, seed, "none", "suite", words) for seed in seeds]
     for number, seed in enumerate(seeds):
         tell(f"{reader} {seed} {os.getpid()}", number, len(seeds))
         faulthandler.dump_traceback_later(0.8 * limit_s, file=_report(folder))

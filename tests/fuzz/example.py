@@ -66,14 +66,13 @@ class Bench:
         os.chdir(self._guard.here)
 
     def run(self, name: str, seed: int) -> Outcome:
-        """The example of ``seed``; the reader's own sample is tried first, once."""
-        reader = self._readers[name]
-        sample = self._sample(name, reader)
-        return self._judged(name, reader, sample, seed)
+        """The example of ``seed``."""
+        return self._judged(name, self._readers[name], self.sample(name), seed)
 
-    def _sample(self, name: str, reader: Reader) -> dict[str, bytes]:
+    def sample(self, name: str) -> dict[str, bytes]:
+        """Files of a reader's sound sample by name; it is tried first, once."""
         if name not in self._samples:
-            given = self._guard.given
+            reader, given = self._readers[name], self._guard.given
             self._guard.prepare()
             reader.make(given)
             sample = {

@@ -11,8 +11,8 @@ from pathlib import Path
 from tests.fuzz.example import Outcome
 
 KEPT = Path(__file__).with_name("kept.toml")
-MOST = 30
-"""Seeds of a reader that ``choose`` names."""
+ENOUGH = 24
+"""Seeds of a reader that ``choose`` names where it can; more where they do more."""
 
 
 def kept() -> dict[tuple[str, int], str]:
@@ -39,14 +39,23 @@ def choose(outcomes: Iterable[Outcome]) -> str:
             by_reader.setdefault(outcome.reader, []).append(outcome)
     lines = []
     for found in by_reader.values():
-        done: set[str] = set()
-        picked: list[Outcome] = []
-        # First what reads on the furthest: damage that is accepted passes every check.
-        for outcome in sorted(found, key=lambda outcome: outcome.kind != "accepted"):
-            steps = set(outcome.mutation.split(", ")) - {"sealed"}
-            kinds = {step.rpartition(": ")[2] for step in steps}
-            if len(picked) < MOST and not kinds <= done:
-                done |= kinds
-                picked.append(outcome)
-        lines += [entry(outcome) for outcome in sorted(picked, key=lambda o: o.seed)]
+        picked: dict[int, Outcome] = {}
+        # First every kind of damage, then every file. What is accepted has passed every check.
+        found.sort(key=lambda outcome: outcome.kind != "accepted")
+        for part, most in ((_kinds, len(found)), (_steps, ENOUGH)):
+            done: set[str] = set()
+            for outcome in found:
+                if len(picked) < most and not part(outcome) <= done:
+                    done |= part(outcome)
+                    picked[outcome.seed] = outcome
+        lines += [entry(picked[seed]) for seed in sorted(picked)]
     return "".join(lines)
+
+
+def _steps(outcome: Outcome) -> set[str]:
+    """Files and what was done to each."""
+    return set(outcome.mutation.split(", ")) - {"sealed"}
+
+
+def _kinds(outcome: Outcome) -> set[str]:
+    return {step.rpartition(": ")[2] for step in _steps(outcome)}

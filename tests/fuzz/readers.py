@@ -45,6 +45,23 @@ def _show_profile(given: Path, out: Path) -> None:
     _run(ProfileValidate(given / "profile"))
 
 
+def _read_depth(given: Path, out: Path) -> None:
+    from taccel_lab.calibration.normals import reading_files
+    from taccel_lab.cli.depth import Depth
+
+    command = Depth(
+        given / "profile",
+        (given / "press.png",),
+        out,
+        background=given / "background.png",
+        mask=given / "mask.png",
+        method="depth",
+    )
+    # The figure takes a hundred times as long as all else.
+    with patch.multiple(reading_files, draw_reading=lambda *_: None, save_figure=lambda *_: None):
+        _run(command)
+
+
 def _load_captures(given: Path, out: Path) -> None:
     from taccel_lab.calibration.capture import load_capture_folder
     from taccel_lab.calibration.capture.video import cut_short
@@ -157,6 +174,7 @@ def _replace_output(given: Path, out: Path) -> None:
 READERS: dict[str, Reader] = {
     "profile": Reader(profiles.whole, _show_profile, seal=profiles.seal),
     "profile-old": Reader(profiles.old, _show_profile, seal=profiles.seal),
+    "depth": Reader(profiles.with_pictures, _read_depth, ("*.png",)),
     "captures": Reader(captures.whole, _load_captures, ("*.toml",)),
     "images": Reader(captures.presses, _load_captures, ("*.png", "*.jpg")),
     "records": Reader(captures.records, _load_captures, ("*.csv",)),

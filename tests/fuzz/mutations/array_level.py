@@ -94,7 +94,7 @@ def _changed(values: np.ndarray, draw: Draw) -> np.ndarray:
         )  # fmt: skip
         return np.asarray(draw.pick(shapes))
     if way == 2 or values.size == 0 or values.dtype.kind not in "iufb":
-        return np.zeros_like(values) if draw.chance(0.5) else np.asarray(values)[..., ::-1]
+        return np.zeros_like(values) if draw.chance(0.5) else np.flip(values)
     changed = values.astype(np.float64) if draw.chance(0.3) else values.copy()
     real = (np.nan, np.inf, -np.inf, 1e308, -1.0, 0.0, 1e30, 1e-300)
     whole = (-1, 0, 2**31 - 1, -(2**31), 255, 10**9, 1)

@@ -33,6 +33,7 @@ from taccel_lab.profile import (
     save_profile,
 )
 from taccel_lab.signals import color_model, normal_model
+from tests.fuzz.samples.captures import write_image
 
 _OLD = Path(__file__).parents[2] / "profile" / "old"
 GRID = PixelGrid(12, 9, 0.03, 0.031)
@@ -51,6 +52,16 @@ _CALIBRATED = Provenance(
 def whole(given: Path) -> None:
     """A folder ``profile``."""
     save_profile(_profile(), given / "profile")
+
+
+def with_pictures(given: Path) -> None:
+    """A profile and pictures for it to read."""
+    whole(given)
+    rng = np.random.default_rng(0)
+    size = (GRID.height_px, GRID.width_px)
+    for name in ("press.png", "background.png"):
+        write_image(given / name, rng.integers(0, 256, (*size, 3), dtype=np.uint8))
+    write_image(given / "mask.png", np.full(size, 255, np.uint8))
 
 
 def old(given: Path) -> None:
