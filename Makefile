@@ -4,6 +4,11 @@ VENV ?= .venv
 PIP_FLAGS ?=
 OUT ?= out/demo
 JOBS ?= auto
+# Of make explore: readers (names, patterns, commas), examples of each, the first seed.
+READERS ?= *
+COUNT ?= 2000
+SEED ?= $(shell date +%s)
+OUTPUT ?= out/explore
 
 PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt
@@ -17,7 +22,8 @@ help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report.html"
 	@echo "make test      linters, type checker, import contracts, fast tests"
 	@echo "make slow      the tests that take minutes"
-	@echo "make explore   property-based tests on examples never tried before"
+	@echo "make explore   damaged files and property-based tests never tried before"
+	@echo "               READERS=import-* COUNT=2000 SEED=1 OUTPUT=out/explore"
 	@echo "make notebook  execute the notebooks"
 	@echo "make doctor    is this installation complete?"
 	@echo "make clean     remove .venv, out and caches"
@@ -40,6 +46,8 @@ slow: $(VENV)/.installed-dev
 	$(PYTEST) -m slow
 
 explore: $(VENV)/.installed-dev
+	$(TEST_ENV) $(PY) -m tests.fuzz --readers '$(READERS)' --count $(COUNT) --first $(SEED) \
+		--output $(OUTPUT)
 	TACCEL_LAB_EXPLORE=1 $(PYTEST) -m "hypothesis and not slow and not gpu"
 
 notebook: $(VENV)/.installed-dev

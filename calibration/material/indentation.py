@@ -140,12 +140,9 @@ class IndentationFit:
         return math.hypot(self.solution.sigma_of(name), self.model_errors[name])
 
     def interval_of(self, name: str) -> tuple[float, float]:
-        """95 % interval of a parameter: the profile's, widened by the error of the model."""
-        value = self.solution.value(name)
-        profile = self.solution.profiles.get(name)
-        half = NORMAL_95 * self.solution.sigma_of(name)
-        low, high = (value - half, value + half) if profile is None else profile.interval
-        return widened((low, high), value, NORMAL_95 * self.model_errors[name])
+        """95 % interval of a parameter: that of noise, widened by the error of the model."""
+        interval, value = self.solution.interval_of(name), self.solution.value(name)
+        return widened(interval, value, NORMAL_95 * self.model_errors[name])
 
     def bounds_of(self, name: str) -> tuple[float, float]:
         """Between which a parameter was searched."""

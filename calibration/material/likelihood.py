@@ -113,6 +113,8 @@ class Solution:
     misfit: bool
     """Whether known noise was scaled up to the residuals."""
     dof: int
+    quantile: float
+    """Half width of a 95 % interval in standard deviations, see ``Likelihood.quantile``."""
     profiles: dict[str, Profile] = field(default_factory=dict)
 
     def value(self, name: str) -> float:
@@ -120,6 +122,13 @@ class Solution:
 
     def sigma_of(self, name: str) -> float:
         return float(self.sigma[self.names.index(name)])
+
+    def interval_of(self, name: str) -> tuple[float, float]:
+        """95 % interval: where the profile ends, or else that of t or of a normal distribution."""
+        if name in self.profiles:
+            return self.profiles[name].interval
+        value, half = self.value(name), self.quantile * self.sigma_of(name)
+        return value - half, value + half
 
 
 def widened(interval: tuple[float, float], value: float, half: float) -> tuple[float, float]:
@@ -282,6 +291,7 @@ class Likelihood:
             per_dof,
             misfit,
             likelihood.dof,
+            likelihood.quantile,
             profiles,
         )
 

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that reads files of others, each with a sound sample and a way to call it.
+
+A reader is entered as users enter it: by a command, or by a function of a room's public part.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from unittest.mock import patch
+
+from taccel_lab.cli.app import Command
+from tests.fuzz.reader import Reader, Refused
+from tests.fuzz.samples import captures, layouts, profiles, results, shapes
+
+
+def _run(command: Command) -> None:
+    """The command as the command line runs it."""
+    from taccel_lab.cli import app
+
+    said, earlier = io.StringIO(), sys.stderr
+    sys.stderr = said
+    try:
+        with patch.object(app, "parse", lambda _: command):
+            code = app.main([])
+    except SystemExit as ended:
+        code = ended.code
+    finally:
+        sys.stderr = earlier
+    if code == 2:
+        raise Refused(said.getvalue().rpartition("error: ")[2].strip())
+    if code not in (0, 1):
+        raise AssertionError(f"exit code {code}: {said.getvalue()[-800:]}")
+
+
+def _show_profile(given: Path, out: Path) -> None:
+    from taccel_lab.cli.profile import ProfileShow, ProfileValidate
+
+    _run(ProfileShow(given / "profile"))
+    _run(ProfileShow(given / "profile", json=True))
+    _run(ProfileValidate(given / "profile"))
+
+
+def _read_depth(given: Path, out: Path) -> None:
+    from taccel_lab.calibration.normals import reading_files
+    from taccel_lab.cli.depth import Depth
+
+    command = Depth(
+        given / "profile",
+        (given / "press.png",),
+        out,
+        background=given / "background.png",
+        mask=given / "mask.png",
+        method="depth",
+    )
+    # The figure takes a hundred times as long as all else.
+    with patch.multiple(reading_files, draw_reading=lambda *_: None, save_figure=lambda *_: None):
+        _run(command)
+
+
+def _load_captures(given: Path, out: Path) -> None:
+    from taccel_lab.calibration.capture import load_capture_folder
+    from taccel_lab.calibration.capture.video import cut_short
+
+    folder = load_capture_folder(given)
+    if folder.presses and folder.background is not None:
+        for press in folder.ball_presses().presses:
+            press.image()
+    for video in () if folder.markers is None else folder.markers.videos:
+        video.frames()
+        cut_short(video)
+    for record in folder.records:
+        record.sigma_n()
+
+
+def _check_captures(given: Path, out: Path) -> None:
+    from taccel_lab.cli.capture.check import CaptureCheckCommand
+
+    _run(CaptureCheckCommand(given, json=True))
+
+
+def _check_draft(given: Path, out: Path) -> None:
+    from taccel_lab.cli.capture.check import CaptureCheckCommand
+
+    _run(CaptureCheckCommand(given))
+
+
+def _rectify(given: Path, out: Path) -> None:
+    from taccel_lab.cli.capture.rectify import CaptureRectify
+
+    _run(CaptureRectify(given / "raw", given / "maps.npz", out))
+
+
+def _importer(layout: str, **options: str | float) -> Callable[[Path, Path], None]:
+    def call(given: Path, out: Path) -> None:
+        from taccel_lab.cli.capture.import_ import CaptureImport
+
+        _run(CaptureImport(given, out, layout=layout, **options))
+
+    return call
+
+
+def _import_pack(given: Path, out: Path) -> None:
+    from taccel_lab.calibration.capture import load_captures
+
+    load_captures(given / "dataPack.npz").presses[0].image()
+
+
+def _plan_study(given: Path, out: Path) -> None:
+    from taccel_lab.studies.spec import load_spec
+    from taccel_lab.studies.study import default_kit, make_study
+
+    planned = make_study(load_spec(given / "study.toml"), default_kit())
+    if planned.spec.sweep.kind in ("grid", "random"):
+        planned.points()
+
+
+def _report_study(given: Path, out: Path) -> None:
+    from taccel_lab.cli.study import Study
+    from taccel_lab.studies import report
+
+    with patch.object(report, "write_study_report", lambda _: {"verdict": {"good": True}}):
+        _run(Study(given / "study.toml", out=given / "study", report_only=True, json=True))
+
+
+def _list_step(given: Path, out: Path) -> None:
+    from taccel_lab.cli.import_step import ImportStep
+
+    _run(ImportStep(given / "gel.step"))
+
+
+def _import_step(given: Path, out: Path) -> None:
+    from taccel_lab.cad.step_import import FaceSelection, import_gel
+
+    import_gel(given / "gel.step", FaceSelection.from_toml(given / "faces.toml"))
+
+
+def _indenter(*names: str) -> Callable[[Path, Path], None]:
+    def call(given: Path, out: Path) -> None:
+        from taccel_lab.envs import parse_indenter
+
+        for name in names:
+            parse_indenter(f"mesh:{given / name}").contact(0.5)
+
+    return call
+
+
+def _read_table(given: Path, out: Path) -> None:
+    from taccel_lab.interop.taxim_table_file import TABLE_FILE, read_table
+
+    read_table(given / TABLE_FILE)
+
+
+def _kept(given: Path, out: Path) -> None:
+    import numpy as np
+
+    from taccel_lab.file_cache import CACHE_VARIABLE
+
+    os.environ[CACHE_VARIABLE] = str(given)
+    results.kept_file().read_or_make(lambda: {"a": np.arange(4.0)})
+
+
+def _replace_output(given: Path, out: Path) -> None:
+    from taccel_lab.output_folder import atomic_directory
+
+    with atomic_directory(given / "earlier") as folder:
+        (folder / "press.json").write_text("{}")
+
+
+READERS: dict[str, Reader] = {
+    "profile": Reader(profiles.whole, _show_profile, seal=profiles.seal),
+    "profile-old": Reader(profiles.old, _show_profile, seal=profiles.seal),
+    "depth": Reader(profiles.with_pictures, _read_depth, ("*.png",)),
+    "captures": Reader(captures.whole, _load_captures, ("*.toml",)),
+    "images": Reader(captures.presses, _load_captures, ("*.png", "*.jpg")),
+    "records": Reader(captures.records, _load_captures, ("*.csv",)),
+    "videos": Reader(captures.videos, _load_captures, ("*.avi", "*.csv")),
+    "contacts": Reader(captures.presses, _load_captures, ("contacts.toml",)),
+    "capture-check": Reader(captures.presses, _check_captures),
+    "check-draft": Reader(layouts.plain_with_mask, _check_draft),
+    "capture-rectify": Reader(captures.raw_with_maps, _rectify, ("maps.npz", "maps.npz", "raw/*")),
+    "rectification": Reader(captures.raw_with_maps, _rectify, ("maps.npz",)),
+    **{f"import-{name}": Reader(layouts.maker(name), _importer("auto")) for name in layouts.NAMES},
+    "import-as-plain": Reader(layouts.plain_with_mask, _importer("plain", background="bg.png")),
+    "import-crop": Reader(layouts.maker("plain"), _importer("plain", crop="4,4,40x36")),
+    "import-boards": Reader(layouts.boards, _importer("plain", board="chessboard:6x6:2.5")),
+    "import-video": Reader(layouts.video_of_dots, _importer("markers")),
+    "taxim-pack": Reader(layouts.maker("taxim"), _import_pack),
+    "study-file": Reader(results.study_file, _plan_study),
+    "study-folder": Reader(results.study, _report_study, ("study/*",), own="study"),
+    "step-list": Reader(shapes.step, _list_step, ("gel.step",)),
+    "step-import": Reader(shapes.step, _import_step),
+    "indenter-stl": Reader(shapes.stl, _indenter("words.stl", "bytes.stl")),
+    "indenter-ply": Reader(shapes.ply, _indenter("words.ply", "bytes.ply")),
+    "indenter-obj": Reader(shapes.obj, _indenter("box.obj")),
+    "taxim-table": Reader(results.table, _read_table),
+    "kept-results": Reader(results.kept, _kept, own="."),
+    "earlier-output": Reader(results.output, _replace_output, own="."),
+}
+"""By name, for ``make explore`` and kept seeds."""

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Capture folders of tiny images, with all that a manifest can name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from taccel_lab.calibration.camera.rectification import RectificationMaps
+from taccel_lab.geometry import PixelGrid
+
+WIDTH, HEIGHT = 40, 34
+_HEAD = """\
+schema_version = 2
+sensor = "flat_pad"
+unit = "S1"
+background = "background.png"
+untouched = ["untouched.jpg"]
+mask = "mask.png"
+mm_per_px_x = 0.1
+mm_per_px_y = 0.1
+source = "made up"
+license = "CC0"
+"""
+_PRESSES = """
+[indenter]
+kind = "sphere"
+radius_mm = 2.0
+
+[[presses]]
+image = "p0.png"
+name = "corner"
+contact = { u_px = 18.0, v_px = 16.0, radius_px = 8.0 }
+depth_mm = 0.4
+force_n = 0.7
+
+[[presses]]
+image = "p1.jpg"
+radius_mm = 3.0
+
+[[presses]]
+image = "p2.png"
+"""
+_TARGETS = """
+[split]
+heldout = ["p2"]
+
+[[boards]]
+kind = "charuco"
+columns = 6
+rows = 5
+pitch_mm = 2.5
+marker_mm = 1.8
+dictionary = "DICT_4X4_50"
+on_gel = true
+images = ["board.png"]
+reference = "background.png"
+
+[[edges]]
+image = "p0.png"
+length_mm = 2.0
+dihedral_deg = 90.0
+line = { u_px = 16.0, v_px = 12.0, length_px = 15.0, angle_deg = 4.0 }
+
+[[landmarks]]
+image = "p0.png"
+points = [ { u_px = 9.0, v_px = 5.0, x_mm = 0.0, y_mm = 0.0 }, { u_px = 30.0, v_px = 5.0, x_mm = 2.1, y_mm = 0.0 }, { u_px = 9.0, v_px = 30.0, x_mm = 0.0, y_mm = 2.5 } ]
+"""  # noqa: E501
+_MARKERS = """
+[markers]
+rest = "background.png"
+pitch_x_mm = 2.0
+pitch_y_mm = 2.0
+labels = "dots.csv"
+
+[[markers.videos]]
+file = "shear.avi"
+fps = 25.0
+motion = "shear"
+poses = "poses.csv"
+
+[[markers.videos]]
+frames = ["p?.png"]
+motion = "free"
+"""
+_TABLES = {
+    "indentation": "depth_mm,force_n,sigma_n\n0.2,0.05,0.01\n0.4,0.15,0.01\n0.8,0.4,0.01\n",
+    "slide": "shift_mm,normal_n,tangential_n\n0.0,1.0,0.1\n0.5,1.0,0.5\n1.0,1.0,0.6\n",
+    "shear": "depth_mm,shift_mm,normal_n,tangential_n\n0.5,0.1,0.3,0.05\n0.5,0.3,0.3,0.1\n",
+    "twist": "depth_mm,angle_deg,torque_nmm\n0.5,1.0,0.3\n0.5,5.0,1.1\n",
+    "relaxation": "time_s,depth_mm,force_n\n0.0,0.5,0.4\n0.5,0.5,0.3\n1.0,0.5,0.25\n",
+}
+_RECORD = """
+[[records]]
+file = "{0}.csv"
+kind = "{0}"
+tool = {{ kind = "sphere", radius_mm = 4.0, center_mm = [0.0, 0.0] }}
+force_sigma_n = 0.02
+"""
+_DOTS = "u_px,v_px,du_px,dv_px\n5,6,0.1,0.2\n15,6,0.1,0.3\n"
+_POSES = "time_s,x_mm,y_mm,z_mm,angle_deg\n0,0,0,-0.2,0\n0.04,0.1,0,-0.2,0\n0.08,0.2,0,-0.2,0\n"
+
+
+def picture(number: int) -> np.ndarray:
+    """A smooth picture with a dent, RGB."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    gel = np.stack([90 + u, 120 - v, 100 + 0.3 * u * v / 10], axis=-1)
+    r2 = (u - 18 - number) ** 2 + (v - 16) ** 2
+    dent = 40 * np.exp(-r2 / 40)[..., None] * np.array([1.0, -0.6, 0.5]) * (number > 0)
+    return np.clip(gel + dent, 0, 255).astype(np.uint8)
+
+
+def write_image(path: Path, image: np.ndarray) -> None:
+    assert cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image)
+
+
+def write_video(path: Path) -> None:
+    """Three frames of Motion JPEG."""
+    writer = cv2.VideoWriter(
+        str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (WIDTH, HEIGHT), True
+    )
+    for number in range(3):
+        writer.write(np.ascontiguousarray(picture(number)[..., ::-1]))
+    writer.release()
+
+
+def presses(given: Path) -> None:
+    """Background, mask, presses and what a person says of them."""
+    _images(given)
+    (given / "captures.toml").write_text(_HEAD + _PRESSES)
+    (given / "contacts.toml").write_text(
+        '[[contact]]\npress = "corner"\nu_px = 18.5\nv_px = 16.0\nradius_px = 8.0\n\n'
+        '[[contact]]\npress = "p1"\nskip = true\n'
+    )
+
+
+def whole(given: Path) -> None:
+    """All that a manifest can hold."""
+    presses(given)
+    records(given)
+    write_video(given / "shear.avi")
+    (given / "dots.csv").write_text(_DOTS)
+    (given / "poses.csv").write_text(_POSES)
+    text = _HEAD + _PRESSES + _TARGETS + _MARKERS + "".join(map(_RECORD.format, _TABLES))
+    (given / "captures.toml").write_text(text)
+
+
+def records(given: Path) -> None:
+    """Force records of each kind."""
+    for kind, table in _TABLES.items():
+        (given / f"{kind}.csv").write_text(table)
+    text = 'schema_version = 2\nsensor = "flat_pad"\n' + "".join(map(_RECORD.format, _TABLES))
+    (given / "captures.toml").write_text(text)
+
+
+def videos(given: Path) -> None:
+    """Dots that move: a video file with its path, and labels."""
+    write_image(given / "background.png", picture(0))
+    write_video(given / "shear.avi")
+    (given / "dots.csv").write_text(_DOTS)
+    (given / "poses.csv").write_text(_POSES)
+    markers = _MARKERS.split("\n[[markers.videos]]\nframes")[0]
+    (given / "captures.toml").write_text(
+        'schema_version = 2\nsensor = "flat_pad"\nbackground = "background.png"\n' + markers
+    )
+
+
+def raw_with_maps(given: Path) -> None:
+    """Captures ``raw`` and maps that rectify them."""
+    raw = given / "raw"
+    raw.mkdir()
+    whole(raw)
+    v, u = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
+    maps = RectificationMaps(u, v, np.ones(u.shape, bool), PixelGrid(WIDTH, HEIGHT, 0.1, 0.1))
+    maps.save(given / "maps.npz")
+
+
+def _images(given: Path) -> None:
+    for name, number in (("background.png", 0), ("untouched.jpg", 0), ("p0.png", 1), ("p1.jpg", 2),
+                         ("p2.png", 3), ("board.png", 0)):  # fmt: skip
+        write_image(given / name, picture(number))
+    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    mask[:4] = 0
+    write_image(given / "mask.png", mask)

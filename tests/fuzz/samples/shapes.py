@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A box as STEP, and as the meshes that indenters may be."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+_CORNERS = np.array([[x, y, z] for z in (0, 2) for y in (0, 3) for x in (0, 4)], dtype=float)
+_TRIANGLES = np.array(
+    [
+        [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+        [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
+    ]
+)  # fmt: skip
+
+
+def step(given: Path) -> None:
+    """A gel of 24 x 20 x 4 mm, and which of its faces is what."""
+    from build123d import Plane, Solid, export_step
+
+    export_step(Solid.make_box(24.0, 20.0, 4.0, Plane((-12.0, -10.0, -4.0))), given / "gel.step")
+    (given / "faces.toml").write_text(
+        'contact = ["plane:+z"]\nbond = ["plane:-z"]\nwindow = ["rect:10x8"]\nnormal = "+z"\n'
+        'right = "+x"\norigin = "center"\nbody = ""\nunit = "mm"\n'
+    )
+
+
+def stl(given: Path) -> None:
+    """In words and in bytes."""
+    lines = ["solid box"]
+    binary = b"box".ljust(80) + struct.pack("<I", len(_TRIANGLES))
+    for triangle in _CORNERS[_TRIANGLES]:
+        normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
+        normal /= np.linalg.norm(normal)
+        lines.append("facet normal {:g} {:g} {:g}\nouter loop".format(*normal))
+        lines += ["vertex {:g} {:g} {:g}".format(*corner) for corner in triangle]
+        lines.append("endloop\nendfacet")
+        binary += struct.pack("<12fH", *normal, *triangle.ravel(), 0)
+    (given / "words.stl").write_text("\n".join([*lines, "endsolid box"]) + "\n")
+    (given / "bytes.stl").write_bytes(binary)
+
+
+def ply(given: Path) -> None:
+    """In words and in bytes."""
+    head = (
+        "ply\nformat {} 1.0\ncomment a box\nelement vertex 8\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 12\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    words = ["{:g} {:g} {:g}".format(*corner) for corner in _CORNERS]
+    words += ["3 {} {} {}".format(*triangle) for triangle in _TRIANGLES]
+    (given / "words.ply").write_text(head.format("ascii") + "\n".join(words) + "\n")
+    data = _CORNERS.astype("<f4").tobytes()
+    data += b"".join(b"\x03" + triangle.astype("<i4").tobytes() for triangle in _TRIANGLES)
+    (given / "bytes.ply").write_bytes(head.format("binary_little_endian").encode() + data)
+
+
+def obj(given: Path) -> None:
+    """With texture coordinates, normals and a material that is not there."""
+    lines = ["# a box", "mtllib box.mtl", "o box"]
+    lines += ["v {:g} {:g} {:g}".format(*corner) for corner in _CORNERS]
+    lines += ["vt 0.5 0.5", "vn 0 0 1", "usemtl steel", "s off"]
+    lines += ["f {}/1/1 {}/1/1 {}/1/1".format(*(triangle + 1)) for triangle in _TRIANGLES]
+    (given / "box.obj").write_text("\n".join(lines) + "\n")
