@@ -19,6 +19,7 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
 from taccel_lab.output_folder import atomic_directory
+from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 
 
 def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) -> list[str]:
@@ -157,7 +158,8 @@ class _Writer:
         """Copy a file as it is."""
         path = inner_path(self._target, name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(inner_path(self._source, name), path)
+        source = require_regular_file(inner_path(self._source, name), LARGEST_BYTES, "a capture")
+        shutil.copyfile(source, path)
 
 
 def _write_manifest(document: dict[str, Any], target: Path) -> None:

@@ -9,7 +9,6 @@ the folder then takes it.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from pydantic import Field, model_validator
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.schema import Finite, StrictModel
 from taccel_lab.errors import InputError
+from taccel_lab.reading.regular_file import file_sha256
 
 CONTACTS_NAME = "contacts.toml"
 
@@ -97,8 +97,7 @@ def with_overrides(captures: CaptureSet, path: Path | str) -> CaptureSet:
     """``captures`` as the file ``path`` corrects them, the file's hash in the provenance."""
     path = Path(path)
     presses = override_presses(captures.presses, path)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    provenance = {**captures.provenance, "contacts_sha256": digest}
+    provenance = {**captures.provenance, "contacts_sha256": file_sha256(path)}
     return dataclasses.replace(captures, presses=presses, provenance=provenance)
 
 
