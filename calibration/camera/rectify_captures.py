@@ -18,6 +18,7 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
 from taccel_lab.output_folder import atomic_directory
+from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.reading.toml_file import read_toml
 
 
@@ -148,7 +149,8 @@ class _Writer:
         """Copy a file as it is."""
         path = inner_path(self._target, name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(inner_path(self._source, name), path)
+        source = require_regular_file(inner_path(self._source, name), LARGEST_BYTES, "a capture")
+        shutil.copyfile(source, path)
 
 
 def _write_manifest(document: dict[str, Any], target: Path) -> None:

@@ -23,10 +23,12 @@ from taccel_lab.calibration.capture.taxim_pack import load_taxim_folder
 from taccel_lab.calibration.capture.video import load_markers
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
-from taccel_lab.reading.images import read_grey, read_image
+from taccel_lab.reading.images import image_size, read_grey, read_image
 from taccel_lab.reading.regular_file import file_sha256
 
 MIN_SIZE_PX = 32
+_Sized = tuple[str, tuple[int, int]]
+"""An image file, and its width and height [px]."""
 
 
 def load_captures(path: Path | str) -> CaptureSet:
@@ -67,10 +69,11 @@ def load_capture_folder(path: Path | str) -> CaptureFolder:
 def _load_folder(manifest_path: Path) -> CaptureFolder:
     manifest = CaptureManifest.read(manifest_path)
     folder = manifest_path.parent
-    background = None
+    background = like = None
     if manifest.background is not None:
         background = _frame(folder, manifest.background)
-        height, width = background.image().shape[:2]
+        width, height = image_size(Path(background.source))
+        like = background.source, (width, height)
         if min(height, width) < MIN_SIZE_PX:
             raise InputError(
                 f"{background.source} is {width}x{height} px; at least "
@@ -78,7 +81,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
             )
     presses = []
     for entry in manifest.presses:
-        frame = _frame(folder, entry.image, background)
+        frame = _frame(folder, entry.image, like)
         circle = None
         if entry.contact is not None:
             circle = ContactCircle(**entry.contact.model_dump())
@@ -115,8 +118,8 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         sensor=manifest.sensor,
         unit=manifest.unit,
         background=background,
-        untouched=tuple(_frame(folder, name, background) for name in manifest.untouched),
-        mask=_load_mask(folder, manifest.mask, background),
+        untouched=tuple(_frame(folder, name, like) for name in manifest.untouched),
+        mask=_load_mask(folder, manifest.mask, like),
         mm_per_px=None if scale[0] is None or scale[1] is None else (scale[0], scale[1]),
         ball_radius_mm=None if manifest.indenter is None else manifest.indenter.radius_mm,
         presses=tuple(presses),
@@ -129,10 +132,10 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
             for entry in manifest.boards
         ),
         edges=tuple(
-            EdgeCapture(entry, _frame(folder, entry.image, background)) for entry in manifest.edges
+            EdgeCapture(entry, _frame(folder, entry.image, like)) for entry in manifest.edges
         ),
         landmarks=tuple(
-            LandmarkCapture(entry, _frame(folder, entry.image, background))
+            LandmarkCapture(entry, _frame(folder, entry.image, like))
             for entry in manifest.landmarks
         ),
         markers=None
@@ -159,30 +162,27 @@ def _heldout(manifest: CaptureManifest, path: Path) -> tuple[str, ...] | None:
     return tuple(manifest.split.heldout)
 
 
-def _load_mask(folder: Path, name: str | None, background: Frame | None) -> np.ndarray | None:
+def _load_mask(folder: Path, name: str | None, like: _Sized | None) -> np.ndarray | None:
     if name is None:
         return None
     path = inner_path(folder, name)
     grey = read_grey(path)
-    if background is not None:
-        _check_size(grey, background.image(), path, Path(background.source))
+    _check_size((grey.shape[1], grey.shape[0]), path, like)
     if not (grey > 0).any():
         raise InputError(f"{path} masks every pixel; some have to be non-zero")
     return grey > 0
 
 
-def _frame(folder: Path, name: str, like: Frame | None = None) -> Frame:
+def _frame(folder: Path, name: str, like: _Sized | None = None) -> Frame:
     """An image file, read once to check it and, where given, that its size is that of ``like``."""
     path = inner_path(folder, name)
-    image = read_image(path)
-    if like is not None:
-        _check_size(image, like.image(), path, Path(like.source))
+    _check_size(image_size(path), path, like)
     return Frame(path.stem, str(path), file_sha256(path), partial(read_image, path))
 
 
-def _check_size(image: np.ndarray, reference: np.ndarray, path: Path, reference_path: Path) -> None:
-    if image.shape[:2] != reference.shape[:2]:
+def _check_size(size: tuple[int, int], path: Path, like: _Sized | None) -> None:
+    if like is not None and size != like[1]:
         raise InputError(
-            f"{path} is {image.shape[1]}x{image.shape[0]} px but the background {reference_path} "
-            f"is {reference.shape[1]}x{reference.shape[0]} px; all images have to be of one size"
+            f"{path} is {size[0]}x{size[1]} px but the background {like[0]} is "
+            f"{like[1][0]}x{like[1][1]} px; all images have to be of one size"
         )

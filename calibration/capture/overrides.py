@@ -9,7 +9,6 @@ the folder then takes it.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from pydantic import Field, model_validator
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
 from taccel_lab.errors import InputError
 from taccel_lab.reading.plain_values import first_repeated
+from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.reading.strict_model import Flag, Number, StrictModel
 from taccel_lab.reading.text_file import printable
 
@@ -98,8 +98,7 @@ def with_overrides(captures: CaptureSet, path: Path | str) -> CaptureSet:
     """``captures`` as the file ``path`` corrects them, the file's hash in the provenance."""
     path = Path(path)
     presses = override_presses(captures.presses, path)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    provenance = {**captures.provenance, "contacts_sha256": digest}
+    provenance = {**captures.provenance, "contacts_sha256": file_sha256(path)}
     return dataclasses.replace(captures, presses=presses, provenance=provenance)
 
 

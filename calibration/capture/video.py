@@ -15,7 +15,7 @@ from taccel_lab.calibration.capture.records import read_columns
 from taccel_lab.calibration.capture.schema import MarkersEntry, VideoEntry
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
-from taccel_lab.reading.images import read_image
+from taccel_lab.reading.images import image_size, read_image
 from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.reading.videos import count_frames, read_frames
 
@@ -27,7 +27,7 @@ def load_markers(folder: Path, entry: MarkersEntry, background: Frame | None) ->
     """The dots at rest and their videos; InputError when neither rest nor background is there."""
     if entry.rest is not None:
         path = inner_path(folder, entry.rest)
-        read_image(path)
+        image_size(path)
         rest = Frame(path.stem, str(path), file_sha256(path), partial(read_image, path))
     elif background is not None:
         rest = background

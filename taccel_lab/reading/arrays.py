@@ -72,8 +72,13 @@ def finite_numbers(arrays: Mapping[str, np.ndarray], key: str, path: Path | str)
         raise InputError(f"{path} lacks {key}")
     if values.dtype.kind not in "iuf":
         raise InputError(f"{path}: {key} has type {values.dtype}; real numbers are needed")
-    if not np.isfinite(values).all():
-        raise InputError(f"{path}: {key} holds NaN or infinite values; finite numbers are needed")
+    wrong = np.argwhere(~np.isfinite(values))
+    if len(wrong):
+        place = tuple(int(i) for i in wrong[0])
+        raise InputError(
+            f"{path}: {key}{list(place) if place else ''} is {values[place]}; finite numbers are "
+            "needed"
+        )
     return values
 
 

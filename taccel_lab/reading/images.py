@@ -35,10 +35,7 @@ def read_grey(path: Path) -> np.ndarray:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height of :func:`read_image` [px].
-
-    The image is decoded for it: whoever asks wants to know whether it can be read, too.
-    """
+    """Width and height of :func:`read_image` [px], and its errors: the image is decoded for it."""
     return read_apart(str(path), _size, Path(path))
 
 
@@ -72,7 +69,7 @@ def _grey(path: Path) -> np.ndarray:
 
 
 def _size(path: Path) -> tuple[int, int]:
-    height, width = _grey(path).shape
+    height, width = _rgb(path).shape[:2]
     return width, height
 
 

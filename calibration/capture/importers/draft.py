@@ -19,6 +19,8 @@ from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_image
+from taccel_lab.reading.images import read_image
+from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.reading.text_file import printable
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -166,11 +168,9 @@ class Draft:
             elif content.suffix.lower() in IMAGE_SUFFIXES and path.suffix == ".png" != (
                 content.suffix.lower()
             ):
-                from taccel_lab.reading.images import read_image
-
                 write_png(path, read_image(content))
             else:
-                shutil.copyfile(content, path)
+                shutil.copyfile(require_regular_file(content, LARGEST_BYTES, "a capture"), path)
         (folder / MANIFEST_NAME).write_text(self._manifest_text(), encoding="utf-8")
 
     def _manifest_text(self) -> str:

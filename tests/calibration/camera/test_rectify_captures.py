@@ -133,6 +133,24 @@ def test_the_command_takes_saved_maps(
     assert "not a readable .npz" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [("map_u_px", np.full((40, 50), "x"), "map_u_px has type <U1"),
+     ("map_v_px", np.full((40, 50), np.nan), r"map_v_px\[0, 0\] is nan"),
+     ("measured", np.ones((3, 3), bool), "of one size"),
+     ("mm_per_px", np.ones(3), "two numbers each")],
+)  # fmt: skip
+def test_maps_that_are_none_are_refused(
+    key: str, value: np.ndarray, words: str, tmp_path: Path
+) -> None:
+    cropping_maps().save(tmp_path / "maps.npz")
+    with np.load(tmp_path / "maps.npz") as stored:
+        arrays = {**stored, key: value}
+    np.savez(tmp_path / "maps.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=words):
+        RectificationMaps.load(tmp_path / "maps.npz")
+
+
 def test_maps_that_do_not_go_with_the_captures_are_refused(captures: Path, tmp_path: Path) -> None:
     raw = load_capture_folder(captures)
     maps = cropping_maps()

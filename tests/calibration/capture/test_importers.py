@@ -314,6 +314,10 @@ Break = Callable[[Path], object]
         (py3dcal, lambda f: (f / "annotations/annotations.csv").write_text(
             "img_name,depth_mm\n0.png,deep\n"), r"csv: line 2: column depth_mm: 'deep' is not a"),
         (feats, lambda f: (f / "homography.npy").write_text("x"), "homography.npy is not a read"),
+        (feats, lambda f: np.save(f / "homography.npy", np.full((3, 3), "x")),
+         "homography.npy has type <U1"),
+        (feats, lambda f: np.save(f / "homography.npy", np.full((3, 3), np.nan)),
+         r"npy\[0, 0\] is nan"),
         (cube_edges, lambda f: np.savez(f / "2/label.npz", line_center=np.zeros(3)), "two numbers"),
         (gs_sdk, lambda f: np.savez(f / "4.760mm/0/label.npz", center=np.zeros(2), radius="x"),
          "radius has type <U1; real numbers"),
@@ -330,6 +334,16 @@ def test_broken_sources(
     with pytest.raises(InputError, match=message):
         import_captures(source, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_homography_without_a_scale_is_left_out(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    feats(source)
+    np.save(source / "homography.npy", np.diag([0.0, 14.0, 1.0]))
+    _, (draft,) = read_drafts(source, "feats")
+    assert "mm_per_px_x" not in draft.manifest
+    assert any("its scale was left out" in note for note in draft.notes)
 
 
 def test_nothing_to_import(tmp_path: Path) -> None:
