@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import require_inner_name
 from taccel_lab.output import to_jsonable
 from taccel_lab.reading.json_file import read_json
+from taccel_lab.reading.text_file import shown
 
 if TYPE_CHECKING:
     from taccel_lab.studies.design_point import DesignResult
@@ -105,9 +107,30 @@ def read_row(path: Path) -> DesignRow:
             raise ValueError(f"keys {sorted(set(values) ^ known)} are missing or unknown")
         if values["status"] not in ("done", "failed", "broken"):
             raise ValueError(f"status {values['status']!r}")
+        _check_kinds(values)
         return DesignRow(**values)
     except (ValueError, TypeError, AttributeError) as error:
         raise InputError(f"{path} is damaged: {error}") from error
+
+
+def _check_kinds(values: dict[str, Any]) -> None:
+    """ValueError for a value of another kind than the row's."""
+    text_by_name = ("causes", "figure_keys", "press_keys", "files")
+    kinds: dict[str, tuple[type, ...]] = dict.fromkeys(values, (str,))
+    kinds |= dict.fromkeys(("parameters", "figures", "curves", *text_by_name), (dict,))
+    kinds |= {"seconds": (int, float), "simulations": (int,)}
+    found = {name: (value, kinds[name]) for name, value in values.items()}
+    for table in text_by_name:
+        if type(values[table]) is dict:
+            found |= {f"{table}.{name}": (text, (str,)) for name, text in values[table].items()}
+    if type(values["figures"]) is dict:
+        allowed = (int, float, type(None))
+        found |= {f"figures.{name}": (v, allowed) for name, v in values["figures"].items()}
+    for name, (value, allowed) in found.items():
+        if type(value) not in allowed:
+            raise ValueError(f"{name} is {shown(value)}")
+    for name in values["files"].values():
+        require_inner_name(name)
 
 
 def row_of(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -96,7 +97,7 @@ class CaptureSet:
         if not self.presses:
             raise InputError(f"{self.source} holds no presses; at least one image is needed")
         names = [press.name for press in self.presses]
-        twice = sorted({name for name in names if names.count(name) > 1})
+        twice = sorted(name for name, count in Counter(names).items() if count > 1)
         if twice:
             raise InputError(
                 f"{self.source}: press names must differ, {', '.join(twice)} appears twice"

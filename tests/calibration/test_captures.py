@@ -98,7 +98,7 @@ def test_empty_folder(tmp_path: Path) -> None:
         ("radius_mm = 2.0", "radius_mm = -2.0", r"indenter\.radius_mm.*greater than"),
         ("radius_mm = 2.0", "radius_mm = 1.0", r"a\.png: contact radius .*more than the ball"),
         ("schema_version = 1", "schema_version = 9", r"schema_version"),
-        ('name = "second"', "colour = 3", r"presses\.1\.colour.*[Ee]xtra"),
+        ('name = "second"', "colour = 3", r"presses\.1\.colour: unknown key"),
         ('name = "second"', 'name = "a"', r"names must differ, a appears twice"),
         ("u_px = 30.0", "u_px = nan", r"presses\.0\.contact\.u_px.*finite"),
         ("u_px = 30.0", "u_px = 60.0", r"a\.png: the contact circle.*outside the image of 64x48"),

@@ -21,7 +21,7 @@ from tests.geometry.vtu_files import read_mesh_vtu
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> DesignResult:
     out = tmp_path_factory.mktemp("design") / "gelsight"
-    return design_sensor(FAMILY, {"thickness_mm": "4.5"}, out, edge_mm=1.5)
+    return design_sensor(FAMILY, {"thickness_mm": 4.5}, out, edge_mm=1.5)
 
 
 def test_every_file_is_there(result: DesignResult) -> None:

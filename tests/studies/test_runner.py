@@ -179,9 +179,20 @@ def test_damaged_results_are_named(tmp_path: Path) -> None:
     outcome = run_study(study(), tmp_path, processes=0)
     path = outcome.folder.design(outcome.rows[0].id) / "result.json"
     text = path.read_text()
-    for bad in (text[:-30], "[]", json.dumps({"id": outcome.rows[0].id})):
+    whole = json.loads(text)
+    for bad, words in (
+        (text[:-30], "is not valid JSON"),
+        ("[]", r"holds \[\]; an object"),
+        (json.dumps({"id": outcome.rows[0].id}), "is damaged: keys .* are missing"),
+        (json.dumps({**whole, "figures": 3}), "is damaged: figures is 3"),
+        (json.dumps({**whole, "figures": {"blur": True}}), r"is damaged: figures\.blur is True"),
+        (json.dumps({**whole, "causes": {"blur": 2}}), r"is damaged: causes\.blur is 2"),
+        (json.dumps({**whole, "seconds": "1"}), "is damaged: seconds is '1'"),
+        (json.dumps({**whole, "files": {"mesh": "../x"}}), "is damaged: .* leads out of it"),
+        ("[" * 100_000, "is nested more than 32 deep"),
+    ):
         path.write_text(bad)
-        with pytest.raises(InputError, match=r"result\.json is damaged"):
+        with pytest.raises(InputError, match=rf"result\.json {words}"):
             run_study(study(), tmp_path, processes=0)
     path.unlink()
     assert run_study(study(), tmp_path, processes=0).new == 1
