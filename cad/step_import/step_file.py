@@ -18,8 +18,8 @@ from taccel_lab.reading.regular_file import require_regular_file
 MAX_BYTES = 50 << 20
 """Of a STEP file: a hundred times the largest of the sensors that we know, whose 271 faces take
 0.5 MiB; the CAD kernel needs some 30 times the size of a file."""
-LIMIT_S = 300.0
-"""For all that the CAD kernel does with a file; 271 faces take it 8 s."""
+LIMIT_S = 120.0
+"""For all that the CAD kernel does with a file: 271 faces take it 8 s."""
 _ORIGINS = ("center", "file")
 
 
