@@ -25,6 +25,8 @@ class Reader:
     """Patterns of the files that are damaged."""
     seal: Callable[[Path], None] | None = None
     """Makes hashes that a sample states those of the damaged files."""
+    options: tuple[str, ...] = ()
+    """Options that it is called with: a refusal may be about one of them instead of a file."""
     own: str | None = None
     """Folder of the sample, if any, that the reader may change: its own output of earlier."""
 

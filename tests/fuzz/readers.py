@@ -186,7 +186,9 @@ READERS: dict[str, Reader] = {
     "rectification": Reader(captures.raw_with_maps, _rectify, ("maps.npz",)),
     **{f"import-{name}": Reader(layouts.maker(name), _importer("auto")) for name in layouts.NAMES},
     "import-as-plain": Reader(layouts.plain_with_mask, _importer("plain", background="bg.png")),
-    "import-crop": Reader(layouts.maker("plain"), _importer("plain", crop="4,4,40x36")),
+    "import-crop": Reader(
+        layouts.maker("plain"), _importer("plain", crop="4,4,40x36"), options=("crop",)
+    ),
     "import-boards": Reader(layouts.boards, _importer("plain", board="chessboard:6x6:2.5")),
     "import-video": Reader(layouts.video_of_dots, _importer("markers")),
     "taxim-pack": Reader(layouts.maker("taxim"), _import_pack),
