@@ -84,6 +84,7 @@ class Depth:
             profile,
             background=None if self.background is None else image_of(self.background),
             mask=mask,
+            background_name=str(self.background or "the background"),
             method=self.method,
             drift=self.drift,
         )

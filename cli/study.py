@@ -68,12 +68,11 @@ class Study:
 
         from taccel_lab.studies.report import write_study_report
         from taccel_lab.studies.runner import read_outcome
-        from taccel_lab.studies.spec import load_spec
-        from taccel_lab.studies.study import default_kit, make_study
+        from taccel_lab.studies.study import default_kit, read_study
 
         wp.config.log_level = wp.LOG_WARNING
         console = Console(stderr=True)
-        study = make_study(load_spec(file), default_kit())
+        study = read_study(file, default_kit())
         root = self.out or Path("out") / file.stem
         try:
             if self.report_only:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from taccel_lab.cad.parameters import Parameter
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.text_file import shown
 from taccel_lab.sensors.base import SensorFamily
@@ -18,7 +18,7 @@ from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant
 from taccel_lab.studies.design_point import DesignPoint, DesignResult, content_id
 from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.spec import StudySpec, Tie, require_known
+from taccel_lab.studies.spec import StudySpec, Tie, load_spec, require_known
 from taccel_lab.studies.sweep import grid_points, random_points
 
 EVALUATION_VERSION = 2
@@ -128,6 +128,12 @@ def default_kit() -> Kit:
     from taccel_lab.studies.presses import STANDARD_PRESSES
 
     return Kit(STANDARD_PRESSES, METRICS, evaluate_designs)
+
+
+def read_study(path: Path, kit: Kit) -> Study:
+    """The study of a file; InputError names the file and what is wrong in it."""
+    with naming(path):
+        return make_study(load_spec(path), kit)
 
 
 def make_study(spec: StudySpec, kit: Kit) -> Study:

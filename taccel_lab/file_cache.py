@@ -23,6 +23,8 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, to_jsonable
 
+LARGEST_BYTES = 1 << 30
+"""Of a file; a mesh of a hundred thousand nodes takes a fortieth of it."""
 CACHE_VARIABLE = "TACCEL_LAB_CACHE"
 """Environment variable that names the cache folder."""
 _HEAD = b"taccel-lab cache\n"
@@ -55,6 +57,8 @@ class CachedFile(Generic[Result]):
     def read(self) -> Result | None:
         """What is kept; None without a file, or with a warning when it is damaged."""
         try:
+            if self.path.stat().st_size > LARGEST_BYTES:
+                raise ValueError("far larger than any")
             data = self.path.read_bytes()
             return self.load(io.BytesIO(_checked(data)))
         except (FileNotFoundError, NotADirectoryError):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from taccel_lab.cad.step_import.importer import FaceSelection, ImportedGel
 from taccel_lab.cad.step_import.selection import FaceInfo
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.reading.apart import read_apart
 from taccel_lab.reading.regular_file import require_regular_file
 
@@ -39,10 +39,13 @@ def import_gel(path: Path | str, selection: FaceSelection | None = None) -> Impo
     selectors that choose nothing, overlap or leave a region empty; the message lists the faces.
     """
     selection = selection or FaceSelection()
-    if selection.origin not in _ORIGINS:
-        raise InputError(f"origin {selection.origin!r} is not allowed; use {' or '.join(_ORIGINS)}")
-    path = require_regular_file(Path(path), MAX_BYTES, "a STEP file")
-    return read_apart(str(path), _gel, path, selection, limit_s=LIMIT_S)
+    with naming(path):
+        if selection.origin not in _ORIGINS:
+            raise InputError(
+                f"origin {selection.origin!r} is not allowed; use {' or '.join(_ORIGINS)}"
+            )
+        path = require_regular_file(Path(path), MAX_BYTES, "a STEP file")
+        return read_apart(str(path), _gel, path, selection, limit_s=LIMIT_S)
 
 
 # Called in the readers' process: only there does the kernel load for them.

@@ -13,7 +13,7 @@ from scipy.spatial import Delaunay
 
 from taccel_lab.calibration.camera.board_on_gel import OnGel
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.output import atomic_file
 from taccel_lab.reading.arrays import finite_numbers, read_npz
@@ -68,14 +68,15 @@ class RectificationMaps:
             )
         if size is not None and (size.shape != (2,) or size.dtype.kind not in "iu"):
             raise InputError(f"{path}: raw_size_px has to be width and height in whole pixels")
-        grid = PixelGrid(
-            u.shape[1],
-            u.shape[0],
-            float(scale[0]),
-            float(scale[1]),
-            float(center[0]),
-            float(center[1]),
-        )
+        with naming(path):
+            grid = PixelGrid(
+                u.shape[1],
+                u.shape[0],
+                float(scale[0]),
+                float(scale[1]),
+                float(center[0]),
+                float(center[1]),
+            )
         raw = None if size is None else (int(size[0]), int(size[1]))
         return cls(u.astype(np.float32), v.astype(np.float32), measured.astype(bool), grid, raw)
 

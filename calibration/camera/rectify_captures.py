@@ -91,17 +91,22 @@ def _presses(
     entries: list[dict[str, Any]], folder: CaptureFolder, writer: _Writer, notes: list[str]
 ) -> list[dict[str, Any]]:
     """Entries of the presses that contacts.toml does not skip."""
-    named = {entry.get("name") or Path(entry["image"]).stem: entry for entry in entries}
-    kept = []
-    for i, press in enumerate(folder.presses):
-        entry = named.pop(press.name)
+    kept, skipped = [], []
+    left = list(folder.presses)
+    for entry in entries:
+        name = entry.get("name") or Path(entry["image"]).stem
+        # In the order of the manifest; two may have one name.
+        if not left or left[0].name != name:
+            skipped.append(name)
+            continue
+        i, press = len(kept), left.pop(0)
         entry["image"] = writer.image(f"press_{i:03d}", press.image)
         entry.setdefault("name", press.name)
         if entry.pop("contact", None) is not None or press.checked:
             notes.append(f"the contact circle of {press.name} was left out")
         kept.append(entry)
-    if named:
-        notes.append(f"presses that contacts.toml skips were left out: {', '.join(named)}")
+    if skipped:
+        notes.append(f"presses that contacts.toml skips were left out: {', '.join(skipped)}")
     return kept
 
 

@@ -145,6 +145,8 @@ def _fine(image: np.ndarray) -> np.ndarray:
 def _rim_width(change: np.ndarray, distance: np.ndarray, radius: float) -> float:
     """Colour change over its steepest gradient, both near the contact [px]."""
     near = distance <= 1.3 * radius
+    if not near.any():  # A labelled circle outside of the picture.
+        return float("nan")
     smooth = cv2.GaussianBlur(change, (0, 0), 0.8)
     gradient = np.hypot(
         *(np.linalg.norm(cv2.Sobel(smooth, cv2.CV_32F, dx, dy) / 8, axis=-1) for dx, dy in _AXES)

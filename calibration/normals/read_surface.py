@@ -92,6 +92,7 @@ class SurfaceReader:
         mask: np.ndarray | None = None,
         method: Method = "auto",
         drift: DriftMode = "auto",
+        background_name: str = "the background",
     ) -> None:
         """A reader of the profile's images.
 
@@ -101,6 +102,7 @@ class SurfaceReader:
             method: ``normals`` or ``depth``; ``auto`` takes the block that the profile has.
             drift: Whether each image is brought to the background's light first; ``auto`` does as
                 in the calibration.
+            background_name: How an error calls ``background``, such as by its file.
         """
         self.profile, self.mask = profile, mask
         self.method = self._chosen(method)
@@ -116,8 +118,8 @@ class SurfaceReader:
         expected = (grid.height_px, grid.width_px, 3)
         if self.background.shape != expected:
             raise InputError(
-                f"the background is {self.background.shape[1]}x{self.background.shape[0]} px, the "
-                f"profile's camera {expected[1]}x{expected[0]} px"
+                f"{background_name} is {self.background.shape[1]}x{self.background.shape[0]} px, "
+                f"the profile's camera {expected[1]}x{expected[0]} px"
             )
         self.rest: RestSurface = rest_surface(profile.mesh, grid)
         self.normal_model = NormalModel.from_profile(profile) if self.method == "normals" else None

@@ -12,7 +12,7 @@ import numpy as np
 
 from taccel_lab.bodies.mesh_checks import check_edges
 from taccel_lab.envs.prisms import edge_mesh, grating_mesh, pair_mesh, roller_mesh
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.reading.triangle_file import read_triangle_file
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
@@ -43,7 +43,8 @@ class Indenter:
         """About what of a gel a press touches, by the shape's section at half of the depth: a
         ball's radius there [mm], which is Hertz's, else the section itself."""
         if not isinstance(self.shape, Ball):
-            return ToolSection.of(self.shape.vertices_m, self.shape.faces, depth_mm)
+            with naming(self.name):
+                return ToolSection.of(self.shape.vertices_m, self.shape.faces, depth_mm)
         half, radius = 0.5 * depth_mm * 1e-3, self.shape.radius_m
         return 1e3 * (math.sqrt(half * (2 * radius - half)) if half < radius else radius)
 

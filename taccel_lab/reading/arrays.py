@@ -11,6 +11,7 @@ import io
 import math
 import struct
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
@@ -201,10 +202,11 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype, bool, int]:
         shape, fortran, dtype = parse(io.BytesIO(struct.pack(width, length) + text))
     except InputError:
         raise
-    # The header is a literal of Python: its parser has errors of many kinds.
-    except Exception as error:
-        why = _short(error) or type(error).__name__
-        raise InputError(f"its header is damaged ({why})") from None
+    except (zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(f"it is damaged ({_short(error)})") from None
+    # The header is a literal of Python, whose parser has errors of many kinds for programmers.
+    except Exception:
+        raise InputError("its header is damaged: it is no description of an array") from None
     if dtype.kind not in PLAIN_KINDS:
         raise InputError(f"it holds values of type {_short(dtype)}; numbers and texts are allowed")
     if len(shape) > 32 or not all(0 <= int(n) < 2**62 for n in shape):

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.text_file import printable, shown
+from taccel_lab.printable import printable
+from taccel_lab.reading.text_file import shown
 
 MAX_DEPTH = 32
 """Of tables and lists in one another; our own files reach 6."""

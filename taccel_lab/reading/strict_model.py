@@ -20,7 +20,8 @@ from pydantic import (
 )
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.text_file import printable, shown
+from taccel_lab.printable import printable
+from taccel_lab.reading.text_file import shown
 from taccel_lab.reading.toml_file import read_toml
 
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import codecs
-import re
 from pathlib import Path
 
 from taccel_lab.errors import InputError
@@ -12,8 +11,6 @@ from taccel_lab.reading.regular_file import read_regular_file
 
 SHOWN_CHARACTERS = 80
 """Of a value that an error message quotes; a damaged file may hold one of megabytes."""
-
-_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def read_text(path: Path, limit_bytes: int, what: str, *, latin_1: bool = False) -> str:
@@ -54,15 +51,6 @@ def shown(value: object) -> str:
     except ValueError:  # Python writes no whole number of more than 4,300 digits.
         text = "a number of thousands of digits"
     return text if len(text) <= SHOWN_CHARACTERS else text[: SHOWN_CHARACTERS - 4] + " ..."
-
-
-def printable(text: object) -> str:
-    r"""``text`` with escapes for what cannot be encoded, and for control characters.
-
-    File names may hold any bytes; Python keeps those that are not UTF-8 as lone surrogates, which
-    no file or terminal takes: ``\udcff`` stands for the byte 0xff.
-    """
-    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
 
 
 def _line(data: bytes, at: int) -> int:

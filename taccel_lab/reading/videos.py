@@ -23,6 +23,8 @@ MAX_FRAMES = 1 << 17
 """Of a video: more than an hour at 30 frames a second."""
 ALLOWED = "AVI, MP4, MOV, MKV or WebM"
 _TOLD_FRAMES = 50
+_SILENT_S = 20.0
+"""Without a frame. Decoders search a damaged file to its end, gigabytes of it for minutes."""
 
 
 def read_frames(path: Path) -> Iterator[np.ndarray]:
@@ -31,17 +33,17 @@ def read_frames(path: Path) -> Iterator[np.ndarray]:
     Raises InputError with the path when fewer than two decode, and when frames are of several
     sizes, of more than ``MAX_FRAME_PIXELS``, or more than ``MAX_FRAMES``.
     """
-    return stream_apart(str(path), _frames, Path(path))
+    return stream_apart(str(path), _frames, Path(path), limit_s=_SILENT_S)
 
 
 def first_frame(path: Path) -> np.ndarray:
     """The first frame of a video; errors as above."""
-    return read_apart(str(path), _first, Path(path))
+    return read_apart(str(path), _first, Path(path), limit_s=_SILENT_S)
 
 
 def count_frames(path: Path) -> tuple[int, int]:
     """How many frames of a video decode, and how many it says it has; errors as above."""
-    *_, counted = stream_apart(str(path), _counts, Path(path))
+    *_, counted = stream_apart(str(path), _counts, Path(path), limit_s=_SILENT_S)
     return counted
 
 

@@ -111,10 +111,9 @@ def _import_pack(given: Path, out: Path) -> None:
 
 
 def _plan_study(given: Path, out: Path) -> None:
-    from taccel_lab.studies.spec import load_spec
-    from taccel_lab.studies.study import default_kit, make_study
+    from taccel_lab.studies.study import default_kit, read_study
 
-    planned = make_study(load_spec(given / "study.toml"), default_kit())
+    planned = read_study(given / "study.toml", default_kit())
     if planned.spec.sweep.kind in ("grid", "random"):
         planned.points()
 

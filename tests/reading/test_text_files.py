@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 
 from taccel_lab.errors import InputError
+from taccel_lab.printable import printable
 from taccel_lab.reading.json_file import JSON_LIMIT_BYTES, read_json
 from taccel_lab.reading.plain_values import MAX_DEPTH, MAX_VALUES, number_at
-from taccel_lab.reading.text_file import printable, read_text, shown
+from taccel_lab.reading.text_file import read_text, shown
 from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES, read_toml
 from taccel_lab.reading.yaml_file import YAML_LIMIT_BYTES, read_yaml
 

@@ -19,9 +19,9 @@ from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_image
+from taccel_lab.printable import printable
 from taccel_lab.reading.images import read_image
 from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
-from taccel_lab.reading.text_file import printable
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 COPIED_SUFFIXES = (".png", ".jpg", ".jpeg")

@@ -14,8 +14,8 @@ from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import first_existing
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
+from taccel_lab.printable import printable
 from taccel_lab.reading.plain_values import number_at
-from taccel_lab.reading.text_file import printable
 from taccel_lab.reading.yaml_file import read_yaml
 
 SOURCE = "9DTact (linchangyi1/9DTact)"

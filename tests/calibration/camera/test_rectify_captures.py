@@ -117,6 +117,16 @@ def test_presses_that_a_person_skipped_stay_out(captures: Path, tmp_path: Path) 
     assert "presses that contacts.toml skips were left out: p0" in notes
 
 
+def test_two_presses_of_one_name(captures: Path, tmp_path: Path) -> None:
+    manifest = captures / "captures.toml"
+    text = manifest.read_text()
+    assert 'image = "p1.png"' in text
+    manifest.write_text(text.replace('name = "corner"', 'name = "p0"'))
+    rectify_captures(load_capture_folder(captures), cropping_maps(), tmp_path / "even")
+    even = load_capture_folder(tmp_path / "even")
+    assert [press.name for press in even.presses] == ["p0", "p0"]
+
+
 def test_the_command_takes_saved_maps(
     captures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Text that any terminal and file takes, and a person can read, whatever a damaged file holds."""
+
+from __future__ import annotations
+
+import re
+
+WORD_CHARACTERS = 400
+"""Longer words are damage; paths are shorter."""
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
+_LONG_WORD = re.compile(rf"\S{{{WORD_CHARACTERS + 1},}}")
+
+
+def printable(text: object) -> str:
+    r"""``text`` with escapes for what cannot be encoded, and for control characters.
+
+    File names may hold any bytes; Python keeps those that are not UTF-8 as lone surrogates, which
+    no file or terminal takes: ``\udcff`` stands for the byte 0xff.
+    """
+    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
+
+
+def readable(message: str) -> str:
+    """A message of several lines, each printable, its endless words cut in the middle."""
+    lines = (printable(line) for line in message.split("\n"))
+    return _LONG_WORD.sub(_cut, "\n".join(lines))
+
+
+def _cut(found: re.Match[str]) -> str:
+    word = found[0]
+    return f"{word[:60]}...({len(word):,} letters)...{word[-20:]}"
