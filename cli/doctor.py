@@ -20,6 +20,7 @@ from taccel_lab.reading.toml_file import read_toml
 IMPORT_NAMES = {
     "warp-lang": "warp",
     "opencv-contrib-python-headless": "cv2",
+    "pillow": "PIL",
     "pyyaml": "yaml",
 }
 DISTRIBUTION = "taccel-lab"

@@ -25,9 +25,9 @@ def test_endless_words_are_cut_in_the_middle_and_paths_are_not() -> None:
 
 def test_input_errors_are_readable_and_name_their_file() -> None:
     assert str(InputError("a\x00b")) == "a\\x00b"
-    with pytest.raises(InputError, match="^s.toml: no metric 'x'$"), naming("s.toml"):
+    with pytest.raises(InputError, match=r"^s\.toml: no metric 'x'$"), naming("s.toml"):
         raise InputError("no metric 'x'")
-    with pytest.raises(InputError, match="^s.toml is empty$"), naming("s.toml"):
+    with pytest.raises(InputError, match=r"^s\.toml is empty$"), naming("s.toml"):
         raise InputError("s.toml is empty")
     with pytest.raises(KeyError), naming("s.toml"):
         raise KeyError("x")

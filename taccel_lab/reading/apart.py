@@ -99,7 +99,8 @@ class _Reader:
     ) -> Any:
         self.idle = False
         try:
-            self.child.pipe.send((read, arguments, stream))
+            # Paths are relative to where this process is now.
+            self.child.pipe.send((os.getcwd(), read, arguments, stream))
         except (BrokenPipeError, ConnectionResetError):
             pass  # The answer says so.
         return self.next_item(what, limit_s) if stream else self._answer(what, limit_s)
@@ -230,8 +231,9 @@ def _serve(pipe: Connection) -> None:
     """Answer requests for as long as there are any."""
     answers = _Answers(pipe)
     while True:
-        read, arguments, stream = pipe.recv()
+        folder, read, arguments, stream = pipe.recv()
         try:
+            os.chdir(folder)
             if stream:
                 for item in read(*arguments):
                     answers.send("item", item)

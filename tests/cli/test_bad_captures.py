@@ -66,7 +66,10 @@ CAPTURES: dict[str, tuple[Change, list[str]]] = {
         [r"captures\.toml: no background; give an image of the untouched sensor"],
     ),
     "missing image": (remove("p2.png"), [r"captures/p2\.png does not exist"]),
-    "truncated image": (truncated_image, [r"p2\.png is not an image.*PNG or JPEG is allowed"]),
+    "truncated image": (
+        truncated_image,
+        [r"p2\.png is not an image.*PNG, JPEG, .* allowed"],
+    ),
     "no presses": (no_presses, [r"captures\.toml holds no presses", r"at least one image"]),
     "sizes differ": (
         other_size,

@@ -105,9 +105,8 @@ def test_grey_depth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(shifted) == 2
     assert "the maps were made for images of 640x480 px" in capsys.readouterr().err
     small = replace(maps.require_grid(), width_px=50)
-    replace(maps, map_u_px=u[:, :50], map_v_px=maps.map_v_px[:, :50], grid=small).save(
-        tmp_path / "maps.npz"
-    )
+    part = {name: getattr(maps, name)[:, :50] for name in ("map_u_px", "map_v_px", "measured")}
+    replace(maps, grid=small, **part).save(tmp_path / "maps.npz")
     assert main(shifted) == 2
     assert "give the maps of the profile's calibration" in capsys.readouterr().err
 

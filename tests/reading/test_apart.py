@@ -41,6 +41,14 @@ def test_what_goes_wrong_is_a_sentence_and_the_next_file_is_read(
     assert read_apart("a", readers.double, 2) == 4
 
 
+def test_relative_paths_are_those_of_the_caller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in (tmp_path, Path("/")):
+        monkeypatch.chdir(folder)
+        assert read_apart("a", os.getcwd) == str(folder)
+
+
 def test_a_reader_that_hangs_is_ended() -> None:
     start = time.monotonic()
     with pytest.raises(InputError, match=r"^x\.ply: the reader did not finish within 0\.3 s"):
