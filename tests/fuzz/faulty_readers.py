@@ -78,7 +78,7 @@ def _mumbles(given: Path, out: Path) -> None:
 
 def _shouts(given: Path, out: Path) -> None:
     if not _is_sound(given):
-        raise InputError("a.bin: " + "x" * 10_000)
+        raise InputError("a.bin: " + "x " * 10_000)
 
 
 def _refuses(given: Path, out: Path) -> None:
