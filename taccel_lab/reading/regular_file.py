@@ -48,11 +48,12 @@ def require_regular_file(path: Path, limit_bytes: int, what: str) -> Path:
 
 def read_regular_file(path: Path, limit_bytes: int, what: str) -> bytes:
     """Content of the file; the arguments and errors of :func:`require_regular_file`."""
-    with require_regular_file(path, limit_bytes, what).open("rb") as file:
-        try:
+    path = require_regular_file(path, limit_bytes, what)
+    try:
+        with path.open("rb") as file:
             content = file.read(limit_bytes + 1)
-        except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except OSError as error:  # A file that has just been deleted, too.
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
     if len(content) > limit_bytes:  # It grew, or it is a file of /proc, which have no size.
         raise InputError(f"{path} has more than {in_bytes(limit_bytes)}, the most for {what}")
     return content
@@ -61,12 +62,13 @@ def read_regular_file(path: Path, limit_bytes: int, what: str) -> bytes:
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, hexadecimal; errors as of :func:`require_regular_file`."""
     digest = hashlib.sha256()
-    with require_regular_file(path, LARGEST_BYTES, "a file of a capture").open("rb") as file:
-        try:
+    path = require_regular_file(path, LARGEST_BYTES, "a file of a capture")
+    try:
+        with path.open("rb") as file:
             while chunk := file.read(_CHUNK_BYTES):
                 digest.update(chunk)
-        except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
     return digest.hexdigest()
 
 

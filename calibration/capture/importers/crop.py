@@ -54,23 +54,34 @@ def crop_draft(draft: Draft, text: str) -> None:
     else:
         part, of_presses = _parse(text, width, height), True
     left, top, wide, high = part
+    window = slice(top, top + high), slice(left, left + wide)
+
+    def of_background(image: np.ndarray, interpolation: int = cv2.INTER_AREA) -> np.ndarray:
+        """An image framed as the background is, as the presses will be."""
+        if of_presses:
+            return cv2.resize(image, (wide, high), interpolation=interpolation)
+        return cv2.resize(image[window], (width, height), interpolation=interpolation)
+
+    draft.files[name] = of_background(background)
+    for image in draft.manifest.get("untouched", []):
+        draft.files[image] = of_background(levels(draft.files[image]))
+    mask = draft.manifest.get("mask")
+    if mask is not None:
+        drawn = levels(draft.files[mask])
+        if drawn.shape[:2] != (height, width):
+            draft.files[mask] = of_background(drawn, cv2.INTER_NEAREST)
+        elif of_presses:
+            draft.files[mask] = np.ascontiguousarray(drawn[window])
     if not of_presses:
-        cut = background[top : top + high, left : left + wide]
-        draft.files[name] = cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA)
         draft.notes.append(
             f"the background is the part {wide}x{high} px of it from ({left}, {top}) px, which the "
             "presses show"
         )
         return
-    draft.files[name] = cv2.resize(background, (wide, high), interpolation=cv2.INTER_AREA)
-    for image in draft.manifest.get("untouched", []):
-        small = cv2.resize(levels(draft.files[image]), (wide, high), interpolation=cv2.INTER_AREA)
-        draft.files[image] = small
     lost = [press["image"] for press in presses if not _shift_circle(press, part)]
     draft.manifest["presses"] = [press for press in presses if press["image"] not in lost]
     for image in {press["image"] for press in presses}:
-        cut = levels(draft.files[image])[top : top + high, left : left + wide]
-        draft.files[image] = np.ascontiguousarray(cut)
+        draft.files[image] = np.ascontiguousarray(levels(draft.files[image])[window])
     for image in lost:
         del draft.files[image]
     draft.notes.append(

@@ -127,7 +127,12 @@ def test_background_of_another_framing(source: Path, crop: str) -> None:
         "file,cx,cy,r\n"
         + "".join(f"p{i}.png,{c.u_px},{c.v_px},{c.radius_px}\n" for i, c in enumerate(CIRCLES))
     )
+    mask = np.full((height, width, 3), 255, dtype=np.uint8)
+    mask[30:40, 60:80] = 0  # As the presses show it.
+    write_image(source / "mask.png", mask)
     captures, manifest = imported(source, crop=crop)
+    assert captures.mask is not None
+    assert not captures.mask[18:22, 45:55].any() and captures.mask[:10].all()
     size = captures.require_background().image().shape
     assert size[:2] == pytest.approx((90, 120), abs=2)
     assert "mm per pixel are as before" in manifest
@@ -152,7 +157,12 @@ def test_presses_that_show_a_part_of_the_background(source: Path) -> None:
     for i, circle in enumerate(CIRCLES):
         part = press(circle)[15:105, 20:140]
         write_image(source / f"p{i}.png", levels(cv2.resize(part, (width, height))))
+    mask = np.full((height, width, 3), 255, dtype=np.uint8)
+    mask[:, :20] = 0
+    write_image(source / "mask.png", mask)
     captures, manifest = imported(source, crop="auto")
+    assert captures.mask is not None
+    np.testing.assert_array_equal(captures.mask, mask[..., 0] > 0)
     assert len(captures.presses) == len(CIRCLES) and "which the presses show" in manifest
     wanted = cv2.resize(levels(gel())[15:105, 20:140], (width, height)).astype(float)
     off = np.abs(captures.require_background().image() - wanted)
