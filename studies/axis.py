@@ -9,6 +9,7 @@ from typing import Any
 
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
+from taccel_lab.reading.text_file import shown
 from taccel_lab.studies.spec import ParameterRange
 
 SIGNIFICANT_DIGITS = 9
@@ -85,7 +86,7 @@ def axis_of(parameter: Parameter, wanted: ParameterRange) -> Axis:
     if wanted.values is not None:
         values = tuple(parameter.check(value) for value in wanted.values)
         if len(set(values)) < len(values):
-            raise InputError(f"{parameter.name}: values repeat themselves: {list(values)}")
+            raise InputError(f"{parameter.name}: values repeat themselves: {shown(list(values))}")
         return Axis(parameter, values)
     if parameter.choices:
         raise InputError(

@@ -27,6 +27,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile.schema import Name
 from taccel_lab.reading.plain_values import first_repeated
 from taccel_lab.reading.strict_model import Flag, Number, StrictModel, Whole, describe_errors
+from taccel_lab.reading.text_file import shown
 from taccel_lab.reading.toml_file import read_toml
 
 MAX_DESIGNS = 10_000
@@ -92,7 +93,7 @@ class ParameterRange(StrictModel):
             if not self.values:
                 raise ValueError("values is empty; give at least one")
             if len(set(self.values)) < len(self.values):
-                raise ValueError(f"values repeat themselves: {self.values}")
+                raise ValueError(f"values repeat themselves: {shown(self.values)}")
             return self
         if self.min is None or self.max is None:
             raise ValueError("give values = [...], or min and max (and count for a grid)")
