@@ -109,6 +109,8 @@ def _digest(path: Path) -> str:
         return "link to " + os.readlink(path)
     if path.is_dir():
         return "empty folder"
+    if not path.is_file():  # To open a pipe would wait for ever.
+        return "no regular file"
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -264,6 +264,18 @@ def test_files_added_or_changed_since_are_kept(tmp_path: Path, name: str, when: 
     assert os.listdir(tmp_path) == ["out"]
 
 
+@pytest.mark.timeout(20)
+def test_a_pipe_in_an_output_is_foreign_and_not_waited_for(tmp_path: Path) -> None:
+    target = tmp_path / "out"
+    with atomic_directory(target) as folder:
+        (folder / "a.txt").write_text("old")
+    (target / "a.txt").unlink()
+    os.mkfifo(target / "a.txt")
+    with pytest.raises(InputError, match=r"a\.txt; move them"):
+        require_replaceable(target)
+    assert stat.S_ISFIFO((target / "a.txt").stat().st_mode)
+
+
 def test_many_foreign_files_are_counted(tmp_path: Path) -> None:
     for number in range(5):
         (tmp_path / f"{number}.txt").write_text("mine")
