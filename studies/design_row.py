@@ -106,7 +106,7 @@ def read_row(path: Path) -> DesignRow:
         if set(values) != known:
             raise ValueError(f"keys {sorted(set(values) ^ known)} are missing or unknown")
         if values["status"] not in ("done", "failed", "broken"):
-            raise ValueError(f"status {values['status']!r}")
+            raise ValueError(f"status {shown(values['status'])}")
         _check_kinds(values)
         return DesignRow(**values)
     except (ValueError, TypeError, AttributeError) as error:
