@@ -21,8 +21,8 @@ class Depth:
 
     A profile with a normals block (colour sensors) gives normals, which are integrated; one with a
     depth_response block (grey sensors) gives depths. For every image, `<name>.npz` holds the
-    height and its uncertainty, `<name>.png` shows it and `<name>.json` says how deep, where and
-    how large. Heights are metres in the gel frame, zero on untouched gel, negative in a dent.
+    height and its standard deviation, `<name>.png` shows it and `<name>.json` says how deep, where
+    and how large. Heights are metres in the gel frame, zero on untouched gel, negative in a dent.
     """
 
     profile: Positional[Path]
@@ -95,12 +95,17 @@ class Depth:
                 about = write_reading(reader.read(image, str(path)), image, path, profile, folder)
                 figures[path.stem] = about
                 if not self.json:
+                    sigma = about["max_depth_sigma_mm"]
                     console.print(
-                        f"{path.name}: {about['max_depth_mm']:.3f} mm deep at "
+                        f"{path.name}: {about['max_depth_mm']:.3f} "
+                        + ("" if sigma is None else f"+- {sigma:.3f} ")
+                        + f"mm deep at "
                         f"({about['deepest_px'][0]}, {about['deepest_px'][1]}) px, "
                         f"{about['touched_mm2']:.2f} mm2 touched",
                         highlight=False,
                     )
+                    for warning in about["warnings"]:
+                        console.print(f"  {warning}", highlight=False)
         if self.json:
             print_json({"out": str(self.out), "images": figures})
         else:

@@ -7,7 +7,7 @@ is frozen: in the circles given with them, and in those as the training presses 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
@@ -17,27 +17,45 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import joined
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
+from taccel_lab.calibration.color.frames import ColorFrame
+from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode, choose_drift
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.normals.network_fit import InverseFitOptions, fit_normal_model
+from taccel_lab.calibration.normals.height_error import KnownPress, with_height_errors
+from taccel_lab.calibration.normals.network_fit import (
+    InverseFit,
+    InverseFitOptions,
+    fit_normal_model,
+    fold_of,
+)
 from taccel_lab.calibration.normals.options import NormalOptions, NormalTraining
+from taccel_lab.calibration.normals.practice import ImageNoise, Practice
 from taccel_lab.calibration.normals.remarks import remarks_of
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import InverseFrame, Scene, usable_pixels
 from taccel_lab.calibration.normals.score import HeldoutNormals, reliability_of, score_heldout
-from taccel_lab.calibration.normals.skirt import hertz_skirts
-from taccel_lab.calibration.simulate import PressSurfaces
+from taccel_lab.calibration.normals.skirt import ball_in_layer, layer_of, layer_skirts
+from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.rest_surface import rest_surface
 
-PIXEL_BASELINE = InverseFitOptions(scales_px=(0.0,), slopes=False, members=1, steps=600)
+PIXEL_BASELINE = InverseFitOptions(
+    scales_px=(0.0,), slopes=False, members=1, hidden=(32, 32, 32), steps=600
+)
 """The colour change and position of a pixel alone, as in gs_sdk with its background subtracted."""
+
+
+CHECKED = 16
+"""Practice presses that the networks never see and heights are judged by."""
 
 
 def calibrate_normals(
@@ -63,12 +81,9 @@ def calibrate_normals(
     )
     presses = ball_presses(folder, base, "normals", options, progress)
     training, circles = presses.training, presses.circles
-    surfaces = None
-    if options.skirt == "simulated":
-        surfaces = PressSurfaces("each", presses.profile, progress=progress)(training, circles)
-    elif options.skirt == "hertz":
-        surfaces = hertz_skirts(training, circles)
-    rest = rest_surface(presses.profile.mesh, training.grid)
+    profile = presses.profile
+    pad, rest = layer_of(profile), rest_surface(profile.mesh, training.grid)
+    surfaces = layer_skirts(training, circles, pad, rest)
     found = fit_normals(
         training,
         circles,
@@ -79,6 +94,9 @@ def calibrate_normals(
         options=settings,
         drift=options.drift,
         circle_source=options.circles,
+        background=profile.background_rgb,
+        pad=pad,
+        colors=ColorModel.from_profile(profile),
         progress=progress,
     )
     remarks = joined(presses.findings, (*presses.remarks, *found.remarks))
@@ -97,6 +115,9 @@ def fit_normals(
     drift: DriftMode = "auto",
     baseline: bool = True,
     circle_source: str = "given",
+    background: np.ndarray | None = None,
+    pad: BondedLayer | None = None,
+    colors: ColorModel | None = None,
     progress: Progress = silent,
 ) -> NormalCalibration:
     """Fit the inverse model to ``captures`` and score it on ``heldout``.
@@ -112,6 +133,9 @@ def fit_normals(
         drift: Whether each frame is brought to the background's light; ``auto`` looks at the noise.
         baseline: Also fit the single-pixel baseline for comparison.
         circle_source: How the circles were chosen, for the record.
+        background: What images will be compared with, RGB levels; that of the captures when None.
+        pad: The gel, for practice on other tools; without it there is none.
+        colors: Colours of the sensor, for the same; fitted to ``captures`` when None.
         progress: Told of the fit's steps.
     """
     if len(circles) != len(captures.presses) or (
@@ -123,7 +147,7 @@ def fit_normals(
         )
     mask = None if captures.mask.all() else captures.mask
     scene = Scene(
-        captures.background.astype(np.float32),
+        (captures.background if background is None else background).astype(np.float32),
         captures.grid,
         captures.ball_radius_mm,
         mask,
@@ -131,7 +155,22 @@ def fit_normals(
     )
     training, choice = _frames(captures, circles, surfaces, scene, drift)
     options = replace(options, light_drift=choice.remove)
-    fit = fit_normal_model(training, scene, options, progress=progress)
+    practice = None
+    if pad is not None and options.practice and surfaces is not None:
+        practice = _practice(training, scene, pad, colors, options.seed, progress)
+    fit = fit_normal_model(
+        training,
+        scene,
+        options,
+        practice=() if practice is None else practice.presses(options.practice, progress),
+        progress=progress,
+    )
+    fit = replace(fit, model=with_cone(fit.model, training, scene))
+    practised = None
+    if practice is not None:
+        balls = left_out_balls(fit, training, scene)
+        model, practised = with_height_errors(fit.model, practice.presses(CHECKED), balls, scene)
+        fit = replace(fit, model=model)
     failures = {} if split is None else dict.fromkeys(split.gone, "it was left out of the captures")
     items: list[HeldoutNormals] = []
     labels = LabelPlacement.of(captures.presses, circles)
@@ -145,7 +184,11 @@ def fit_normals(
         if choice.remove:
             image = _light(image, scene).remove(image).astype(np.float32)
         frame = InverseFrame(press.name, image, circle, press.sha256, None)
-        items.append(score_heldout(fit.model, frame, press.circle, scene))
+        wanted = None
+        if pad is not None:
+            ball_mm = press.radius_mm or captures.ball_radius_mm
+            _, wanted = ball_in_layer(circle, ball_mm, captures.grid, pad)
+        items.append(score_heldout(fit.model, frame, press.circle, scene, wanted))
     baseline_deg = None
     if baseline and items:
         plain = fit_normal_model(training, scene, replace(PIXEL_BASELINE, seed=options.seed))
@@ -159,6 +202,7 @@ def fit_normals(
         split=split,
         baseline_deg=baseline_deg,
         reliability=reliability_of(items) if items else None,
+        practised=practised,
         flat_noise_levels=(choice.captured_levels, choice.corrected_levels),
         train_names=tuple(frame.name for frame in training),
         inputs={"background": captures.background_sha256} | {f.name: f.sha256 for f in training},
@@ -198,19 +242,71 @@ def _frames(
     return frames, choice
 
 
+def _practice(
+    training: Sequence[InverseFrame],
+    scene: Scene,
+    pad: BondedLayer,
+    colors: ColorModel | None,
+    seed: int,
+    progress: Progress,
+) -> Practice:
+    """Presses of other tools in the sensor's pad and colours."""
+    if colors is None:
+        frames = [
+            ColorFrame(frame.name, frame.image, frame.circle, frame.surface, frame.sha256)
+            for frame in training
+            if frame.surface is not None
+        ]
+        settings = ColorFitOptions(seed=seed)
+        colors = fit_color_model(
+            frames, scene.background, scene.grid, settings, mask=scene.mask, progress=progress
+        ).model
+    noise = ImageNoise.of(training, scene, colors)
+    return Practice(scene, pad, colors, noise, np.random.default_rng(seed))
+
+
 def _light(image: np.ndarray, scene: Scene) -> Light:
     """Light of a frame against the background, as the model will bring new ones to it."""
     return fit_light(image, scene.background, scene.mask, gradient=False)
+
+
+def left_out_balls(
+    fit: InverseFit, training: Sequence[InverseFrame], scene: Scene
+) -> Iterator[KnownPress]:
+    """Training presses whose surface is known, each read by the network that did not see it."""
+    members = fit.model.config.members
+    for i, frame in enumerate(training):
+        member = fold_of(i, members, len(training))
+        if member is None or frame.surface is None:
+            continue
+        config = replace(fit.model.config, members=1)
+        weights = {name: w[member : member + 1] for name, w in fit.model.weights.items()}
+        inside = frame.circle.distance_px(scene.grid) <= frame.circle.radius_px
+        yield KnownPress(
+            image=frame.image,
+            rise_m=1e-3 * frame.surface.displacement_mm(),
+            compared=inside,
+            reader=NormalModel(config, weights),
+        )
+
+
+def with_cone(model: NormalModel, frames: Sequence[InverseFrame], scene: Scene) -> NormalModel:
+    """The model told how steep the training balls were."""
+    config = replace(model.config, cone_deg=_steepest_deg(frames, scene))
+    return NormalModel(config, model.weights)
+
+
+def _steepest_deg(frames: Sequence[InverseFrame], scene: Scene) -> float:
+    rim_mm = max(frame.circle.radius_px for frame in frames) * scene.grid.mm_per_px_x
+    return float(np.degrees(np.arcsin(min(1.0, rim_mm / scene.ball_radius_mm))))
 
 
 def _valid_region(frames: Sequence[InverseFrame], scene: Scene) -> dict[str, tuple[float, float]]:
     """Where the training presses lie, and how steep they are."""
     u = [frame.circle.u_px for frame in frames]
     v = [frame.circle.v_px for frame in frames]
-    rim_mm = max(frame.circle.radius_px for frame in frames) * scene.grid.mm_per_px_x
-    steepest = np.degrees(np.arcsin(min(1.0, rim_mm / scene.ball_radius_mm)))
     return {
         "contact_u_px": (min(u), max(u)),
         "contact_v_px": (min(v), max(v)),
-        "surface_tilt_deg": (0.0, float(steepest)),
+        "surface_tilt_deg": (0.0, _steepest_deg(frames, scene)),
     }

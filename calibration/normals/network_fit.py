@@ -5,14 +5,18 @@ Member k of K does not see every K-th press, starting from k. Those presses stop
 large its errors really are (the members' own expectation is scaled to them), and give a figure for
 every press by a network that never saw it, at the price of a single fit.
 
-The loss is the length of the difference of two unit normals, which is the angle between them in
-radians nearly up to its sign: least absolute errors, so that wrong labels pull weakly.
+The loss is the likelihood of normal errors of the slope, with a standard deviation that the network
+gives itself (M. Seitzer et al., On the pitfalls of heteroscedastic uncertainty estimation, ICLR
+2022: weighted by its square root). Heights are sums of slopes, so that it is the mean slope of all
+that looks alike which has to be right: least absolute errors of the angle give the median, which
+reads blurred walls too flat.
 """
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,6 +24,7 @@ import torch
 
 from taccel_lab.calibration.normals.cross_conformal import radius_factor
 from taccel_lab.calibration.normals.options import NormalTraining
+from taccel_lab.calibration.normals.practice import PracticePress, practice_samples
 from taccel_lab.calibration.normals.samples import (
     InverseFrame,
     SampleOptions,
@@ -54,12 +59,13 @@ CHECK_EVERY = 100
 """Steps between looks at the presses that are left out of a member."""
 CHECK_PIXELS = 1500
 """Pixels of each left-out press that decide when to stop."""
-SMOOTH_RAD = 0.01
-"""Below this error the loss is quadratic."""
+STEEPEST_SLOPE = 6.0
+"""Slopes are cut here, at 80 degrees: beyond, a step of the network's output has no bound."""
+BETA = 0.5
+"""How far large expected errors keep their weight in the loss; 0 is the likelihood itself, which
+gives up on what is hard, 1 least squares, which lets the hardest pixels rule."""
 WARM_UP = 0.15
 """Share of the steps in which the learning rate rises."""
-ERROR_SHARE = 0.05
-"""Share of the expected error's own loss in the whole."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +78,14 @@ class InverseFitOptions(NormalTraining):
     slopes: bool = True
     """Whether the variation of the change across the two wider windows is a feature."""
     members: int = 4
-    hidden: tuple[int, ...] = (32, 32, 32)
+    hidden: tuple[int, ...] = (64, 64, 64)
     batch_pixels: int = 1024
     """Pixels a member sees in a step."""
     learning_rate: float = 6e-3
+    practice_pixels: int = 4000
+    """Pixels drawn of each practice press."""
+    practice_share: float = 0.6
+    """Share of practice in each batch."""
     light_drift: bool = False
     """Whether the frames were brought to the background's light; the model then asks for it too."""
 
@@ -104,14 +114,15 @@ class InverseFit:
     seconds: float
 
 
-def default_scales_px(frames: Sequence[InverseFrame]) -> tuple[float, float, float]:
-    """Windows of a fortieth, a fifteenth and a sixth of the mean contact radius [px].
+def default_scales_px(frames: Sequence[InverseFrame]) -> tuple[float, ...]:
+    """The pixel itself, and windows of a fortieth to a fifth of the mean contact radius [px].
 
-    The smallest only averages noise; the widest is well inside a contact, so that a window at the
-    rim does not average over the whole of it.
+    Edges need the smallest; the widest is well inside a contact, so that a window at the rim does
+    not average over the whole of it.
     """
     radius = float(np.mean([frame.circle.radius_px for frame in frames]))
-    return tuple(round(max(0.7, radius / part), 2) for part in (40.0, 15.0, 6.0))  # type: ignore[return-value]
+    windows = (round(max(0.7, radius / part), 2) for part in (40.0, 20.0, 10.0, 5.0))
+    return (0.0, *sorted(set(windows)))
 
 
 def fold_of(index: int, members: int, frame_count: int) -> int | None:
@@ -124,14 +135,18 @@ def fit_normal_model(
     scene: Scene,
     options: InverseFitOptions = InverseFitOptions(),
     *,
+    practice: Iterable[PracticePress] = (),
     progress: Progress = silent,
 ) -> InverseFit:
-    """Fit the ensemble to ``frames``. Deterministic for a seed on one thread."""
+    """Fit the ensemble to ``frames``, and to presses of other tools where there are any.
+
+    Deterministic for a seed on one thread.
+    """
     started = time.perf_counter()
     if not frames:
         raise InputError("the fit of the inverse model needs at least one press")
     with one_thread():
-        state = _train(frames, scene, options, progress)
+        state = _train(frames, scene, options, practice, progress)
         model, left_out = state.finish([frame.name for frame in frames])
     return InverseFit(
         model=model,
@@ -147,6 +162,7 @@ def _train(
     frames: Sequence[InverseFrame],
     scene: Scene,
     options: InverseFitOptions,
+    practice: Iterable[PracticePress],
     progress: Progress,
 ) -> _Training:
     scales = options.scales_px or default_scales_px(frames)
@@ -162,7 +178,10 @@ def _train(
     )
     rng = np.random.default_rng(options.seed)
     samples = [draw_samples(frame, scene, config, options.samples, rng) for frame in frames]
-    everything = join(samples)
+    practised = [
+        practice_samples(press, scene, config, options.practice_pixels, rng) for press in practice
+    ]
+    everything = join([*samples, *practised])
     config = replace(
         config,
         input_mean=tuple(float(x) for x in everything.features.mean(axis=0)),
@@ -171,7 +190,7 @@ def _train(
         ),
     )
     checks = [_check_samples(frame, scene, config, options, rng) for frame in frames]
-    state = _Training(config, samples, checks, options)
+    state = _Training(config, samples, checks, options, practised)
     state.run(progress)
     return state
 
@@ -196,9 +215,11 @@ class _Training:
         samples: Sequence[Samples],
         checks: Sequence[Samples],
         options: InverseFitOptions,
+        practice: Sequence[Samples] = (),
     ) -> None:
         self.config, self.options = config, options
-        whole = join(samples)
+        whole = join([*samples, *practice])
+        self.practised = sum(len(part.features) for part in practice)
         self.inputs = torch.from_numpy(config.normalise(whole.features))
         self.still = torch.from_numpy(config.normalise(config.at_rest(whole.features)))
         self.normals = torch.from_numpy(whole.normals)
@@ -228,10 +249,9 @@ class _Training:
             nonlocal chord
             batch = torch.stack([self._draw(pool) for pool in self.pools])
             tilt, error = tilt_and_error(self.layers, self.inputs[batch], self.still[batch])
-            chord = chord_of(tilt, self.normals[batch])
-            angle = (chord.square() + SMOOTH_RAD**2).sqrt() - SMOOTH_RAD
-            expected = error.log() + (chord.detach() + SMOOTH_RAD) / error
-            return angle.mean() + ERROR_SHARE * expected.mean()
+            wanted = self.normals[batch]
+            chord = chord_of(tilt, wanted)
+            return slope_loss(tilt, error, wanted)
 
         def after_step(step: int, _: torch.Tensor) -> None:
             if step % CHECK_EVERY == 0 or step == options.steps:
@@ -247,7 +267,12 @@ class _Training:
     def _draw(self, pool: torch.Tensor) -> torch.Tensor:
         """Indices of a member's next pixels."""
         count = self.options.batch_pixels
-        return pool[torch.randint(len(pool), (count,), generator=self.generator)]
+        practised = round(self.options.practice_share * count) if self.practised else 0
+        drawn = pool[torch.randint(len(pool), (count - practised,), generator=self.generator)]
+        if not practised:
+            return drawn
+        more = torch.randint(self.practised, (practised,), generator=self.generator)
+        return torch.cat([drawn, len(self.normals) - 1 - more])
 
     def _keep_best(self, step: int) -> float:
         """Keep the weights of each member that does better than ever on what it leaves out; the
@@ -324,6 +349,22 @@ def _error_factor(seen: np.ndarray, expected: np.ndarray, spread2: np.ndarray) -
     wanted = seen.mean() ** 2 - spread2.mean()
     wanted = max(wanted - spread2.mean(), (0.5 * seen.mean()) ** 2)
     return float(np.sqrt(wanted) / expected.mean())
+
+
+def lean_of_tilt(tilt: torch.Tensor) -> torch.Tensor:
+    """How far a normal leans for its height, minus the slope, of a tilt [rad]; same shape."""
+    angle = (tilt.square().sum(dim=-1, keepdim=True) + 1e-16).sqrt()
+    return tilt / angle * angle.clamp_max(math.atan(STEEPEST_SLOPE)).tan()
+
+
+def slope_loss(tilt: torch.Tensor, error: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
+    """Loss of tilts [..., 2] and expected errors [...] [rad] against true normals [..., 3]."""
+    lean = lean_of_tilt(tilt)
+    upright = normals[..., 2:].clamp_min(1.0 / math.hypot(1.0, STEEPEST_SLOPE))
+    away2 = (lean - normals[..., :2] / upright).square().sum(dim=-1)
+    # An angle's error grows with 1 + slope^2 where it becomes one of the slope.
+    sigma2 = (error / RAYLEIGH_MEAN * (1.0 + lean.detach().square().sum(dim=-1))).square()
+    return (sigma2.detach() ** BETA * (0.5 * away2 / sigma2 + sigma2.log())).mean()
 
 
 def chord_of(tilt: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.press_options import BallPressOptions
@@ -17,7 +16,10 @@ class NormalTraining:
     position_bands: int = 0
     """Bands of the positional encoding among the features: sines and cosines of the pixel's place.
     0 to 8; 0 gives the networks the place alone."""
-    steps: int = 1000
+    practice: int = 160
+    """Simulated presses of other tools that the networks practise on besides the captured balls; 0
+    leaves them out, and edges and walls are then read much too flat."""
+    steps: int = 3000
     """Optimiser steps; each network keeps its best ones."""
     seed: int = 0
     """Seed of the pixel draw, the initial weights and the batches."""
@@ -27,9 +29,6 @@ class NormalTraining:
 class NormalOptions(NormalTraining, BallPressOptions):
     """Settings of ``calibrate_normals``."""
 
-    skirt: Literal["hertz", "simulated", "none"] = "hertz"
-    """Normals of the gel that sinks around a contact: a closed form; the simulation of every press
-    (minutes), which absolute depths need most; or none, which leaves those pixels out."""
     drift: DriftMode = "auto"
     """Bring the light of each frame to the background's first; auto does it where that takes away
     at least a quarter of the difference between untouched gel and background."""

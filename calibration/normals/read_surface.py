@@ -19,17 +19,16 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.depth_response import DepthResponse
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_height
+from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
-from taccel_lab.signals.slope_integration import height_from_slopes
 
 Method = Literal["auto", "normals", "depth"]
-FLAT_SIGMAS = 2.0
-"""Tilts below this many standard deviations count as at rest."""
-FLAT_DEG = 3.0
-"""Tilts below this angle do anyway."""
+STEEP_SHARE = 0.02
+"""Share of pixels that the calibration says nothing of, from which on a user is told."""
 CONTACT_MM = 0.05
 CONTACT_SHARE = 0.1
-"""Pixels pressed deeper than both this and this share of the deepest one count as touched."""
+"""Pixels pressed deeper than this, than this share of the deepest one and than the height is
+uncertain count as touched."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +39,18 @@ class SurfaceReading:
     """z of the contact face [m], gel frame, shape [height_px, width_px]."""
     rise_m: np.ndarray
     """Its rise over the resting face [m], negative in a dent."""
+    height_sigma_m: np.ndarray | None
+    """Standard deviation of both heights [m]; 95 % of heights lie within twice it. None of a grey
+    sensor, and of models that were fitted without practice presses."""
     normals: np.ndarray
     """Outward unit normals, shape [height_px, width_px, 3]."""
     sigma_deg: np.ndarray | None
     """Standard deviation of each component of the tilt [degrees]; None of a grey sensor."""
     radius95_deg: np.ndarray | None
     """Angle within which 95 % of the true normals lie [degrees]; None of a grey sensor."""
+    beyond_balls: np.ndarray | None
+    """Pixels that read steeper than any captured ball was, bool: their slopes are what the colour
+    model makes of colours that nobody captured. None of a grey sensor."""
     saturated: np.ndarray | None
     """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
     method: Literal["normals", "depth"]
@@ -58,27 +63,52 @@ class SurfaceReading:
         row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
         least_mm = max(CONTACT_MM, CONTACT_SHARE * float(depth_mm[row, column]))
         touched = depth_mm > least_mm
+        if self.height_sigma_m is not None:
+            touched &= depth_mm > 1e3 * BAND_SIGMAS * self.height_sigma_m
         pixel_mm2 = grid.mm_per_px_x * grid.mm_per_px_y
         at_mm = grid.gel_from_pixel(np.array([column, row], dtype=float))
         found: dict[str, Any] = {
             "method": self.method,
             "light_drift_removed": self.drift_removed,
             "max_depth_mm": float(depth_mm[row, column]),
+            "max_depth_sigma_mm": None
+            if self.height_sigma_m is None
+            else float(1e3 * self.height_sigma_m[row, column]),
             "deepest_px": [int(column), int(row)],
             "deepest_gel_mm": [float(at_mm[0]), float(at_mm[1])],
             "touched_mm2": float(touched.sum() * pixel_mm2),
             "touched_deeper_than_mm": least_mm,
             "volume_mm3": float(depth_mm[touched].sum() * pixel_mm2),
         }
+        inside = touched if touched.any() else np.ones_like(touched)
         if self.sigma_deg is not None:
-            inside = touched if touched.any() else np.ones_like(touched)
             found["sigma_deg"] = float(self.sigma_deg[inside].mean())
         if self.radius95_deg is not None:
-            inside = touched if touched.any() else np.ones_like(touched)
             found["radius95_deg"] = float(self.radius95_deg[inside].mean())
+        if self.height_sigma_m is not None:
+            found["depth_sigma_mm"] = float(1e3 * self.height_sigma_m[inside].mean())
+        if self.beyond_balls is not None:
+            found["beyond_balls_share"] = float(self.beyond_balls[inside].mean())
         if self.saturated is not None:
             found["saturated_share"] = float(self.saturated.mean())
+        found["warnings"] = self._warnings(found)
         return found
+
+    def _warnings(self, figures: dict[str, Any]) -> list[str]:
+        """What a user should know before trusting the heights, one sentence each."""
+        said = []
+        steep = figures.get("beyond_balls_share", 0.0)
+        if steep > STEEP_SHARE:
+            said.append(
+                f"{steep:.0%} of what is touched is steeper than any ball that was captured; its "
+                "slopes are a guess from the colour model (beyond_balls marks them)"
+            )
+        if figures.get("saturated_share", 0.0) > STEEP_SHARE:
+            said.append(
+                f"{figures['saturated_share']:.0%} of the image is darker than any press that was "
+                "captured; it is at least as deep as it reads"
+            )
+        return said
 
 
 class SurfaceReader:
@@ -164,9 +194,11 @@ class SurfaceReader:
         return SurfaceReading(
             height_m=height,
             rise_m=found.height_m,
+            height_sigma_m=None,
             normals=normals_from_height(height, self.profile.grid()),
             sigma_deg=None,
             radius95_deg=None,
+            beyond_balls=None,
             saturated=found.saturated,
             method="depth",
             drift_removed=self.drift,
@@ -174,37 +206,25 @@ class SurfaceReader:
 
     def _by_normals(self, levels: np.ndarray) -> SurfaceReading:
         assert self.normal_model is not None
-        found = self.normal_model.predict(
+        found = read_heights(
+            self.normal_model,
             levels,
             self.background,
+            self.profile.grid(),
             mask=self.mask,
             rest_normals=None if self.rest.is_flat else self.rest.normals,
         )
-        rest_slope = -self.rest.normals[..., :2] / self.rest.normals[..., 2:]
-        rise = height_from_slopes(
-            found.slopes() - rest_slope,
-            self.profile.grid(),
-            weights=None if self.mask is None else self.mask.astype(float),
-            zero=self._at_rest(found.tilt_rad, found.sigma_deg),
-        )
+        read = found.normals
+        tilt_deg = np.degrees(np.linalg.norm(read.tilt_rad, axis=-1))
         return SurfaceReading(
-            height_m=self.rest.height_m + rise,
-            rise_m=rise,
-            normals=found.normals,
-            sigma_deg=found.sigma_deg,
-            radius95_deg=found.radius95_deg,
+            height_m=self.rest.height_m + found.rise_m,
+            rise_m=found.rise_m,
+            height_sigma_m=found.sigma_m,
+            normals=read.normals,
+            sigma_deg=read.sigma_deg,
+            radius95_deg=read.radius95_deg,
+            beyond_balls=tilt_deg > self.normal_model.config.cone_deg,
             saturated=None,
             method="normals",
             drift_removed=self.drift,
         )
-
-    def _at_rest(self, tilt_rad: np.ndarray, sigma_deg: np.ndarray) -> np.ndarray | None:
-        """Border pixels that are flat; None (the whole border) where next to none are."""
-        tilt_deg = np.degrees(np.linalg.norm(tilt_rad, axis=-1))
-        flat = tilt_deg < np.maximum(FLAT_DEG, FLAT_SIGMAS * sigma_deg)
-        rows, columns = tilt_deg.shape
-        depth = max(2, min(rows, columns) // 20)
-        flat[depth:-depth, depth:-depth] = False
-        if self.mask is not None:
-            flat &= self.mask
-        return flat if flat.sum() > 0.2 * (rows + columns) else None

@@ -22,11 +22,21 @@ from taccel_lab.report.style import (
     new_figure,
     save_figure,
 )
+from taccel_lab.signals.read_heights import BAND_SIGMAS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ARRAYS = ("height_m", "rise_m", "normals", "sigma_deg", "radius95_deg", "saturated")
+ARRAYS = (
+    "height_m",
+    "rise_m",
+    "height_sigma_m",
+    "normals",
+    "sigma_deg",
+    "radius95_deg",
+    "beyond_balls",
+    "saturated",
+)
 """Of a reading, as they are stored; those that its method does not give are left out."""
 
 
@@ -83,8 +93,16 @@ def draw_reading(image: np.ndarray, found: SurfaceReading, grid: PixelGrid, titl
     x = np.arange(grid.width_px) * grid.mm_per_px_x
     y = np.arange(grid.height_px) * grid.mm_per_px_y
     axes[2].axhline(0, color=LIGHT, lw=0.8)
-    axes[2].plot(x - x[column], depth_mm[row], color=BLUE, label="along x")
-    axes[2].plot(y - y[row], depth_mm[:, column], color=ORANGE, label="along y")
+    sections = (
+        ("along x", BLUE, x - x[column], np.s_[row, :]),
+        ("along y", ORANGE, y - y[row], np.s_[:, column]),
+    )
+    for label, color, away, section in sections:
+        axes[2].plot(away, depth_mm[section], color=color, label=label)
+        if found.height_sigma_m is not None:
+            depth = depth_mm[section]
+            band = BAND_SIGMAS * 1e3 * found.height_sigma_m[section]
+            axes[2].fill_between(away, depth - band, depth + band, color=color, alpha=0.2, lw=0)
     axes[2].invert_yaxis()
     axes[2].set_xlabel("from the deepest point [mm]")
     axes[2].set_ylabel("depth [mm]")

@@ -11,6 +11,7 @@ import numpy as np
 from taccel_lab.calibration.ball_presses import with_captured_background
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.split import PressSplit
+from taccel_lab.calibration.normals.height_error import PracticeScore
 from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.samples import Scene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
@@ -33,6 +34,8 @@ class NormalCalibration:
     baseline_deg: float | None
     """Mean held-out error of the single-pixel baseline in the circles as used [degrees]."""
     reliability: Reliability | None
+    practised: PracticeScore | None
+    """Heights of practice presses that the networks never saw; None without practice."""
     flat_noise_levels: tuple[float, float]
     """Mean difference of frames to the background where the gel is at rest, as captured and with
     the light's drift taken off [levels]."""
@@ -53,15 +56,29 @@ class NormalCalibration:
         scores = [getattr(item, circles) for item in self.heldout]
         return mean_figures(scores + [flat_guess(scores)] * len(self.failures))
 
+    def absolute_means(self) -> dict[str, float] | None:
+        """Mean absolute depth figures of the held-out presses that were read; None without a pad or
+        such presses."""
+        depths = [asdict(item.depth) for item in self.heldout if item.depth is not None]
+        if not depths:
+            return None
+        return {key: float(np.mean([depth[key] for depth in depths])) for key in depths[0]}
+
     def figures(self) -> dict[str, Any]:
         """Means over the held-out presses and the table of presses, worst first."""
         rows = [
-            {"name": item.name, "given": asdict(item.given), "used": asdict(item.used)}
+            {
+                "name": item.name,
+                "depth": None if item.depth is None else asdict(item.depth),
+                "given": asdict(item.given),
+                "used": asdict(item.used),
+            }
             for item in sorted(self.heldout, key=lambda item: -item.used.mean_deg)
         ]
         held: dict[str, Any] | None = None
         if self.heldout:
             held = {
+                "absolute_depth": self.absolute_means(),
                 "in_given_circles": self.heldout_means("given"),
                 "in_used_circles": self.heldout_means("used"),
             }
@@ -73,6 +90,7 @@ class NormalCalibration:
             "failures": self.failures,
             "pixel_baseline_deg": self.baseline_deg,
             "reliability": None if self.reliability is None else asdict(self.reliability),
+            "practice": None if self.practised is None else asdict(self.practised),
             "presses": rows,
             "left_out_deg": self.fit.left_out_deg,
             "flat_noise_levels": self.flat_noise_levels,
@@ -107,11 +125,16 @@ class NormalCalibration:
         if self.heldout:
             for key, value in self.heldout_means("used").items():
                 residuals[f"heldout_{key}"] = value
+            absolute = self.absolute_means()
+            if absolute is not None:
+                residuals["heldout_absolute_depth_mae_mm"] = absolute["mae_mm"]
             residuals["heldout_in_given_circles_deg"] = self.heldout_means("given")["mean_deg"]
             residuals["heldout_failures"] = float(len(self.failures))
             spread["heldout_angle_deg"] = float(np.std([i.used.mean_deg for i in self.heldout]))
         if not residuals:
             residuals["train_angle_deg"] = self.fit.curve[-1][1]
+        if self.practised is not None:
+            residuals["practice_depth_rmse_mm"] = self.practised.rmse_mm
         if self.reliability is not None:
             residuals["observed_over_expected"] = self.reliability.ratio()
         config, options = self.fit.model.config, self.fit.options
@@ -122,7 +145,8 @@ class NormalCalibration:
                 f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position"
                 + f" in {config.position_bands} bands"
                 * (config.position_bands > 0)
-                + f"; {options.steps} Adam steps, stopped on left-out presses; circles: "
+                + f"; {options.steps} Adam steps, stopped on left-out presses; practice on "
+                f"{options.practice if self.practised else 0} other presses; circles: "
                 f"{self.circles}; skirt: {self.surfaces}; light drift "
                 + ("taken off" if config.light_drift else "left in")
             ),

@@ -12,7 +12,7 @@ from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.normals.ball_normals import ball_normals
 from taccel_lab.calibration.normals.samples import InverseFrame, Scene, usable_pixels
 from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
-from taccel_lab.signals.slope_integration import height_from_slopes
+from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
 
 RIM_BAND = 0.04
 """Depths are aligned on the circle: over the pixels within this share of the radius of it."""
@@ -38,6 +38,24 @@ class AngleScore:
 
 
 @dataclass(frozen=True)
+class AbsoluteDepth:
+    """Depths inside the circle as they are read, aligned on nothing.
+
+    What they should be is the ball's press in the sensor's pad until it touches in the circle: of
+    the thickness that the profile states.
+    """
+
+    mae_mm: float
+    """Mean absolute error."""
+    deepest_mm: float
+    """Deepest point, as read less as it should be."""
+    wanted_mm: float
+    """Deepest point as it should be."""
+    within_95: float
+    """Share of pixels whose band of 95 % holds what should be; NaN where there is no band."""
+
+
+@dataclass(frozen=True)
 class HeldoutNormals:
     """A press that the fit never saw."""
 
@@ -46,6 +64,8 @@ class HeldoutNormals:
     predicted: NormalMap
     height_m: np.ndarray
     """Integrated, zero where the gel is at rest, shape [height_px, width_px]."""
+    depth: AbsoluteDepth | None
+    """Against the same press of the ball in the sensor's pad; None without a pad."""
     error_deg: np.ndarray
     """Angle to the ball's normal in the circle that was trained with, NaN outside, [h, w]."""
     given: AngleScore
@@ -79,30 +99,44 @@ def angle_between_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.degrees(2 * np.arcsin(np.clip(half_chord, 0.0, 1.0)))
 
 
-def rest_slopes(scene: Scene) -> np.ndarray:
-    """dh/dx and dh/dy at rest, shape [height_px, width_px, 2] (or [2] for a flat face)."""
-    if scene.rest_normals is None:
-        return np.zeros(2)
-    return -scene.rest_normals[..., :2] / scene.rest_normals[..., 2:]
-
-
 def score_heldout(
-    model: NormalModel, frame: InverseFrame, given: ContactCircle | None, scene: Scene
+    model: NormalModel,
+    frame: InverseFrame,
+    given: ContactCircle | None,
+    scene: Scene,
+    wanted_rise_mm: np.ndarray | None = None,
 ) -> HeldoutNormals:
-    """Predict one press and compare it with its ball."""
-    predicted = model.predict(
-        frame.image, scene.background, mask=scene.mask, rest_normals=scene.rest_normals
-    )
-    # The change of height from rest is integrated: on a curved gel the rest is known already.
-    height = height_from_slopes(predicted.slopes() - rest_slopes(scene), scene.grid)
+    """Read one press as ``depth`` does and compare it with its ball.
+
+    ``wanted_rise_mm`` is the rise of the face under the press [mm], shape [height_px, width_px].
+    """
+    found = read_heights(
+        model, frame.image, scene.background, scene.grid, mask=scene.mask,
+        rest_normals=scene.rest_normals,
+    )  # fmt: skip
+    predicted, height = found.normals, found.rise_m
     inside = inside_of(frame.circle, scene)
     truth = ball_normals(frame.circle, scene.grid, scene.ball_radius_mm, scene.rest_normals)
     error = np.where(inside, angle_between_deg(predicted.normals, truth), np.nan)
+    depth = None
+    if wanted_rise_mm is not None:
+        off_mm = np.abs(1e3 * height - wanted_rise_mm)[inside]
+        deepest = float(wanted_rise_mm[inside].min())
+        band = found.sigma_m
+        depth = AbsoluteDepth(
+            mae_mm=float(off_mm.mean()),
+            deepest_mm=deepest - float(1e3 * height[inside].min()),
+            wanted_mm=-deepest,
+            within_95=float("nan")
+            if band is None
+            else float((off_mm <= BAND_SIGMAS * 1e3 * band[inside]).mean()),
+        )
     return HeldoutNormals(
         name=frame.name,
         frame=frame,
         predicted=predicted,
         height_m=height,
+        depth=depth,
         error_deg=error,
         given=score_circle(predicted, height, given or frame.circle, scene),
         used=score_circle(predicted, height, frame.circle, scene),

@@ -1,32 +1,118 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed-form skirts around contacts, for fits that do without a simulation.
-
-The half-space's sinking (``taccel_lab.calibration.surfaces.analytic``) reaches much too far on a
-gel that is bonded to a plate. Damped over half the contact's radius it comes near the simulated
-surfaces of three sensors with gels of 4 mm and contacts of 1.6 to 2.1 mm: 1 to 5 degrees off
-between 1.05 and 2 radii, where undamped it is 2 to 15.
-"""
+"""How the gel sinks around the balls of the captures, without a finite-element simulation."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.surfaces.bonded_layer import (
+    FAR_MM,
+    BondedLayer,
+    LayerPress,
+    press_layer,
+)
+from taccel_lab.calibration.surfaces.radial import normals_of, slope_of
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import SensorProfile
+from taccel_lab.signals.rest_surface import RestSurface
 
-DECAY_RADII = 0.5
 LARGEST_RADII = 0.985
 """Contacts up to the ball's equator are taken this much smaller: its slope has no bound there."""
+RADIUS_TOLERANCE = 0.005
+"""Share of the radius."""
+MAX_TRIES = 12
+POINTS_PER_RADIUS = 16
+"""Of the grid that a contact is solved on: its radius is then known to a few per cent."""
 
 
-def hertz_skirts(captures: CaptureSet, circles: Sequence[ContactCircle]) -> list[PressSurface]:
-    """Damped Hertz surfaces of all presses, in order."""
-    grid, ball_mm = captures.grid, captures.ball_radius_mm
-    surfaces = []
-    for circle in circles:
-        most_px = LARGEST_RADII * ball_mm / grid.mm_per_px_x
-        contact = replace(circle, radius_px=min(circle.radius_px, most_px))
-        decay_mm = DECAY_RADII * contact.radius_px * grid.mm_per_px_x
-        surfaces.append(analytic_surface(contact, grid, ball_mm, decay_mm=decay_mm))
-    return surfaces
+def layer_of(profile: SensorProfile) -> BondedLayer:
+    """The pad of a profile as a bonded layer."""
+    nearly = min(profile.material.poisson_ratio, 0.4999)
+    return BondedLayer(profile.gel.thickness_mm, nearly)
+
+
+def layer_skirts(
+    captures: CaptureSet, circles: Sequence[ContactCircle], layer: BondedLayer, rest: RestSurface
+) -> list[PressSurface]:
+    """Surfaces of all presses on a pad, in order: the ball's shape in the contact, and what a
+    bonded layer does around it."""
+    return [
+        _surface(circle, press.radius_mm or captures.ball_radius_mm, captures.grid, layer, rest)
+        for press, circle in zip(captures.presses, circles, strict=True)
+    ]
+
+
+def _surface(
+    circle: ContactCircle, ball_mm: float, grid: PixelGrid, layer: BondedLayer, rest: RestSurface
+) -> PressSurface:
+    depth_mm, rise_mm = ball_in_layer(circle, ball_mm, grid, layer)
+    slope = np.stack(
+        [
+            np.gradient(rise_mm, pitch, axis=axis)
+            for axis, pitch in ((1, grid.mm_per_px_x), (0, grid.mm_per_px_y))
+        ],
+        axis=-1,
+    )
+    return PressSurface(
+        height_m=rest.height_m + 1e-3 * rise_mm,
+        rest_height_m=rest.height_m,
+        normals=normals_of(slope + slope_of(rest.normals)),
+        rest_normals=rest.normals,
+        contact_radius_px=circle.radius_px,
+        depth_mm=depth_mm,
+        force_n=float("nan"),
+        residual_n=float("nan"),
+        provider=f"bonded layer of {layer.thickness_mm:g} mm, nu {layer.poisson_ratio:g}",
+    )
+
+
+def ball_in_layer(
+    circle: ContactCircle, ball_mm: float, grid: PixelGrid, layer: BondedLayer
+) -> tuple[float, np.ndarray]:
+    """Depth [mm] at which a ball touches a layer in ``circle``, and the rise of the face then [mm],
+    shape [height_px, width_px]."""
+    wanted_mm = min(circle.radius_px * grid.mm_per_px_x, LARGEST_RADII * ball_mm)
+    # Beyond the image too, so that a contact at its edge is whole.
+    step = wanted_mm / POINTS_PER_RADIUS
+    columns, rows = (
+        np.arange(-1.5 * wanted_mm, count * pitch + 1.5 * wanted_mm, step) / pitch
+        for count, pitch in (
+            (grid.width_px, grid.mm_per_px_x),
+            (grid.height_px, grid.mm_per_px_y),
+        )
+    )
+    x = (columns - circle.u_px) * grid.mm_per_px_x
+    y = (rows - circle.v_px) * grid.mm_per_px_y
+    away2 = x[None, :] ** 2 + y[:, None] ** 2
+    cap = ball_mm - np.sqrt(np.maximum(ball_mm**2 - away2, 0.0))
+    tool = np.where(away2 < ball_mm**2, cap, FAR_MM)
+    depth_mm, found = _pressed_to(wanted_mm, tool, (step, step), ball_mm, layer)
+    spline = RectBivariateSpline(rows, columns, found.rise_mm)
+    return depth_mm, np.asarray(spline(np.arange(grid.height_px), np.arange(grid.width_px)))
+
+
+def _pressed_to(
+    wanted_mm: float,
+    tool_mm: np.ndarray,
+    step_mm: tuple[float, float],
+    ball_mm: float,
+    layer: BondedLayer,
+) -> tuple[float, LayerPress]:
+    """Depth at which the contact has the wanted radius, and the layer then.
+
+    The contact's area grows nearly in proportion to the depth, so that is the step.
+    """
+    depth = min(wanted_mm**2 / ball_mm, 0.5 * layer.thickness_mm)
+    for _ in range(MAX_TRIES):
+        found = press_layer(tool_mm, depth, step_mm, layer)
+        area = float(found.contact.sum()) * step_mm[0] * step_mm[1]
+        radius = np.sqrt(max(area, step_mm[0] * step_mm[1]) / np.pi)
+        if abs(radius - wanted_mm) < RADIUS_TOLERANCE * wanted_mm:
+            break
+        depth = min(depth * (wanted_mm / radius) ** 2, 0.95 * layer.thickness_mm)
+    return depth, found

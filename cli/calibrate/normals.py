@@ -63,10 +63,25 @@ def _print_summary(result: NormalCalibration, console: Console) -> None:
         f"{result.baseline_deg or float('nan'):.2f})",
         highlight=False,
     )
+    absolute = result.absolute_means()
+    if absolute is not None:
+        console.print(
+            f"  depth off by {absolute['mae_mm']:.3f} mm of {absolute['wanted_mm']:.2f} mm, "
+            f"against the ball pressed into the pad; {absolute['within_95']:.0%} within the 95 % "
+            "band",
+            highlight=False,
+        )
     console.print(
-        f"  depth off by {used['depth_mae_mm']:.3f} mm of {used['depth_mm']:.2f} mm",
+        f"  aligned on the circle, depth off by {used['depth_mae_mm']:.3f} mm of "
+        f"{used['depth_mm']:.2f} mm",
         highlight=False,
     )
+    if result.practised is not None:
+        console.print(
+            f"  depth off by {result.practised.rmse_mm:.3f} mm rms on "
+            f"{result.practised.count} simulated presses of other tools",
+            highlight=False,
+        )
     if result.reliability is not None:
         console.print(
             f"  {result.reliability.within_68:.0%} of errors within the 68 % radius, "

@@ -53,11 +53,23 @@ def _add_fitted_with(document: Document) -> Document:
     return {**document, "schema_version": 5}
 
 
+def _add_height_errors(document: Document) -> Document:
+    """Version 6 has networks of normals say how uncertain heights are, and how steep the balls
+    were; those of version 5 do not know."""
+    document = {**document, "schema_version": 6}
+    block = document.get("normals")
+    if isinstance(block, dict) and isinstance(block.get("architecture"), dict):
+        unknown = {"cone_deg": 90.0, "error_length_px": 0.0, "height_factor": 0.0}
+        document["normals"] = {**block, "architecture": {**block["architecture"], **unknown}}
+    return document
+
+
 STEPS: Mapping[int, Step] = {
     1: _add_optics_and_layers,
     2: _add_responses,
     3: _add_position_bands,
     4: _add_fitted_with,
+    5: _add_height_errors,
 }
 
 

@@ -81,6 +81,14 @@ class NormalModelConfig:
     have longer tails than normal ones."""
     position_bands: int = 0
     """Bands of the positional encoding among the features; 0 for u and v alone."""
+    cone_deg: float = 90.0
+    """Steepest tilt that a captured ball showed; steeper ones are read by colours that only the
+    colour model's extension beyond them tells."""
+    error_length_px: float = 0.0
+    """Distance over which neighbouring pixels err together (``height_uncertainty``) [px]."""
+    height_factor: float = 0.0
+    """Factor on the standard deviation of heights that such errors make, found on presses of known
+    shape; 0 where nobody looked, and heights then have none."""
 
     def __post_init__(self) -> None:
         if self.width_px < 2 or self.height_px < 2:
@@ -108,6 +116,15 @@ class NormalModelConfig:
                     f"feature, got {list(values)}"
                 )
             object.__setattr__(self, name, tuple(values))
+        if not (0 < self.cone_deg <= 90 and 0 <= self.error_length_px < 1e4):
+            raise InputError(
+                f"normal model cone_deg must lie in 0..90 and error_length_px in 0..10000, got "
+                f"{self.cone_deg:g} and {self.error_length_px:g}"
+            )
+        if not 0 <= self.height_factor < 1e4:
+            raise InputError(
+                f"normal model height_factor must lie in 0..10000, got {self.height_factor:g}"
+            )
         factors = (self.error_factor, self.radius95_sigmas)
         if min(self.input_scale) <= 0 or not all(0 < factor < 1e3 for factor in factors):
             raise InputError(
@@ -152,6 +169,9 @@ class NormalModelConfig:
                 error_factor=float(values["error_factor"]),
                 radius95_sigmas=float(values["radius95_sigmas"]),
                 position_bands=int(values["position_bands"]),
+                cone_deg=float(values["cone_deg"]),
+                error_length_px=float(values["error_length_px"]),
+                height_factor=float(values["height_factor"]),
             )
 
     def image_features(
@@ -203,6 +223,12 @@ class NormalMap:
     the given and the true normal is expected to be 1.25 times this."""
     radius95_deg: np.ndarray
     """Angle within which the true normal lies in 95 % of a press's pixels [degrees], [h, w]."""
+
+    def slope_sigma(self) -> np.ndarray:
+        """Standard deviation of each component of the slope from rest, shape [h, w]: an angle's
+        error grows with 1 + slope^2 where it becomes one of the slope."""
+        tilt = np.minimum(np.linalg.norm(self.tilt_rad, axis=-1), MAX_TILT_RAD)
+        return np.radians(self.sigma_deg) / np.cos(tilt) ** 2
 
     def slopes(self) -> np.ndarray:
         """dh/dx and dh/dy of the surface, shape [height_px, width_px, 2]."""

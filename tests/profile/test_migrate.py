@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile, save_profile, validate_profile
 from taccel_lab.profile.migrate import STEPS, migrate
@@ -133,6 +134,19 @@ def test_version_4_does_not_know_what_its_material_was_fitted_with(tmp_path: Pat
     save_profile(profile, tmp_path / "p")
     assert "fitted_with" not in (tmp_path / "p" / "profile.toml").read_text()
     assert load_profile(tmp_path / "p").material == profile.material
+
+
+def test_version_5_does_not_know_how_uncertain_heights_are() -> None:
+    """The stored folder has networks of normals; its heights have no band."""
+    assert "schema_version = 5\n" in (OLD / "v5" / "profile.toml").read_text()
+    assert validate_profile(OLD / "v5") == []
+    profile = load_profile(OLD / "v5")
+    config = NormalModel.from_profile(profile).config
+    assert (config.height_factor, config.error_length_px, config.cone_deg) == (0.0, 0.0, 90.0)
+    image = np.full((profile.camera.height_px, profile.camera.width_px, 3), 90.0)
+    reading = SurfaceReader(profile).read(image)
+    assert reading.height_sigma_m is None
+    assert reading.figures(profile)["max_depth_sigma_mm"] is None
 
 
 def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:

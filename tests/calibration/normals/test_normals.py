@@ -20,13 +20,17 @@ from taccel_lab.calibration.normals.report import normals_page
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import SampleOptions, Scene
 from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
+from taccel_lab.calibration.normals.skirt import layer_skirts
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.result import Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
+from taccel_lab.calibration.surfaces.radial import normals_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.normal_model import rotate_from_z
+from taccel_lab.signals.rest_surface import flat_rest
 from tests.calibration.drawn.faults import drift as light_drift
 from tests.calibration.synthetic import (
     BALL_RADIUS_MM,
@@ -238,7 +242,9 @@ def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> N
     images = [flat_background() + known_change(s) * stripes[None, :, None] for s in surfaces]
     striped = with_images(captures, lambda _, i: np.clip(images[i], 0, 255))
     results = [
-        calibrated(striped, surfaces, options=replace(QUICK, position_bands=bands), drift="off")
+        calibrated(
+            striped, surfaces, options=replace(QUICK, steps=800, position_bands=bands), drift="off"
+        )
         for bands in (0, 3)
     ]
     off = [np.mean([item.used.mean_deg for item in result.heldout]) for result in results]
@@ -361,3 +367,68 @@ def test_bad_fits_are_refused() -> None:
         fit_normals(nothing, circles_of(nothing), surfaces, options=QUICK, drift="off")
     with pytest.raises(InputError, match="neither a normals nor a depth_response"):
         SurfaceReader(tiny_profile(GRID))
+
+
+PAD = BondedLayer(4.0, 0.48)
+
+
+@pytest.fixture(scope="module")
+def practised() -> NormalCalibration:
+    """Balls whose gel sinks as a bonded layer does, and practice on other tools."""
+    torch.set_num_threads(1)
+    captures, _ = synthetic_captures(16, noise=0.0)
+    circles = circles_of(captures)
+    surfaces = layer_skirts(captures, circles, PAD, flat_rest(GRID))
+    captures = with_images(
+        captures, lambda _, i: np.clip(flat_background() + known_change(surfaces[i]), 0, 255)
+    )
+    options = replace(QUICK, steps=800, practice=24)
+    return calibrated(captures, surfaces, options=options, pad=PAD)
+
+
+def test_edges_and_punches_are_read_by_a_network_that_practised(
+    practised: NormalCalibration, tmp_path: Path
+) -> None:
+    """Absolute depths of tools that no ball resembles, in their band; balls alone read half."""
+    save_profile(practised.apply_to(flat_profile(GRID)), tmp_path / "profile")
+    reader = SurfaceReader(load_profile(tmp_path / "profile"))
+    x, y = np.meshgrid(GRID.x_mm(), GRID.y_mm())
+    wedge = np.where(np.abs(y) < 3, np.abs(x), FAR_MM)
+    box = np.where((np.abs(x) < 1.5) & (np.abs(y) < 1.5), 0.0, FAR_MM)
+    for tool, within_mm in ((wedge, 0.05), (box, 0.1)):
+        rise_mm = press_layer(tool, 0.5, (0.1, 0.1), PAD).rise_mm
+        slope = np.stack(np.gradient(rise_mm, 0.1)[::-1], axis=-1)
+        flat = flat_rest(GRID)
+        surface = PressSurface(
+            1e-3 * rise_mm, flat.height_m, normals_of(slope), flat.normals, 1.0, 0.5, 0, 0, "layer"
+        )
+        found = reader.read(np.clip(flat_background() + known_change(surface), 0, 255))
+        off = np.abs(1e3 * found.rise_m - rise_mm)
+        dent = rise_mm < -0.02
+        assert np.sqrt(np.mean(off[dent] ** 2)) < within_mm
+        assert found.height_sigma_m is not None
+        assert (off <= 2e3 * found.height_sigma_m)[dent].mean() > 0.8
+        # Slopes of 45 degrees and more, where no ball was steeper than 53.
+        assert found.figures(reader.profile)["max_depth_mm"] > 0.3
+
+
+def test_absolute_depths_of_held_out_balls_are_scored(practised: NormalCalibration) -> None:
+    absolute = practised.absolute_means()
+    assert absolute is not None
+    assert absolute["mae_mm"] < 0.04
+    assert 0.6 < absolute["within_95"] <= 1.0
+    figures = practised.figures()
+    assert figures["heldout"]["absolute_depth"] == absolute
+    assert figures["practice"]["count"] > 10
+    assert practised.fit.model.config.height_factor > 0
+    assert 40 < practised.fit.model.config.cone_deg < 60
+
+
+def test_an_untouched_image_is_not_touched(practised: NormalCalibration, tmp_path: Path) -> None:
+    """Drift of the integrated height is no contact."""
+    save_profile(practised.apply_to(flat_profile(GRID)), tmp_path / "profile")
+    reader = SurfaceReader(load_profile(tmp_path / "profile"))
+    rng = np.random.default_rng(0)
+    image = flat_background() + 6.0 * np.linspace(-1, 1, GRID.width_px)[None, :, None]
+    found = reader.read(np.clip(image + rng.normal(0, 1, image.shape), 0, 255))
+    assert found.figures(reader.profile)["touched_mm2"] == 0.0

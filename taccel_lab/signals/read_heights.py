@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Heights from one image by an inverse model: its slopes integrated, and their uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.height_uncertainty import HeightUncertainty
+from taccel_lab.signals.normal_model import NormalMap, NormalModel
+from taccel_lab.signals.slope_integration import height_from_slopes
+
+BAND_SIGMAS = 2.0
+"""Standard deviations within which 95 % of the heights lie."""
+FLAT_SIGMAS = 2.0
+"""Tilts below this many standard deviations count as at rest."""
+FLAT_DEG = 3.0
+"""Tilts below this angle do anyway."""
+
+
+@dataclass(frozen=True)
+class ReadHeights:
+    """What an image shows of the surface."""
+
+    normals: NormalMap
+    rise_m: np.ndarray
+    """Rise over the resting face [m], shape [height_px, width_px]."""
+    zero: np.ndarray | None
+    """Pixels that it is counted from, bool; None for the whole border."""
+    sigma_m: np.ndarray | None
+    """Its standard deviation [m]; None where the model does not know."""
+
+
+def read_heights(
+    model: NormalModel,
+    image: np.ndarray,
+    background: np.ndarray,
+    grid: PixelGrid,
+    *,
+    mask: np.ndarray | None = None,
+    rest_normals: np.ndarray | None = None,
+) -> ReadHeights:
+    """Read one image.
+
+    Args:
+        model: From colours to normals.
+        image: RGB levels under the background's light, shape [height_px, width_px, 3].
+        background: The untouched sensor, same shape.
+        grid: Pixel grid of both.
+        mask: Pixels that count, bool, shape [h, w]; the surface goes on smoothly under the others.
+        rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; flat when None.
+    """
+    found = model.predict(image, background, mask=mask, rest_normals=rest_normals)
+    weights = None if mask is None else mask.astype(float)
+    zero = resting_border(found, mask)
+    slope = found.slopes()
+    if rest_normals is not None:
+        # The change of height from rest is integrated: on a curved gel the rest is known already.
+        slope = slope + rest_normals[..., :2] / rest_normals[..., 2:]
+    rise = height_from_slopes(slope, grid, weights=weights, zero=zero)
+    sigma = None
+    if model.config.height_factor > 0:
+        uncertainty = HeightUncertainty(grid, model.config.error_length_px)
+        sigma = model.config.height_factor * uncertainty.sigma_m(
+            found.slope_sigma(), weights=weights, zero=zero
+        )
+    return ReadHeights(found, rise, zero, sigma)
+
+
+def resting_border(found: NormalMap, mask: np.ndarray | None = None) -> np.ndarray | None:
+    """Border pixels that are flat, bool, shape [h, w]; None (the whole border) where next to none
+    are."""
+    tilt_deg = np.degrees(np.linalg.norm(found.tilt_rad, axis=-1))
+    flat = tilt_deg < np.maximum(FLAT_DEG, FLAT_SIGMAS * found.sigma_deg)
+    rows, columns = tilt_deg.shape
+    depth = max(2, min(rows, columns) // 20)
+    flat[depth:-depth, depth:-depth] = False
+    if mask is not None:
+        flat &= mask
+    return flat if flat.sum() > 0.2 * (rows + columns) else None

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The spread of integrated heights is the one that errors of slopes make."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.height_uncertainty import HeightUncertainty
+from taccel_lab.signals.slope_integration import height_from_slopes
+
+GRID = PixelGrid(80, 60, 0.1, 0.1)
+
+
+def test_the_band_holds_errors_of_its_own_kind() -> None:
+    rng = np.random.default_rng(5)
+    sigma = np.full((60, 80), 0.01)
+    sigma[20:40, 30:50] = 0.1
+    spread = HeightUncertainty(GRID, 3.0).sigma_m(sigma)
+    scores = []
+    for _ in range(60):
+        error = gaussian_filter(rng.standard_normal((60, 80, 2)), (3, 3, 0))
+        error /= error.std()
+        scores.append(height_from_slopes(sigma[..., None] * error, GRID) / spread)
+    assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.2)
+    assert spread[30, 40] > 1.3 * spread[5, 5]
+
+
+def test_it_grows_with_the_slopes_and_with_the_reach_of_errors() -> None:
+    sigma = np.full((60, 80), 0.02)
+    one, twice = (HeightUncertainty(GRID, 2.0).sigma_m(f * sigma) for f in (1, 2))
+    assert twice == pytest.approx(2 * one)
+    assert HeightUncertainty(GRID, 6.0).sigma_m(sigma).mean() > 1.5 * one.mean()
+    assert (HeightUncertainty(GRID, 2.0).sigma_m(0 * sigma) == 0).all()
