@@ -33,7 +33,7 @@ from taccel_lab.cad.step_import.selection import (
     select_faces,
 )
 from taccel_lab.cad.step_import.units import check_units
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import Region
 
 _NAMED: dict[str, Region] = {
@@ -112,10 +112,8 @@ def _regions(
     for name, region in _NAMED.items():
         if region == Region.WINDOW and rectangle is not None:
             continue
-        try:
+        with naming(path):
             chosen = select_faces(getattr(selection, name), table, name)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
         if not chosen:
             raise InputError(f"{path}: no faces are selected for {name}\n{listing(table)}")
         for index in sorted(chosen):
