@@ -11,6 +11,7 @@ import numpy as np
 from taccel_lab.calibration.ball_presses import with_captured_background
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.depth.curve import ContactPixels
 from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.profile import DepthResponseBlock, Provenance, SensorProfile
@@ -85,7 +86,7 @@ class DepthCalibration:
         it has none."""
         captures = self.captures
         profile = on_grid(profile, captures.grid, captures.provenance)
-        inputs, source = captures.hashes(), captures.provenance.get("source", captures.source)
+        inputs, source = captures.hashes(), source_of(captures.provenance, captures.source)
         profile = with_captured_background(
             profile, captures.background, source, inputs["background"]
         )
