@@ -22,7 +22,7 @@ from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.solids import imprint
 from taccel_lab.cad.step_import.checks import check_solid, check_thickness, chosen_body
-from taccel_lab.cad.step_import.importer import FaceSelection, ImportedGel
+from taccel_lab.cad.step_import.importer import FaceSelection, ImportedGel, right_of
 from taccel_lab.cad.step_import.reader import read_step
 from taccel_lab.cad.step_import.selection import (
     FaceInfo,
@@ -129,7 +129,7 @@ def _regions(
 def _rotation(selection: FaceSelection) -> np.ndarray:
     """Gel from file: z along ``normal``, x along ``right``."""
     z = direction(selection.normal)
-    right = selection.right or ("+y" if abs(z[0]) > 0.5 else "+x")
+    right = selection.right or right_of(selection.normal)
     x = direction(right)
     if abs(float(x @ z)) > 0.5:
         raise InputError(f"right = {right} lies along normal = {selection.normal}; name another")
