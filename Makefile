@@ -42,7 +42,7 @@ lint: $(VENV)/.installed-dev
 check: $(VENV)/.installed-dev
 	$(PYTEST)
 
-slow: $(VENV)/.installed-dev
+slow: $(VENV)/.installed-peers
 	$(PYTEST) -m slow
 
 explore: $(VENV)/.installed-dev
@@ -69,6 +69,10 @@ $(VENV)/.installed-demo: pyproject.toml constraints.txt
 
 $(VENV)/.installed-dev: $(VENV)/.installed-demo
 	$(PIP) -e ".[demo,dev]"
+	@touch $@
+
+$(VENV)/.installed-peers: $(VENV)/.installed-dev
+	$(PIP) -e ".[demo,dev,peers]"
 	@touch $@
 
 clean:

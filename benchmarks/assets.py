@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.reading.regular_file import read_regular_file
 from taccel_lab.scene import TriangleMesh
 
@@ -60,7 +60,5 @@ def read_stl(path: Path) -> TriangleMesh:
     record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     corners = np.frombuffer(data, record, count, 84)["corners"].reshape(-1, 3)
     vertices, index = np.unique(corners.astype(np.float64), axis=0, return_inverse=True)
-    try:
+    with naming(path):
         return TriangleMesh(vertices, index.reshape(-1, 3))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None

@@ -81,6 +81,8 @@ def _contacts() -> tuple[Figure, ...]:
 
 
 TAXIM, FOTS, RVSATHU = "taxim:gelsight", "fots_calib", "gelsight_rvsathu_sim2real"
+STATED = {"9dtact_official": ("--board", "dots:9x7:2.5")}
+"""What the files of a set do not say, and importers ask for: its authors' board."""
 CASES = (
     Case("GelSight (taxim)", TAXIM, "", "contacts", _contacts()),
     Case("GelSight Mini (FOTS)", FOTS, "gelsight", "contacts", _contacts()),
@@ -184,7 +186,7 @@ class ImportedSets:
         if not path.exists():
             return None
         out = self._scratch / source.replace(":", "_")
-        _main("capture", "import", str(path), str(out))
+        _main("capture", "import", str(path), str(out), *STATED.get(source, ()))
         return out
 
 

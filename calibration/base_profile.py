@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from taccel_lab.calibration.capture.captures import CaptureSet
-from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.report.remarks import BLOCKS_DROPPED
 from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.surfaces.design import fitted_design
@@ -86,7 +86,7 @@ def on_grid(
                 kind="stated",
                 method="image size and scale that the captures state; the image centre lies over "
                 "the apex",
-                source=provenance.get("source", "captures.toml"),
+                source=source_of(provenance, "captures.toml"),
             ),
         )
     )

@@ -76,9 +76,9 @@ class ImportStep:
             console.print(text, highlight=False, soft_wrap=True, markup=False)
             return
         given = {name: getattr(self, name) for name in FaceSelection.model_fields}
-        selection = FaceSelection.from_toml(self.select).replace(
-            **{name: value for name, value in given.items() if value}
-        )
+        stated = FaceSelection.from_toml(self.select).model_dump(exclude_unset=True)
+        flags = {name: value for name, value in given.items() if value}
+        selection = FaceSelection(**(stated | flags))
         with console.status("starting") as status:
             result = import_design(
                 self.step,
@@ -89,6 +89,8 @@ class ImportStep:
                 progress=lambda stage, _, __: status.update(_STAGES[stage]),
             )
         _print_result(console, result)
+        for name, text in selection.assumed().items():
+            console.print(f"assumed {name}: {text}", highlight=False, markup=False)
 
 
 def _print_result(console: Console, result: ImportResult) -> None:

@@ -109,6 +109,7 @@ def _description(
         "file": path.name,
         "body": gel.name,
         "selection": selection.model_dump(),
+        "assumed": selection.assumed(),
         "gel_from_file": {"rotation_and_scale": gel.rotation, "shift_mm": gel.shift_mm},
         "min_thickness_mm": gel.min_thickness_mm,
         "thickness_mm": gel.thickness_mm,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -119,6 +120,9 @@ def _optional_blocks(parameters: FamilyParameters, origin: _Origin) -> list[Bloc
     return blocks
 
 
+_UNPUBLISHED = re.compile(r"\bassumption\b|^set by the user$|^fit\b")
+
+
 class _Origin:
     """Says where the parameters of a group come from."""
 
@@ -133,17 +137,16 @@ class _Origin:
         kind: Literal["designed", "assumed", "published"] | None = None,
         method: str = _METHOD,
     ) -> Provenance:
-        """Sources of the groups' parameters, or of ``names`` among them; assumed when one is."""
+        """Sources of the groups' parameters, or of ``names`` among them; assumed when one of them
+        is, or was fitted here to captures of other units: no publication has it then."""
         sources = {
             name: item["source"]
             for name, item in self._described.items()
             if (item["group"] or "gel") in groups and (not names or name in names)
         }
-        rests_on_guess = any(
-            text.startswith("assumption") or text == "set by the user" for text in sources.values()
-        )
+        unpublished = any(_UNPUBLISHED.search(text) for text in sources.values())
         return Provenance(
-            kind=kind or ("assumed" if rests_on_guess or not sources else "published"),
+            kind=kind or ("assumed" if unpublished or not sources else "published"),
             method=method,
             source="; ".join(f"{name}: {text}" for name, text in sources.items())
             or self._family.title,

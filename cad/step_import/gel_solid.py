@@ -22,7 +22,7 @@ from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.solids import imprint
 from taccel_lab.cad.step_import.checks import check_solid, check_thickness, chosen_body
-from taccel_lab.cad.step_import.importer import FaceSelection, ImportedGel
+from taccel_lab.cad.step_import.importer import FaceSelection, ImportedGel, right_of
 from taccel_lab.cad.step_import.reader import read_step
 from taccel_lab.cad.step_import.selection import (
     FaceInfo,
@@ -33,7 +33,7 @@ from taccel_lab.cad.step_import.selection import (
     select_faces,
 )
 from taccel_lab.cad.step_import.units import check_units
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import Region
 
 _NAMED: dict[str, Region] = {
@@ -112,10 +112,8 @@ def _regions(
     for name, region in _NAMED.items():
         if region == Region.WINDOW and rectangle is not None:
             continue
-        try:
+        with naming(path):
             chosen = select_faces(getattr(selection, name), table, name)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
         if not chosen:
             raise InputError(f"{path}: no faces are selected for {name}\n{listing(table)}")
         for index in sorted(chosen):
@@ -131,7 +129,7 @@ def _regions(
 def _rotation(selection: FaceSelection) -> np.ndarray:
     """Gel from file: z along ``normal``, x along ``right``."""
     z = direction(selection.normal)
-    right = selection.right or ("+y" if abs(z[0]) > 0.5 else "+x")
+    right = selection.right or right_of(selection.normal)
     x = direction(right)
     if abs(float(x @ z)) > 0.5:
         raise InputError(f"right = {right} lies along normal = {selection.normal}; name another")

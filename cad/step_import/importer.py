@@ -44,6 +44,16 @@ class FaceSelection(StrictModel):
     unit: str = ""
     """Unit of the numbers as read; millimetres, checked for plausibility, if empty."""
 
+    def assumed(self) -> dict[str, str]:
+        """How the body lies in its file, as far as nobody has stated it, by the field's name."""
+        taken = {
+            "normal": f"{self.normal} of the file points out of the gel",
+            "right": f"{self.right or right_of(self.normal)} of the file becomes the gel's x",
+            "origin": "the middle of the body in plan, at the height of its apex",
+            "unit": "the unit that the file declares",
+        }
+        return {name: text for name, text in taken.items() if name not in self.model_fields_set}
+
     @classmethod
     def from_toml(cls, path: Path | None) -> FaceSelection:
         """Read the fields as keys of a TOML file; the defaults without a file.
@@ -51,6 +61,11 @@ class FaceSelection(StrictModel):
         Raises InputError with every key that is unknown or wrong.
         """
         return cls() if path is None else cls.read(path)
+
+
+def right_of(normal: str) -> str:
+    """The direction of the file that becomes the gel's x, where none is stated."""
+    return "+y" if normal.strip().lstrip("+-") == "x" else "+x"
 
 
 @dataclass(frozen=True)

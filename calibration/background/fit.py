@@ -12,7 +12,7 @@ from taccel_lab.calibration.background import remarks
 from taccel_lab.calibration.background.dust import dust_mask, speck_count
 from taccel_lab.calibration.background.result import BackgroundCalibration, FrameLight
 from taccel_lab.calibration.base_profile import require_image_of
-from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.check.background import check_background
 from taccel_lab.calibration.light.average import RunningMean
 from taccel_lab.calibration.light.drift import drift_remark, drift_spread
@@ -95,7 +95,7 @@ def calibrate_background(
             *_against_presses(folder),
         ),
         inputs={source.name: source.sha256 for source in sources},
-        source=folder.provenance.get("source", folder.source),
+        source=source_of(folder.provenance, folder.source),
         mm_per_px=folder.mm_per_px,
         method=(
             "median of the untouched parts of the presses"

@@ -34,9 +34,9 @@ class BoardView:
     is held out goes by it."""
     pitch_mm: float | None = None
     """Distance of neighbouring points, where it is known."""
-    other_uv_px: np.ndarray | None = None
-    """Where another picture of the same dents shows the points, shape [n, 2]; what both differ by
-    is the detector's own error. None where there is one picture."""
+    others_uv_px: tuple[np.ndarray, ...] = ()
+    """Where other pictures of the same dents, or the same ones through other filters, show the
+    points, each [n, 2]; what they differ by is the detector's own error."""
     first_square_dark: bool | None = None
     """Chessboards: colour of the square before column 0 and row 0, when it tells a mirrored board
     from a turned one."""
@@ -48,8 +48,9 @@ class BoardView:
 
     def take(self, chosen: np.ndarray) -> BoardView:
         """The view with some of its points: a mask or indices."""
-        other = None if self.other_uv_px is None else self.other_uv_px[chosen]
-        return replace(self, index=self.index[chosen], uv_px=self.uv_px[chosen], other_uv_px=other)
+        others = tuple(other[chosen] for other in self.others_uv_px)
+        index, uv = self.index[chosen], self.uv_px[chosen]
+        return replace(self, index=index, uv_px=uv, others_uv_px=others)
 
 
 def hashes_by_name(images: Sequence[BoardView | Frame]) -> dict[str, str]:

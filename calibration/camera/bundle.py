@@ -18,7 +18,7 @@ from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.lens import Lens
 from taccel_lab.calibration.camera.planar_pose import planar_poses
 from taccel_lab.calibration.camera.robust import fit_robustly, huber_weights, rms, robust_scale
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 
 _STEPS = 60
 _POSE_TOLERANCE = 1e-9
@@ -86,10 +86,8 @@ def fit_bundle(
 def initial_pose(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndarray:
     """camera_from_board of a view: the better of the two that a planar board allows, refined."""
     board = view.board_mm()
-    try:
+    with naming(view.source):
         poses = planar_poses(lens, parameters, view.size_px, board[:, :2], view.uv_px)
-    except InputError as error:
-        raise InputError(f"{view.source}: {error}") from error
     best, cost = None, np.inf
     for pose in poses:
         refined = fit_pose(view, lens, parameters, pose)

@@ -7,13 +7,16 @@ known number of columns and rows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.dots.board_lattice import board_lattice
+from taccel_lab.calibration.dots.dot_fit import fit_dots
+from taccel_lab.calibration.dots.dots import DotFit
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
 
@@ -24,6 +27,9 @@ MIN_CHANGE_LEVELS = 1.0
 """Least 99th percentile of the change that counts as a press [levels of 255]."""
 _SAME_PITCHES = 0.3
 """Two pictures of a dot are this near each other at most."""
+_SMOOTHED, _AROUND = (0.25, 0.5), 1.0
+"""Widths of Gaussians, in radii of the dents: two that smooth, and one whose result is what a dent
+stands out from."""
 _GREY = 128.0
 _IRREGULAR = 0.09
 """Largest error of a lattice's points in pitches; among random ones it is 0.12 and more."""
@@ -49,7 +55,8 @@ def detect_dots(
     expected = columns * rows
     least = max(MIN_POINTS, int(np.ceil(MIN_SHARE * expected)))
     none = _Found(np.zeros((0, 2), dtype=int), np.zeros((0, 2)), 0)
-    found = [_find(picture, columns, rows) or none for picture in _pictures(image, reference, name)]
+    pictures = _pictures(image, reference, name)
+    found = [_find(picture, columns, rows) or none for picture in pictures]
     best = max(found, key=lambda f: len(f.index) - f.strangers)
     index, uv, strangers = best.index, best.uv_px, best.strangers
     count = len(index)
@@ -70,9 +77,13 @@ def detect_dots(
             f"{name}: the {count} dots found span {span[0]} x {span[1]} sites; at least 3 x 3"
         )
     size = image.shape[1], image.shape[0]
-    others = [f.same_dots(best) for f in found if f is not best]
-    other = next((uv for uv in others if uv is not None), None)
-    return BoardView(name, name, size, index, uv, expected, other_uv_px=other)
+    others = [f for f in found if f is not best]
+    if reference is not None:
+        seen = zip(pictures, found, strict=True)
+        others += [again for picture, f in seen for again in _through_filters(picture, f)]
+    places = (f.same_dots(best) for f in others)
+    same = tuple(place for place in places if place is not None)
+    return BoardView(name, name, size, index, uv, expected, others_uv_px=same)
 
 
 @dataclass(frozen=True)
@@ -84,6 +95,8 @@ class _Found:
     uv_px: np.ndarray
     strangers: int
     """Dots of the lattice that lie beyond the board."""
+    dots: DotFit | None = None
+    """The same dots as they were fitted."""
 
     def same_dots(self, other: _Found) -> np.ndarray | None:
         """Where this picture shows the dots of another one; None where it does not show all."""
@@ -96,13 +109,28 @@ class _Found:
 
 def _find(picture: np.ndarray, columns: int, rows: int) -> _Found | None:
     try:
-        uv = find_markers(picture).dots.uv_px
+        dots = find_markers(picture).dots
     except InputError:
         return None
-    lattice = board_lattice(uv, columns, rows)
+    lattice = board_lattice(dots.uv_px, columns, rows)
     if lattice is None or lattice.irregularity > _IRREGULAR:
         return None
-    return _Found(lattice.index, uv[lattice.points], lattice.strangers)
+    on_board = dots.select(np.asarray(lattice.points))
+    return _Found(lattice.index, on_board.uv_px, lattice.strangers, on_board)
+
+
+def _through_filters(picture: np.ndarray, found: _Found) -> list[_Found]:
+    """The dots of a picture as filters of several widths show them. A dent's shading is no disc:
+    where its centre is seen depends on the filter, alike for all dents of a side."""
+    if found.dots is None:
+        return []
+    radius = float(np.median(found.dots.radius_px))
+    smooth = [cv2.GaussianBlur(picture, (0, 0), share * radius) for share in _SMOOTHED]
+    against = _GREY + picture - cv2.GaussianBlur(picture, (0, 0), _AROUND * radius)
+    again = [fit_dots(filtered, found.dots.parameters) for filtered in (*smooth, against)]
+    return [
+        replace(found, uv_px=np.where(fit.placed[:, None], fit.uv_px, found.uv_px)) for fit in again
+    ]
 
 
 def detect_pins(

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import hashes_by_name
 from taccel_lab.calibration.camera.board_on_gel import OnGel, fit_on_gel
@@ -87,7 +89,7 @@ def calibrate_camera(
         detections,
         hashes_by_name(detections.views),
         folder.provenance,
-        tuple(_remarks(detections, intrinsics, on_gel, folder)),
+        tuple(_remarks(detections, intrinsics, on_gel, folder, base)),
     )
 
 
@@ -136,6 +138,7 @@ def _remarks(
     intrinsics: Intrinsics | None,
     on_gel: OnGel | None,
     folder: CaptureFolder,
+    base: SensorProfile,
 ) -> list[Remark]:
     said = []
     if detections.refused:
@@ -155,6 +158,7 @@ def _remarks(
         said += on_gel.remarks
         if intrinsics is None:
             said.append(remarks.NO_VIEWS())
+        said += _depth_remarks(folder, base)
         said += _size_remarks(on_gel, folder)
         size, raw = (on_gel.grid.width_px, on_gel.grid.height_px), on_gel.views[0].size_px
         if size == raw:
@@ -166,6 +170,19 @@ def _remarks(
                 remarks.CROPPED(width=size[0], height=size[1], raw_width=raw[0], raw_height=raw[1])
             )
     return said
+
+
+def _depth_remarks(folder: CaptureFolder, base: SensorProfile) -> list[Remark]:
+    """How the depth that a board was pressed to moves the scale, with the designed camera."""
+    pressed = any(b.entry.on_gel and b.reference is not None for b in folder.boards)
+    if base.optics is None or not pressed or not _has_flat_media(base):
+        return []
+    media = media_before_gel(base)
+    air = min(media.planes_mm) - base.optics.position_mm[2]
+    layers = np.diff([*media.planes_mm, 0.0]) / np.array(media.indices[1:])
+    # Near the axis a layer looks thinner by its index, and mm/px goes as the distance that is seen.
+    seen_mm = air + float(layers.sum())
+    return [remarks.BOARD_PRESSED(share=0.1 / media.indices[-1] / seen_mm)]
 
 
 def _size_remarks(on_gel: OnGel, folder: CaptureFolder) -> list[Remark]:

@@ -51,6 +51,7 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
         document["schema_version"] = SCHEMA_VERSION
         document["rectified"] = True
         document["mm_per_px_x"], document["mm_per_px_y"] = grid.mm_per_px_x, grid.mm_per_px_y
+        document.get("assumed", {}).pop("mm_per_px", None)  # The maps have measured it.
         if folder.background is not None:
             document["background"] = writer.image("background", folder.background.image)
             document["mask"] = writer.mask(folder)

@@ -118,6 +118,13 @@ BOARD_ERROR = RemarkKind(
     "points of the board that were left out are {error_px:.2f} px off, {share:.1%} of its pitch; "
     "the board is bent, or its dots are blurred",
 )
+BOARD_PRESSED = RemarkKind(
+    "board_pressed",
+    Severity.INFO,
+    "the scale holds where the board lay. Where it was pressed in, the untouched face is farther "
+    "from the camera and its mm/px are larger: by {share:.1%} for each 0.1 mm of depth with the "
+    "camera as designed. No image tells how deep it was; press it no deeper than dots need to show",
+)
 MISSING_POINTS = RemarkKind(
     "missing_points", Severity.INFO, "{found} of {expected} points of the board were found"
 )

@@ -13,6 +13,7 @@ from taccel_lab.calibration.camera.find_boards import Detections
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.camera.pixel_grid import with_camera_block
 from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps, lens_maps
+from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.profile import CameraBlock, OpticsBlock, Provenance, SensorProfile
 
@@ -80,7 +81,7 @@ def camera_block(result: CameraCalibration) -> CameraBlock:
                 "board to both sides of the origin; the origin is taken where the profile had it, "
                 "else in the middle of the image"
             ),
-            source=result.provenance.get("source", result.source),
+            source=source_of(result.provenance, result.source),
             inputs=result.inputs,
             residuals={
                 "board_rms_px": on_gel.fit.rms_px,
@@ -149,7 +150,7 @@ def optics_block(result: CameraCalibration, profile: SensorProfile) -> OpticsBlo
             f"{', '.join(score.lens.name for score in found.scores)} by {found.folds}-fold "
             f"held-out reprojection; {where}"
         ),
-        source=result.provenance.get("source", result.source),
+        source=source_of(result.provenance, result.source),
         inputs=result.inputs,
         residuals=residuals,
         spread=spread,

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -120,6 +120,21 @@ class ForceRecord:
         return np.full(len(next(iter(self.columns.values()))), self.entry.force_sigma_n)
 
 
+def in_words(assumed: Mapping[str, str]) -> str:
+    """Assumptions as one sentence, for provenance."""
+    return "; ".join(f"{name}: {text}" for name, text in assumed.items())
+
+
+def source_of(provenance: Mapping[str, str], otherwise: str) -> str:
+    """Where captures come from, as their manifest states it, and what was assumed of them.
+
+    ``otherwise``: their own path, where the manifest says nothing.
+    """
+    source = provenance.get("source", otherwise)
+    assumed = provenance.get("assumed")
+    return source if assumed is None else f"{source}; assumed: {assumed}"
+
+
 @dataclass(frozen=True)
 class CaptureFolder:
     """Everything that was captured of one sensor."""
@@ -146,6 +161,8 @@ class CaptureFolder:
     """Names of the presses that the manifest holds out; None where it leaves that to the rule."""
     rectified: bool = False
     """Whether the images are rectified."""
+    assumed: dict[str, str] = field(default_factory=dict)
+    """What no file states, by the name of the value: what was taken, and why."""
 
     def split(self, holdout_every: int = HOLDOUT_EVERY) -> PressSplit:
         """Presses to fit and to hold out, by names and labels alone (``split_presses``)."""

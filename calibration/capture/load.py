@@ -15,6 +15,7 @@ from taccel_lab.calibration.capture.folder import (
     EdgeCapture,
     Frame,
     LandmarkCapture,
+    in_words,
 )
 from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_presses
 from taccel_lab.calibration.capture.records import load_record
@@ -109,6 +110,8 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         provenance["source"] = manifest.source
     if manifest.license is not None:
         provenance["license"] = manifest.license
+    if manifest.assumed:
+        provenance["assumed"] = in_words(manifest.assumed)
     scale = (manifest.mm_per_px_x, manifest.mm_per_px_y)
     if (scale[0] is None) != (scale[1] is None):
         raise InputError(f"{manifest_path}: give both mm_per_px_x and mm_per_px_y, or neither")
@@ -145,6 +148,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         provenance=provenance,
         heldout=_heldout(manifest, manifest_path),
         rectified=manifest.rectified,
+        assumed=manifest.assumed,
     )
 
 

@@ -207,6 +207,9 @@ class CaptureManifest(StrictModel):
     """Whether the images are rectified: one scale holds everywhere."""
     raw_sha256: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the files that these were made of, by name (taccel-lab capture rectify)."""
+    assumed: dict[str, str] = Field(default_factory=dict)
+    """What no file stated when the captures were imported, by the name of the value: what was
+    taken, and why. A person who has checked a value takes its line out."""
     indenter: SphereIndenter | None = None
     presses: list[SpherePress] = Field(default_factory=list)
     split: SplitEntry | None = None

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle, Press
-from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
+from taccel_lab.calibration.capture.folder import CaptureFolder, Frame, in_words
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
 from taccel_lab.reading.arrays import finite_numbers, read_npz
@@ -30,9 +30,17 @@ PACK_NAME = "dataPack.npz"
 PACK_PATH_IN_WHEEL = Path("calib") / "gelsight" / PACK_NAME
 TAXIM_BALL_RADIUS_MM = 2.0
 REQUIRED_KEYS = ("f0", "imgs", "touch_center", "touch_radius")
-SOURCE = "PyPI wheel taxim, calib/gelsight/dataPack.npz (Taxim, Si and Yuan 2022)"
-SOURCE_MINI = "PyPI wheel taxim, calib/gelsight_mini/dataPack.npz"
-LICENSE = "MIT"
+PARAMS_NAME = "params.json"
+TAXIM_BALL_WHY = "Taxim's documented default, which no file states; give [indenter] radius_mm"
+PUBLISHED = {
+    "090d348cb7f5ea5ad1d68c147580048780f507bc0e43aa656c3dbf4d667af5c6": (
+        "PyPI wheel taxim, calib/gelsight/dataPack.npz (Taxim, Si and Yuan 2022)"
+    ),
+    "a728d126e6c6bea277ad2511c459af2f684829143be9d9d9cfce49932a169bc1": (
+        "PyPI wheel taxim, calib/gelsight_mini/dataPack.npz"
+    ),
+}
+"""Sources of the packs that the wheel (MIT) ships, by SHA-256; where others are from is unknown."""
 
 
 def find_taxim_pack() -> Path:
@@ -52,13 +60,16 @@ def find_taxim_pack() -> Path:
     return path
 
 
-def load_taxim_folder(path: Path) -> CaptureFolder:
-    """Captures of a Taxim ``dataPack.npz``; the scale comes from ``params.json`` beside it.
+def load_taxim_folder(path: Path, mm_per_px: tuple[float, float] | None = None) -> CaptureFolder:
+    """Captures of a Taxim ``dataPack.npz``; the scale is ``mm_per_px``, or else comes from the
+    ``params.json`` beside it.
 
     The wheel's ``gelsight_mini`` was recorded with another ball, whose radius is stated nowhere, so
     it is left open there.
     """
-    mm_per_px = _read_scale(path.parent / "params.json", path)
+    if mm_per_px is None:
+        stated = _read_scale(path.parent / PARAMS_NAME, path)
+        mm_per_px = stated, stated
     # Only these are read, so no pickle has to be trusted.
     arrays = read_npz(path, REQUIRED_KEYS, f"a Taxim pack holds {', '.join(REQUIRED_KEYS)}")
     images = arrays["imgs"]
@@ -76,11 +87,20 @@ def load_taxim_folder(path: Path) -> CaptureFolder:
         )
         for i in range(len(images))
     )
-    mini = "mini" in path.resolve().parent.name.lower()
+    folder = path.resolve().parent.name
+    mini = "mini" in folder.lower()
+    sensor = "gelsight_mini" if mini else "gelsight"
+    assumed = {"sensor": f"{sensor}, by the name of the folder, {folder}"}
+    if not mini:
+        assumed["radius_mm"] = f"{TAXIM_BALL_RADIUS_MM:g} mm, {TAXIM_BALL_WHY}"
+    pack_sha256 = file_sha256(path)
+    provenance = {"pack_sha256": pack_sha256, "assumed": in_words(assumed)}
+    if pack_sha256 in PUBLISHED:
+        provenance |= {"source": PUBLISHED[pack_sha256], "license": "MIT"}
     return CaptureFolder(
         source=str(path),
         root=path.parent,
-        sensor="gelsight_mini" if mini else "gelsight",
+        sensor=sensor,
         unit=None,
         background=Frame(
             "background",
@@ -90,14 +110,11 @@ def load_taxim_folder(path: Path) -> CaptureFolder:
         ),
         untouched=(),
         mask=None,
-        mm_per_px=(mm_per_px, mm_per_px),
+        mm_per_px=mm_per_px,
         ball_radius_mm=None if mini else TAXIM_BALL_RADIUS_MM,
         presses=presses,
-        provenance={
-            "source": SOURCE_MINI if mini else SOURCE,
-            "license": LICENSE,
-            "pack_sha256": file_sha256(path),
-        },
+        provenance=provenance,
+        assumed=assumed,
     )
 
 
@@ -107,7 +124,10 @@ def _rgb_frame(images: np.ndarray, index: int) -> np.ndarray:
 
 def _read_scale(params_path: Path, pack_path: Path) -> float:
     if not params_path.is_file():
-        raise InputError(f"{params_path} is missing; the scale of {pack_path} is read from it")
+        raise InputError(
+            f"{params_path} is missing; the scale of {pack_path} is read from it, or given to "
+            "taccel-lab capture import with --mm-per-px-x"
+        )
     scale = number_at(read_json(params_path), "sensor.pixmm", str(params_path))
     if not MIN_MM_PER_PX <= scale <= MAX_MM_PER_PX:
         raise InputError(

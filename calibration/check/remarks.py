@@ -33,6 +33,12 @@ SCALE_UNSTATED = RemarkKind(
     "of a board or of a known edge, or the pitch of the markers",
     ("color", "normals", "depth"),
 )
+ASSUMED = RemarkKind(
+    "assumed",
+    Severity.INFO,
+    "{count} values are assumed, no file states them: {assumed}. Correct what is wrong in "
+    "captures.toml, and take out of [assumed] what you have checked",
+)
 GREY_OR_COLOUR = RemarkKind(
     "grey_or_colour",
     Severity.WARNING,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.calibration.check import remarks
@@ -125,6 +125,10 @@ def check_captures(
     findings = [*check_content(folder), *check_targets(folder)]
     if facts is None:
         findings.append(remarks.SENSOR_UNKNOWN(sensor=folder.sensor))
+    if folder.assumed:
+        findings.append(
+            remarks.ASSUMED(count=len(folder.assumed), assumed=in_words(folder.assumed))
+        )
     frames: list[FrameFigures] = []
     grid, background = None, None
     if folder.presses:

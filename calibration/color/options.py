@@ -30,12 +30,14 @@ class ColorOptions(ColorTraining, BallPressOptions):
     """Settings of ``calibrate_color``."""
 
     register: bool = True
-    """Read the circles again with the colours of the other fitted presses; needs 8 of them."""
+    """Whether the circles are read again with the colours of the other fitted presses, where there
+    are 8 of them."""
     surface: Literal["simulated", "each", "hertz"] = "simulated"
     """Gel surface under a press: the simulation of the presses that span all others, from which the
     others are read where one law holds; the simulation of each; or a closed form."""
     cache: bool = True
-    """Keep contacts and simulated presses in the user's cache folder, and take what is there."""
+    """Whether contacts and simulated presses are kept in the user's cache folder, and taken from
+    there."""
     drift: DriftMode = "auto"
     """Take the drift of the light off each frame: on for cameras with automatic white balance;
     auto does it where that takes away at least a quarter of the difference between untouched gel
@@ -44,5 +46,5 @@ class ColorOptions(ColorTraining, BallPressOptions):
     """Fits that each leave some of the fitted presses out: they name captures that are off, and
     their spread says how sure the model is; 0 skips them."""
     table: bool = True
-    """Fit Taxim's table too: the report shows its figures, and the table is written beside it, as
-    polycalib.npz, for `taccel-lab export --to taxim --table`."""
+    """Whether Taxim's table is fitted too: the report shows its figures, and the table is written
+    beside it, as polycalib.npz, for `taccel-lab export --to taxim --table`."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.color.evaluate import ImageScore
 from taccel_lab.calibration.color.heldout import (
@@ -220,7 +221,7 @@ class ColorCalibration:
         return {"background": self.captures.background_sha256} | self.fit.inputs
 
     def _source(self) -> str:
-        return self.captures.provenance.get("source", self.captures.source)
+        return source_of(self.captures.provenance, self.captures.source)
 
     def _background_provenance(self) -> Provenance:
         residuals = {}

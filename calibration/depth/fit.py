@@ -121,6 +121,7 @@ def fit_depth(
                 f"{radius:g} mm; check the scale and the ball"
             )
     sunk = [0.0] * len(chosen)
+    zeros = [sunk]
     if options.zero in ("hertz", "simulated"):
         if surfaces is None:
             raise InputError(f"zero {options.zero!r} needs the surfaces of the presses")
@@ -138,9 +139,11 @@ def fit_depth(
         )
 
     parts = pixels()
+    # Each press by itself: its rim is known no better than that of the others.
+    by_grey = [rim - depth_at_no_drop(part) for rim, part in zip(sunk, parts, strict=True)]
+    zeros.append(by_grey)
     if options.zero == "untouched":
-        # Each press by itself: its rim is known no better than that of the others.
-        sunk = [-depth_at_no_drop(part) for part in parts]
+        sunk = by_grey
         parts = pixels()
     try:
         response = fit_response(parts, options.channel)
@@ -161,6 +164,7 @@ def fit_depth(
         response=response,
         spread_mm=spread,
         offset_sigma_mm=_offset_sigma_mm(chosen, sigma_px, radii, captures),
+        zero_gap_mm=max(abs(float(np.mean(sunk) - np.mean(other))) for other in zeros),
         left_out_mm=errors,
         left_out=left_out,
         presses=presses,

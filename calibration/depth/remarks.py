@@ -65,15 +65,18 @@ FEW_PRESSES = RemarkKind(
 ZERO_AT_NO_DROP = RemarkKind(
     "zero_at_no_drop",
     Severity.INFO,
-    "depths are counted from where the grey is that of untouched gel, {below:.2f} mm below the rim "
-    "that is seen; counted from the rim they would be that much larger, and the rim is known to "
-    "{sigma:.2f} mm. A press of known travel would settle it",
+    "depths are counted from where the grey is that of untouched gel, {below:.2f} mm {side} the "
+    "rim that is seen, which is known to {sigma:.2f} mm. So all of them may be off alike by "
+    "{zero:.2f} mm, and by what the rim itself has sunk. A press of known travel would settle it",
+    graver=Severity.WARNING,
 )
 ZERO_AT_RIM = RemarkKind(
     "zero_at_rim",
     Severity.INFO,
-    "depths are counted from the contact's rim; the rim itself lies deeper than the untouched "
-    "face. The rim is known to {sigma:.2f} mm of depth",
+    "depths are counted from the contact's rim, which is known to {sigma:.2f} mm; by the grey of "
+    "untouched gel they may be off alike by {zero:.2f} mm, and by what the rim itself has sunk. A "
+    "press of known travel would settle it",
+    graver=Severity.WARNING,
 )
 TILTED_RESIDUAL = RemarkKind(
     "tilted_residual",
@@ -150,11 +153,22 @@ def curve_remarks(result: DepthCalibration, drops: Sequence[np.ndarray]) -> list
     found: list[Remark] = []
     if len(result.presses) < 3:
         found.append(FEW_PRESSES(count=len(result.presses)))
+    sigma, zero = result.offset_sigma_mm, result.zero_sigma_mm
+    depth = float(np.concatenate([part.depth_mm for part in result.parts]).mean())
+    grave = zero > POOR_CURVE * depth
     if result.zero == "untouched":
-        below = -np.mean([press.rim_depth_mm for press in result.presses])
-        found.append(ZERO_AT_NO_DROP(below=below, sigma=result.offset_sigma_mm))
+        below = -float(np.mean([press.rim_depth_mm for press in result.presses]))
+        found.append(
+            ZERO_AT_NO_DROP(
+                below=abs(below),
+                side="below" if below >= 0 else "above",
+                sigma=sigma,
+                zero=zero,
+                grave=grave,
+            )
+        )
     if result.zero == "rim":
-        found.append(ZERO_AT_RIM(sigma=result.offset_sigma_mm))
+        found.append(ZERO_AT_RIM(sigma=sigma, zero=zero, grave=grave))
     worst = max(result.presses, key=lambda p: p.plane_mm)
     if worst.plane_mm > max(0.15 * worst.depth_mm, 0.05):
         found.append(TILTED_RESIDUAL(name=worst.name, tilt=worst.plane_mm))

@@ -20,14 +20,12 @@ SHOWN_PIXELS = 3000
 
 def depth_page(result: DepthCalibration) -> Page:
     """Curve, residuals and presses of one calibration."""
-    error = result.left_out_mm
     return Page(
         title="Depth of a grey sensor",
         summary=(
             f"Depth from the drop of the {result.response.channel} level, fitted to "
-            f"{len(result.presses)} ball press{'es' if len(result.presses) > 1 else ''}: off by "
-            f"{error.mean():.3f} mm on pixels of a left-out {result.left_out}, up to "
-            f"{result.response.depth_mm[-1]:.2f} mm deep. Zero: {result.zero}."
+            f"{len(result.presses)} ball press{'es' if len(result.presses) > 1 else ''} up to "
+            f"{result.response.depth_mm[-1]:.2f} mm deep: {result.headline()}. Zero: {result.zero}."
         ),
         remarks=result.remarks,
         tables=[_presses(result)],

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from taccel_lab.calibration.ball_presses import with_captured_background
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.depth.curve import ContactPixels
 from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.profile import DepthResponseBlock, Provenance, SensorProfile
@@ -47,6 +49,9 @@ class DepthCalibration:
     """Standard deviation of the curve at its drops."""
     offset_sigma_mm: float
     """Standard deviation of its zero: what the uncertain rim makes of it."""
+    zero_gap_mm: float
+    """How far the zero lies from the farther of the two that images show: the contact's rim, and
+    where the grey is that of untouched gel."""
     left_out_mm: np.ndarray
     left_out: str
     presses: tuple[PressFigures, ...]
@@ -61,11 +66,33 @@ class DepthCalibration:
     """The presses; their images are read on demand."""
     remarks: tuple[Remark, ...] = ()
 
+    @property
+    def zero_sigma_mm(self) -> float:
+        """Standard deviation of the zero: of the rim, and of what images say besides."""
+        return math.hypot(self.offset_sigma_mm, self.zero_gap_mm)
+
+    @property
+    def absolute_mm(self) -> float:
+        """Expected error of a depth: that of left-out pixels, and the zero's, which is common to
+        all of them."""
+        return math.hypot(float(self.left_out_mm.mean()), self.zero_sigma_mm)
+
+    def headline(self) -> str:
+        """The error in one sentence, the absolute one first."""
+        return (
+            f"absolute depths are off by {self.absolute_mm:.2f} mm, as their zero is known to "
+            f"{self.zero_sigma_mm:.2f} mm; with the zero taken off by "
+            f"{self.left_out_mm.mean():.3f} mm on pixels of a left-out {self.left_out}"
+        )
+
     def figures(self) -> dict[str, Any]:
         """Everything measured, ready for JSON."""
         return {
             "verdict": judge(self.remarks),
             "remarks": [str(remark) for remark in self.remarks],
+            "absolute_mm": self.absolute_mm,
+            "zero_sigma_mm": self.zero_sigma_mm,
+            "zero_gap_mm": self.zero_gap_mm,
             "channel": self.response.channel,
             "zero": self.zero,
             "left_out_mae_mm": float(self.left_out_mm.mean()),
@@ -85,7 +112,7 @@ class DepthCalibration:
         it has none."""
         captures = self.captures
         profile = on_grid(profile, captures.grid, captures.provenance)
-        inputs, source = captures.hashes(), captures.provenance.get("source", captures.source)
+        inputs, source = captures.hashes(), source_of(captures.provenance, captures.source)
         profile = with_captured_background(
             profile, captures.background, source, inputs["background"]
         )
@@ -104,12 +131,13 @@ class DepthCalibration:
                     source=source,
                     inputs=inputs,
                     residuals={
+                        "absolute_depth_mm": self.absolute_mm,
                         "left_out_depth_mm": float(self.left_out_mm.mean()),
                         "left_out_p90_depth_mm": float(np.percentile(self.left_out_mm, 90)),
                     },
                     spread={
                         "curve_mm": float(self.spread_mm[1:].mean()),
-                        "zero_mm": self.offset_sigma_mm,
+                        "zero_mm": self.zero_sigma_mm,
                     },
                     valid_region={
                         "drop_levels": (

@@ -11,14 +11,16 @@ CHANNELS_DRIFT = RemarkKind(
     Severity.WARNING,
     "the channels drift apart: over {frame_count} frames the untouched gel changes by {changes} "
     "levels (standard deviation), at most {largest:.0f}. The camera's automatic white balance (or "
-    "exposure a channel) was on; it is corrected frame by frame, but switch it off",
+    "exposure a channel) was on: switch it off. Colours and normals take it off each frame where "
+    "that brings untouched gel nearer to the background, and say so (--drift)",
 )
 LIGHT_DRIFTS = RemarkKind(
     "light_drifts",
     Severity.WARNING,
     "the light drifts: over {frame_count} frames the untouched gel changes by {changes} levels "
-    "(standard deviation), at most {largest:.0f}; it is corrected frame by frame. Let lamps warm "
-    "up, and record the background right before the presses",
+    "(standard deviation), at most {largest:.0f}. Let lamps warm up, and record the background "
+    "right before the presses. Colours and normals take it off each frame where that brings "
+    "untouched gel nearer to the background, and say so (--drift)",
 )
 LIGHT_STEADY = RemarkKind(
     "light_steady",

@@ -22,7 +22,7 @@ from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVide
 from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.calibration.robust_spread import spread_about_median
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 
@@ -43,10 +43,8 @@ def calibrate_markers(
     rest = markers.rest if markers is not None else folder.require_background()
     progress("finding the dots", 0, 1)
     image = rest.image()
-    try:
+    with naming(rest.source):
         picture = find_markers(image)
-    except InputError as error:
-        raise InputError(f"{rest.source}: {error}") from None
     progress("finding the dots", 1, 1)
     if picture.layout_px is None:
         raise InputError(
@@ -123,10 +121,8 @@ def _radius_mm(dots: Dots, view: GelView) -> tuple[float, float]:
 
 def _follow(video: Video, picture: MarkerPicture, progress: Progress) -> TrackedVideo:
     name = video_name(video)
-    try:
+    with naming(video.source):
         tracks = track_markers(_told(video, name, progress), picture)
-    except InputError as error:
-        raise InputError(f"{video.source}: {error}") from None
     return TrackedVideo(name, video, tracks, track_figures(name, tracks))
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
+from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.damping_gain import damping_gain
 from taccel_lab.calibration.material.force_table import ForceTable, force_table
@@ -312,7 +313,7 @@ def _result(
         "damping_time_s": combined(times) if times else None,
     }
     return MaterialCalibration(
-        source=provenance.get("source", captures.folder.source),
+        source=source_of(provenance, captures.folder.source),
         license=provenance.get("license", ""),
         model=captures.gel.material.model,
         estimates={name: value for name, value in estimates.items() if value is not None},

@@ -14,7 +14,7 @@ import numpy as np
 
 from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import joined
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
@@ -206,7 +206,7 @@ def fit_normals(
         flat_noise_levels=(choice.captured_levels, choice.corrected_levels),
         train_names=tuple(frame.name for frame in training),
         inputs={"background": captures.background_sha256} | {f.name: f.sha256 for f in training},
-        source=captures.provenance.get("source", captures.source),
+        source=source_of(captures.provenance, captures.source),
         provenance=captures.provenance,
         circles=circle_source,
         surfaces="left out" if surfaces is None else surfaces[0].provider,

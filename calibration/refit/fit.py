@@ -17,7 +17,7 @@ import numpy as np
 
 from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.light.average import RunningMean
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.untouched import steady_pixels, untouched_pixels
@@ -77,7 +77,7 @@ def calibrate_refit(
     return refit_profile(
         base,
         new.fitted,
-        source=folder.provenance.get("source", folder.source),
+        source=source_of(folder.provenance, folder.source),
         surface_provider=new.surface_provider,
         mask=folder.mask,
         heldout=new.heldout,

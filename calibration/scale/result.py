@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from taccel_lab.calibration.camera.pixel_grid import tactile_size, with_camera_block
+from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.calibration.scale.combine import CombinedAxis
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
@@ -93,7 +94,7 @@ class ScaleCalibration:
                 kind="stated" if STATED in methods else "calibrated",
                 method=f"mm/px from {', '.join(methods)}, weighed by inverse variance; the gel "
                 "frame's origin as before, else in the middle of the image",
-                source=self.provenance.get("source", self.source),
+                source=source_of(self.provenance, self.source),
                 inputs=self.inputs(),
                 residuals=residuals,
                 spread=spread,

@@ -49,10 +49,8 @@ class CalibrateDepth(BlockCommand, DepthOptions):
 
 
 def _print_summary(result: DepthCalibration, console: Console) -> None:
-    error = result.left_out_mm
     console.print(
         f"depth up to {result.response.depth_mm[-1]:.2f} mm over "
-        f"{result.response.drop_levels[-1]:.0f} levels; off by {error.mean():.3f} mm on pixels "
-        f"of a left-out {result.left_out}",
+        f"{result.response.drop_levels[-1]:.0f} levels: {result.headline()}",
         highlight=False,
     )

@@ -87,7 +87,7 @@ def _opened(path: Path) -> Iterator[list[tuple[CaptureFolder, tuple[str, ...]]]]
         layout, drafts = read_drafts(path)
         parts = []
         for draft in drafts:
-            notes = (f"read as {layout.name}: {layout.title}", *draft.notes)
+            notes = (f"read as {layout.name}: {layout.title}", *draft.remarks())
             parts.append((stack.enter_context(draft.opened()), notes))
         yield parts
 

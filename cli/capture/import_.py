@@ -13,8 +13,10 @@ from tyro.conf import Positional
 class CaptureImport:
     """Write captures of another project's layout, or a plain folder, as a capture folder.
 
-    Image files are copied unchanged. What had to be assumed is printed, and written as comments at
-    the top of captures.toml. A source of several sensors or sets becomes one folder for each.
+    Image files are copied unchanged. What no file states and had to be assumed is printed, and
+    kept in captures.toml and in every profile that is calibrated with it; every file that is not
+    imported is told with the reason. A source of several sensors or sets becomes one folder for
+    each.
     """
 
     source: Positional[Path]
@@ -39,13 +41,19 @@ class CaptureImport:
     edge_mm: float | None = None
     """Length of the edge of edge presses [mm]."""
     board: str | None = None
-    """The images of a plain folder are views of this board, such as chessboard:6x6:2.5 (inner
-    corners or dots along a row x rows, and their pitch in mm where it is known; kinds chessboard,
-    charuco, dots, pins)."""
+    """The board of a 9DTact or of Osaka's views, or that all images of a plain folder are views
+    of, such as chessboard:6x6:2.5 (inner corners or dots along a row x rows, and their pitch in mm
+    where it is known; kinds chessboard, charuco, dots, pins)."""
     crop: str | None = None
     """Background and presses are framed differently: the part of the presses that the background
     shows, as LEFT,TOP,WIDTHxHEIGHT in pixels, or auto to find which part of one the other shows.
     Both are cut to it; pixels of the presses keep their size."""
+    origin: str | None = None
+    """Where the captures come from, kept as provenance; what a README or MANIFEST in the source
+    says, or the address of its git clone, when left out, or else unknown."""
+    license: str | None = None
+    """Licence of the captures, kept as provenance; that of a licence file or README in the source
+    when left out, or else unknown."""
     json: bool = False
     """Print what was written as JSON."""
 
@@ -74,6 +82,8 @@ class CaptureImport:
             edge_mm=self.edge_mm,
             board=self.board,
             crop=self.crop,
+            origin=self.origin,
+            license=self.license,
         )
         require_replaceable(self.out)
         layout = self.layout if self.layout != AUTO else detect_layout(self.source).name
@@ -83,11 +93,26 @@ class CaptureImport:
         found = []
         for path in folders:
             captures = load_capture_folder(path)
-            found.append({"path": str(path), "contents": captures.contents()})
+            lines = (path / "captures.toml").read_text(encoding="utf-8").splitlines()
+            notes = [line[2:] for line in lines if line.startswith("# ")]
+            origin = {key: captures.provenance[key] for key in ("source", "license")}
+            found.append(
+                {
+                    "path": str(path),
+                    "contents": captures.contents(),
+                    "assumed": captures.assumed,
+                    "notes": notes,
+                    **origin,
+                }
+            )
             console.print(f"wrote {path}: {_in_words(captures.contents())}", highlight=False)
-            for line in (path / "captures.toml").read_text(encoding="utf-8").splitlines():
-                if line.startswith("# "):
-                    console.print(f"  note: {line[2:]}", highlight=False, markup=False)
+            said = [
+                *(f"{key}: {text}" for key, text in origin.items()),
+                *(f"assumed {name}: {text}" for name, text in captures.assumed.items()),
+                *notes,
+            ]
+            for text in said:
+                console.print(f"  {text}", highlight=False, markup=False)
         console.print(f"next: taccel-lab capture check {folders[0]}", highlight=False)
         if self.json:
             print_json({"layout": layout, "folders": found})

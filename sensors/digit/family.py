@@ -16,7 +16,7 @@ from taccel_lab.sensors.parameter_groups.window import WindowParameters
 
 _PARTS = "measured on the parts of digit-design (facebookresearch, figures only)"
 _LIGHT_FIT = (
-    "best of a search against six ball presses of FOTS, labelled by eye (colour cosine 0.70, "
+    "fit: best of a search against six ball presses of FOTS, labelled by eye (colour cosine 0.70, "
     "contrast 0.73 of the captured)"
 )
 _CANFNET = "camera calibration of CANFNet, 240 x 320 px"

@@ -20,8 +20,8 @@ from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 _GELMAP = "taxim 1.4.1, calib/gelsight/gelmap.npy"
 _TAXIM = "Taxim (Si and Yuan, RA-L 2022), Basics/sensorParams.py and calib/gelsight/params.json"
 _LIGHT_FIT = (
-    "best of a search against ball presses of Taxim's data (correlation 0.94 to 0.97, contrast as "
-    "captured); no drawing is published"
+    "fit: best of a search against ball presses of Taxim's data (correlation 0.94 to 0.97, "
+    "contrast as captured); no drawing is published"
 )
 _ASSUMED_PLAN = (
     "assumption: no drawing of this gel is published; about 2.5 to 3 mm more than the camera's "

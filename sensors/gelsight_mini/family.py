@@ -25,7 +25,7 @@ _FIT = (
     "the whole face"
 )
 _LIGHT_FIT = (
-    "best of a search against four ball presses of another unit (correlation 0.94 to 0.96, "
+    "fit: best of a search against four ball presses of another unit (correlation 0.94 to 0.96, "
     "contrast 0.97 of the captured); no drawing is published"
 )
 _CASE = "measured on gsmini_shell of gsrobotics (gelsightinc/gsrobotics)"
@@ -65,7 +65,7 @@ class GelSightMiniParameters(RectangleSensorParameters):
     )  # fmt: skip
     young_modulus_mpa: float = restated(
         0.46,
-        source="identified with this solver (ten-node tets, nu 0.48) from the press forces that "
+        source="fit: identified with this solver (ten-node tets, nu 0.48) from press forces that "
         "FEATS measured, see docs/verification.md; Gent's formula gives 0.41 to 0.47 for the "
         "vendor's 55 Shore 00. Simulators of this gel use 0.01 to 1.0 MPa",
     )

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.interop.taxim_table import TaximTable, bin_indices, bin_middles
 from taccel_lab.reading.arrays import read_npz
 from taccel_lab.signals.normals import normals_from_slopes
@@ -51,10 +51,8 @@ def read_table(path: Path) -> TableFile:
         InputError: It cannot be read as an NPZ, or it holds no whole table.
     """
     arrays = read_npz(path)
-    try:
+    with naming(path):
         table = TaximTable.from_arrays(arrays, "bgr")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     size = arrays.get(_SIZE)
     if size is not None and (size.shape != (2,) or size.dtype.kind not in "iu"):
         raise InputError(f"{path}: {_SIZE} must be two whole numbers, got {size.tolist()}")

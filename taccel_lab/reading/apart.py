@@ -11,6 +11,7 @@ from __future__ import annotations
 import atexit
 import os
 import pickle
+import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Generator, Iterator
@@ -82,7 +83,7 @@ class _Reader:
         self.child = ChildProcess(
             _serve, memory_bytes=MEMORY_BYTES, environment=ENVIRONMENT, quiet=True
         )
-        self.arrays = os.memfd_create("arrays")
+        self.arrays = _place_for_arrays()
         """Where it puts the contents of arrays: through the pipe they would take far longer."""
         send_handle(self.child.pipe, self.arrays, None)
         self.owner = os.getpid()
@@ -157,6 +158,15 @@ class _Reader:
     def end(self) -> None:
         self.child.end()
         os.close(self.arrays)
+
+
+def _place_for_arrays() -> int:
+    """Descriptor of a file without a name that both processes read and write."""
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("arrays")
+    # Systems without files in memory (macOS): one on disk that is gone when it is closed.
+    with tempfile.TemporaryFile(buffering=0) as file:
+        return os.dup(file.fileno())
 
 
 class _Readers:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 import itertools
 import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -108,6 +109,27 @@ def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]
         app.main([*command.split(), "--help"])
     assert caught.value.code == 0
     assert f"usage: taccel-lab {command}" in capsys.readouterr().out
+
+
+SWITCHED_ON = {
+    "calibrate color": ("register", "cache", "table"),
+}
+"""Booleans that are on by default. Their help stands beside ``--x`` and ``--no-x`` at once."""
+
+
+@pytest.mark.parametrize("command", sorted({*COMMANDS, *SWITCHED_ON, "calibrate all", "study"}))
+def test_help_of_switches_reads_the_right_way_round(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit):
+        app.main([*command.split(), "--help"])
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    found = re.findall(r"--no-([a-z-]+) ([A-Z][^()]*?)\(default: (True|False)\)", text)
+    on = {name for name, _, default in found if default == "True"}
+    assert on == set(SWITCHED_ON.get(command, ()))
+    for name, words, default in found:
+        assert default == "False" or words.startswith("Whether "), (name, words)
 
 
 def command_classes() -> Iterator[ast.ClassDef]:

@@ -116,3 +116,55 @@ def test_mass_of_a_housing_is_that_of_its_walls() -> None:
     # The open front moves the centre to the back.
     assert body.center[2] < -(4e-3 + 12.5e-3)
     assert np.linalg.det(LINK_FROM_GEL) == pytest.approx(1.0)
+
+
+def masses_and_frames(folder: Path) -> tuple[dict[str, float], Any]:
+    """Masses that the file states, by link, and the names of the joints."""
+    root = ElementTree.parse(folder / "sensor.urdf").getroot()
+    masses = {}
+    for link in root.iter("link"):
+        mass = link.find("inertial/mass")
+        assert mass is not None
+        masses[str(link.get("name"))] = float(str(mass.get("value")))
+    return masses, [joint.get("name") for joint in root.iter("joint")]
+
+
+@pytest.mark.slow
+def test_pybullet_s_loader_gives_no_link_a_weight_of_its_own(folder: Path) -> None:
+    pybullet = pytest.importorskip("pybullet", reason="the extra peers is not installed")
+    masses, joints = masses_and_frames(folder)
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        body = pybullet.loadURDF(str(folder / "sensor.urdf"), physicsClientId=client)
+        count = pybullet.getNumJoints(body, physicsClientId=client)
+        infos = [pybullet.getJointInfo(body, i, physicsClientId=client) for i in range(count)]
+        found = {
+            "sensor_link": pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[0],
+            **{
+                info[12].decode(): pybullet.getDynamicsInfo(body, i, physicsClientId=client)[0]
+                for i, info in enumerate(infos)
+            },
+        }
+    finally:
+        pybullet.disconnect(client)
+    assert found == pytest.approx(masses)
+    assert sum(found.values()) < 0.02
+    assert sorted(info[1].decode() for info in infos) == sorted(str(name) for name in joints)
+
+
+@pytest.mark.slow
+def test_mujoco_s_loader_has_the_same_bodies(folder: Path) -> None:
+    mujoco = pytest.importorskip("mujoco", reason="the extra peers is not installed")
+    masses, _ = masses_and_frames(folder)
+    spec = mujoco.MjSpec.from_file(str(folder / "sensor.urdf"))
+    # A root without a joint is part of the world there, and its mass counts for nothing.
+    spec.compiler.fusestatic = False
+    spec.worldbody.first_body().add_freejoint()
+    model = spec.compile()
+    found = {model.body(i).name: float(model.body_mass[i]) for i in range(1, model.nbody)}
+    assert found == pytest.approx(masses)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = data.body("camera_optical_frame").xpos - data.body("gel_frame").xpos
+    # The camera looks out of the gel, along x of the link.
+    np.testing.assert_allclose(camera, [-0.024, 0, 0], atol=1e-6)

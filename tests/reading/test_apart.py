@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
+from taccel_lab.reading import apart
 from taccel_lab.reading.apart import read_apart, stream_apart
 from tests.reading import foreign_readers as readers
 
@@ -39,6 +40,21 @@ def test_what_goes_wrong_is_a_sentence_and_the_next_file_is_read(
     with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
         read_apart("x.ply", read)
     assert read_apart("a", readers.double, 2) == 4
+
+
+def test_arrays_come_back_where_there_are_no_files_in_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delattr(os, "memfd_create", raising=False)
+    monkeypatch.setattr(apart, "_readers", apart._Readers())
+    value = np.arange(1 << 20, dtype=np.float64).reshape(1024, 1024)
+    try:
+        for factor in (1, 2):
+            np.testing.assert_array_equal(
+                read_apart("a", readers.double, factor * value), 2 * factor * value
+            )
+    finally:
+        apart._readers.end()
 
 
 def test_relative_paths_are_those_of_the_caller(

@@ -43,6 +43,8 @@ def test_an_imported_block_is_meshed_and_all_files_are_written(
     written = json.loads(result.files["gel"].read_text())
     assert written["file"] == "mine.step" and written["thickness_mm"] == pytest.approx(3.0)
     assert written["selection"]["window"] == ["rect:5x4"]
+    assert set(written["assumed"]) == {"normal", "right", "origin", "unit"}
+    assert written["assumed"]["right"] == "+x of the file becomes the gel's x"
     assert np.array(written["gel_from_file"]["rotation_and_scale"]) == pytest.approx(np.eye(3))
     assert written["gel_from_file"]["shift_mm"] == pytest.approx([-6, -3.5, -3], abs=1e-6)
     mesh = read_mesh_vtu(result.files["mesh"])
@@ -53,6 +55,13 @@ def test_an_imported_block_is_meshed_and_all_files_are_written(
     assert areas["contact"] == pytest.approx(56, rel=0.02)
     assert result.quality.min_dihedral_deg >= 10
     assert result.quality.back_plane_error_mm < 1e-6
+
+
+def test_what_is_stated_is_not_assumed() -> None:
+    stated = FaceSelection(normal="-x", unit="mm")
+    assert set(stated.assumed()) == {"right", "origin"}
+    assert stated.assumed()["right"].startswith("+y ")
+    assert FaceSelection(normal="+z").assumed()["right"].startswith("+x ")
 
 
 def test_an_imported_gel_has_no_assembly(step: Path, tmp_path: Path) -> None:

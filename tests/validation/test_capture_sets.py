@@ -15,7 +15,7 @@ from taccel_lab.calibration.capture import (
     import_captures,
     load_capture_folder,
 )
-from taccel_lab.calibration.capture.importers import detect_layout
+from taccel_lab.calibration.capture.importers import ImportOptions, detect_layout
 from taccel_lab.calibration.check import CaptureCheck, check_captures
 from taccel_lab.errors import InputError
 from tests.real_data import real_data, taxim_presses
@@ -36,6 +36,10 @@ LAYOUTS = {
 }
 
 
+OPTIONS = {"9dtact_official": ImportOptions(board="dots:9x7:2.5")}
+"""What no file of a set states and an importer asks for."""
+
+
 def some_presses(folder: CaptureFolder, count: int) -> CaptureFolder:
     """Evenly picked presses: enough to judge, in a fraction of the time."""
     pick = np.linspace(0, len(folder.presses) - 1, count).astype(int)
@@ -50,12 +54,12 @@ def codes(check: CaptureCheck) -> dict[str, str]:
 def test_every_set_imports(name: str, tmp_path: Path) -> None:
     folder = real_data(name)
     assert detect_layout(folder).name == LAYOUTS[name]
-    for out in import_captures(folder, tmp_path / "out"):
+    for out in import_captures(folder, tmp_path / "out", options=OPTIONS.get(name)):
         assert sum(load_capture_folder(out).contents().values()) > 0
 
 
 def imported(name: str, tmp_path: Path, part: str = "") -> CaptureFolder:
-    import_captures(real_data(name), tmp_path / "out")
+    import_captures(real_data(name), tmp_path / "out", options=OPTIONS.get(name))
     return load_capture_folder(tmp_path / "out" / part)
 
 

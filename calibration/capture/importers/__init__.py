@@ -22,6 +22,8 @@ from taccel_lab.calibration.capture.importers.crop import crop_draft
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.image_sets import SETS
 from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.left_out import files_of
+from taccel_lab.calibration.capture.importers.origin import UNKNOWN, read_origin
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
@@ -86,11 +88,42 @@ def read_drafts(
     if chosen.by_structure and layout != AUTO and not chosen.recognises(source):
         raise InputError(f"{source} is not of the layout {chosen.name}: {chosen.title}")
     drafts = chosen.read(source, options)
+    require_effect(options, drafts, source, chosen.name)
+    origin = read_origin(source)
     for draft in drafts:
         draft.apply(options, source if source.is_dir() else source.parent)
         if options.crop is not None:
             crop_draft(draft, options.crop)
+        of = f"imported from {source.resolve().name}, layout {chosen.name}" + (
+            f", part {draft.part}" if draft.part else ""
+        )
+        draft.root = source
+        known = draft.source if draft.source != UNKNOWN else origin.source
+        draft.source = f"{options.origin or known}; {of}"
+        known = draft.license if draft.license != UNKNOWN else origin.license
+        draft.license = options.license or known
+        draft.used |= origin.files
+    _leave_out_the_rest(source, drafts, chosen.name)
     return chosen, drafts
+
+
+def require_effect(options: ImportOptions, drafts: list[Draft], source: Path, layout: str) -> None:
+    """Refuse options that nothing in the source is changed by."""
+    for option, key in (("edge_mm", "edges"), ("board", "boards")):
+        given = getattr(options, option) is not None
+        if given and not any(key in draft.manifest for draft in drafts):
+            raise InputError(
+                f"--{option.replace('_', '-')} was given, but {source}, read as {layout}, has no "
+                f"{key}; leave it away"
+            )
+
+
+def _leave_out_the_rest(source: Path, drafts: list[Draft], layout: str) -> None:
+    """Say of every file of the source that no draft mentions that it is not imported."""
+    mentioned = {path.resolve() for d in drafts for path in (*d.used, *d.left_out)}
+    for path in files_of(source):
+        if path.resolve() not in mentioned:
+            drafts[0].leave_out(path, f"no capture of the layout {layout}")
 
 
 def import_captures(
@@ -121,7 +154,7 @@ def import_captures(
                 freeze_split(load_capture_folder(folder), folder / MANIFEST_NAME)
             except InputError as error:
                 text = str(error).replace(str(folder), str(source))
-                raise InputError(f"{text} (imported as {draft.source})") from error
+                raise InputError(f"{text} (imported from {draft.place})") from error
     return [out / draft.part for draft in drafts]
 
 

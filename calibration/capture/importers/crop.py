@@ -46,7 +46,7 @@ def crop_draft(draft: Draft, text: str) -> None:
     name = draft.manifest.get("background")
     presses = draft.manifest.get("presses", [])
     if name is None or not presses:
-        raise InputError(f"{draft.source}: crop needs a background and presses")
+        raise InputError(f"{draft.place}: crop needs a background and presses")
     background = levels(draft.files[name])
     height, width = levels(draft.files[presses[0]["image"]]).shape[:2]
     if text == AUTO_CROP:
@@ -109,7 +109,7 @@ def _find(draft: Draft, background: np.ndarray) -> tuple[Part, bool]:
     """The part that one framing shows of the other, and whether it is one of the presses."""
     if len(draft.manifest["presses"]) < MIN_PRESSES:
         raise InputError(
-            f"{draft.source}: crop auto needs {MIN_PRESSES} presses for their median; give the "
+            f"{draft.place}: crop auto needs {MIN_PRESSES} presses for their median; give the "
             "part as LEFT,TOP,WIDTHxHEIGHT"
         )
     median = draft.median_of_presses()
@@ -122,7 +122,7 @@ def _find(draft: Draft, background: np.ndarray) -> tuple[Part, bool]:
     best = min(inner, outer, key=lambda crop: crop.misfit_levels)
     if misfit < OTHER_FRAMING_LEVELS or best.misfit_levels * CROP_GAIN > misfit:
         raise InputError(
-            f"{draft.source}: crop auto found no part that fits {CROP_GAIN:g} times better than "
+            f"{draft.place}: crop auto found no part that fits {CROP_GAIN:g} times better than "
             f"the whole, which is {misfit:.1f} levels apart (the part {best.misfit_levels:.1f}); "
             "leave --crop away, or give the part as LEFT,TOP,WIDTHxHEIGHT"
         )

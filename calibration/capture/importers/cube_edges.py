@@ -16,9 +16,8 @@ from taccel_lab.calibration.capture.importers.files import (
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.reading.arrays import read_npz
 
-SOURCE = "cube edges (jonaszilke/gs_sdk)"
-LICENSE = "GPL-3.0"
 EDGE_MM = 10.0
+DIHEDRAL_DEG = 90.0
 
 
 def _labels(path: Path) -> list[Path]:
@@ -33,23 +32,33 @@ def _recognises(path: Path) -> bool:
 
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
-    draft = Draft("", "gelsight_mini", SOURCE, LICENSE)
+    draft = Draft("", "gelsight_mini", path)
+    draft.assume("sensor", "gelsight_mini, that of the published set (jonaszilke/gs_sdk)")
     background = first_existing(path / "background.png", path / "background.jpg")
     if background is not None:
-        draft.set_background(background)
+        draft.set_background(background, f"{background.name}, by its name")
+    elif options.background is None:
+        draft.notes.append("no background: background.png is missing; --background gives one")
     length = options.edge_mm
     if length is None:
         length = EDGE_MM
-        draft.notes.append(f"the edge is taken as {EDGE_MM:g} mm long, that of the published cube")
+        draft.assume(
+            "edge_mm", f"{EDGE_MM:g} mm, that of the published cube; --edge-mm gives another"
+        )
+    draft.assume("dihedral_deg", f"{DIHEDRAL_DEG:g}, that of a cube")
     edges = []
     for label in _labels(path):
         arrays = read_npz(label)
+        draft.used.add(label)
+        drawn = label.with_name("labeled.png")
+        if drawn.is_file():
+            draft.leave_out(drawn, "a drawing of the label")
         u, v = point_in(arrays, "line_center", label)
         edges.append(
             {
                 "image": draft.add_image(sensor_image(label.parent), f"edge_{label.parent.name}"),
                 "length_mm": float(length),
-                "dihedral_deg": 90.0,
+                "dihedral_deg": DIHEDRAL_DEG,
                 "line": {
                     "u_px": u,
                     "v_px": v,

@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.importers.left_out import left_out_sentences
+from taccel_lab.calibration.capture.importers.origin import UNKNOWN
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
@@ -22,6 +24,7 @@ from taccel_lab.output import write_image
 from taccel_lab.printable import printable
 from taccel_lab.reading.images import read_image
 from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
+from taccel_lab.sensors import sensor_families
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 COPIED_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -43,11 +46,14 @@ class ImportOptions:
     edge_mm: float | None = None
     """Length of the straight edge of edge presses [mm]."""
     board: str | None = None
-    """``chessboard:6x6:2.5``: the images of a plain folder are views of this board (inner corners
-    or dots along a row x rows, and the pitch in mm where it is known)."""
+    """``chessboard:6x6:2.5``: the board of the layout, or that all images of a plain folder are
+    views of (inner corners or dots along a row x rows, and the pitch in mm where it is known)."""
     crop: str | None = None
     """``LEFT,TOP,WIDTHxHEIGHT`` [px], the part of the presses that the background shows, or
     ``auto``."""
+    origin: str | None = None
+    """Where the captures come from; kept as ``source``."""
+    license: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("radius_mm", "mm_per_px_x", "mm_per_px_y", "edge_mm"):
@@ -58,18 +64,37 @@ class ImportOptions:
 
 @dataclass
 class Draft:
-    """A manifest, the files it names, and what had to be assumed."""
+    """A manifest, the files it names, what had to be assumed, and what was left out."""
 
     part: str
     """Name of the folder below the target when the source holds several sensors or sets."""
     sensor: str
-    source: str
-    license: str | None = None
+    place: Path
+    """Folder or file that it is read from."""
+    root: Path | None = None
+    """Folder that the person named, which messages name files below; ``place`` when None."""
+    source: str = UNKNOWN
+    license: str = UNKNOWN
     manifest: dict[str, Any] = field(default_factory=dict)
     files: dict[str, Path | np.ndarray | str] = field(default_factory=dict)
     """By name in the folder: an image or any other file, RGB levels, or text."""
     notes: list[str] = field(default_factory=list)
-    """What was assumed, guessed or left out; kept as comments in the manifest."""
+    """What a person should know besides; kept as comments in the manifest."""
+    assumed: dict[str, str] = field(default_factory=dict)
+    """What no file says, by the name of the value: what was taken, and why."""
+    used: set[Path] = field(default_factory=set)
+    """Files that were taken in, or that something was read from."""
+    left_out: dict[Path, str] = field(default_factory=dict)
+    """Files that were not, each with the reason."""
+
+    def assume(self, name: str, text: str) -> None:
+        """Keep that the value ``name`` is stated by no file: what was taken, and why."""
+        self.assumed[name] = text
+
+    def leave_out(self, path: Path, why: str) -> None:
+        """Keep why a file is not imported."""
+        self.used.discard(path)
+        self.left_out[path] = why
 
     def add_image(self, image: Path | np.ndarray, name: str | None = None) -> str:
         """Take an image in; returns its name in the folder, made different where it is taken."""
@@ -92,21 +117,26 @@ class Draft:
             (stem + suffix).encode()
         except UnicodeEncodeError:
             raise InputError(
-                f"{self.source}: the file name {printable(stem + suffix)} is not UTF-8; rename it"
+                f"{self.place}: the file name {printable(stem + suffix)} is not UTF-8; rename it"
             ) from None
         chosen, count = f"{stem}{suffix}", 1
         while chosen in self.files:
             count += 1
             chosen = f"{stem}_{count}{suffix}"
         self.files[chosen] = content
+        if isinstance(content, Path):
+            self.used.add(content)
         return chosen
 
-    def set_background(self, image: Path | np.ndarray) -> None:
-        """Make ``image`` the background."""
+    def set_background(self, image: Path | np.ndarray, why: str | None = None) -> None:
+        """Make ``image`` the background; ``why``, where nobody has stated that it is."""
         old = self.manifest.get("background")
-        if old is not None:
-            del self.files[old]
+        if old is not None and isinstance(replaced := self.files.pop(old), Path):
+            self.leave_out(replaced, "--background replaces it")
         self.manifest["background"] = self.add_image(image, "background")
+        self.assumed.pop("background", None)
+        if why is not None:
+            self.assume("background", why)
 
     def add_press(self, image: Path | np.ndarray, name: str | None = None, **values: Any) -> None:
         """Add a ball press; ``values`` are further keys of its entry, None left out."""
@@ -114,16 +144,35 @@ class Draft:
         entry |= {key: value for key, value in values.items() if value is not None}
         self.manifest.setdefault("presses", []).append(entry)
 
-    def set_ball(self, radius_mm: float) -> None:
+    def set_ball(self, radius_mm: float, why: str | None = None) -> None:
+        """State the ball's radius; ``why``, where no file here does."""
         self.manifest["indenter"] = {"kind": "sphere", "radius_mm": float(radius_mm)}
+        self.assumed.pop("radius_mm", None)
+        if why is not None:
+            self.assume("radius_mm", f"{radius_mm:g} mm, {why}")
 
-    def set_scale(self, mm_per_px_x: float, mm_per_px_y: float | None = None) -> None:
+    def set_scale(
+        self, mm_per_px_x: float, mm_per_px_y: float | None = None, why: str | None = None
+    ) -> None:
+        """State the scale; ``why``, where no file here does."""
         self.manifest["mm_per_px_x"] = float(mm_per_px_x)
         self.manifest["mm_per_px_y"] = float(mm_per_px_x if mm_per_px_y is None else mm_per_px_y)
+        self.assumed.pop("mm_per_px", None)
+        if why is not None:
+            self.assume("mm_per_px", f"{mm_per_px_x:g} mm/px, {why}")
 
     def apply(self, options: ImportOptions, root: Path) -> None:
         """Let what a person states replace what the layout says."""
-        self.sensor = options.sensor or self.sensor
+        if options.sensor is not None:
+            self.sensor = options.sensor
+            self.assumed.pop("sensor", None)
+        family = sensor_families().get(self.sensor)
+        if family is not None:
+            thickness = getattr(family.parameters(), "thickness_mm", None)
+            thick = "" if thickness is None else f", {thickness:g} mm thick"
+            self.assume(
+                "gel", f"that of the catalogue's {self.sensor}{thick}: no file describes it"
+            )
         if options.unit is not None:
             self.manifest["unit"] = options.unit
         if options.radius_mm is not None:
@@ -135,15 +184,27 @@ class Draft:
         if options.edge_mm is not None:
             for edge in self.manifest.get("edges", []):
                 edge["length_mm"] = options.edge_mm
+            self.assumed.pop("edge_mm", None)
         if options.background == MEDIAN:
-            self.set_background(self.median_of_presses())
-            self.notes.append("the background is the median of the presses")
+            self.set_background(self.median_of_presses(), "the median of the presses")
         elif options.background is not None:
             path = Path(options.background)
             path = path if path.is_file() else root / path
             if not path.is_file():
                 raise InputError(f"{options.background}: no such background image")
+            self._drop_press(path)
             self.set_background(path)
+
+    def _drop_press(self, image: Path) -> None:
+        """Take a press out whose image turns out to be something else."""
+        presses = self.manifest.get("presses", [])
+        for press in presses:
+            content = self.files[press["image"]]
+            if isinstance(content, Path) and content.samefile(image):
+                presses.remove(press)
+                del self.files[press["image"]]
+                self.used.discard(content)
+                return
 
     def median_of_presses(self) -> np.ndarray:
         """Median of the presses, RGB uint8: the untouched gel where presses are spread enough."""
@@ -152,7 +213,7 @@ class Draft:
         names = [entry["image"] for entry in self.manifest.get("presses", [])]
         if len(names) < 3:
             raise InputError(
-                f"{self.source}: the median of {len(names)} presses is no background; at least 3"
+                f"{self.place}: the median of {len(names)} presses is no background; at least 3"
             )
         return median_image([self.files[name] for name in names])
 
@@ -182,11 +243,17 @@ class Draft:
             if key in rest:
                 head[key] = rest.pop(key)
         head["source"] = printable(self.source)
-        if self.license is not None:
-            head["license"] = self.license
-        lines = (line for note in self.notes for line in note.splitlines())
+        head["license"] = printable(self.license)
+        if self.assumed:
+            rest["assumed"] = {key: printable(text) for key, text in self.assumed.items()}
+        lines = (line for note in self.remarks() for line in note.splitlines())
         comments = "".join(f"# {printable(line)}\n" for line in lines)
         return comments + tomli_w.dumps(head | rest)
+
+    def remarks(self) -> list[str]:
+        """The notes, and what was left out with the reasons."""
+        root = self.root or self.place
+        return [*self.notes, *left_out_sentences(self.left_out, root)]
 
     @contextmanager
     def opened(self) -> Iterator[CaptureFolder]:
@@ -196,8 +263,8 @@ class Draft:
             try:
                 folder = load_capture_folder(Path(name))
             except InputError as error:
-                raise InputError(str(error).replace(name, self.source)) from error
-            yield replace(folder, source=self.source)
+                raise InputError(str(error).replace(name, str(self.place))) from error
+            yield replace(folder, source=str(self.place))
 
 
 def write_png(path: Path, rgb: np.ndarray) -> None:

@@ -19,8 +19,6 @@ from taccel_lab.reading.cell_number import number
 from taccel_lab.reading.json_file import read_json
 from taccel_lab.reading.text_file import shown
 
-SOURCE = "FEATS (feats-ai/feats)"
-LICENSE = "MIT"
 POINTS = "force_indentation.json"
 _RADIUS = re.compile(r"radius\s*([0-9.]+)\s*mm", re.IGNORECASE)
 
@@ -31,7 +29,9 @@ def _recognises(path: Path) -> bool:
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
     points = path if path.is_file() else path / POINTS
-    draft = Draft("", "gelsight_mini", SOURCE, LICENSE)
+    draft = Draft("", "gelsight_mini", path)
+    draft.assume("sensor", "gelsight_mini, that of the published set (feats-ai/feats)")
+    draft.used.add(points)
     values = read_json(points)
     depths = _numbers(points, values, "indentation_mm")
     forces = _numbers(points, values, "normal_force_N")
@@ -56,7 +56,11 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         *(points.parent / place / "homography.npy" for place in ("src/feats/homography", "."))
     )
     if homography is not None:
-        _read_scale(homography, draft)
+        draft.used.add(homography)
+        if options.mm_per_px_x is None:
+            _read_scale(homography, draft)
+        else:
+            draft.leave_out(homography, "--mm-per-px-x replaces its scale")
     return [draft]
 
 
@@ -73,10 +77,14 @@ def _read_scale(path: Path, draft: Draft) -> None:
     affine = matrix.shape == (3, 3) and np.abs(matrix[2, :2]).max() <= 1e-9 and matrix[2, 2] != 0
     px_per_mm = np.linalg.norm(matrix[:2, :2] / matrix[2, 2], axis=1) if affine else np.zeros(2)
     if not np.all((px_per_mm >= 1 / MAX_MM_PER_PX) & (px_per_mm <= 1 / MIN_MM_PER_PX)):
-        draft.notes.append(f"{path.name} is no affine 3 x 3 matrix; its scale was left out")
+        draft.leave_out(path, "no affine 3 x 3 matrix of a scale in px per mm")
         return
     draft.set_scale(float(1 / px_per_mm[0]), float(1 / px_per_mm[1]))
-    draft.notes.append(f"scale from {path.name}: {px_per_mm[0]:g} x {px_per_mm[1]:g} px/mm")
+    draft.assume(
+        "mm_per_px",
+        f"from {path.name}: {px_per_mm[0]:g} x {px_per_mm[1]:g} per mm, taken as pixels of these "
+        "images per millimetre",
+    )
 
 
 LAYOUT = Layout("feats", "FEATS: force_indentation.json, homography.npy", _recognises, _read)

@@ -11,10 +11,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import (
     first_existing,
+    images_in,
     natural_key,
     number_in,
     point_in,
@@ -28,14 +30,13 @@ from taccel_lab.reading.arrays import read_npz
 from taccel_lab.reading.cell_number import number
 from taccel_lab.reading.plain_values import number_at
 from taccel_lab.reading.table_file import TABLE_LIMIT_BYTES, read_table
-from taccel_lab.reading.text_file import read_text
+from taccel_lab.reading.text_file import read_text, shown
 from taccel_lab.reading.yaml_file import YAML_LIMIT_BYTES, read_yaml
 
 CATALOG = "catalog.csv"
 DIAMETER = "diameter(mm)"
 _SCALE = "ppmm"
 FOLDER = "experiment_reldir"
-SOURCE = "gs_sdk layout (joehjhuang/gs_sdk)"
 _BALL_FOLDER = re.compile(r"([0-9]{1,4}(?:\.[0-9]{0,9})?)\s*mm")
 _SENSORS = {"gelsight mini": "gelsight_mini", "digit": "digit"}
 
@@ -65,28 +66,35 @@ def _labels(path: Path) -> list[Path]:
 
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
-    draft = Draft("", "gelsight_mini", SOURCE)
+    draft = Draft("", "gelsight_mini", path)
+    draft.assume("sensor", "gelsight_mini, the sensor that gs_sdk is mostly used with")
     background = _background(path)
     if background is None and options.background is None:
-        raise InputError(f"{path}: no background.png; gs_sdk stores one beside {CATALOG}")
+        raise InputError(
+            f"{path}: no background.png; gs_sdk stores one beside {CATALOG}, --background gives "
+            "another"
+        )
     if background is not None:
-        draft.set_background(background)
-    _read_config(path, draft)
+        draft.set_background(background, f"{background.relative_to(path)}, by its name")
+    _read_config(path, draft, options)
     if (path / CATALOG).is_file():
         _read_catalog(path, draft)
     elif _labels(path):
-        _read_labelled(path, draft)
+        _read_labelled(path, draft, options)
     else:
         ball = first_existing(path / "assets" / "ball_image.png")
         if ball is not None:
             draft.add_press(ball)
+            draft.assume("presses", f"{ball.name} is a press of a ball, by its name")
             if options.radius_mm is None:
                 draft.notes.append("the diameter of the ball is stated nowhere")
-        draft.notes.append("pictures of other objects were left out: only balls have a known shape")
+        for image in images_in(path, recursive=True):
+            if image not in draft.used:
+                draft.leave_out(image, "neither background nor ball: no known shape")
     return [draft]
 
 
-def _read_config(path: Path, draft: Draft) -> None:
+def _read_config(path: Path, draft: Draft, options: ImportOptions) -> None:
     """Scale and sensor of the YAML file, where there is one."""
     places = (path, path / "configs", path / "examples" / "configs", path.parent)
     configs = [
@@ -98,21 +106,33 @@ def _read_config(path: Path, draft: Draft) -> None:
         except InputError as error:
             if _mentions_scale(config):
                 raise
-            draft.notes.append(f"{config.name} was not used: {error}")
+            draft.leave_out(config, f"not used: {error}")
             continue
         if _SCALE not in values:
             continue
+        draft.used.add(config)
+        _read_device(values, config, draft)
+        if options.mm_per_px_x is not None:
+            return
         scale = number_at(values, _SCALE, str(config))
         if not MIN_MM_PER_PX <= scale <= MAX_MM_PER_PX:
             raise InputError(
                 f"{config}: ppmm is {scale:g}; gs_sdk stores millimetres per pixel under this "
                 f"name, {MIN_MM_PER_PX:g} to {MAX_MM_PER_PX:g} is allowed"
             )
-        draft.set_scale(scale)
-        device = str(values.get("device_name", "")).lower()
-        draft.sensor = next((name for key, name in _SENSORS.items() if key in device), draft.sensor)
-        draft.notes.append(f"scale from {config.name}: its ppmm is in mm per pixel")
+        draft.set_scale(
+            scale, why=f"the ppmm of {config.name} taken as mm per pixel, as gs_sdk uses it"
+        )
         return
+
+
+def _read_device(values: dict[str, Any], config: Path, draft: Draft) -> None:
+    """The sensor that the YAML file names, where the catalogue has it."""
+    device = str(values.get("device_name", ""))
+    found = next((name for key, name in _SENSORS.items() if key in device.lower()), None)
+    if found is not None:
+        draft.sensor = found
+        draft.assume("sensor", f"{found}, by the device_name {shown(device)} of {config.name}")
 
 
 def _mentions_scale(config: Path) -> bool:
@@ -125,6 +145,7 @@ def _mentions_scale(config: Path) -> bool:
 
 def _read_catalog(path: Path, draft: Draft) -> None:
     table = read_table(path / CATALOG)
+    draft.used.add(path / CATALOG)
     place, ball = table.require_column(FOLDER), table.require_column(DIAMETER)
     rows = [(inner_path(path, row.text(place)), row.number(ball)) for row in table.rows()]
     if not rows:
@@ -136,29 +157,41 @@ def _read_catalog(path: Path, draft: Draft) -> None:
             sensor_image(folder),
             "_".join(folder.relative_to(path).parts),
             radius_mm=None if diameter == common else diameter / 2,
-            contact=_circle(folder / "label.npz"),
+            contact=_circle(folder / "label.npz", draft),
         )
 
 
-def _read_labelled(path: Path, draft: Draft) -> None:
+def _read_labelled(path: Path, draft: Draft, options: ImportOptions) -> None:
     """Presses of folders with labels; a folder ``4.760mm`` says the ball's diameter."""
-    draft.notes.append(f"{CATALOG} is missing: the names of the folders give the balls")
     balls = []
     for label in _labels(path):
         match = _BALL_FOLDER.fullmatch(label.parent.parent.name)
         balls.append(None if match is None else number(match[1]) / 2)
         name = "_".join(label.parent.relative_to(path).parts)
         draft.add_press(
-            sensor_image(label.parent), name, radius_mm=balls[-1], contact=_circle(label)
+            sensor_image(label.parent), name, radius_mm=balls[-1], contact=_circle(label, draft)
         )
     stated = [ball for ball in balls if ball is not None]
     if stated:
-        draft.set_ball(Counter(stated).most_common(1)[0][0])
+        draft.set_ball(
+            Counter(stated).most_common(1)[0][0],
+            f"by the names of the folders, taken as diameters: {CATALOG} is missing",
+        )
+    if stated and None in balls:
+        draft.assume(
+            "presses",
+            f"{balls.count(None)} in folders whose names say no diameter are of the commonest ball",
+        )
+    elif None in balls and options.radius_mm is None:
+        draft.notes.append(
+            f"{CATALOG} is missing: the diameter of the ball is stated nowhere; give --radius-mm"
+        )
 
 
-def _circle(label: Path) -> dict[str, float] | None:
+def _circle(label: Path, draft: Draft) -> dict[str, float] | None:
     if not label.is_file():
         return None
+    draft.used.add(label)
     arrays = read_npz(label)
     u, v = point_in(arrays, "center", label)
     return {"u_px": u, "v_px": v, "radius_px": number_in(arrays, "radius", label)}

@@ -19,7 +19,8 @@ from taccel_lab.calibration.capture.importers.background_guess import BACKGROUND
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import images_in
 from taccel_lab.calibration.capture.importers.label_tables import read_label_tables
-from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.layout import FALLBACK_SENSOR, Layout
+from taccel_lab.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -28,28 +29,28 @@ class ImageSet:
 
     name: str
     title: str
-    source: str
+    published: str
+    """Whose set it is, and where its ball and scale are stated."""
     presses: str
     """Pattern of the file names of presses."""
     backgrounds: tuple[str, ...]
     """Patterns of the untouched sensor's, the best first."""
     ball_radius_mm: float
     mm_per_px: float
-    sensor: str = "flat_pad"
-    license: str | None = None
+    sensor: str = FALLBACK_SENSOR
     folder: str | None = None
     """Name of the folder that holds the images; any when None."""
     several: bool = False
     """Whether every folder below with a background and presses is a set of its own."""
-    note: str | None = None
-    """What is assumed for every set."""
 
     def layout(self) -> Layout:
         """The layout that reads such sets."""
-        return Layout(self.name, self.title, lambda path: bool(self._places(path)), self._read)
+        return Layout(
+            self.name, self.title, lambda path: bool(self._places(path)), self._read, False
+        )
 
-    def _places(self, path: Path) -> list[Path]:
-        """Folders that hold a set."""
+    def _places(self, path: Path, with_background: bool = True) -> list[Path]:
+        """Folders that hold a set; ``with_background``: of several, those that have one."""
         if not path.is_dir():
             return []
         if self.several:
@@ -57,7 +58,8 @@ class ImageSet:
             return [
                 place
                 for place in (path, *below)
-                if any(place.glob(self.presses)) and self._background(place) is not None
+                if any(place.glob(self.presses))
+                and not (with_background and self._background(place) is None)
             ]
         if self.folder is not None:
             path = path / self.folder if (path / self.folder).is_dir() else path
@@ -70,31 +72,38 @@ class ImageSet:
         return next((path for path in named if path.is_file()), None)
 
     def _read(self, path: Path, options: ImportOptions) -> list[Draft]:
-        places = self._places(path)
+        places = self._places(path) or self._places(path, with_background=False)
+        if not places:
+            raise InputError(f"{path} is not of the layout {self.name}: {self.title}")
         return [self._draft(place, len(places) > 1, options) for place in places]
 
     def _draft(self, place: Path, one_of_several: bool, options: ImportOptions) -> Draft:
-        source = f"{self.source}, {place.name}" if self.several else self.source
-        draft = Draft(place.name if one_of_several else "", self.sensor, source, self.license)
+        draft = Draft(place.name if one_of_several else "", self.sensor, place)
+        draft.assume(
+            "sensor",
+            f"{self.sensor}, that of the published set"
+            if self.sensor != FALLBACK_SENSOR
+            else f"{FALLBACK_SENSOR}, which stands for any flat gel; --sensor names another",
+        )
         images = images_in(place)
         background = self._background(place)
         if background is None:
             background = next((i for i in images if BACKGROUND_NAME.search(i.stem)), None)
         if background is not None:
-            draft.set_background(background)
+            draft.set_background(background, f"{background.name}, by its name")
         elif options.background is None:
             draft.notes.append(
                 f"no background: {self.backgrounds[0].replace('*', 'png')} is missing; give one "
                 "with --background, or --background median for that of the presses"
             )
-        draft.set_ball(self.ball_radius_mm)
-        draft.set_scale(self.mm_per_px)
-        if self.note is not None:
-            draft.notes.append(self.note)
+        draft.set_ball(self.ball_radius_mm, f"that of {self.published}, whatever the set")
+        draft.set_scale(self.mm_per_px, why=f"that of {self.published}, whatever the set")
         presses = [image for image in images if image.match(self.presses) and image != background]
-        circles = read_label_tables(place).of_images(presses)
+        labels = read_label_tables(place)
+        circles = labels.of_images(presses)
         for image in presses:
             draft.add_press(image, contact=circles.get(image))
+        labels.tell(draft, presses)
         return draft
 
 
@@ -102,7 +111,7 @@ SETS = (
     ImageSet(
         name="rvsathu",
         title="GelSight-Sim2Real: calib_<n>_real.png, background_real.png",
-        source="GelSight-Sim2Real (RVSATHU), depth_reconstruction",
+        published="depth_reconstruction of RVSATHU/GelSight-Sim2Real",
         presses="calib_*_real.*",
         backgrounds=("background_real.*",),
         ball_radius_mm=2.92,
@@ -111,8 +120,7 @@ SETS = (
     ImageSet(
         name="ruihangao",
         title="calib_ball/frame_<n>, frame 0 untouched",
-        source="ShapeMap3D-GelSightMini (RuihanGao), calib_ball",
-        license="MIT",
+        published="sensorParams.py of RuihanGao/16741-Proj-ShapeMap3D-GelSightMini",
         sensor="gelsight_mini",
         folder="calib_ball",
         presses="frame_*.*",
@@ -123,13 +131,11 @@ SETS = (
     ImageSet(
         name="gelslim",
         title="GelSlim: ref.jpg and sample_<n>.jpg",
-        source="GelSlim 3.0 (mcubelab/gelslim)",
-        license="CC BY-NC 4.0",
+        published="calibration.py of mcubelab/gelslim",
         several=True,
         presses="sample_*.*",
         backgrounds=("ref.jpg", "ref.png"),
         ball_radius_mm=3.8,
         mm_per_px=0.10577,
-        note="ball and scale are those of its calibration.py, whatever the set",
     ),
 )

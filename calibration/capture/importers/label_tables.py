@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from taccel_lab.calibration.capture.importers.draft import Draft
 from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
 from taccel_lab.reading.cell_number import number
@@ -45,8 +46,10 @@ class LabelTables:
     """By the image as its table names it: path below the folder, file name, or stem."""
     tables: dict[str, Path] = field(default_factory=dict)
     """By the same names: the table that says so."""
-    notes: list[str] = field(default_factory=list)
-    """What was not used, in sentences."""
+    read: set[Path] = field(default_factory=set)
+    """Tables with circles."""
+    left_out: dict[Path, str] = field(default_factory=dict)
+    """Tables that were not used, with the reason."""
 
     def of_images(self, images: Sequence[Path]) -> dict[Path, Circle]:
         """The circle of each image that has one.
@@ -73,15 +76,18 @@ class LabelTables:
             found[image] = self.circles[name]
         return found
 
-    def unused(self, images: Sequence[Path]) -> list[str]:
-        """What of the tables has no effect on these presses, in sentences."""
+    def tell(self, draft: Draft, images: Sequence[Path]) -> None:
+        """Keep in the draft which tables were read, and what of them has no effect on these
+        presses."""
+        draft.used |= self.read
+        for path, why in self.left_out.items():
+            draft.leave_out(path, why)
         used = {image.name for image in images} | {image.stem for image in images}
         used |= {image.relative_to(self.folder).as_posix() for image in images}
         lost = sorted(name for name in self.circles if name not in used)
-        if not lost:
-            return self.notes
-        shown = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
-        return [*self.notes, f"circles of images that are not there, or no presses: {shown}"]
+        if lost:
+            shown = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
+            draft.notes.append(f"circles without an image here, or of no press: {shown}")
 
 
 def read_label_tables(folder: Path) -> LabelTables:
@@ -96,13 +102,12 @@ def read_label_tables(folder: Path) -> LabelTables:
                 circles = read_labels(path)
                 is_foreign = circles is None and path.suffix == ".csv" and place == folder
                 if is_foreign and kind_of_record(path) is None:
-                    found.notes.append(
-                        f"{path.name} was not used: it has no columns for file, centre and radius "
-                        "of circles"
-                    )
+                    found.left_out[path] = "no columns for file, centre and radius of circles"
             except NotATable as error:
-                found.notes.append(not_used(path, error))
+                found.left_out[path] = without_path(path, error)
                 continue
+            if circles:
+                found.read.add(path)
             for name, circle in (circles or {}).items():
                 if found.circles.setdefault(name, circle) != circle:
                     raise InputError(
@@ -116,9 +121,9 @@ class NotATable(InputError):
     """A file that has no columns at all, so that it may well be something else."""
 
 
-def not_used(path: Path, cause: Exception) -> str:
-    """Note about a file beside the images that is left out."""
-    return f"{path.name} was not used: {cause}"
+def without_path(path: Path, cause: Exception) -> str:
+    """What an error says of a file that is named beside it."""
+    return str(cause).removeprefix(str(path)).lstrip(": ")
 
 
 def read_labels(path: Path) -> dict[str, Circle] | None:

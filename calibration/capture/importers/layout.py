@@ -9,6 +9,9 @@ from pathlib import Path
 
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 
+FALLBACK_SENSOR = "flat_pad"
+"""Where nothing says which sensor the captures are of."""
+
 
 @dataclass(frozen=True)
 class Layout:

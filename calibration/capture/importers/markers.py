@@ -16,7 +16,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
 from taccel_lab.reading.videos import first_frame
 
-VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv")
+VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm")
 MIN_FRAMES = 20
 SAMPLED, STEADY = 12, 0.5
 """Pairs of neighbours that are looked at, and how much nearer than distant frames they have to be.
@@ -74,7 +74,8 @@ def _shows_dots(path: Path) -> bool:
 
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
-    draft = Draft("", "gelsight_mini", f"frames of a gel with dots, {path.name}")
+    draft = Draft("", "gelsight_mini", path)
+    draft.assume("sensor", "gelsight_mini, the usual sensor with dots; --sensor names another")
     videos = [path] if path.is_file() else [] if images_in(path) else _videos(path)
     if videos:
         root = path.parent if path.is_file() else path
@@ -88,8 +89,12 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
             raise InputError(f"{path} holds {len(images)} images; a video needs at least 2 frames")
         names = [draft.add_image(image, f"frame_{image.stem}") for image in images]
         draft.manifest["markers"] = {"rest": names[0], "videos": [{"frames": names}]}
-    of = f" of {videos[0].name}" if len(videos) > 1 else ""
-    draft.notes.append(f"the first frame{of} is taken as the gel at rest")
+    first = (
+        f"the first frame of {videos[0].name}"
+        if videos
+        else f"{images_in(path)[0].name}, the first frame"
+    )
+    draft.assume("rest", f"{first} shows the gel at rest")
     return [draft]
 
 

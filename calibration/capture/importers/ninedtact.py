@@ -1,29 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """9DTact (Lin et al., RA-L 2023; MIT): ``camera_calibration`` and ``depth_calibration``.
 
-Each holds ``ref.png`` (untouched) and ``sample.png``: a press of the 7 x 9 dot board (2.5 mm) and
-one of a ball of 4.0 mm. Further images there are results of its own scripts and are left out.
+Each holds ``ref.png`` (untouched) and ``sample.png``: a press of a dot board and one of a ball.
+Further images there are results of its own scripts and are left out. Boards of several pitches are
+about (the authors' has 9 x 7 dots at 2.5 mm), and a wrong one is a wrong scale: a
+``shape_config.yaml`` or a person has to state it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from taccel_lab.calibration.capture.importers.board_text import board_entry
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.files import first_existing
+from taccel_lab.calibration.capture.importers.files import first_existing, images_in
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
 from taccel_lab.printable import printable
 from taccel_lab.reading.plain_values import number_at
 from taccel_lab.reading.yaml_file import read_yaml
 
-SOURCE = "9DTact (linchangyi1/9DTact)"
-LICENSE = "MIT"
 BALL_RADIUS_MM = 4.0
-DOT_ROWS, DOT_COLUMNS, DOT_PITCH_MM = 7, 9, 2.5
 _CAMERA, _DEPTH = "camera_calibration", "depth_calibration"
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+_BOARD_HELP = (
+    "measure the distance of two dots and give it with --board dots:COLUMNSxROWS:PITCH_MM (the "
+    "authors' board is dots:9x7:2.5)"
+)
 
 
 def _units(path: Path) -> list[Path]:
@@ -50,73 +54,101 @@ def _recognises(path: Path) -> bool:
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
     units = _units(path)
-    facts = _facts(path)
-    return [_unit(unit, facts, unit.name if len(units) > 1 else "") for unit in units]
+    config, settings = _config(path)
+    return [
+        _unit(unit, unit.name if len(units) > 1 else "", config, settings, options)
+        for unit in units
+    ]
 
 
-@dataclass(frozen=True)
-class _Facts:
-    """Board and ball."""
-
-    rows: int = DOT_ROWS
-    columns: int = DOT_COLUMNS
-    pitch_mm: float = DOT_PITCH_MM
-    ball_radius_mm: float = BALL_RADIUS_MM
-
-
-def _facts(path: Path) -> _Facts:
-    """Those of a ``shape_config.yaml`` near the captures, or the published ones."""
-    places = (path, *list(path.resolve().parents)[:3])
+def _config(path: Path) -> tuple[Path | None, dict[str, Any]]:
+    """A ``shape_config.yaml`` in or near the captures, and what it holds."""
+    places = (path / "shape_reconstruction", path, *list(path.resolve().parents)[:3])
     config = first_existing(*(place / "shape_config.yaml" for place in places))
-    if config is None:
-        return _Facts()
-    settings = read_yaml(config)
-
-    def stated(key: str, default: float) -> float:
-        section, name = key.split(".")
-        table = settings.get(section)
-        known = isinstance(table, dict) and table.get(name) is not None
-        return number_at(settings, key, str(config)) if known else default
-
-    def count(key: str, default: int) -> int:
-        found = stated(key, default)
-        if found % 1:
-            raise InputError(f"{config}: {key} is {found:g}; a whole number is needed")
-        return int(found)
-
-    return _Facts(
-        count("camera_calibration.row_points", DOT_ROWS),
-        count("camera_calibration.col_points", DOT_COLUMNS),
-        stated("camera_calibration.grid_distance", DOT_PITCH_MM),
-        stated("depth_calibration.BallRad", BALL_RADIUS_MM),
-    )
+    return config, {} if config is None else read_yaml(config)
 
 
-def _unit(unit: Path, facts: _Facts, part: str) -> Draft:
-    draft = Draft(part, "9dtact", f"{SOURCE}, {unit.name}", LICENSE)
+def _stated(settings: dict[str, Any], key: str, config: Path | None) -> float | None:
+    """A number of the configuration; None where it is not there."""
+    section, name = key.split(".")
+    table = settings.get(section)
+    known = isinstance(table, dict) and table.get(name) is not None
+    return number_at(settings, key, str(config)) if known else None
+
+
+def _board(
+    unit: Path, config: Path | None, settings: dict[str, Any], options: ImportOptions
+) -> dict[str, Any]:
+    """Kind, columns, rows and pitch of the board, as a person or the configuration states them."""
+    if options.board is not None:
+        entry = board_entry(options.board)
+        if "pitch_mm" in entry:
+            return entry
+        raise InputError(f"board {options.board!r}: the pitch is missing; {_BOARD_HELP}")
+    keys = ("col_points", "row_points", "grid_distance")
+    found = {key: _stated(settings, f"camera_calibration.{key}", config) for key in keys}
+    values = [value for value in found.values() if value is not None]
+    if len(values) < len(found):
+        missing = " and ".join(key for key, value in found.items() if value is None)
+        where = config or "a shape_config.yaml"
+        raise InputError(
+            f"{unit}: the dot board is not known: camera_calibration.{missing} of {where} "
+            f"{'is missing' if config else 'would state it'}; {_BOARD_HELP}"
+        )
+    columns, rows, pitch_mm = values
+    for key, value in zip(keys[:2], (columns, rows), strict=True):
+        if value % 1:
+            raise InputError(
+                f"{config}: camera_calibration.{key} is {value:g}; a whole number is needed"
+            )
+    return {"kind": "dots", "columns": int(columns), "rows": int(rows), "pitch_mm": pitch_mm}
+
+
+def _unit(
+    unit: Path,
+    part: str,
+    config: Path | None,
+    settings: dict[str, Any],
+    options: ImportOptions,
+) -> Draft:
+    draft = Draft(part, "9dtact", unit)
+    draft.assume("sensor", "9dtact, whose layout this is")
+    if config is not None:
+        draft.used.add(config)
     if part:
         draft.manifest["unit"] = printable(unit.name)
     board, board_ref = _image(unit / _CAMERA, "sample"), _image(unit / _CAMERA, "ref")
     ball, ball_ref = _image(unit / _DEPTH, "sample"), _image(unit / _DEPTH, "ref")
     background = ball_ref or board_ref
-    if background is None:
-        raise InputError(f"{unit}: no ref image in {_CAMERA} or {_DEPTH}; it shows the bare gel")
-    draft.set_background(background)
+    if background is not None:
+        draft.set_background(background, f"{background.relative_to(unit)}, by its name")
+    elif options.background is None:
+        raise InputError(
+            f"{unit}: no ref image in {_CAMERA} or {_DEPTH}, which shows the bare gel; "
+            "--background gives one"
+        )
     if board is not None:
         entry = {
-            "kind": "dots",
-            "columns": facts.columns,
-            "rows": facts.rows,
-            "pitch_mm": facts.pitch_mm,
+            **_board(unit, config, settings, options),
             "on_gel": True,
             "images": [draft.add_image(board, "board")],
         }
         if board_ref is not None and board_ref != background:
             entry["reference"] = draft.add_image(board_ref, "board_reference")
         draft.manifest["boards"] = [entry]
+        if options.board is None and config is not None:
+            draft.assume("board", f"{config} is of this board and ball")
     if ball is not None:
-        draft.set_ball(facts.ball_radius_mm)
+        radius = options.radius_mm or _stated(settings, "depth_calibration.BallRad", config)
+        if radius is None:
+            draft.set_ball(BALL_RADIUS_MM, "that of the authors; --radius-mm gives another")
+        else:
+            draft.set_ball(radius)
         draft.add_press(ball, "ball")
+    for folder in (unit / _CAMERA, unit / _DEPTH):
+        for image in images_in(folder) if folder.is_dir() else ():
+            if image not in draft.used:
+                draft.leave_out(image, "neither ref nor sample: a result of 9DTact's scripts")
     return draft
 
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from taccel_lab.calibration.capture.importers.board_text import board_entry
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import images_in
-from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.layout import FALLBACK_SENSOR, Layout
 
-SOURCE = "Photon26/Gelsight_controller"
+_PUBLISHED = "that of the published set (Photon26/Gelsight_controller)"
 BALL_RADIUS_MM = 5.5
 INNER_CORNERS = (6, 6)
 
@@ -30,24 +31,27 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     drafts = []
     cameras = _boards(path)
     for camera in cameras:
-        draft = Draft(camera.name if len(cameras) > 1 else "", "flat_pad", SOURCE)
+        draft = Draft(camera.name if len(cameras) > 1 else "", FALLBACK_SENSOR, path)
+        draft.assume(
+            "sensor", f"{FALLBACK_SENSOR}, which stands for any flat gel; --sensor names another"
+        )
         names = [draft.add_image(image, f"board_{image.stem}") for image in images_in(camera)]
-        draft.manifest["boards"] = [
-            {
-                "kind": "chessboard",
-                "columns": INNER_CORNERS[0],
-                "rows": INNER_CORNERS[1],
-                "images": names,
-            }
-        ]
+        if options.board is None:
+            board = f"chessboard:{INNER_CORNERS[0]}x{INNER_CORNERS[1]}"
+            draft.assume("board", f"{board}, {_PUBLISHED}; its pitch is unknown")
+        else:
+            board = options.board
+        draft.manifest["boards"] = [board_entry(board) | {"images": names}]
         presses = path / camera.name
         if presses.is_dir():
             for image in images_in(presses):
                 if image.stem == "0":
-                    draft.set_background(image)
+                    draft.set_background(image, f"{image.name}, by its number")
                 elif image.stem.isdigit():
                     draft.add_press(image, f"press_{image.stem}")
-            draft.set_ball(BALL_RADIUS_MM)
+                else:
+                    draft.leave_out(image, "its name is no number, so it need not show the ball")
+            draft.set_ball(BALL_RADIUS_MM, _PUBLISHED)
         drafts.append(draft)
     return drafts
 

@@ -7,7 +7,13 @@ from pathlib import Path
 
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.layout import Layout
-from taccel_lab.calibration.capture.taxim_pack import PACK_NAME, load_taxim_folder
+from taccel_lab.calibration.capture.importers.origin import UNKNOWN
+from taccel_lab.calibration.capture.taxim_pack import (
+    PACK_NAME,
+    PARAMS_NAME,
+    TAXIM_BALL_WHY,
+    load_taxim_folder,
+)
 
 
 def _pack(path: Path) -> Path:
@@ -19,20 +25,22 @@ def _recognises(path: Path) -> bool:
 
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
-    folder = load_taxim_folder(_pack(path))
-    draft = Draft(
-        part="",
-        sensor=folder.sensor,
-        source=folder.provenance["source"],
-        license=folder.provenance["license"],
-    )
+    pack = _pack(path)
+    stated = None
+    if options.mm_per_px_x is not None:
+        stated = (options.mm_per_px_x, options.mm_per_px_y or options.mm_per_px_x)
+    folder = load_taxim_folder(pack, stated)
+    draft = Draft("", folder.sensor, path, assumed=dict(folder.assumed))
+    draft.used |= {pack} if stated else {pack, pack.parent / PARAMS_NAME}
+    draft.source = folder.provenance.get("source", UNKNOWN)
+    draft.license = folder.provenance.get("license", UNKNOWN)
     draft.set_background(folder.require_background().image())
     if folder.mm_per_px is not None:
         draft.set_scale(*folder.mm_per_px)
     if folder.ball_radius_mm is not None:
-        draft.set_ball(folder.ball_radius_mm)
+        draft.set_ball(folder.ball_radius_mm, TAXIM_BALL_WHY)
     elif options.radius_mm is None:
-        draft.notes.append("the radius of the ball is stated nowhere; add [indenter] radius_mm")
+        draft.notes.append("the radius of the ball is stated nowhere; give --radius-mm")
     for press in folder.presses:
         circle = press.circle
         contact = None

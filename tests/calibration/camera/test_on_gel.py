@@ -178,7 +178,8 @@ def test_maps_are_saved_whole(tmp_path: Path) -> None:
 def test_two_pictures_of_the_dents_that_differ_widen_the_scale() -> None:
     view = flat_view((0.05, 0.05), noise_px=0.05)
     middle = np.array([322.0, 236.0])
-    shaded = replace(view, other_uv_px=middle + (view.uv_px - middle) * [1.01, 1.0])
+    others = tuple(middle + (view.uv_px - middle) * [s, 1.0] for s in (0.997, 1.01, 1.004))
+    shaded = replace(view, others_uv_px=others)
     plain, wide = fit_on_gel([view]).frame, fit_on_gel([shaded]).frame
     assert wide.mm_per_px_x.value == plain.mm_per_px_x.value
     assert plain.mm_per_px_x.sigma < 1e-3 * 0.05
@@ -221,3 +222,27 @@ def test_scale_of_pressed_boards_of_9dtact(unit: int, removed: int) -> None:
         assert scale.value == pytest.approx(stored, rel=0.01)
         assert scale.sigma < 0.02 * stored
     assert any(remark.code == "distorted" for remark in found.remarks)
+
+
+def test_a_pressed_board_is_seen_through_several_filters() -> None:
+    """A dent whose shading is one-sided has its centre elsewhere in every filter."""
+    v, u = np.mgrid[0:240, 0:320].astype(np.float64)
+    plain, shaded = np.full((240, 320), 150.0), np.full((240, 320), 150.0)
+    for column in range(7):
+        for row in range(5):
+            x, y = u - (40 + 40 * column), v - (40 + 40 * row)
+            dent = np.exp(-(((x**2 + y**2) / 81) ** 2))
+            plain -= 30 * dent
+            # Light from the middle: the side that looks away from it is darker, and farther so.
+            away = np.where(x * (column - 3) > 0, np.exp(-np.hypot(x, y) / 12), 0.0)
+            shaded -= 30 * dent + 12 * away * abs(column - 3) / 3
+    reference = np.full((240, 320, 3), 150, np.uint8)
+
+    def scale(levels: np.ndarray) -> tuple[float, int]:
+        image = np.repeat(np.clip(levels, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+        view = replace(detect_dots(image, 7, 5, reference=reference), pitch_mm=2.0)
+        return fit_on_gel([view]).frame.mm_per_px_x.sigma / 0.05, len(view.others_uv_px)
+
+    (even, filters), (uneven, _) = scale(plain), scale(shaded)
+    assert filters >= 3  # Of one picture, and of the other where it shows the dents.
+    assert even < 0.002 and uneven > 2 * even

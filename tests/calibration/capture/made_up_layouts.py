@@ -50,6 +50,10 @@ def ninedtact(folder: Path) -> None:
         for part in ("camera_calibration", "depth_calibration"):
             for name in ("ref", "sample", "sample_drawing"):
                 picture(folder / "calibration" / unit / part / f"{name}.png")
+    (folder / "shape_config.yaml").write_text(
+        "camera_calibration:\n  row_points: 7\n  col_points: 9\n  grid_distance: 2.5\n"
+        "depth_calibration:\n  BallRad: 4.0\n"
+    )
 
 
 def feats(folder: Path) -> None:

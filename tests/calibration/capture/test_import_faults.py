@@ -47,14 +47,14 @@ def test_broken_files_are_left_out_and_named(source: Path) -> None:
     (source / "p2.png").write_bytes(whole[: len(whole) // 2])
     captures, manifest = imported(source)
     assert [p.name for p in captures.presses] == ["p0", "p3", "p4", "p5", "p6", "p7"]
-    assert "# left out, 2 of 9 files" in manifest
-    assert "p1.png is empty (0 bytes)" in manifest and "p2.png is not an image" in manifest
+    assert "# left out, 1 file (p1.png): is empty (0 bytes)" in manifest
+    assert "# left out, 1 file (p2.png): is not an image" in manifest
 
 
 def test_only_broken_files(tmp_path: Path) -> None:
     (tmp_path / "s").mkdir()
     (tmp_path / "s" / "a.png").write_bytes(b"")
-    with pytest.raises(InputError, match=r"holds no images.*a\.png is empty"):
+    with pytest.raises(InputError, match=r"holds no images.*\(a\.png\): is empty"):
         import_captures(tmp_path / "s", tmp_path / "out")
 
 
@@ -94,7 +94,8 @@ def test_labels_without_effect_are_told(source: Path) -> None:
     (source / "circles.csv").write_text("file,cx,cy,r\np0.png,60,60,12\nq9.png,60,60,12\n")
     captures, manifest = imported(source)
     assert captures.contents()["labelled_presses"] == 1
-    assert "# mine.csv was not used" in manifest and "not there, or no presses: q9.png" in manifest
+    assert "# left out, 1 file (mine.csv): no columns for file" in manifest
+    assert "circles without an image here, or of no press: q9.png" in manifest
 
 
 def test_images_that_are_all_alike(source: Path) -> None:

@@ -27,6 +27,7 @@ from tests.calibration.capture.made_up_layouts import (
 )
 
 Make = Callable[[Path], None]
+BOARD = "camera_calibration: {row_points: 7, col_points: 9, grid_distance: 2.5}\n"
 CATALOG = "experiment_reldir,diameter(mm)\n"
 
 
@@ -56,11 +57,14 @@ def indentations(**values: object) -> str:
 FAULTS: list[tuple[Make, str, str, str]] = [
     (ninedtact, "shape_config.yaml", "camera_calibration: {row_points: seven}",
      "shape_config.yaml: camera_calibration.row_points is 'seven'; a number is needed"),
-    (ninedtact, "shape_config.yaml", "camera_calibration: {col_points: 7.5}",
+    (ninedtact, "shape_config.yaml", BOARD.replace("9", "7.5"),
      "camera_calibration.col_points is 7.5; a whole number is needed"),
-    (ninedtact, "shape_config.yaml", "depth_calibration: {BallRad: 2026-01-01}",
+    (ninedtact, "shape_config.yaml", BOARD + "depth_calibration: {BallRad: 2026-01-01}",
      "depth_calibration.BallRad is '2026-01-01'; a number is needed"),
-    (ninedtact, "shape_config.yaml", "depth_calibration: {BallRad: yes}", "BallRad is 'yes'"),
+    (ninedtact, "shape_config.yaml", BOARD + "depth_calibration: {BallRad: yes}",
+     "BallRad is 'yes'"),
+    (ninedtact, "shape_config.yaml", "camera_calibration: {row_points: 7, col_points: 9}",
+     "grid_distance of"),
     (gs_sdk, "gsmini.yaml", "ppmm: true\n", "ppmm is True; a number is needed"),
     (gs_sdk, "gsmini.yaml", "a: &a 0.06\nppmm: *a\n", "anchors and aliases are not read"),
     (gs_sdk, "catalog.csv", CATALOG + "4.760mm/0,4.7_6\n", "line 2: column diameter(mm): '4.7_6'"),
@@ -107,7 +111,8 @@ def test_faulty_tables(tmp_path: Path, make: Make, file: str, content: str, word
 def test_settings_of_the_9dtact_are_taken(tmp_path: Path) -> None:
     source = source_of(ninedtact, tmp_path)
     (source / "shape_config.yaml").write_text(
-        "camera_calibration: {row_points: 5, grid_distance: 3}\ndepth_calibration: {BallRad: 2.5}\n"
+        "camera_calibration: {row_points: 5, col_points: 9, grid_distance: 3}\n"
+        "depth_calibration: {BallRad: 2.5}\n"
     )
     captures = load_capture_folder(import_captures(source, tmp_path / "out")[0])
     board = captures.boards[0].entry
@@ -121,7 +126,7 @@ def test_settings_of_others_beside_the_captures_are_left_out(tmp_path: Path, siz
     (source / "compose.yaml").write_text("x: &x {}\ny: {<<: *x}\n" + "#" * size)
     (out,) = import_captures(source, tmp_path / "out")
     assert load_capture_folder(out).mm_per_px == (0.0634, 0.0634)
-    assert "# compose.yaml was not used: " in (out / "captures.toml").read_text()
+    assert "# left out, 1 file (compose.yaml): not used: " in (out / "captures.toml").read_text()
 
 
 def test_a_bare_file_name_of_two_images(tmp_path: Path) -> None:
@@ -152,7 +157,7 @@ def test_files_that_are_no_tables_are_told(tmp_path: Path, content: bytes) -> No
     (source / "odd.csv").write_bytes(content)
     (out,) = import_captures(source, tmp_path / "out")
     manifest = (out / "captures.toml").read_text(encoding="utf-8")
-    assert manifest.count("# odd.csv was not used: ") == 1
+    assert manifest.count("odd.csv") == 1 and "# left out, 1 file (odd.csv): " in manifest
     assert load_capture_folder(out).contents()["labelled_presses"] == 1
 
 
@@ -167,7 +172,8 @@ def test_a_folder_whose_name_is_no_text(tmp_path: Path) -> None:
     source.mkdir()
     plain(source)
     (out,) = import_captures(source, tmp_path / "out")
-    assert load_capture_folder(out).provenance["source"] == r"images of m\udce4rz\n\x07"
+    source_text = load_capture_folder(out).provenance["source"]
+    assert source_text == r"unknown; imported from m\udce4rz\n\x07, layout plain"
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_drafts_open_without_being_written(source: tuple[str, Path], tmp_path: P
     for draft, out in zip(drafts, import_captures(folder, tmp_path / "out"), strict=True):
         with draft.opened() as captures:
             assert captures.contents() == load_capture_folder(out).contents()
-            assert captures.source == draft.source
+            assert captures.source == str(draft.place)
     assert layout.name == name
 
 
@@ -160,7 +160,7 @@ def test_plain_folder(tmp_path: Path) -> None:
     assert captures.background is not None and captures.mm_per_px == (0.05, 0.05)
     assert captures.records[0].entry.kind == "indentation"
     notes = (tmp_path / "out" / "captures.toml").read_text()
-    assert "# left out, since not 64x48 px as most images: other_camera.png" in notes
+    assert "# left out, 1 file (other_camera.png): 80x60 px, not 64x48 px as most images" in notes
 
 
 def test_options_replace_what_a_layout_says(tmp_path: Path) -> None:
@@ -343,7 +343,7 @@ def test_a_homography_without_a_scale_is_left_out(tmp_path: Path) -> None:
     np.save(source / "homography.npy", np.diag([0.0, 14.0, 1.0]))
     _, (draft,) = read_drafts(source, "feats")
     assert "mm_per_px_x" not in draft.manifest
-    assert any("its scale was left out" in note for note in draft.notes)
+    assert "no affine 3 x 3 matrix" in draft.left_out[source / "homography.npy"]
 
 
 def test_nothing_to_import(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.depth.fit import fit_depth
 from taccel_lab.calibration.depth.grey_contact import find_grey_contact
 from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.calibration.depth.remarks import curve_remarks
 from taccel_lab.calibration.depth.report import depth_page
 from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
@@ -243,3 +244,28 @@ def test_the_authors_tables_of_two_units(unit: int, mm_per_px: float) -> None:
     assert np.abs(off).mean() < 0.035
     assert np.abs(off - off.mean()).mean() < 0.012
     assert result.left_out_mm.mean() < 0.035
+
+
+def test_the_headline_counts_the_zero() -> None:
+    circles = [ContactCircle(60 + 40 * i, 70.0, 18.0 + 2 * i) for i in range(3)]
+    captures = captures_of(circles, noise=0.4)
+    found = {zero: fit_depth(captures, DepthOptions(zero=zero)) for zero in ("untouched", "rim")}
+    for zero, result in found.items():
+        # Images show two zeros; which of them is chosen does not make the other one wrong.
+        apart = abs(np.mean([p.rim_depth_mm for p in found["untouched"].presses]))
+        assert result.zero_gap_mm == pytest.approx(apart, abs=1e-3)
+        assert result.absolute_mm >= result.zero_sigma_mm >= result.offset_sigma_mm > 0
+        assert result.absolute_mm >= result.left_out_mm.mean()
+        figures = result.figures()
+        assert figures["absolute_mm"] == result.absolute_mm and figures["zero"] == zero
+        assert result.headline().startswith(f"absolute depths are off by {result.absolute_mm:.2f}")
+
+
+def test_a_zero_on_the_other_side_of_the_rim_is_said_to_be_there() -> None:
+    presses = captures_of([ContactCircle(60 + 40 * i, 70.0, 18.0) for i in range(3)])
+    result = fit_depth(presses)
+    drops = [np.zeros((GRID.height_px, GRID.width_px))] * 3
+    for rim, side in ((-0.2, "0.20 mm below the rim"), (0.27, "0.27 mm above the rim")):
+        moved = replace(result, presses=tuple(replace(p, rim_depth_mm=rim) for p in result.presses))
+        messages = [r.message for r in curve_remarks(moved, drops) if r.code == "zero_at_no_drop"]
+        assert len(messages) == 1 and side in messages[0] and "-0." not in messages[0]

@@ -20,11 +20,6 @@ def maker(name: str) -> Callable[[Path], None]:
     def make(given: Path) -> None:
         made_up_layouts.RNG = np.random.default_rng(0)
         made_up_layouts.MAKERS[name](given)
-        if name == "9dtact":
-            (given / "shape_config.yaml").write_text(
-                "camera_calibration:\n  row_points: 7\n  col_points: 9\n  grid_distance: 2.5\n"
-                "depth_calibration:\n  BallRad: 4.0\n"
-            )
 
     return make
 
