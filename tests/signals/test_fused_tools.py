@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import pyvista
 
 from taccel_lab.envs import Indenter, PressOutcome, PressPath, parse_indenter, simulate_press
 from taccel_lab.geometry import PixelGrid
@@ -96,3 +99,22 @@ def test_facets_of_a_ball_do_not_show() -> None:
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     assert np.sqrt((angle**2).mean()) < 1.0 and angle.max() < 3.0
     assert facets.contact_radius_m == pytest.approx(ball.contact_radius_m, rel=0.06)
+
+
+def test_a_file_lands_where_its_coordinates_say(tmp_path: Path) -> None:
+    """A peg that stands off the origin of its file on the side of +z, pressed off the middle."""
+    box = box_mesh((3e-3, 1e-3, 2e-3))
+    path = tmp_path / "peg.ply"
+    points = 1e3 * box.vertices_m + [2.0, -1.5, 9.0]
+    pyvista.make_tri_mesh(points, box.faces).save(path)
+    grid = PixelGrid(160, 120, 0.1, 0.1)
+    at_mm = (-1.0, 0.5)
+    for name, y_mm in ((f"mesh:{path}", -1.0), (f"mesh:{path}@+z", 2.0)):
+        indenter = parse_indenter(name)
+        mesh = press_mesh("flat_pad", {}, at_mm, indenter.contact(0.3))
+        press = simulate_press(mesh, Material(1.5e5, 0.48), indenter, at_mm, PressPath(0.3), grid)
+        rows, columns = np.nonzero(press.contact_mask)
+        assert grid.x_mm()[columns].mean() == pytest.approx(1.0, abs=0.06)
+        assert grid.y_mm()[rows].mean() == pytest.approx(y_mm, abs=0.06)
+        assert np.ptp(grid.x_mm()[columns]) == pytest.approx(2.9, abs=0.11)
+        assert np.ptp(grid.y_mm()[rows]) == pytest.approx(0.9, abs=0.11)
