@@ -28,8 +28,8 @@ mesh seemed to touch over a quarter of its contact.
 Contact radius of balls of 2 and 8 mm, 0.4 to 1 mm deep, quadratic tets, 3 to 5 elements to the
 largest contact radius, dhat 20 to 2 um, at the same force: within 1.3 % of their mean. That of the
 2 mm ball 0.4 mm deep is 1.5 to 3.8 % less than on a mesh of 37,000 nodes, most with dhat 20 um on
-the coarse mesh. In contact the slope is that of the ball to 1.3 degrees (that of g0). What tools with
-edges gain is in docs/signals.md.
+the coarse mesh. In contact the slope is that of the ball to 1.3 degrees (that of g0). Figures of
+tools with edges are in docs/signals.md.
 """
 
 from __future__ import annotations
