@@ -38,9 +38,12 @@ class Press:
     """Depth past first touch [mm]."""
     indenter: str = "sphere:2.0"
     """sphere:RADIUS, cylinder:RADIUS, box:XxY, roller:RADIUSxLENGTH, edge:ANGLExLENGTH[xRADIUS],
-    grating:PITCHxRIDGESxLENGTH, pair:RADIUSxGAP or mesh:FILE (STL, PLY, OBJ), in mm and degrees."""
+    grating:PITCHxRIDGESxLENGTH, pair:RADIUSxGAP or mesh:FILE[@AXIS] (STL, PLY, OBJ), in mm and
+    degrees. A file is placed by its own origin and axes, in mm: its origin comes to --at-mm, its x
+    points right and its y down in the image, and its -z side goes into the gel first, or what
+    @AXIS says, such as mesh:part.stl@+z. Its height above its origin does not matter."""
     at_mm: tuple[float, float] = (0.0, 0.0)
-    """Gel x and y of the indenter's axis [mm]."""
+    """Gel x and y of the indenter's axis, of a file's origin [mm]."""
     shear_mm: tuple[float, float] = (0.0, 0.0)
     """Sideways motion at full depth [mm]."""
     twist_deg: float = 0.0

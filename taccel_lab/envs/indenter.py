@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Indenters by name, such as ``sphere:2.0`` or ``edge:90x6x0.1``; lengths in mm, angles in deg."""
+"""Indenters by name, such as ``sphere:2.0`` or ``edge:90x6x0.1``; lengths in mm, angles in deg.
+
+A mesh keeps its file's origin and axes: the origin is what a press puts at its place, the axes are
+those of the gel frame, and the side of -z goes first. Its height in the file does not matter, as
+depth counts from first touch. ``@+z`` and the like name another axis of the file that points into
+the gel (``_INTO_GEL``).
+"""
 
 from __future__ import annotations
 
@@ -21,7 +27,8 @@ ALLOWED = (
     "sphere:RADIUS, cylinder:RADIUS (flat end), box:XxY (flat end), roller:RADIUSxLENGTH (lies "
     "along y), edge:ANGLExLENGTH[xRADIUS] (wedge along y, opening angle in degrees), "
     "grating:PITCHxRIDGESxLENGTH (ridges along y, half a pitch wide), pair:RADIUSxGAP (two round "
-    "pins along x) or mesh:FILE (STL, PLY or OBJ; its -z side touches the gel); lengths in mm"
+    "pins along x) or mesh:FILE[@AXIS] (STL, PLY or OBJ, placed by its own origin and axes; AXIS, "
+    "of +x -x +y -y +z -z, points into the gel, -z when left out); lengths in mm"
 )
 _HEIGHT_M = 4e-3
 _SIZE_LIMITS_MM = (0.05, 100.0)
@@ -29,11 +36,21 @@ _MIN_THICKNESS_MM = 1e-3
 """Of a mesh: volume over half of its surface; coordinates of single precision hold 1e-5 mm."""
 _ANGLE_LIMITS_DEG = (10.0, 170.0)
 _RIDGE_LIMITS = (2, 100)
+_INTO_GEL = {
+    "-z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "+z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "+x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+    "-x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    "+y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "-y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+}
+"""Rotations, gel from file, that turn an axis to -z: about x, about y for an x axis."""
 
 
 @dataclass(frozen=True)
 class Indenter:
-    """A rigid body in its own frame: xy centred on the origin, its -z side goes first."""
+    """A rigid body in its own frame, whose origin is placed and whose -z side goes first; all
+    but meshes from files are centred on it."""
 
     name: str
     """As given on the command line."""
@@ -53,7 +70,7 @@ def parse_indenter(text: str) -> Indenter:
     """Read an indenter description; raises InputError that lists what is allowed."""
     kind, _, value = text.partition(":")
     if kind == "mesh":
-        return Indenter(text, _read_mesh(Path(value)))
+        return Indenter(text, _read_mesh(value))
     if kind not in _SHAPES:
         raise InputError(f"indenter {text!r} is not understood; allowed: {ALLOWED}")
     counts, build = _SHAPES[kind]
@@ -145,7 +162,9 @@ def _length_m(text: str, value: str) -> float:
     return length_mm * 1e-3
 
 
-def _read_mesh(path: Path) -> TriangleMesh:
+def _read_mesh(text: str) -> TriangleMesh:
+    name, _, axis = text.rpartition("@")
+    path, axis = (Path(name), axis) if name and axis in _INTO_GEL else (Path(text), "-z")
     what = f"indenter mesh {path}"
     points, faces = read_triangle_file(path)
     size = float(np.ptp(points, axis=0).max())
@@ -155,7 +174,14 @@ def _read_mesh(path: Path) -> TriangleMesh:
             f"{what} is {size:g} units across; a size in [{low:g}, {high:g}] mm is needed "
             "(is the file in metres or inches?)"
         )
+    farthest = float(np.abs(points).max())
+    if farthest > high:
+        raise InputError(
+            f"{what} reaches {farthest:g} mm from its origin, which is what a press puts at its "
+            f"place; at most {high:g} mm. Move the object to the origin of its file"
+        )
     check_edges(points, faces, what, closed=True)
+    points = points @ np.array(_INTO_GEL[axis], dtype=np.float64).T
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     corners = (points - centre)[faces]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -168,4 +194,4 @@ def _read_mesh(path: Path) -> TriangleMesh:
         )
     if volume < 0:
         faces = faces[:, [0, 2, 1]]
-    return TriangleMesh((points - centre) * 1e-3, faces)
+    return TriangleMesh(points * 1e-3, faces)

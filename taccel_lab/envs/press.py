@@ -72,6 +72,17 @@ class PressError:
     """Of the heights of the contact face, root mean square [m], shape [env_count]."""
 
 
+def _reach(shape: Ball | TriangleMesh) -> str:
+    """Where a mesh lies about the origin that is placed, in words; nothing for a ball."""
+    if isinstance(shape, Ball):
+        return ""
+    low, high = 1e3 * shape.vertices_m.min(axis=0), 1e3 * shape.vertices_m.max(axis=0)
+    return (
+        f"; about its own origin, which is put there, it reaches over x [{low[0]:g}, {high[0]:g}] "
+        f"and y [{low[1]:g}, {high[1]:g}] mm"
+    )
+
+
 class PressEnv:
     """One gel and one indenter in ``env_count`` environments that differ in place and rest shape.
 
@@ -143,6 +154,7 @@ class PressEnv:
             raise InputError(
                 f"at ({x:g}, {y:g}) mm the indenter {indenter.name} misses the gel; x must lie in "
                 f"[{low[0]:g}, {high[0]:g}] mm and y in [{low[1]:g}, {high[1]:g}] mm"
+                f"{_reach(indenter.shape)}"
             )
         self.thickness_m = np.array(
             [

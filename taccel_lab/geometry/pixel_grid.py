@@ -51,6 +51,17 @@ class PixelGrid:
         """Gel y of each row [mm], shape [height_px]."""
         return (np.arange(self.height_px) - self.center_v_px) * self.mm_per_px_y
 
+    def refined(self, points: int) -> PixelGrid:
+        """The same part of the gel in ``points`` x ``points`` pixels for each of these."""
+        return PixelGrid(
+            self.width_px * points,
+            self.height_px * points,
+            self.mm_per_px_x / points,
+            self.mm_per_px_y / points,
+            (self.center_u_px + 0.5) * points - 0.5,
+            (self.center_v_px + 0.5) * points - 0.5,
+        )
+
     def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
         """Gel xy [mm] of pixel coordinates (u, v), shape [..., 2]."""
         uv = np.asarray(uv_px, dtype=np.float64)

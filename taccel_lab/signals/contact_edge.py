@@ -25,8 +25,9 @@ _EXTRAPOLATED_LAYERS = 4
 # Relative weight of "s has no curvature" in the extrapolation. Of 0.01, 0.03 and 0.1 this gave the
 # roundest edge on simulated presses; the contact radius of exact data is 0.01 mm small with it.
 _CURVATURE_RIDGE = 0.03
-# Each layer of contact nodes lies at least this part of an element further in than the one before.
-_LAYER_ELEMENTS = 0.5
+# A node in contact lies inside the edge by at least this part of its way to the nodes at the edge,
+# and by at most the other: along a prism elements are many times as long as across it.
+_LEAST_WAY, _MOST_WAY = 0.5, 1.5
 
 
 @dataclass(frozen=True)
@@ -56,21 +57,43 @@ def edge_field(surface: ContactSurface, xy: np.ndarray, gap: np.ndarray) -> Edge
         return None
     element_m = float(np.median(np.linalg.norm(xy[leaving[:, 0]] - xy[leaving[:, 1]], axis=1)))
     s = np.where(gap > 0.0, np.maximum(gap, 0.0) ** (2.0 / 3.0), np.nan)
-    growth = 0.0
-    for layer in range(_EXTRAPOLATED_LAYERS):
-        found = _extrapolate(surface, xy, s, ~np.isnan(s))
-        if layer == 0:
-            # A stamp that touches up to its silhouette has no open node and no edge inside it.
-            growth = float(np.median([slope for _, _, slope in found])) if found else 1.0
-        bound = -layer * _LAYER_ELEMENTS * element_m * growth
-        for node, value, _ in found:
-            # Free beside the object: a stamp that touches up to its silhouette has its edge there.
-            s[node] = min(value, bound) if touching[node] else value
-    # Deeper in only the sign counts.
-    deep = -(_EXTRAPOLATED_LAYERS + 1) * element_m * growth
-    return EdgeField(
-        s=np.maximum(np.where(np.isnan(s), deep, s), deep), growth=growth, element_m=element_m
-    )
+    found = _extrapolate(surface, xy, s, ~np.isnan(s))
+    if not found:
+        # A stamp that touches up to its silhouette has no open node and no edge inside it.
+        return EdgeField(np.full(len(s), -element_m), 1.0, element_m)
+    growth = float(np.median([slope for _, _, slope in found]))
+    for node, value, _ in found:
+        # Free beside the object: a stamp that touches up to its silhouette has its edge there.
+        s[node] = min(value, 0.0) if touching[node] else value
+    at_edge = np.isin(np.arange(len(s)), [node for node, _, _ in found])
+    way = _shortest_ways(surface, xy, np.where(at_edge, 0.0, np.nan))
+    for _ in range(1, _EXTRAPOLATED_LAYERS):
+        for node, value, _ in _extrapolate(surface, xy, s, ~np.isnan(s)):
+            most, least = (-share * way[node] * growth for share in (_LEAST_WAY, _MOST_WAY))
+            s[node] = min(max(value, least - element_m * growth), most) if touching[node] else value
+    # Deeper in only the sign counts, and that nothing is steep: the interpolant would swing.
+    behind = np.where(s <= 0.0, -s / growth, np.nan)
+    inside = -growth * _shortest_ways(surface, xy, behind)
+    return EdgeField(np.where(np.isnan(s), inside, s), growth, element_m)
+
+
+def _shortest_ways(surface: ContactSurface, xy: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Shortest way along edges to each node [m], from those whose ``start`` is no NaN, with that
+    (0 or more) as the way that they have behind them; the longest for what is not connected. All of
+    shape [node]."""
+    from scipy import sparse
+
+    count = len(start)
+    known = np.flatnonzero(~np.isnan(start))
+    a, b = surface.edges.T
+    length = np.linalg.norm(xy[a] - xy[b], axis=1)
+    # One more node, from which all that are known are reached; a way of zero would be no edge.
+    rows = np.concatenate([a, np.full(len(known), count)])
+    columns = np.concatenate([b, known])
+    weights = np.concatenate([length, start[known]]) + 1e-12
+    graph = sparse.coo_array((weights, (rows, columns)), shape=(count + 1, count + 1)).tocsr()
+    way = sparse.csgraph.dijkstra(graph, directed=False, indices=count)[:count]
+    return np.where(np.isfinite(way), way, way[np.isfinite(way)].max())
 
 
 def _extrapolate(

@@ -18,12 +18,15 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.geometry.shading_normals import corner_normals
 from taccel_lab.signals.normals import slopes_from_height
 from taccel_lab.signals.raster import FaceRaster
 
 # Steepness at which the side of a ball begins to fade and has faded out: further up a pixel spans
 # as much of it as an element of the gel does, and above the equator there is nothing to follow.
 _SEEN_DEG = (68.0, 82.0)
+# Of interpolated normals of an object's underside, whose z is below zero: slopes up to 87 degrees.
+_LEAST_DOWN = 0.05
 
 
 class RigidSurface(Protocol):
@@ -121,15 +124,19 @@ class SphereSurface:
 class HeightFieldSurface:
     """An object's underside sampled at the pixels; the gap is vertical."""
 
-    def __init__(self, height_m: np.ndarray, grid: PixelGrid) -> None:
+    def __init__(
+        self, height_m: np.ndarray, grid: PixelGrid, slope: np.ndarray | None = None
+    ) -> None:
         """
         Args:
             height_m: Lowest height of the object [m], shape [h, w] or [env, h, w], NaN beside it.
             grid: Pixels of the image.
+            slope: dh/dx and dh/dy of it, shape [..., h, w, 2]; by pixel differences when None.
         """
         height_m = np.asarray(height_m, dtype=np.float64)
         self.height_m = height_m[None] if height_m.ndim == 2 else height_m
-        self._slope = slopes_from_height(self.height_m, grid)
+        slope = slopes_from_height(self.height_m, grid) if slope is None else slope
+        self._slope = np.reshape(slope, (*self.height_m.shape, 2))
         self._grid = grid
 
     @classmethod
@@ -137,6 +144,9 @@ class HeightFieldSurface:
         cls, vertices_m: np.ndarray, triangles: np.ndarray, grid: PixelGrid, *, device: str = "cpu"
     ) -> HeightFieldSurface:
         """Rasterise the underside of a closed triangle mesh with outward faces.
+
+        Heights are those of the triangles, slopes those of the surface that they stand for
+        (``corner_normals``): facets of a curved surface do not show, edges do.
 
         Args:
             vertices_m: Vertices in the gel frame [m], shape [n, 3] or [env, n, 3].
@@ -151,7 +161,11 @@ class HeightFieldSurface:
         raster = FaceRaster(triangles, grid, faces_up=False, device=device)
         raster.update(wp.array(vertices, dtype=wp.vec3d, device=device))
         height = raster.lowest_z.numpy()
-        return cls(np.where(np.isfinite(height), height, np.nan), grid)
+        slope = np.stack([
+            _shaded_slope(shape, triangles, found, grid)
+            for shape, found in zip(vertices, raster.face_at_pixel.numpy(), strict=True)
+        ])  # fmt: skip
+        return cls(np.where(np.isfinite(height), height, np.nan), grid, slope)
 
     def gap(self, points: np.ndarray) -> np.ndarray:
         return self._sample(points) - points[..., 2]
@@ -186,3 +200,25 @@ class HeightFieldSurface:
         height = self.height_m[min(env, len(self.height_m) - 1)].ravel()[pixels]
         # A stamp's side is sharp: its surface ends where it ends.
         return np.isfinite(height).astype(np.float64), np.zeros((len(pixels), 2))
+
+
+def _shaded_slope(
+    vertices: np.ndarray, triangles: np.ndarray, face_at_pixel: np.ndarray, grid: PixelGrid
+) -> np.ndarray:
+    """dh/dx and dh/dy where ``face_at_pixel`` names a triangle, NaN elsewhere; [h, w, 2]."""
+    slope = np.full((*face_at_pixel.shape, 2), np.nan)
+    row, column = np.nonzero(face_at_pixel >= 0)
+    face = face_at_pixel[row, column]
+    xy = np.stack([grid.x_mm()[column], grid.y_mm()[row]], axis=-1) * 1e-3
+    a, b, c = (vertices[np.asarray(triangles)[face, k], :2] for k in range(3))
+    share = np.stack([_twice_area(xy, b, c), _twice_area(a, xy, c), _twice_area(a, b, xy)], axis=1)
+    share /= share.sum(axis=1, keepdims=True)
+    normal = np.einsum("nk,nki->ni", share, corner_normals(vertices, np.asarray(triangles))[face])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    slope[row, column] = -normal[:, :2] / np.minimum(normal[:, 2:], -_LEAST_DOWN)
+    return slope
+
+
+def _twice_area(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Twice the signed areas of triangles in the plane, each corner [n, 2]."""
+    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]

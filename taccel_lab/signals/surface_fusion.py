@@ -8,7 +8,7 @@ the elements. The fused surface is
 
 - ``h_A``: the object's surface lowered by the gap, ``gap = g0 + max(s, 0)^(3/2)``
   (``contact_edge``); follows the object in contact and leaves it with the right slope,
-- ``h_B``: the C1 surface through the gel's nodes (``SurfaceSampler``),
+- ``h_B``: the C1 surface through the gel's nodes (``DeformedFace``),
 - ``w``: one up to half an element outside the edge, zero from one and a half on, C1 in between;
   also zero where the object is so steep that it hides behind its silhouette.
 
@@ -28,25 +28,25 @@ mesh seemed to touch over a quarter of its contact.
 Contact radius of balls of 2 and 8 mm, 0.4 to 1 mm deep, quadratic tets, 3 to 5 elements to the
 largest contact radius, dhat 20 to 2 um, at the same force: within 1.3 % of their mean. That of the
 2 mm ball 0.4 mm deep is 1.5 to 3.8 % less than on a mesh of 37,000 nodes, most with dhat 20 um on
-the coarse mesh. In contact the slope is that of the ball to 1.3 degrees (that of g0). 0.05 to 0.1 s
-a frame of 640x480 px with 0.2 mm elements.
+the coarse mesh. In contact the slope is that of the ball to 1.3 degrees (that of g0). Figures of
+tools with edges are in docs/signals.md.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.signals.contact_edge import EdgeField, edge_field
+from taccel_lab.signals.deformed_face import DeformedFace
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import RestCorrection, RestSurface
 from taccel_lab.signals.rigid_surface import RigidSurface
-from taccel_lab.signals.surface_sampler import SurfaceSampler
 
 # The blend starts and ends this many elements outside the contact's edge.
 _BLEND_ELEMENTS = (0.5, 1.5)
@@ -78,6 +78,7 @@ class SignalFusedSurface:
         grid: PixelGrid,
         *,
         designed_rest: RestSurface | None = None,
+        points: int = 1,
         device: str = "cpu",
     ) -> None:
         """
@@ -86,14 +87,20 @@ class SignalFusedSurface:
             grid: Pixels of the image.
             designed_rest: The pad's contact face on ``grid`` where ``mesh`` draws it more coarsely,
                 see ``RestCorrection``.
+            points: A pixel shows the mean over ``points`` x ``points`` of heights and of normals,
+                with which Lambert's light goes. One is enough where the surface bends little within
+                a pixel, as under balls, not for tools with edges.
             device: Warp device of the kernels.
         """
         self.grid = grid
-        self._device = device
-        self._sampler = SurfaceSampler(mesh, grid, env_count=1, device=device)
-        self.surface = self._sampler.surface
+        self._points = points
+        self.sample_grid = grid.refined(points)
+        """Where surface and object are looked at: what objects are to be given on."""
+        self._face = DeformedFace(mesh, self.sample_grid, net_px=0.5 * points, device=device)
+        self.surface = self._face.surface
         """Topology of the contact face."""
-        self.rest_height_m, slope = _height_and_slope(self._sampler.rest_samples)
+        at_rest = self._face.sample(mesh.nodes_m[self.surface.node_idx])
+        self.rest_height_m, slope = self._pixel_means(*at_rest)
         """Height of the gel at rest [m], shape [height_px, width_px], NaN outside the pad."""
         self._correction: RestCorrection | None = None
         if designed_rest is not None:
@@ -101,18 +108,16 @@ class SignalFusedSurface:
             self.rest_height_m, slope = self._correction.corrected(self.rest_height_m, slope)
         self.rest_normals = normals_from_slopes(slope)
         """Outward unit normals at rest, shape [height_px, width_px, 3]."""
-        self._pixel_area_m2 = grid.mm_per_px_x * grid.mm_per_px_y * 1e-6
+        self._sample_area_m2 = grid.mm_per_px_x * grid.mm_per_px_y * 1e-6 / points**2
         shape = (0, grid.height_px, grid.width_px)
         self.height_m = np.zeros(shape)
         """Fused height [m], shape [env, height_px, width_px], NaN outside the pad."""
         self.slope = np.zeros((*shape, 2))
-        """dh/dx and dh/dy of it, shape [env, height_px, width_px, 2]."""
+        """dh/dx and dh/dy that go with ``normals``, shape [env, height_px, width_px, 2]."""
         self.normals = np.zeros((*shape, 3))
         """Outward unit normals, shape [env, height_px, width_px, 3]."""
-        self.gap_m = np.zeros(shape)
-        """Gap to the object [m], zero in contact, NaN beyond the blend, [env, h, w]."""
         self.contact_mask = np.zeros(shape, dtype=bool)
-        """Pixels in contact, shape [env, height_px, width_px]."""
+        """Pixels at least half of which is in contact, shape [env, height_px, width_px]."""
         self.contact_radius_m = np.zeros(0)
         """Radius of the disc whose area the contact has [m], zero without contact, [env]."""
 
@@ -123,7 +128,6 @@ class SignalFusedSurface:
         Raises:
             InputError: Wrong shape, NaN, or a surface that covers no pixel.
         """
-        positions = positions.numpy() if hasattr(positions, "numpy") else np.asarray(positions)
         points = self.surface.surface_positions(positions)
         shape = (len(points), self.surface.node_count_total)
         if np.shape(pressures_pa) != shape or not np.isfinite(pressures_pa).all():
@@ -135,32 +139,48 @@ class SignalFusedSurface:
         gap, layer = self._open_gap(points, pressures, surface)
         shape = (len(points), self.grid.height_px, self.grid.width_px)
         self.height_m, self.slope = np.empty(shape), np.empty((*shape, 2))
-        self.gap_m = np.full(shape, np.nan)
         self.contact_mask = np.zeros(shape, dtype=bool)
         self.contact_radius_m = np.zeros(len(points))
-        nodes = positions.reshape(len(points), -1, 3)
-        for env, xy in enumerate(points[..., :2]):
-            self._sample_gel(env, nodes[env])
-            field = edge_field(self.surface, xy, gap[env])
+        for env, nodes in enumerate(points):
+            seen = self._sampled_gel(env, nodes)
+            field = edge_field(self.surface, nodes[:, :2], gap[env])
             if field is not None:
-                s, s_slope = _height_and_slope(self._sampler.sample_field(field.s[None])[0])
-                self._fuse(env, surface, field, layer[env], s, s_slope)
-                self._measure_contact(env, s, s_slope)
+                edge = _Edge(field, *self._face.sample_field(field.s))
+                under_object = _fuse(seen, env, surface, edge, layer[env])
+                self._measure_contact(env, edge, under_object)
+            self.height_m[env], self.slope[env] = self._pixel_means(seen.height_m, seen.slope)
             if self._correction is not None:
                 self.height_m[env], self.slope[env] = self._correction.corrected(
                     self.height_m[env], self.slope[env], self.contact_mask[env]
                 )
         self.normals = normals_from_slopes(self.slope)
 
-    def _sample_gel(self, env: int, nodes: np.ndarray) -> None:
-        """Height and slope of the surface through the nodes [m], shape [node, 3]."""
-        on_device = wp.array(nodes[None], dtype=wp.vec3d, device=self._device)
-        self.height_m[env], self.slope[env] = _height_and_slope(self._sampler.sample(on_device)[0])
-        if not np.isfinite(self.height_m[env]).any():
+    def _sampled_gel(self, env: int, nodes: np.ndarray) -> _Sampled:
+        """The surface through its nodes [m], shape [surface_node, 3]."""
+        height, slope = self._face.sample(nodes)
+        if not np.isfinite(height).any():
             raise InputError(
                 f"no contact face covers a pixel in environment {env}: the surface is folded, flat "
                 "in projection or outside the image"
             )
+        return _Sampled(height, slope)
+
+    def _pixel_means(self, height: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean height and slope of the mean normal over each pixel's points that have them."""
+        if self._points == 1:
+            return height, slope
+        known = np.isfinite(slope[..., 0]) & np.isfinite(slope[..., 1])
+        count = self._pixel_sums(known)
+        heights = self._pixel_sums(np.where(known, height, 0.0))
+        normals = self._pixel_sums(np.where(known[..., None], normals_from_slopes(slope), 0.0))
+        with np.errstate(invalid="ignore"):
+            return heights / count, -normals[..., :2] / normals[..., 2:]
+
+    def _pixel_sums(self, values: np.ndarray) -> np.ndarray:
+        """Sums over each pixel's points."""
+        rows, columns = self.grid.height_px, self.grid.width_px
+        shape = (rows, self._points, columns, self._points, *values.shape[2:])
+        return np.add.reduce(values.reshape(shape), axis=(1, 3), dtype=np.float64)
 
     def _open_gap(
         self, points: np.ndarray, pressures: np.ndarray, surface: RigidSurface
@@ -205,57 +225,69 @@ class SignalFusedSurface:
             within[np.concatenate([first[~within[second]], second[~within[first]]])] = False
         return loaded & (pressure > _CORE_PRESSURE * largest[label]), within
 
-    def _measure_contact(self, env: int, s: np.ndarray, s_slope: np.ndarray) -> None:
-        """Contact mask, and the radius of the disc of equal area with pixels cut by the edge.
+    def _measure_contact(self, env: int, edge: _Edge, under_object: np.ndarray) -> None:
+        """Contact mask, and the radius of the disc of equal area with points cut by the edge.
 
         The object must be there: beside its silhouette the edge field is a mere continuation.
         """
-        under_object = np.isfinite(self.gap_m[env])
-        pixel_m = math.sqrt(self._pixel_area_m2)
-        steepness = np.maximum(np.hypot(s_slope[..., 0], s_slope[..., 1]), 1e-30)
-        covered = np.clip(0.5 - s / (steepness * pixel_m), 0.0, 1.0)
+        side_m = math.sqrt(self._sample_area_m2)
+        steepness = np.maximum(np.hypot(edge.slope[..., 0], edge.slope[..., 1]), 1e-30)
+        covered = np.clip(0.5 - edge.s / (steepness * side_m), 0.0, 1.0)
         covered = np.where(under_object, covered, 0.0)
-        self.contact_mask[env] = under_object & (s < 0)
-        self.contact_radius_m[env] = math.sqrt(covered.sum() * self._pixel_area_m2 / math.pi)
-
-    def _fuse(
-        self,
-        env: int,
-        surface: RigidSurface,
-        field: EdgeField,
-        layer_m: float,
-        s: np.ndarray,
-        s_slope: np.ndarray,
-    ) -> None:
-        """Blend the object's surface into the gel's, in place, where the weight is not zero."""
-        start, end = (n * field.element_m * field.growth for n in _BLEND_ELEMENTS)
-        pixels = np.flatnonzero(s.ravel() < end)
-        s_near, slope_near = s.ravel()[pixels], s_slope.reshape(-1, 2)[pixels]
-        opened = np.sqrt(np.maximum(s_near, 0.0))
-        gap = opened**3
-        gap_slope = 1.5 * opened[:, None] * slope_near
-        height, slope = surface.offset_height(env, pixels, layer_m + gap, gap_slope)
-        seen, seen_slope = surface.seen(env, pixels, layer_m + gap, gap_slope)
-        known = np.isfinite(height) & np.isfinite(slope).all(axis=1)
-        gel_height = self.height_m[env].reshape(-1)
-        gel_slope = self.slope[env].reshape(-1, 2)
-        t = np.clip((s_near - start) / (end - start), 0.0, 1.0)
-        near = 1.0 - t * t * (3.0 - 2.0 * t)
-        near_slope = (-6.0 * t * (1.0 - t) / (end - start))[:, None] * slope_near
-        weight = near * seen
-        weight_slope = near_slope * seen[:, None] + near[:, None] * seen_slope
-        # Not a product with zero: the object may have no height there.
-        lift = np.where(known, height - gel_height[pixels], 0.0)
-        lift_slope = np.where(known[:, None], slope - gel_slope[pixels], 0.0)
-        gel_height[pixels] += weight * lift
-        gel_slope[pixels] += weight[:, None] * lift_slope + lift[:, None] * weight_slope
-        self.gap_m[env].reshape(-1)[pixels] = np.where(known, gap, np.nan)
+        touching = self._pixel_sums(under_object & (edge.s < 0))
+        self.contact_mask[env] = 2 * touching >= self._points**2
+        self.contact_radius_m[env] = math.sqrt(covered.sum() * self._sample_area_m2 / math.pi)
 
 
-def _height_and_slope(samples: wp.array) -> tuple[np.ndarray, np.ndarray]:
-    """Of samples as ``SurfaceSampler`` gives them, in FP64."""
-    values = samples.numpy().astype(np.float64)
-    return values[..., 2], values[..., :2]
+@dataclass
+class _Sampled:
+    """One surface on the grid of samples."""
+
+    height_m: np.ndarray
+    slope: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """The edge field on the grid of samples."""
+
+    field: EdgeField
+    s: np.ndarray
+    slope: np.ndarray
+
+
+def _fuse(
+    gel: _Sampled, env: int, surface: RigidSurface, edge: _Edge, layer_m: float
+) -> np.ndarray:
+    """Blend the object's surface into the gel's, in place, where the weight is not zero.
+
+    Returns:
+        Where the object is known there, bool, as large as the gel's height.
+    """
+    field = edge.field
+    start, end = (n * field.element_m * field.growth for n in _BLEND_ELEMENTS)
+    pixels = np.flatnonzero(edge.s.ravel() < end)
+    s_near, slope_near = edge.s.ravel()[pixels], edge.slope.reshape(-1, 2)[pixels]
+    opened = np.sqrt(np.maximum(s_near, 0.0))
+    gap = opened**3
+    gap_slope = 1.5 * opened[:, None] * slope_near
+    height, slope = surface.offset_height(env, pixels, layer_m + gap, gap_slope)
+    seen, seen_slope = surface.seen(env, pixels, layer_m + gap, gap_slope)
+    known = np.isfinite(height) & np.isfinite(slope).all(axis=1)
+    gel_height, gel_slope = gel.height_m.reshape(-1), gel.slope.reshape(-1, 2)
+    t = np.clip((s_near - start) / (end - start), 0.0, 1.0)
+    near = 1.0 - t * t * (3.0 - 2.0 * t)
+    near_slope = (-6.0 * t * (1.0 - t) / (end - start))[:, None] * slope_near
+    weight = near * seen
+    weight_slope = near_slope * seen[:, None] + near[:, None] * seen_slope
+    # Not a product with zero: the object may have no height there.
+    lift = np.where(known, height - gel_height[pixels], 0.0)
+    lift_slope = np.where(known[:, None], slope - gel_slope[pixels], 0.0)
+    gel_height[pixels] += weight * lift
+    gel_slope[pixels] += weight[:, None] * lift_slope + lift[:, None] * weight_slope
+    under_object = np.zeros(gel.height_m.shape, dtype=bool)
+    under_object.reshape(-1)[pixels] = known
+    return under_object
 
 
 def _gap_without_pressure(gap: np.ndarray, pressure: np.ndarray) -> float:

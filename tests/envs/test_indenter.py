@@ -103,14 +103,46 @@ def save(surface: pyvista.PolyData, path: Path) -> str:
 
 
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
-def test_mesh_file_in_mm_is_centred(tmp_path: Path, suffix: str) -> None:
+def test_a_mesh_file_keeps_its_origin_and_axes(tmp_path: Path, suffix: str) -> None:
     cone = pyvista.Cone(center=(7, -3, 20), direction=(0, 0, -1), height=4, radius=1.5)
     mesh = parse_indenter(save(cone.triangulate(), tmp_path / f"cone.{suffix}")).shape
     assert isinstance(mesh, TriangleMesh)
     low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
-    assert low + high == pytest.approx(np.zeros(3), abs=1e-9)
-    assert high[2] == pytest.approx(2e-3)
+    assert 0.5e3 * (low + high) == pytest.approx([7, -3, 20], abs=0.1)
+    tip = mesh.vertices_m[mesh.vertices_m[:, 2].argmin()]
+    assert 1e3 * tip == pytest.approx([7, -3, 18], abs=1e-4)
     assert signed_volume(mesh) > 0
+
+
+@pytest.mark.parametrize(
+    ("axis", "right", "down"),
+    [
+        ("-z", (1, 0, 0), (0, 1, 0)),
+        ("+z", (1, 0, 0), (0, -1, 0)),
+        ("+x", (0, 0, 1), (0, 1, 0)),
+        ("-x", (0, 0, -1), (0, 1, 0)),
+        ("+y", (1, 0, 0), (0, 0, 1)),
+        ("-y", (1, 0, 0), (0, 0, -1)),
+    ],
+)
+def test_an_axis_of_the_file_points_into_the_gel(
+    tmp_path: Path, axis: str, right: tuple[int, ...], down: tuple[int, ...]
+) -> None:
+    """And the others turn with it, without a mirror."""
+    into = np.eye(3)["xyz".index(axis[1])] * (1 if axis[0] == "+" else -1)
+    center = 2 * into + 3.0 * np.array(right) + 1.0 * np.array(down)
+    cone = pyvista.Cone(center=center, direction=into, height=4, radius=1.0).triangulate()
+    mesh = parse_indenter(save(cone, tmp_path / "cone.ply") + f"@{axis}").shape
+    assert isinstance(mesh, TriangleMesh)
+    tip = mesh.vertices_m[mesh.vertices_m[:, 2].argmin()]
+    assert 1e3 * tip == pytest.approx([3.0, 1.0, -4.0], abs=1e-4)
+    assert signed_volume(mesh) > 0
+
+
+def test_a_file_far_from_its_origin_is_refused(tmp_path: Path) -> None:
+    ball = pyvista.Sphere(radius=2.0, center=(250, 0, 0))
+    with pytest.raises(InputError, match=r"ball\.stl reaches 25[12].* mm from its origin"):
+        parse_indenter(save(ball, tmp_path / "ball.stl"))
 
 
 def test_faces_that_look_inwards_are_turned(tmp_path: Path) -> None:
