@@ -301,6 +301,7 @@ EDGE_LABELS_OFF = RemarkKind(
 NO_MARKERS = RemarkKind(
     "no_markers", Severity.ERROR, "{name} shows no grid of dots: {reason}", ("markers",)
 )
+NO_REST_FRAME = RemarkKind("no_rest_frame", Severity.ERROR, "{reason}", ("markers", "scale"))
 MARKER_PITCH_UNSTATED = RemarkKind(
     "marker_pitch_unstated",
     Severity.INFO,
@@ -310,8 +311,8 @@ MARKER_PITCH_UNSTATED = RemarkKind(
 MARKER_LABELS_OFF = RemarkKind(
     "marker_labels_off",
     Severity.WARNING,
-    "{lost} of {count} measured dots are more than {limit:g} px from any dot of the image (median "
-    "{median:.1f} px)",
+    "{lost} of {count} measured dots, moved by their displacements, are more than {limit:g} px "
+    "from any dot of {name} (median {median:.1f} px)",
     ("markers",),
 )
 NO_MARKER_VIDEOS = RemarkKind(

@@ -99,7 +99,8 @@ def _markers(data: Path) -> Draft:
     frames = images_in(data)
     if not frames:
         raise InputError(f"{data} holds no images")
-    markers: dict[str, Any] = {"rest": draft.add_image(frames[0], "rest")}
+    # The table has the dots of the first frame: places without load, and the way from there.
+    markers: dict[str, Any] = {"labels_image": draft.add_image(frames[0], "labelled")}
     draft.manifest["markers"] = markers
     table = first_existing(frames[0].with_suffix(".csv"))
     if table is not None:
@@ -114,7 +115,8 @@ def _markers(data: Path) -> Draft:
     else:
         draft.notes.append(
             "the only frame is a press: its dots have moved by what marker_labels.csv says, and "
-            "there is no picture of the gel at rest"
+            "there is no picture of the gel at rest, so that calibrate markers refuses; give one "
+            "as markers.rest"
         )
     return draft
 
