@@ -97,9 +97,8 @@ def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap
         limit = max(LABEL_OFF_PX, LABEL_OFF_SHARE * label.radius_px)
         unsure = 2 * frame.contact.radius_sigma_px
         sure = frame.contact.confidence >= SURE_OF_CONTACT
-        off = sure and (
-            center > limit or abs(radius) > LABEL_RADIUS_SHARE * label.radius_px + unsure
-        )
+        smaller = min(label.radius_px, found.radius_px)
+        off = sure and (center > limit or abs(radius) > LABEL_RADIUS_SHARE * smaller + unsure)
         gaps.append(LabelGap(frame.press.name, center, radius, off))
     return gaps
 
