@@ -38,7 +38,7 @@ RATES: dict[str, ErrorRate] = {
     "labels_off": ErrorRate(
         0, 107, 37, 40, "whose label is moved by half a radius or 1.5 times as wide"
     ),
-    "blurred": ErrorRate(0, 266, 3, 47, "that are blurred by 0.15 contact radii"),
+    "blurred": ErrorRate(0, 266, 34, 47, "that are blurred by 0.15 contact radii"),
     "other_ball": ErrorRate(0, 266, 41, 94, "of a ball of 0.6 or 1.6 times the radius"),
     "mixed_sensors": ErrorRate(0, 266, 45, 47, "of another sensor"),
     "channels_swapped": ErrorRate(0, 266, 47, 47, "whose red and blue are swapped"),
