@@ -29,6 +29,7 @@ COMMANDS = {
     "peers": "peers:Peers",
     "study": "design_study:Study",
     "captures": "capture_sets:Captures",
+    "check_errors": "check_errors:CheckErrors",
     "images": "images:Images",
     "multi_gpu": "multi_gpu:MultiGpu",
     "quick": "quick:Quick",

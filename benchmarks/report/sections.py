@@ -350,6 +350,22 @@ def captures(document: Document) -> Iterator[str]:
     yield markdown_table([*head, "command [s]"], rows)
 
 
+def check_errors(document: Document) -> Iterator[str]:
+    """Named presses of all, good and spoiled, a row a fault and a column a set."""
+    rows = document["rows"]
+    sets = list(dict.fromkeys(row["set"] for row in rows))
+    cases = dict.fromkeys((row["case"], row.get("code", "any of those below")) for row in rows)
+    counts = {(row["case"], row["set"]): f"{row['named']} of {row['count']}" for row in rows}
+    yield markdown_table(
+        ["presses", "named by", *sets],
+        [
+            [case, f"`{code}`" if "_" in code or code.isalpha() else code]
+            + [counts.get((case, name), "-") for name in sets]
+            for case, code in cases
+        ],
+    )
+
+
 def picture(document: Document, kind: str, title: str) -> str:
     """Link to a picture of a result."""
     name = Path(document["file"]).stem
@@ -410,5 +426,6 @@ SECTIONS: dict[str, Section] = {
     "stress": partial(of_each_result, "stress", stress),
     "study": partial(of_each_result, "study", study),
     "captures": partial(of_each_result, "captures", captures),
+    "check_errors": partial(of_each_result, "check_errors", check_errors),
 }
 """Parts of the page by the name in its markers."""

@@ -114,8 +114,9 @@ def _presses(
 def _markers(entry: dict[str, Any], folder: CaptureFolder, writer: _Writer) -> dict[str, Any]:
     markers = folder.markers
     assert markers is not None
-    entry = {key: value for key, value in entry.items() if key != "labels"}
-    entry["rest"] = writer.image("markers_rest", markers.rest.image)
+    entry = {k: value for k, value in entry.items() if k not in ("labels", "labels_image")}
+    if markers.rest is not None:
+        entry["rest"] = writer.image("markers_rest", markers.rest.image)
     videos = []
     for i, (table, video) in enumerate(zip(entry.get("videos", []), markers.videos, strict=True)):
         frames = [

@@ -88,12 +88,16 @@ class Video:
 class MarkerCaptures:
     """Dots at rest, and in motion."""
 
-    rest: Frame
+    rest: Frame | None
+    """As stated, or the background; without it the videos are asked (``find_rest``)."""
     pitch_x_mm: float | None
     pitch_y_mm: float | None
     videos: tuple[Video, ...]
     labels: dict[str, np.ndarray] = field(default_factory=dict)
-    """Columns of measured dots (``u_px, v_px, du_px, dv_px``), each of shape [dot]."""
+    """Columns of measured dots (``u_px, v_px, du_px, dv_px``), each of shape [dot]: places without
+    load, and the way from there to where they are in ``labels_frame``."""
+    labels_frame: Frame | None = None
+    """Image of the measured dots, where it is not the one at rest."""
 
 
 @dataclass(frozen=True)

@@ -142,10 +142,13 @@ class MarkersEntry(StrictModel):
     """Dots painted on the gel."""
 
     rest: FileName | None = None
-    """Image at rest; the background if missing."""
+    """Image at rest; the background if missing, or else frames of the videos in which the gel
+    rests."""
     labels: FileName | None = None
-    """CSV ``u_px, v_px, du_px, dv_px``: dots of the image at rest that somebody has measured, and
-    how far they lie from where they are without any load. For validation."""
+    """CSV ``u_px, v_px, du_px, dv_px``: where dots that somebody has measured lie without any load,
+    and how far from there they lie in ``labels_image``. For validation."""
+    labels_image: FileName | None = None
+    """Image of the measured dots; the one at rest if missing."""
     pitch_x_mm: Number | None = Field(default=None, gt=0.0, le=50.0)
     pitch_y_mm: Number | None = Field(default=None, gt=0.0, le=50.0)
     videos: list[VideoEntry] = Field(default_factory=list)

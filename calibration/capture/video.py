@@ -24,21 +24,25 @@ LOST_SHARE = 0.95
 
 
 def load_markers(folder: Path, entry: MarkersEntry, background: Frame | None) -> MarkerCaptures:
-    """The dots at rest and their videos; InputError when neither rest nor background is there."""
-    if entry.rest is not None:
-        path = inner_path(folder, entry.rest)
-        image_size(path)
-        rest = Frame(path.stem, str(path), file_sha256(path), partial(read_image, path))
-    elif background is not None:
-        rest = background
-    else:
-        raise InputError(f"{folder}: markers need an image at rest: markers.rest or background")
+    """The dots at rest and their videos; InputError when there is no picture of dots at all."""
+    rest = background if entry.rest is None else _frame(folder, entry.rest)
+    of_labels = None if entry.labels_image is None else _frame(folder, entry.labels_image)
+    if rest is None and of_labels is None and not entry.videos:
+        raise InputError(
+            f"{folder}: markers need an image at rest (markers.rest or background), or a video"
+        )
     videos = tuple(load_video(folder, video) for video in entry.videos)
     labels = {} if entry.labels is None else read_columns(inner_path(folder, entry.labels))
     missing = {"u_px", "v_px", "du_px", "dv_px"} - labels.keys()
     if labels and missing:
         raise InputError(f"{folder / str(entry.labels)} lacks {', '.join(sorted(missing))}")
-    return MarkerCaptures(rest, entry.pitch_x_mm, entry.pitch_y_mm, videos, labels)
+    return MarkerCaptures(rest, entry.pitch_x_mm, entry.pitch_y_mm, videos, labels, of_labels)
+
+
+def _frame(folder: Path, name: str) -> Frame:
+    path = inner_path(folder, name)
+    image_size(path)
+    return Frame(path.stem, str(path), file_sha256(path), partial(read_image, path))
 
 
 def load_video(folder: Path, entry: VideoEntry) -> Video:

@@ -10,8 +10,9 @@ A radius on its own cannot be read from a contact circle. It shows where it cont
 - slopes: a ball that is too small has contacts steeper than the gel beside them
   (``taccel_lab.calibration.contacts.ball_radius``; a ball that is stated too large does not show
   there);
-- two balls: the colour changes over the contact's centre at a rate of 1/R, so that presses of one
-  ball agree and those of two differ as their radii do.
+- two balls: the colour changes over the contact's centre at a rate of 1/R, so that presses of two
+  balls differ as their radii do; and one law of colour (``color_law``) explains presses of another
+  ball better with slopes of that one.
 """
 
 from __future__ import annotations
@@ -21,23 +22,39 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check import remarks
+from taccel_lab.calibration.check.color_law import ColorLaw
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.result import Remark
-from taccel_lab.calibration.robust_spread import spread_about_zero
+from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.geometry import PixelGrid
 
+SURE = 2.0
+"""Standard deviations by which a contact has to be wider than its ball."""
+CIRCLE_SHARE, FOUND_SIGMA_PX, LABEL_SIGMA_PX, SCALE_SHARE = 0.03, 1.0, 2.0, 0.02
+"""Standard deviations of a contact's radius (share of it; at least so many pixels, as found and as
+labelled), and of a scale that somebody states. Found circles lie 2 px and 3 % off careful labels.
+"""
+OTHER_GAIN, GAIN_SPREADS = 3.0, 3.0
+"""A press is of another ball where that explains it so many times better, and that much better than
+it does the presses of the set in general (standard deviations of the logarithms)."""
+OTHER_FACTOR = 1.3
+MIN_LAW_PRESSES = 8
+MOST_ODD = 0.4
+HARMFUL = 1.02
+"""Left of the other presses, with the odd ones in the fit over without, from which on it is worth
+to leave these out."""
+USUAL_BALL = 1.2
+"""Radius of a ball that nobody states, over that of its larger contacts."""
 TRAVEL_SLACK = 1.35
 """Factor left to both bounds: contact radii are known to 5 %, first touch less well."""
 ODD_RATE = 1.45
 """Centre slopes differ by this factor between balls; presses of one ball by 1.25."""
-BALL_FACTOR = 4.0
-"""Two balls of one set hardly differ by more."""
 FIELD_SLACK = 1.05
 FITTED_PRESSES, MIN_PRESSES = 12, 4
 FEW_SHARE = 0.1
@@ -49,11 +66,14 @@ SCALE_FACTOR = 1.4
 def check_balls(
     frames: Sequence[FrameFigures],
     grid: PixelGrid | None,
+    width_px: int,
     ball_radius_mm: float | None,
     gel_thickness_mm: float | None,
 ) -> list[Remark]:
-    """Findings on the radius; ``grid`` only with a known scale, thickness of a known sensor."""
+    """Findings on the radius; ``grid`` only with a known scale, thickness of a known sensor, the
+    width is that of the images."""
     found = list(_check_rates(frames, ball_radius_mm))
+    found += _check_apparent(frames, grid, width_px, ball_radius_mm)
     if grid is not None and ball_radius_mm is not None:
         found += _check_size(frames, grid, ball_radius_mm, gel_thickness_mm)
         found += _check_travel(frames, grid, ball_radius_mm)
@@ -70,34 +90,38 @@ def _check_size(
     ball_radius_mm: float,
     gel_thickness_mm: float | None,
 ) -> list[Remark]:
-    too_wide, too_deep, widest, deepest, measured = [], [], 0.0, 0.0, 0
+    too_wide, too_deep, deepest, measured = [], [], 0.0, 0
     for frame in frames:
-        smallest = _smallest_radius_px(frame)
-        if smallest is None:
+        size = _contact_mm(frame, grid)
+        if size is None:
             continue
         measured += 1
+        contact, sigma = size
         radius = _radius_mm(frame, ball_radius_mm) or ball_radius_mm
-        contact = smallest * grid.mm_per_px_x
-        if contact > radius:
-            too_wide.append(frame.press.name)
-            widest = max(widest, contact)
+        least = contact - SURE * sigma
+        if least > radius:
+            too_wide.append((contact / radius, contact, sigma, frame.press.name))
             continue
-        depth = radius - np.sqrt(radius**2 - contact**2)
+        depth = radius - np.sqrt(radius**2 - max(least, 0.0) ** 2)
         if gel_thickness_mm is not None and depth > 0.9 * gel_thickness_mm:
             too_deep.append(frame.press.name)
             deepest = max(deepest, float(depth))
     found = []
     if too_wide:
+        _, widest, sigma, first = max(too_wide)
+        names = [name for *_, name in too_wide]
         found.append(
             remarks.BALL_TOO_SMALL(
-                wider=len(too_wide),
+                wider=len(names),
                 count=measured,
+                first=first,
                 widest=widest,
+                sigma=sigma,
                 mm_per_px=grid.mm_per_px_x,
                 stated=ball_radius_mm,
-                names=name_some(too_wide),
-                frames=too_wide,
-                grave=len(too_wide) > FEW_SHARE * measured,
+                names=name_some(names),
+                frames=names,
+                grave=len(names) > FEW_SHARE * measured,
             )
         )
     if too_deep:
@@ -112,15 +136,23 @@ def _check_size(
     return found
 
 
-def _smallest_radius_px(frame: FrameFigures) -> float | None:
-    """The contact's radius at the least: given or found, less what the detector is unsure of."""
+def _contact_mm(frame: FrameFigures, grid: PixelGrid) -> tuple[float, float] | None:
+    """Radius of the contact and its standard deviation [mm]: of the smaller of the circles given
+    and found; None without either."""
     radii = []
     if frame.press.circle is not None:
-        radii.append(frame.press.circle.radius_px)
+        label = frame.press.circle.radius_px
+        radii.append((label, max(LABEL_SIGMA_PX, CIRCLE_SHARE * label)))
     if frame.contact is not None:
-        unsure = max(2.0, 2 * frame.contact.radius_sigma_px)
-        radii.append(frame.contact.circle.radius_px - unsure)
-    return min(radii, default=None)
+        found = frame.contact.circle.radius_px
+        radii.append(
+            (found, max(frame.contact.radius_sigma_px, FOUND_SIGMA_PX, CIRCLE_SHARE * found))
+        )
+    if not radii:
+        return None
+    radius, sigma = min(radii)
+    share = np.hypot(sigma / radius, SCALE_SHARE)
+    return radius * grid.mm_per_px_x, float(share * radius * grid.mm_per_px_x)
 
 
 def _check_travel(
@@ -140,8 +172,16 @@ def _check_travel(
     if 1 / TRAVEL_SLACK <= ratio <= 2 * TRAVEL_SLACK:
         return []
     low, high = ratio * ball_radius_mm / 2, ratio * ball_radius_mm
+    # Only a radius that is twice what contacts and travel allow is that of a diameter.
+    doubled = 1 / TRAVEL_SLACK <= 2 * ratio <= 2 * TRAVEL_SLACK
     return [
-        remarks.BALL_AGAINST_TRAVEL(count=len(ratios), low=low, high=high, stated=ball_radius_mm)
+        remarks.BALL_AGAINST_TRAVEL(
+            count=len(ratios),
+            low=low,
+            high=high,
+            stated=ball_radius_mm,
+            diameter=" (a diameter taken for it?)" if doubled else "",
+        )
     ]
 
 
@@ -154,30 +194,76 @@ def center_rate(frame: FrameFigures) -> float:
 
 
 def _check_rates(frames: Sequence[FrameFigures], ball_radius_mm: float | None) -> list[Remark]:
+    """Whether presses of several balls differ as their stated radii do."""
     rates = np.array([center_rate(frame) for frame in frames])
     radii = np.array([_radius_mm(frame, ball_radius_mm) or np.nan for frame in frames])
-    if not np.isfinite(radii).any():
-        radii = np.ones(len(frames))
     known = np.isfinite(rates) & np.isfinite(radii) & (rates > 0)
-    if known.sum() < 6:
-        return []
     balls = np.unique(radii[known])
-    if len(balls) > 1:
-        return _check_stated_ratio(rates[known], radii[known], balls)
-    middle = float(np.median(rates[known]))
-    spread = float(np.exp(spread_about_zero(np.log(rates[known] / middle))))
-    limit = max(ODD_RATE, spread**4)
-    odd = known & ((rates > limit * middle) | (rates < middle / limit))
-    if not odd.any() or odd.sum() > 0.4 * known.sum():
+    if known.sum() < 6 or len(balls) < 2:
         return []
-    names = [frame.press.name for frame, is_odd in zip(frames, odd, strict=True) if is_odd]
-    factor = middle / float(np.median(rates[odd]))
-    as_ball = f"as with a ball of {factor:.2g} times the radius, or a wrong circle"
-    if not 1 / BALL_FACTOR < factor < BALL_FACTOR:
-        as_ball = "a wrong circle, or hardly a contact"
-    return [
-        remarks.OTHER_BALL(names=name_some(names), factor=1 / factor, cause=as_ball, frames=names)
+    return _check_stated_ratio(rates[known], radii[known], balls)
+
+
+def _check_apparent(
+    frames: Sequence[FrameFigures], grid: PixelGrid | None, width_px: int, ball_mm: float | None
+) -> list[Remark]:
+    """Presses whose colours are those of another ball than the one that the others tell of."""
+    kept = [(frame, frame.circle) for frame in frames]
+    seen = [(frame, circle) for frame, circle in kept if circle is not None]
+    if len(seen) < MIN_LAW_PRESSES:
+        return []
+    law = ColorLaw(
+        [frame for frame, _ in seen],
+        [circle for _, circle in seen],
+        _balls_px([frame for frame, _ in seen], [c for _, c in seen], grid, ball_mm),
+        width_px,
+    )
+    balls = [law.apparent_ball(i) for i in range(len(seen))]
+    gains = np.log([ball.gain for ball in balls])
+    # A law that explains a set badly gains from any freedom.
+    usual = float(np.median(gains)) + GAIN_SPREADS * spread_about_median(gains)
+    limit = max(OTHER_GAIN, float(np.exp(usual)))
+    odd = [
+        i
+        for i, ball in enumerate(balls)
+        if ball.gain > limit and abs(np.log(ball.factor)) > np.log(OTHER_FACTOR)
     ]
+    if not odd or len(odd) > MOST_ODD * len(seen):
+        return []
+    names = [seen[i][0].press.name for i in odd]
+    worst = max((balls[i] for i in odd), key=lambda ball: ball.gain)
+    with_them, without = law.influence(odd)
+    harmful = with_them > HARMFUL * without
+    return [
+        remarks.OTHER_BALL(
+            names=name_some(names),
+            factor=worst.factor,
+            gain=worst.gain,
+            limit=limit,
+            cause="a wrong circle, or hardly a contact" if worst.at_end else "another ball",
+            levels_with=with_them,
+            levels_without=without,
+            advice="State radius_mm of these presses, or leave them out"
+            if harmful
+            else "Keep them: they do the others no harm",
+            frames=names,
+        )
+    ]
+
+
+def _balls_px(
+    frames: Sequence[FrameFigures],
+    circles: Sequence[ContactCircle],
+    grid: PixelGrid | None,
+    ball_mm: float | None,
+) -> list[float]:
+    """Radius of each press's ball in pixels; without ball or scale one that holds most contacts, as
+    the law only compares."""
+    usual = USUAL_BALL * float(np.percentile([circle.radius_px for circle in circles], 75))
+    stated = [_radius_mm(frame, ball_mm) for frame in frames]
+    if grid is None:
+        return [usual] * len(frames)
+    return [usual if radius is None else radius / grid.mm_per_px_x for radius in stated]
 
 
 def _check_stated_ratio(rates: np.ndarray, radii: np.ndarray, balls: np.ndarray) -> list[Remark]:

@@ -131,7 +131,11 @@ def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
     if command == "markers":
         if folder.markers is None:
             return "", "an image of the dots at rest, videos of them moving"
-        return f"dots at rest, {len(folder.markers.videos)} videos", ""
+        videos = len(folder.markers.videos)
+        if folder.markers.rest is None and not videos:
+            return "an image of pressed dots", "an image of the dots at rest"
+        rest = "videos show rest" if folder.markers.rest is None else "dots at rest"
+        return f"{rest}, {videos} videos", ""
     if command == "spread":
         untouched = len(folder.untouched)
         several = f"{untouched} further images of the untouched gel" if untouched > 1 else ""

@@ -34,6 +34,10 @@ BLUR_TEXTURE, BLUR_RIM, BLUR_RIM_WITHOUT_TEXTURE = 0.5, 1.8, 1.3
 """Share of the usual texture, and multiples of the usual width of the rim."""
 USEFUL_TEXTURE = 0.25
 """Correlation of fine structure above which a lack of it means blur."""
+NO_TEXTURE, SEEN_TEXTURE = 0.15, 0.08
+"""Share of the usual texture below which a press is blurred whatever its rim, and correlation that
+shows the texture at all. Chosen on three sets, where good presses have 0.3 of it and more and
+blurred ones 0.08 at most; the other three are counted with it."""
 NEAR_DUPLICATE = 0.1
 """Images are the same press when they differ by less than this part of the contact's contrast."""
 MIN_DUPLICATE_LEVELS = 1.5
@@ -97,9 +101,8 @@ def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap
         limit = max(LABEL_OFF_PX, LABEL_OFF_SHARE * label.radius_px)
         unsure = 2 * frame.contact.radius_sigma_px
         sure = frame.contact.confidence >= SURE_OF_CONTACT
-        off = sure and (
-            center > limit or abs(radius) > LABEL_RADIUS_SHARE * label.radius_px + unsure
-        )
+        smaller = min(label.radius_px, found.radius_px)
+        off = sure and (center > limit or abs(radius) > LABEL_RADIUS_SHARE * smaller + unsure)
         gaps.append(LabelGap(frame.press.name, center, radius, off))
     return gaps
 
@@ -209,8 +212,10 @@ def _check_blur(frames: Sequence[FrameFigures]) -> list[Remark]:
     wide = rims / np.nanmedian(rims)
     blurred = known & (wide > BLUR_RIM)
     correlation = np.median([frame.texture_correlation for frame in frames])
+    if correlation > SEEN_TEXTURE and seen.sum() >= 4:
+        blurred |= seen & known & (texture < NO_TEXTURE * np.nanmedian(texture))
     if correlation > USEFUL_TEXTURE and seen.sum() >= 4:
-        # Texture alone would not do: shear under the ball moves it.
+        # A part of it would not do alone: shear under the ball moves it.
         gone = seen & (texture < BLUR_TEXTURE * np.nanmedian(texture))
         blurred |= gone & known & (wide > BLUR_RIM_WITHOUT_TEXTURE)
     if not blurred.any():

@@ -206,8 +206,8 @@ DUPLICATES = RemarkKind(
 NEAR_DUPLICATES = RemarkKind(
     "near_duplicates",
     Severity.WARNING,
-    "{count} pairs of frames show the same press: {names}. Keep one of each, so that held-out "
-    "frames are new ones",
+    "{count} pairs of frames show the same press: {names}. A held-out frame has its twin among "
+    "those that are fitted unless both have labels: figures on held-out frames may be too good",
     BY_COLOR,
 )
 
@@ -215,9 +215,9 @@ NEAR_DUPLICATES = RemarkKind(
 BALL_TOO_SMALL = RemarkKind(
     "ball_too_small",
     Severity.WARNING,
-    "{wider} of {count} contacts are wider than the ball: a radius of up to {widest:.2f} mm at "
-    "{mm_per_px:g} mm/px, the ball has {stated:g} mm ({names}). The ball's radius is too small (a "
-    "diameter taken for it?), or the scale too large",
+    "{wider} of {count} contacts are wider than their ball beyond the error of circle and scale "
+    "({names}): {first} has a radius of {widest:.2f} +- {sigma:.2f} mm at {mm_per_px:g} mm/px, the "
+    "ball {stated:g} mm. The ball's radius is too small, or the scale too large",
     ("color", "normals", "scale"),
     graver=Severity.ERROR,
 )
@@ -232,14 +232,16 @@ BALL_AGAINST_TRAVEL = RemarkKind(
     "ball_against_travel",
     Severity.ERROR,
     "contacts and travel of {count} presses belong to a ball of {low:.2g} to {high:.2g} mm, stated "
-    "is {stated:g} mm: the radius (a diameter taken for it?), the scale or the travel is wrong",
+    "is {stated:g} mm: the radius{diameter}, the scale or the travel is wrong",
     ("color", "normals", "scale", "material"),
 )
 OTHER_BALL = RemarkKind(
     "other_ball",
     Severity.WARNING,
-    "in {names} the colour changes {factor:.2g} times as fast over the contact as in the other "
-    "presses: {cause}. State radius_mm of these presses, or remove them",
+    "the colours over the contacts of {names} are those of {cause}, by one law for all presses: "
+    "with {factor:.2g} times the radius {gain:.1f} times less is left unexplained (told from "
+    "{limit:.1f} on). Of the other presses {levels_with:.2f} levels are left with these in the "
+    "fit, {levels_without:.2f} without. {advice}",
     BY_COLOR,
 )
 BALL_RATIO = RemarkKind(
@@ -307,6 +309,7 @@ EDGE_LABELS_OFF = RemarkKind(
 NO_MARKERS = RemarkKind(
     "no_markers", Severity.ERROR, "{name} shows no grid of dots: {reason}", ("markers",)
 )
+NO_REST_FRAME = RemarkKind("no_rest_frame", Severity.ERROR, "{reason}", ("markers", "scale"))
 MARKER_PITCH_UNSTATED = RemarkKind(
     "marker_pitch_unstated",
     Severity.INFO,
@@ -316,8 +319,8 @@ MARKER_PITCH_UNSTATED = RemarkKind(
 MARKER_LABELS_OFF = RemarkKind(
     "marker_labels_off",
     Severity.WARNING,
-    "{lost} of {count} measured dots are more than {limit:g} px from any dot of the image (median "
-    "{median:.1f} px)",
+    "{lost} of {count} measured dots, moved by their displacements, are more than {limit:g} px "
+    "from any dot of {name} (median {median:.1f} px)",
     ("markers",),
 )
 NO_MARKER_VIDEOS = RemarkKind(

@@ -25,6 +25,7 @@ from taccel_lab.calibration.check.presses import (
     label_gaps,
 )
 from taccel_lab.calibration.check.targets import check_targets
+from taccel_lab.calibration.error_rates import quoted
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.calibration.surfaces.design import FLAT_PAD, turn_remark
 from taccel_lab.errors import InputError
@@ -138,9 +139,9 @@ def check_captures(
             findings.append(remarks.NO_MEDIAN(reason=fault))
     if background is not None:
         findings += background.findings
-        grid = _grid(folder, background.image)
+        grid = press_grid(folder, background.image)
         frames = measure_presses(folder.presses, background.image, folder.mask, grid, progress)
-        findings += _check_presses(folder, frames, background, grid, facts)
+        findings += press_findings(folder, frames, background, grid, facts)
         if fit_ball and not any(finding.code in SPOILS_SLOPES for finding in findings):
             findings += check_slopes(folder, background.image)
     elif folder.background is None and not folder.presses and not _has_other(folder):
@@ -148,7 +149,7 @@ def check_captures(
     grey = None if facts is None else facts.is_grey
     if folder.presses and background is not None and grey is not True:
         grey = is_grey(frames)
-    findings = worst_first(findings)
+    findings = worst_first([quoted(finding) for finding in findings])
     return CaptureCheck(
         folder=folder,
         findings=tuple(findings),
@@ -165,24 +166,27 @@ def _has_other(folder: CaptureFolder) -> bool:
     return bool(folder.boards or folder.edges or folder.markers or folder.records)
 
 
-def _grid(folder: CaptureFolder, image: np.ndarray) -> PixelGrid:
+def press_grid(folder: CaptureFolder, image: np.ndarray) -> PixelGrid:
+    """Pixels of the presses; of a made-up scale where none is stated."""
     scale = folder.mm_per_px or (ANY_SCALE_MM_PER_PX, ANY_SCALE_MM_PER_PX)
     return PixelGrid(image.shape[1], image.shape[0], *scale)
 
 
-def _check_presses(
+def press_findings(
     folder: CaptureFolder,
     frames: list[FrameFigures],
     background: BackgroundCheck,
     grid: PixelGrid,
     facts: SensorFacts | None,
 ) -> list[Remark]:
+    """All that ball presses say, of their figures."""
     findings = [
         *check_light(frames, thumb(background.image)),
         *check_contacts(frames, grid),
         *check_balls(
             frames,
             grid if folder.mm_per_px is not None else None,
+            grid.width_px,
             folder.ball_radius_mm,
             None if facts is None else facts.thickness_mm,
         ),

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.markers.rest import find_rest
 from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 
@@ -32,7 +34,7 @@ STILL_LEVELS = 0.05
 """Frames that differ less, at their strongest, are one frame stored twice."""
 MAX_STILL_SHARE = 0.3
 GOOD_POINTS = 5
-LABEL_DOT_PX = 3.0
+LABEL_DOT_PX, LABELS_LOST = 3.0, 0.1
 
 
 def check_targets(folder: CaptureFolder) -> list[Remark]:
@@ -107,29 +109,46 @@ def _check_board(board: BoardCaptures) -> list[Remark]:
 
 
 def _check_markers(markers: MarkerCaptures) -> list[Remark]:
-    findings = []
+    findings = _check_labels(markers)
     try:
-        picture = find_markers(markers.rest.image())
+        rest = find_rest(markers)
     except InputError as fault:
-        return [remarks.NO_MARKERS(name=markers.rest.name, reason=fault)]
+        return [*findings, remarks.NO_REST_FRAME(reason=fault)]
+    image = rest.frame.image()
+    try:
+        picture = find_markers(image)
+    except InputError as fault:
+        return [remarks.NO_MARKERS(name=rest.frame.name, reason=fault)]
+    findings += [replace(remark, blocks=("markers", "scale")) for remark in rest.remarks]
     if markers.pitch_x_mm is None:
         findings.append(remarks.MARKER_PITCH_UNSTATED(count=picture.dots.count))
-    if markers.labels:
-        near = picture.dots.uv_px
-        given = np.column_stack([markers.labels["u_px"], markers.labels["v_px"]])
-        gap = np.linalg.norm(given[:, None] - near[None], axis=-1).min(axis=1)
-        lost = int((gap > LABEL_DOT_PX).sum())
-        if lost > 0.1 * len(gap):
-            findings.append(
-                remarks.MARKER_LABELS_OFF(
-                    lost=lost, count=len(gap), limit=LABEL_DOT_PX, median=np.median(gap)
-                )
-            )
     for video in markers.videos:
-        findings += _check_video(video, markers.rest.image())
+        findings += _check_video(video, image)
     if not markers.videos:
         findings.append(remarks.NO_MARKER_VIDEOS())
     return findings
+
+
+def _check_labels(markers: MarkerCaptures) -> list[Remark]:
+    """Whether measured dots lie where the image that they were measured in shows some."""
+    frame = markers.rest if markers.labels_frame is None else markers.labels_frame
+    if not markers.labels or frame is None:
+        return []
+    try:
+        near = find_markers(frame.image()).dots.uv_px
+    except InputError as fault:
+        return [remarks.NO_MARKERS(name=frame.name, reason=fault)]
+    u, v, du, dv = (markers.labels[name] for name in ("u_px", "v_px", "du_px", "dv_px"))
+    given = np.column_stack([u + du, v + dv])
+    gap = np.linalg.norm(given[:, None] - near[None], axis=-1).min(axis=1)
+    lost = int((gap > LABEL_DOT_PX).sum())
+    if lost <= LABELS_LOST * len(gap):
+        return []
+    return [
+        remarks.MARKER_LABELS_OFF(
+            lost=lost, count=len(gap), name=frame.name, limit=LABEL_DOT_PX, median=np.median(gap)
+        )
+    ]
 
 
 def _check_video(video: Video, rest: np.ndarray) -> list[Remark]:

@@ -176,7 +176,8 @@ def _start(change: ColorChange, background: np.ndarray, name: str) -> _Start:
         raise InputError(
             f"{name}: no contact found; its strongest colour change is {contrast:.1f} levels of "
             f"255 over a noise of {change.noise_levels:.1f}, at least {needed:g} levels and "
-            f"{MIN_CONTRAST_OVER_NOISE:g} times the noise are needed. Remove the frame"
+            f"{MIN_CONTRAST_OVER_NOISE:g} times the noise are needed. If it shows a "
+            "contact, give its circle; a frame without one teaches nothing and is left out"
         )
     turning = turning_radius(change.change, center, radius)
     radius = float(np.clip(1.05 * turning, 0.5 * radius, radius))
@@ -211,7 +212,7 @@ def _refine(
         ]
         for start, sample in zip(starts, samples, strict=True):
             if sample.visible < 0.2:
-                raise InputError(f"{start.name}: no contact found inside the image; remove it")
+                raise InputError(f"{start.name}: no contact found inside the image")
         fit = fit_contacts(samples, circles, ball_px, blur_px=blur, terms=terms, iterations=rounds)
         circles = [contact.circle for contact in fit.contacts]
     assert fit is not None
@@ -250,8 +251,8 @@ def _accept(
             f"radius {circle.radius_px:.1f} px and a ball's slope explains "
             f"{max(contact.explained, 0):.0%} of the colour change, of which {gathered:.0%} lies "
             f"within two radii; at least {MIN_INLIER_FRACTION:.0%}, {MIN_RADIUS_PX:g} to "
-            f"{limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. Remove the "
-            "frame or give its circle"
+            f"{limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. If it "
+            "shows a contact, give its circle"
         )
     beyond = max(
         circle.radius_px - circle.u_px,
@@ -264,7 +265,7 @@ def _accept(
             f"{start.name}: the contact at ({circle.u_px:.0f}, "
             f"{circle.v_px / start.change.ratio:.0f}) px with radius {circle.radius_px:.0f} px "
             + (f"reaches {beyond:.0f} px out of the image" if beyond > 0 else "is mostly masked")
-            + f"; {samples.visible:.0%} of it and its surroundings can be seen. Remove the frame"
+            + f"; {samples.visible:.0%} of it and its surroundings can be seen: it is left out"
         )
     sigma = np.sqrt(np.maximum(np.diag(contact.covariance), 0.0))
     return DetectedContact(

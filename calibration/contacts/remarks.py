@@ -9,7 +9,7 @@ from taccel_lab.calibration.result import Severity
 PRESSES_LEFT_OUT = RemarkKind(
     "presses_left_out",
     Severity.WARNING,
-    "{lost} of {count} presses were left out: {names}. {reasons}",
+    "{lost} of {count} presses were left out: {names}. {reasons}. {rate}",
 )
 PRESSES_REFUSED = RemarkKind(
     "presses_refused",

@@ -14,6 +14,7 @@ from taccel_lab.calibration.contacts.fusion import choose_circles
 from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
 from taccel_lab.calibration.contacts.remarks import PRESSES_LEFT_OUT
 from taccel_lab.calibration.contacts.result import DetectedContact
+from taccel_lab.calibration.error_rates import RATES
 from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
@@ -53,6 +54,7 @@ def usable_presses(
         count=len(captures.presses),
         names=names,
         reasons="; ".join(refusal.message for refusal in refusals),
+        rate=RATES["no_contact"].sentence(),
     )
     provenance = {**captures.provenance, "left_out": names}
     return replace(captures, presses=kept, provenance=provenance), contacts, [remark]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,12 @@ from taccel_lab.profile import SensorProfile
 _MEASURED = ("calibrated", "measured")
 _CAMERA_AGREES = 0.05
 """A camera whose scale at the origin is off its own pixel grid by more has another pose."""
+_ASSUMED_SIGMA = 0.13
+"""Of a scale that nobody measured: published ones of one and the same sensor differ by a quarter,
+and an error that is as likely anywhere within has this standard deviation."""
+_STATED_SIGMA = 0.01
+"""Of a scale or pitch in the manifest, which says nothing of its error: a ruler or a printed board
+gives one to about this."""
 _AGREE = 0.02
 """Scales that differ by less than this part agree."""
 
@@ -59,6 +65,7 @@ def choose_view(
     if chosen is not None:
         return ChosenView(chosen, _disagreements(chosen, stated, size_px))
     assumed = grid_view(profile, size_px)
+    assumed = replace(assumed, scale_sigma=max(assumed.scale_sigma, _ASSUMED_SIGMA))
     return ChosenView(assumed, (SCALE_ASSUMED(scale=assumed.description),))
 
 
@@ -89,7 +96,7 @@ def _stated(folder: CaptureFolder, layout: LayoutFit, size_px: tuple[int, int]) 
     views = []
     if folder.mm_per_px is not None:
         grid = PixelGrid(*size_px, *folder.mm_per_px)
-        views.append(GridView(grid, "the scale stated in the manifest"))
+        views.append(GridView(grid, "the scale stated in the manifest", _STATED_SIGMA))
     markers = folder.markers
     if markers is not None and (markers.pitch_x_mm or markers.pitch_y_mm):
         pitch_x_px, pitch_y_px = layout.pitch
@@ -102,7 +109,8 @@ def _stated(folder: CaptureFolder, layout: LayoutFit, size_px: tuple[int, int]) 
                 f"the dots' rows lie {layout.rotation_deg:.0f} degrees off the image's: pitches "
                 "along x and y then give no scale; state mm_per_px_x and mm_per_px_y"
             )
-        sigma = max(layout.sigma(PITCH_X) / pitch_x_px, layout.sigma(PITCH_Y) / pitch_y_px)
+        of_dots = max(layout.sigma(PITCH_X) / pitch_x_px, layout.sigma(PITCH_Y) / pitch_y_px)
+        sigma = float(np.hypot(of_dots, _STATED_SIGMA))
         grid = PixelGrid(*size_px, per_x, per_y)
         square = "" if x and y else ", for square pixels"
         text = f"the pitch of the dots stated in the manifest{square}"

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import islice
 
 import numpy as np
 
@@ -18,9 +19,11 @@ from taccel_lab.calibration.markers.choose_view import choose_view
 from taccel_lab.calibration.markers.gel_view import GelView, pixel_jacobian
 from taccel_lab.calibration.markers.judgement import layout_remarks, track_remarks
 from taccel_lab.calibration.markers.remarks import MARKER_VIDEO_CUT_SHORT
+from taccel_lab.calibration.markers.rest import Rest, find_rest, frames_before, video_name
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
+from taccel_lab.calibration.markers.tracks import MarkerTracks
 from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError, naming
 from taccel_lab.profile import SensorProfile
@@ -33,15 +36,18 @@ def calibrate_markers(
     """Find the dots at rest, fit their layout on the gel, and follow them through the videos.
 
     Args:
-        folder: Captures; the picture at rest is the markers' own, or else the background.
+        folder: Captures; the picture at rest is the markers' own, or else the background, or else
+            a frame in which a video rests.
         base: Profile of the sensor, for what pixels look at.
 
     Raises:
-        InputError: No picture, no dots, dots in no lattice, or frames of another size.
+        InputError: No picture, none at rest, no dots, dots in no lattice, or frames of another
+            size.
     """
     markers = folder.markers
-    rest = markers.rest if markers is not None else folder.require_background()
     progress("finding the dots", 0, 1)
+    found = Rest(folder.require_background()) if markers is None else find_rest(markers)
+    rest = found.frame
     image = rest.image()
     with naming(rest.source):
         picture = find_markers(image)
@@ -56,9 +62,13 @@ def calibrate_markers(
     layout_mm = layout_on_gel(picture, chosen.view)
     radius_mm, radius_sigma = _radius_mm(picture.dots, chosen.view)
     videos = tuple(
-        _follow(video, picture, progress) for video in (() if markers is None else markers.videos)
+        _follow(video, start, picture, progress)
+        for video, start in zip(
+            () if markers is None else markers.videos, found.starts, strict=True
+        )
     )
     remarks = (
+        *found.remarks,
         *layout_remarks(picture, layout_mm),
         *chosen.remarks,
         *(remark for video in videos for remark in track_remarks(video.figures)),
@@ -119,26 +129,27 @@ def _radius_mm(dots: Dots, view: GelView) -> tuple[float, float]:
     return float(np.median(radius)), 1.2533 * spread / np.sqrt(len(radius))
 
 
-def _follow(video: Video, picture: MarkerPicture, progress: Progress) -> TrackedVideo:
+def _follow(video: Video, start: int, picture: MarkerPicture, progress: Progress) -> TrackedVideo:
+    """Tracks from a frame near rest to the end, and back to the beginning."""
     name = video_name(video)
+    onward = islice(video.frames(), start, None)
     with naming(video.source):
-        tracks = track_markers(_told(video, name, progress), picture)
-    return TrackedVideo(name, video, tracks, track_figures(name, tracks))
+        tracks = track_markers(_told(onward, video, start, progress), picture)
+        if start > 0:
+            back = track_markers(_told(frames_before(video, start), video, 0, progress), picture)
+            tracks = MarkerTracks.joined(back, tracks)
+    return TrackedVideo(name, video, tracks, track_figures(name, tracks, start))
 
 
-def _told(video: Video, name: str, progress: Progress) -> Iterator[np.ndarray]:
-    """The frames of a video; tells how many are done when the next is asked for."""
-    done = 0
-    for done, frame in enumerate(video.frames()):
-        progress(name, done, video.frame_count)
+def _told(
+    frames: Iterable[np.ndarray], video: Video, done: int, progress: Progress
+) -> Iterator[np.ndarray]:
+    """The frames; tells how many are done when the next is asked for."""
+    name = video_name(video)
+    for count, frame in enumerate(frames):
+        progress(name, min(done + count, video.frame_count), video.frame_count)
         yield frame
-    progress(name, done + 1, video.frame_count)
-
-
-def video_name(video: Video) -> str:
-    """A short name: the file, or the folder and first frame."""
-    parts = video.source.replace("\\", "/").split("/")
-    return parts[-1] if video.entry.file is not None else "/".join(parts[-2:])
+    progress(name, video.frame_count, video.frame_count)
 
 
 def _inputs(folder: CaptureFolder, rest: Frame, videos: tuple[TrackedVideo, ...]) -> dict[str, str]:

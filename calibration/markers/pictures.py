@@ -157,7 +157,7 @@ def draw_motion(video: TrackedVideo) -> Figure:
 @in_report_style
 def draw_jitter(video: TrackedVideo) -> Figure:
     """Scatter of the resting dots, one value a dot and axis."""
-    spread = marker_jitter_px(video.tracks, video.figures.quiet_frames)
+    spread = marker_jitter_px(video.tracks, video.figures.quiet_first, video.figures.quiet_frames)
     figure, ax = new_figure(6.4, 3.2)
     if spread is not None:
         ax.hist(spread, bins=30, color=BLUE, alpha=0.85)

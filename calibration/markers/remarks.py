@@ -7,6 +7,26 @@ from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.calibration.result import Severity
 
 # The picture at rest.
+REST_FOUND = RemarkKind(
+    "rest_found",
+    Severity.INFO,
+    "rest was found in {name}: over frames {first} to {last} of {count} nothing in the picture "
+    "moves by more than {limit:.2f} px, and the dots lie as evenly as anywhere in it. A gel that a "
+    "flat plate holds pressed all the time would look the same",
+)
+REST_AMBIGUOUS = RemarkKind(
+    "rest_ambiguous",
+    Severity.WARNING,
+    "{name} stands still over frames {first} to {last} as well, with its dots {way_px:.2f} px from "
+    "those taken for rest: state the picture at rest as markers.rest",
+)
+REST_DISAGREES = RemarkKind(
+    "rest_disagrees",
+    Severity.WARNING,
+    "{rest} is stated to be at rest, but where {name} stands still (frames {first} to {last}) the "
+    "dots lie {way_px:.2f} px away at the median: one of them is pressed, or the gel has slipped "
+    "between them",
+)
 FEW_DOTS = RemarkKind(
     "few_dots",
     Severity.WARNING,
@@ -74,7 +94,7 @@ JITTER = RemarkKind(
 NO_REST = RemarkKind(
     "no_rest",
     Severity.INFO,
-    "{name}: fewer than 5 frames at rest at its start, so that the jitter is unknown",
+    "{name}: fewer than 5 frames at rest, so that the jitter is unknown",
 )
 MOTION_ALIASES = RemarkKind(
     "motion_aliases",

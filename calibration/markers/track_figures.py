@@ -12,11 +12,13 @@ from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
 
 _QUIET_PX = 0.05
-"""Median distance from the first frame below which the gel is at rest in any case."""
+"""Median distance from the frame at rest below which the gel is at rest in any case."""
 _QUIET_NOISE = 4.0
-"""And in units of the least motion between two of the first frames, which is noise."""
+"""And in units of the least motion between two of the frames about rest, which is noise."""
 _QUIET_MOST_PX = 0.3
 _QUIET_FRAMES = 5
+_EDGE = 0.1
+"""Share of a stretch at rest that is left out where it meets a motion, which begins unseen."""
 _MOVED_PX = 1.0
 _HALF = 0.5
 _BACK = 0.25
@@ -30,8 +32,10 @@ class TrackFigures:
     name: str
     frames: int
     markers: int
+    quiet_first: int
+    """First frame of the stretch at rest that the dots are followed from."""
     quiet_frames: int
-    """Frames at the start during which the gel rests."""
+    """Frames of that stretch."""
     jitter_px: float | None
     """Standard deviation of a marker's place over these frames along one axis, median of all
     markers and both axes; None without at least 5 such frames."""
@@ -62,12 +66,12 @@ class TrackFigures:
         return asdict(self)
 
 
-def track_figures(name: str, tracks: MarkerTracks) -> TrackFigures:
-    """Figures of one video's tracks."""
+def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigures:
+    """Figures of one video's tracks; ``start`` is the frame that they were followed from."""
     distance = tracks.distance_px()
     median = np.array([_median(row) for row in distance])
-    quiet = _quiet_frames(tracks)
-    spread = marker_jitter_px(tracks, quiet)
+    quiet_first, quiet = _quiet_frames(tracks, start)
+    spread = marker_jitter_px(tracks, quiet_first, quiet)
     step = np.where(
         tracks.seen[1:] & tracks.seen[:-1],
         np.linalg.norm(np.diff(tracks.uv_px, axis=0), axis=2),
@@ -81,6 +85,7 @@ def track_figures(name: str, tracks: MarkerTracks) -> TrackFigures:
         name=name,
         frames=tracks.frame_count,
         markers=tracks.marker_count,
+        quiet_first=quiet_first,
         quiet_frames=quiet,
         jitter_px=None if spread is None else float(np.median(spread)),
         jitter_p90_px=None if spread is None else float(np.percentile(spread, 90)),
@@ -98,26 +103,32 @@ def track_figures(name: str, tracks: MarkerTracks) -> TrackFigures:
     )
 
 
-def marker_jitter_px(tracks: MarkerTracks, quiet_frames: int) -> np.ndarray | None:
-    """Standard deviation of each always-seen marker's u and v over the first frames, flat."""
-    if quiet_frames < _QUIET_FRAMES:
+def marker_jitter_px(tracks: MarkerTracks, first: int, count: int) -> np.ndarray | None:
+    """Standard deviation of each always-seen marker's u and v over a stretch at rest, flat."""
+    if count < _QUIET_FRAMES:
         return None
-    steady = tracks.seen[:quiet_frames].all(axis=0)
+    quiet = slice(first, first + count)
+    steady = tracks.seen[quiet].all(axis=0)
     if not steady.any():
         return None
-    return tracks.uv_px[:quiet_frames, steady].std(axis=0, ddof=1).ravel()
+    return tracks.uv_px[quiet, steady].std(axis=0, ddof=1).ravel()
 
 
-def _quiet_frames(tracks: MarkerTracks) -> int:
-    offset = np.linalg.norm(tracks.uv_px - tracks.uv_px[0], axis=2)
-    offset = np.where(tracks.seen & tracks.seen[0], offset, np.nan)
+def _quiet_frames(tracks: MarkerTracks, start: int) -> tuple[int, int]:
+    """First frame and length of the stretch about ``start`` over which the gel rests."""
+    offset = np.linalg.norm(tracks.uv_px - tracks.uv_px[start], axis=2)
+    offset = np.where(tracks.seen & tracks.seen[start], offset, np.nan)
     median = np.array([_median(row) for row in offset])
-    steps = [
-        float(np.median(np.linalg.norm(d, axis=1))) for d in np.diff(tracks.uv_px[:10], axis=0)
-    ]
+    near = tracks.uv_px[max(0, start - 5) :][:10]
+    steps = [float(np.median(np.linalg.norm(d, axis=1))) for d in np.diff(near, axis=0)]
     limit = np.clip(_QUIET_NOISE * min(steps, default=0.0), _QUIET_PX, _QUIET_MOST_PX)
     moving = np.flatnonzero(~(median < limit))
-    return int(moving[0]) if len(moving) else tracks.frame_count
+    first = int(moving[moving < start].max(initial=-1)) + 1
+    end = int(moving[moving >= start].min(initial=tracks.frame_count))
+    edge = int(_EDGE * (end - first))
+    first += edge * (first > 0)
+    end -= edge * (end < tracks.frame_count)
+    return first, end - first
 
 
 def _return_frame(median: np.ndarray) -> int | None:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -39,6 +39,15 @@ class MarkerTracks:
     """Column in the lattice, -1 for none, shape [marker]."""
     size_px: tuple[int, int]
     """Width and height of the frames."""
+
+    @classmethod
+    def joined(cls, back: MarkerTracks, onward: MarkerTracks) -> MarkerTracks:
+        """Tracks in order of time, of those from one frame back to the first and from it on."""
+        before = {
+            name: np.concatenate([getattr(back, name)[:0:-1], getattr(onward, name)])
+            for name in ("uv_px", "sigma_px", "status")
+        }
+        return replace(onward, **before)
 
     @property
     def frame_count(self) -> int:

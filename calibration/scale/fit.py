@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from taccel_lab.calibration.camera.pixel_grid import stated_scale_remarks
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.markers.rest import find_rest
 from taccel_lab.calibration.result import Estimate, Remark
 from taccel_lab.calibration.scale import remarks
 from taccel_lab.calibration.scale.combine import CombinedAxis, agreement_remarks, combine_axis
@@ -140,7 +141,7 @@ def _image_size(folder: CaptureFolder) -> tuple[int, int]:
     if folder.background is not None:
         frame = folder.background
     elif folder.markers is not None:
-        frame = folder.markers.rest
+        frame = find_rest(folder.markers).frame
     elif folder.landmarks:
         frame = folder.landmarks[0].frame
     else:

@@ -10,6 +10,7 @@ from taccel_lab.calibration.camera.find_boards import detect_views
 from taccel_lab.calibration.camera.pixel_grid import origin_px
 from taccel_lab.calibration.capture.folder import BoardCaptures, MarkerCaptures
 from taccel_lab.calibration.dots.marker_picture import marker_pitch_px
+from taccel_lab.calibration.markers.rest import find_rest
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.calibration.scale.remarks import MARKER_PITCH
@@ -49,14 +50,15 @@ def scale_from_markers(markers: MarkerCaptures) -> ScaleEstimate:
     """Scale from the markers at rest.
 
     Raises:
-        InputError: No known pitch, or no markers on a lattice.
+        InputError: No known pitch, no picture at rest, or no markers on a lattice.
     """
     if markers.pitch_x_mm is None and markers.pitch_y_mm is None:
         raise InputError(
             "the markers give a scale only with their distance on the gel; give pitch_x_mm and "
             "pitch_y_mm in [markers]"
         )
-    along_x, along_y, sigma = marker_pitch_px(markers.rest.image())
+    rest = find_rest(markers)
+    along_x, along_y, sigma = marker_pitch_px(rest.frame.image())
     found = []
     for pitch_mm, pitch_px in ((markers.pitch_x_mm, along_x), (markers.pitch_y_mm, along_y)):
         if pitch_mm is None:
@@ -69,12 +71,12 @@ def scale_from_markers(markers: MarkerCaptures) -> ScaleEstimate:
         "markers",
         found[0],
         found[1],
-        inputs={markers.rest.name: markers.rest.sha256},
+        inputs={rest.frame.name: rest.frame.sha256},
         evidence={
             "pitch_x_px": along_x,
             "pitch_y_px": along_y,
             "pitch_sigma_px": sigma,
             "pitch_share_sigma": PITCH_SIGMA,
         },
-        remarks=(MARKER_PITCH(share=PITCH_SIGMA),),
+        remarks=(MARKER_PITCH(share=PITCH_SIGMA), *rest.remarks),
     )

@@ -25,7 +25,8 @@ class CalibrateMarkers(BlockCommand):
 
     Dots may be dark or bright, of any size, in a square, rectangular or hexagonal grid, with some
     missing; nothing has to be tuned. The picture at rest is [markers] rest in captures.toml, or the
-    background; videos are those of [[markers.videos]].
+    background, or else frames of the videos, [[markers.videos]], over which nothing moves; where
+    there are none the command refuses.
     """
 
     base: Path | None = None

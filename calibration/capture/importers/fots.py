@@ -117,7 +117,8 @@ def _markers(data: Path) -> Draft:
     frames = images_in(data)
     if not frames:
         raise InputError(f"{data} holds no images")
-    markers: dict[str, Any] = {"rest": draft.add_image(frames[0], "rest")}
+    # The table has the dots of the first frame: places without load, and the way from there.
+    markers: dict[str, Any] = {"labels_image": draft.add_image(frames[0], "labelled")}
     draft.manifest["markers"] = markers
     draft.assume("rest", f"{frames[0].name}, the first image, stands for the gel at rest")
     table = first_existing(frames[0].with_suffix(".csv"))
@@ -134,7 +135,8 @@ def _markers(data: Path) -> Draft:
     else:
         draft.notes.append(
             "the only frame is a press: its dots have moved by what marker_labels.csv says, and "
-            "there is no picture of the gel at rest"
+            "there is no picture of the gel at rest, so that calibrate markers refuses; give one "
+            "as markers.rest"
         )
     return draft
 

@@ -14,7 +14,6 @@ from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
-from taccel_lab.reading.videos import first_frame
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm")
 MIN_FRAMES = 20
@@ -79,22 +78,18 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     videos = [path] if path.is_file() else [] if images_in(path) else _videos(path)
     if videos:
         root = path.parent if path.is_file() else path
-        draft.manifest["markers"] = {
-            "rest": draft.add_image(first_frame(videos[0]), "rest"),
-            "videos": [{"file": draft.add_file(video, root)} for video in videos],
-        }
+        entries = [{"file": draft.add_file(video, root)} for video in videos]
+        draft.manifest["markers"] = {"videos": entries}
     else:
         images = images_in(path)
         if len(images) < 2:
             raise InputError(f"{path} holds {len(images)} images; a video needs at least 2 frames")
         names = [draft.add_image(image, f"frame_{image.stem}") for image in images]
-        draft.manifest["markers"] = {"rest": names[0], "videos": [{"frames": names}]}
-    first = (
-        f"the first frame of {videos[0].name}"
-        if videos
-        else f"{images_in(path)[0].name}, the first frame"
+        draft.manifest["markers"] = {"videos": [{"frames": names}]}
+    draft.notes.append(
+        "no picture at rest is stated: calibrate markers looks for frames in which the gel rests, "
+        "and refuses where there are none"
     )
-    draft.assume("rest", f"{first} shows the gel at rest")
     return [draft]
 
 

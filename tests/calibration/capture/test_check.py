@@ -14,7 +14,9 @@ import pytest
 
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.check import CaptureCheck, check_captures, check_page
+from taccel_lab.calibration.check.balls import check_balls
 from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.geometry import PixelGrid
 from tests.calibration.capture.capture_sets import (
     HEIGHT,
     WIDTH,
@@ -227,7 +229,36 @@ def test_no_background_falls_back_on_the_median(tmp_path: Path) -> None:
 def test_ball_smaller_than_its_contacts(tmp_path: Path) -> None:
     maker = CaptureMaker(radius_mm=1.0, labelled=False)
     finding = by_code(check(maker, tmp_path))["ball_too_small"]
-    assert finding.severity == Severity.ERROR and "diameter" in finding.message
+    assert finding.severity == Severity.ERROR and "the ball 1 mm" in finding.message
+
+
+@pytest.mark.parametrize(("radius_px", "told"), [(20.1, False), (22.0, False), (26.0, True)])
+def test_a_contact_a_little_wider_than_its_ball_is_an_error_of_circles(
+    tmp_path: Path, radius_px: float, told: bool
+) -> None:
+    """Of a ball of 2 mm, which ends at 20 px: a contact of 2.01 mm is one that is pressed deep."""
+    maker = CaptureMaker()
+    frames = check(maker, tmp_path).frames
+    circles = [replace(label, radius_px=radius_px) for label in maker.labels]
+    wide = [
+        replace(frame, contact=None, press=replace(frame.press, circle=circle))
+        for frame, circle in zip(frames, circles, strict=True)
+    ]
+    grid = PixelGrid(WIDTH, HEIGHT, 0.1, 0.1)
+    found = check_balls(wide, grid, WIDTH, 2.0, None)
+    assert ("ball_too_small" in {finding.code for finding in found}) == told
+
+
+def test_a_diameter_is_only_asked_about_where_it_would_explain_the_travel(tmp_path: Path) -> None:
+    def message(stated: float) -> str:
+        circles = [replace(c, radius_px=c.radius_px - 6) for c in spread_circles(8)]
+        maker = CaptureMaker(circles=circles, radius_mm=stated, labelled=False)
+        maker.extra = [f"depth_mm = {(0.1 * c.radius_px) ** 2 / (1.4 * 2.0):.4f}" for c in circles]
+        return by_code(check(maker, tmp_path / f"{stated}"))["ball_against_travel"].message
+
+    assert "diameter" in message(4.0)
+    assert "diameter" not in message(0.8)
+    assert "diameter" not in message(12.0)
 
 
 @pytest.mark.parametrize(("stated", "wrong"), [(2.0, False), (4.0, True), (0.8, True)])

@@ -97,6 +97,8 @@ def test_fots_has_three_sets(tmp_path: Path) -> None:
     assert [press.circle is not None for press in mini.presses] == [False, True]
     assert (digit.sensor, digit.ball_radius_mm, digit.mm_per_px) == ("digit", None, None)
     assert dots.markers is not None and dots.markers.labels["du_px"].tolist() == [-1.0, 0.0]
+    # Its only frame is a press.
+    assert dots.markers.rest is None and dots.markers.labels_frame is not None
 
 
 def test_gs_sdk_balls_and_scale(tmp_path: Path) -> None:
@@ -267,7 +269,7 @@ def test_a_video_file_or_a_folder_with_some(tmp_path: Path) -> None:
     (out,) = import_captures(video.parent, tmp_path / "out")
     markers = load_capture_folder(out).markers
     assert markers is not None and [v.frame_count for v in markers.videos] == [3, 2]
-    assert "first frame of v.avi" in (out / "captures.toml").read_text()
+    assert "no picture at rest is stated" in (out / "captures.toml").read_text()
 
 
 def test_files_of_the_same_name_in_two_folders_are_both_kept(tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def test_finds_synthetic_contacts(u: float, v: float, radius: float, seed: int) 
 def test_drift_does_not_look_like_a_contact() -> None:
     rng = np.random.default_rng(1)
     image = flat_background() + [9.0, -4.0, 6.0] + rng.normal(0, 2, flat_background().shape)
-    with pytest.raises(InputError, match=r"empty\.png: no contact found.*Remove the frame"):
+    with pytest.raises(InputError, match=r"empty\.png: no contact found.*give its circle"):
         detect_contact(image, flat_background(), GRID, name="empty.png")
 
 

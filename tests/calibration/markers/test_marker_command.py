@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.calibration.check import check_captures
 from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
@@ -155,3 +157,40 @@ def test_what_cannot_be_used_is_refused(
     small = write_captures(tmp_path / "small", VIDEO, moving())
     assert cv2.imwrite(str(small / "004.png"), np.zeros((50, 60), dtype=np.uint8))
     assert "frame 3 is 60x50 px" in refused(small)
+
+
+def test_a_video_without_rest_is_refused_and_one_with_it_is_enough(
+    tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    manifest = "mm_per_px_x = 0.06\nmm_per_px_y = 0.06\n[markers]\n[[markers.videos]]\n"
+    manifest += 'frames = ["*.png"]\n'
+    folder = write_captures(tmp_path / "moving", manifest, moving(12)[2:-1])
+    assert run(folder, "--out", tmp_path / "none", "--base", base) == 2
+    assert "no frame at rest" in " ".join(capsys.readouterr().err.split())
+    rest = moving()[0]
+    folder = write_captures(tmp_path / "late", manifest, [*moving(12)[6:], *[rest] * 6])
+    assert run(folder, "--out", tmp_path / "p", "--base", base, "--json") == 0
+    (video,) = json.loads(capsys.readouterr().out)["markers"]["videos"]
+    assert (video["frames"], video["quiet_first"], video["quiet_frames"]) == (13, 6, 7)
+    assert video["largest_px"] == pytest.approx(13.0 * np.sin(np.pi * 5 / 11), abs=0.1)
+    assert video["seen_share"] == 1.0
+    provenance = load_profile(tmp_path / "p")
+    assert provenance.markers is not None
+    spread = provenance.markers.provenance.spread["pitch_x_mm"]
+    # A scale from the manifest is no better than a ruler.
+    assert spread == pytest.approx(0.01 * PITCH_MM, rel=0.05)
+
+
+def test_the_check_looks_where_measured_dots_are(tmp_path: Path) -> None:
+    """Labels are places without load and the way from there to the labelled image."""
+    manifest = '[markers]\nlabels_image = "000.png"\nlabels = "dots.csv"\n'
+    rest = moving()[0]
+    folder = write_captures(tmp_path / "press", manifest, [rest + (12.0, -5.0)])
+
+    def codes(way: tuple[float, float]) -> set[str]:
+        rows = [f"{u},{v},{way[0]},{way[1]}" for u, v in rest]
+        (folder / "dots.csv").write_text("\n".join(["u_px,v_px,du_px,dv_px", *rows]))
+        return {finding.code for finding in check_captures(load_capture_folder(folder)).findings}
+
+    assert codes((12.0, -5.0)) == {"no_rest_frame"}
+    assert codes((0.0, 0.0)) == {"no_rest_frame", "marker_labels_off"}

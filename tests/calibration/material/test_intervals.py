@@ -66,17 +66,22 @@ def fitted(
     read = force * (1 + noise * rng.normal(size=count))
     sigma = noise * force if stated else None
     record = IndentationPoints("press", "press.csv", "0" * 64, tool, depth, read, sigma)
-    fit = fit_indentation(
+    fit = bare_fit(record, table, TOUCH_SIGMA_MM)
+    assert not fit.solution.profiles
+    return fit, late_mm
+
+
+def bare_fit(record: IndentationPoints, table: ForceTable, touch_sigma_mm: float) -> IndentationFit:
+    """Of the modulus and the touch point, without profiles."""
+    return fit_indentation(
         [record],
         [table],
         start_pa=1e5,
         poisson_ratio=POISSON,
         free_nu=False,
-        touch_sigma_mm=TOUCH_SIGMA_MM,
+        touch_sigma_mm=touch_sigma_mm,
         profiled=(),
     )
-    assert not fit.solution.profiles
-    return fit, late_mm
 
 
 @pytest.mark.parametrize(
@@ -136,13 +141,5 @@ def test_a_touch_that_is_trusted_has_no_width(tool: Tool, exact: ForceTable) -> 
     depth = np.linspace(0.3, 1.3, 5)
     force = exact.force_n(depth, MODULUS_PA, POISSON)
     record = IndentationPoints("press", "press.csv", "0" * 64, tool, depth, force, 0.01 * force)
-    fit = fit_indentation(
-        [record],
-        [exact],
-        start_pa=1e5,
-        poisson_ratio=POISSON,
-        free_nu=False,
-        touch_sigma_mm=0.0,
-        profiled=(),
-    )
+    fit = bare_fit(record, exact, 0.0)
     assert fit.touch_interval_mm(0) == (0.0, 0.0) and fit.touch_mm(0) == 0.0

@@ -54,8 +54,10 @@ def enormous(path: Path, draw: Draw, around: Surroundings) -> None:
 
 
 def one_more(path: Path, draw: Draw, around: Surroundings) -> None:
-    """The file once more under an odd name."""
-    shutil.copyfile(path, os.path.join(os.fsencode(path.parent), draw.pick(_NAMES)))
+    """The file once more under an odd name; nothing where that is its own."""
+    name = draw.pick(_NAMES)
+    if name != os.fsencode(path.name):
+        shutil.copyfile(path, os.path.join(os.fsencode(path.parent), name))
 
 
 def renamed(path: Path, draw: Draw, around: Surroundings) -> None:

