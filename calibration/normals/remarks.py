@@ -19,6 +19,8 @@ WEAK_OVER_FLAT = 0.5
 """Error over that of guessing a flat surface, above which a model is only usable, or weak."""
 SURE_RATIO = 1.5
 """Observed over expected error, either way, that is remarked on."""
+LAYER_ERROR = 0.06
+"""Share of the depth by which a bonded layer and finite elements differ at one contact radius."""
 GREY_LEVELS = 1.5
 
 FEW_PRESSES = RemarkKind(
@@ -48,6 +50,13 @@ UNCERTAINTY_OFF = RemarkKind(
     "uncertainty_off",
     Severity.WARNING,
     "held-out errors are {ratio:.2f} times what the model expects of itself",
+)
+DEPTH_DISAGREES = RemarkKind(
+    "normals_depth_disagrees",
+    Severity.WARNING,
+    "held-out presses read {off:.3f} mm (+- {error:.3f}) {direction} than a ball that touches in "
+    "their circles goes into the stated pad ({wanted:.2f} mm): its thickness, the ball's radius or "
+    "the scale is not as stated. Measure the gel's thickness, or press once to a known depth",
 )
 LIGHT_DRIFTS = RemarkKind(
     "normals_light_drifts",
@@ -84,6 +93,7 @@ def remarks_of(
     if result.failures:
         reasons = "; ".join(f"{name}: {why}" for name, why in result.failures.items())
         found.append(HELDOUT_FAILED(count=len(result.failures), reasons=reasons))
+    found += _depth_disagrees(result)
     ratio = None if result.reliability is None else result.reliability.ratio()
     if ratio is not None and not 1 / SURE_RATIO < ratio < SURE_RATIO:
         found.append(UNCERTAINTY_OFF(ratio=ratio))
@@ -94,6 +104,21 @@ def remarks_of(
     if change < GREY_LEVELS:
         found.append(GREY(levels=change))
     return tuple(found)
+
+
+def _depth_disagrees(result: NormalCalibration) -> list[Remark]:
+    """Where image and pad do not tell one depth: by more than the presses scatter, and by more than
+    a layer of small strains is off from finite elements."""
+    depths = [item.depth for item in result.heldout if item.depth is not None]
+    if len(depths) < LEAST_PRESSES:
+        return []
+    off = np.array([depth.deepest_mm for depth in depths])
+    mean, error = float(off.mean()), float(off.std(ddof=1) / np.sqrt(len(off)))
+    wanted = float(np.mean([depth.wanted_mm for depth in depths]))
+    if abs(mean) < max(2 * error, LAYER_ERROR * wanted):
+        return []
+    direction = "deeper" if mean > 0 else "shallower"
+    return [DEPTH_DISAGREES(off=abs(mean), error=error, direction=direction, wanted=wanted)]
 
 
 def _grey_share(frame: InverseFrame, scene: Scene) -> float:

@@ -372,18 +372,32 @@ def test_bad_fits_are_refused() -> None:
 PAD = BondedLayer(4.0, 0.48)
 
 
+def sunk_captures() -> tuple[CaptureSet, list[PressSurface]]:
+    """Balls whose gel sinks around them as a bonded layer does."""
+    captures, _ = synthetic_captures(16, noise=0.0)
+    surfaces = layer_skirts(captures, circles_of(captures), PAD, flat_rest(GRID))
+    images = [np.clip(flat_background() + known_change(s), 0, 255) for s in surfaces]
+    return with_images(captures, lambda _, i: images[i]), surfaces
+
+
 @pytest.fixture(scope="module")
 def practised() -> NormalCalibration:
-    """Balls whose gel sinks as a bonded layer does, and practice on other tools."""
+    """Networks that practised on other tools."""
     torch.set_num_threads(1)
-    captures, _ = synthetic_captures(16, noise=0.0)
-    circles = circles_of(captures)
-    surfaces = layer_skirts(captures, circles, PAD, flat_rest(GRID))
-    captures = with_images(
-        captures, lambda _, i: np.clip(flat_background() + known_change(surfaces[i]), 0, 255)
-    )
+    captures, surfaces = sunk_captures()
     options = replace(QUICK, steps=800, practice=24)
     return calibrated(captures, surfaces, options=options, pad=PAD)
+
+
+def test_a_pad_of_another_thickness_is_told() -> None:
+    captures, surfaces = sunk_captures()
+    options = replace(QUICK, practice=0)
+    codes = [
+        {r.code for r in calibrated(captures, surfaces, options=options, pad=pad).remarks}
+        for pad in (PAD, BondedLayer(1.2, 0.48))
+    ]
+    assert "normals_depth_disagrees" not in codes[0]
+    assert "normals_depth_disagrees" in codes[1]
 
 
 def test_edges_and_punches_are_read_by_a_network_that_practised(
