@@ -15,7 +15,7 @@ from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
 
-LENGTHS_PX = (2.0, 6.0, 18.0)
+LENGTHS_PX = (4.0, 8.0, 16.0)
 """Distances over which neighbours may err together that are tried."""
 EVERY_PX = 3
 """Pixels apart that errors are looked at."""

@@ -19,6 +19,8 @@ from taccel_lab.signals.slope_integration import height_from_slopes
 
 DRAWS = 16
 """Trials: a standard deviation from 16 is itself known to 18 %."""
+POINTS_PER_LENGTH = 2.0
+"""Of the grid that errors are integrated on."""
 SMOOTHING_PX = 6.0
 """The spread of few trials is uneven; its square is averaged over this many pixels."""
 
@@ -47,6 +49,16 @@ class HeightUncertainty:
             error_length_px: Standard deviation of the Gaussian that errors are smooth over [px].
         """
         self.grid, self.error_length_px = grid, error_length_px
+        # Errors that are smooth over many pixels are integrated on as many fewer of them.
+        block = max(1, int(error_length_px / POINTS_PER_LENGTH))
+        width, height = (max(2, round(n / block)) for n in (grid.width_px, grid.height_px))
+        self._coarse = PixelGrid(
+            width,
+            height,
+            grid.mm_per_px_x * grid.width_px / width,
+            grid.mm_per_px_y * grid.height_px / height,
+        )
+        self._length = error_length_px * width / grid.width_px
 
     def sigma_m(
         self,
@@ -64,11 +76,28 @@ class HeightUncertainty:
         """
         from scipy.ndimage import gaussian_filter
 
-        variance = np.zeros(slope_sigma.shape)
-        grid = self.grid
-        for field in smooth_errors(grid.height_px, grid.width_px, self.error_length_px):
-            error = height_from_slopes(
-                slope_sigma[..., None] * field, grid, weights=weights, zero=zero
-            )
+        coarse = self._coarse
+        sigma = self._resized(slope_sigma, coarse)
+        if weights is not None:
+            weights = np.clip(self._resized(weights, coarse), 0.0, 1.0)
+        if zero is not None:
+            zero = self._resized(zero.astype(float), coarse) >= 0.5
+            zero = zero if zero.any() else None
+        variance = np.zeros(sigma.shape)
+        for field in smooth_errors(coarse.height_px, coarse.width_px, self._length):
+            error = height_from_slopes(sigma[..., None] * field, coarse, weights=weights, zero=zero)
             variance += error**2
-        return np.sqrt(gaussian_filter(variance / DRAWS, SMOOTHING_PX, mode="nearest"))
+        smoothing = SMOOTHING_PX * coarse.width_px / self.grid.width_px
+        variance = gaussian_filter(variance / DRAWS, smoothing, mode="nearest")
+        return np.sqrt(np.maximum(self._resized(variance, self.grid), 0.0))
+
+    @staticmethod
+    def _resized(values: np.ndarray, grid: PixelGrid) -> np.ndarray:
+        """Means over larger pixels, or between the middles of larger ones."""
+        import cv2
+
+        if values.shape == (grid.height_px, grid.width_px):
+            return values
+        how = cv2.INTER_AREA if grid.width_px < values.shape[1] else cv2.INTER_LINEAR
+        size = (grid.width_px, grid.height_px)
+        return np.asarray(cv2.resize(np.asarray(values, dtype=float), size, interpolation=how))

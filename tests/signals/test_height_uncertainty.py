@@ -34,3 +34,17 @@ def test_it_grows_with_the_slopes_and_with_the_reach_of_errors() -> None:
     assert twice == pytest.approx(2 * one)
     assert HeightUncertainty(GRID, 6.0).sigma_m(sigma).mean() > 1.5 * one.mean()
     assert (HeightUncertainty(GRID, 2.0).sigma_m(0 * sigma) == 0).all()
+
+
+def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sigma = np.full((60, 80), 0.02)
+    sigma[10:30, 10:30] = 0.2
+    weights = np.ones((60, 80))
+    weights[50:, :20] = 0.0
+    coarse = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
+    monkeypatch.setattr("taccel_lab.signals.height_uncertainty.POINTS_PER_LENGTH", 8.0)
+    fine = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
+    assert coarse.mean() == pytest.approx(fine.mean(), rel=0.35)
+    assert np.corrcoef(coarse.ravel(), fine.ravel())[0, 1] > 0.5
