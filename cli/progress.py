@@ -37,7 +37,7 @@ def _beats(console: Console, title: str) -> Iterator[dict[str, str]]:
             console.print(f"{where or title} ({seconds:.0f} s)", highlight=False, markup=False)
 
     console.print(f"{title} ...", highlight=False, markup=False)
-    thread = threading.Thread(target=beat, daemon=True)
+    thread = threading.Thread(target=beat, name="progress", daemon=True)
     thread.start()
     try:
         yield state

@@ -149,6 +149,7 @@ def test_a_plain_script_needs_no_guard_and_ctrl_c_leaves_nothing(tmp_path: Path)
     )
     assert run.stdout is not None
     child = int(run.stdout.readline())
+    time.sleep(0.5)  # until it waits for the sleeper, as somebody who grows impatient
     run.send_signal(signal.SIGINT)
     assert run.wait(10) != 0
     with pytest.raises(ProcessLookupError):
