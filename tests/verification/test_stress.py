@@ -61,7 +61,7 @@ def advance(solver: SolverIPC, state: State, target: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize(
-    "presses", [10, pytest.param(200, marks=pytest.mark.slow, id="200 presses")]
+    "presses", [16, pytest.param(200, marks=pytest.mark.slow, id="200 presses")]
 )
 def test_rough_presses_never_intersect(presses: int) -> None:
     parts: list[int] = []
@@ -85,5 +85,5 @@ def test_rough_presses_never_intersect(presses: int) -> None:
     counts = np.array(parts)
     assert (counts > 0).all(), "a step stayed unsolved"
     # Friction of 1 on sharp bodies with a range of 5 um is what has to be halved: 19 in 1,000. The
-    # first ten presses have most of it, and rounding decides: five steps of 50 on one processor.
-    assert (counts == 1).mean() > (0.97 if presses > 100 else 0.85)
+    # first ten presses have most of it, and by rounding four or five steps of their 50.
+    assert (counts == 1).mean() > (0.97 if presses > 100 else 0.9)

@@ -74,7 +74,7 @@ def test_rvsathu() -> None:
         )
     )  # fmt: skip
     assert scores["mean_deg"] < 3.2
-    assert scores["depth_mae_mm"] < 0.055
+    assert scores["depth_mae_mm"] < 0.045
     assert scores["absolute"] < 0.05
     assert 0.7 < ratio < 1.4
 
