@@ -17,12 +17,13 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 
 from taccel_lab.calibration.normals.samples import InverseFrame, Samples, Scene, usable_pixels
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer, press_layer
-from taccel_lab.calibration.surfaces.radial import normals_of, slope_of
+from taccel_lab.calibration.surfaces.radial import slope_of
 from taccel_lab.calibration.surfaces.random_tools import draw_tool
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_features import color_change
 from taccel_lab.signals.normal_model import NormalModelConfig, rotate_to_z
+from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
 
 TASK = "drawing practice presses"
 DEPTHS = (0.03, 0.3)
@@ -144,23 +145,17 @@ class Practice:
         if rest is None:
             rest = np.zeros((*rise_mm.shape, 3))
             rest[..., 2] = 1.0
-        sharp = normals_of(slope_of(rest) + _slope(rise_mm, step))
+        sharp = normals_from_slopes(slope_of(rest) + slopes_from_height(1e-3 * rise_mm, grid))
         change = self.colors.predict_pixels(
             np.arange(rise_mm.size), sharp.reshape(-1, 3), rise_mm.ravel(), rest.reshape(-1, 3)
         ).reshape(*rise_mm.shape, 3)
-        seen = normals_of(slope_of(rest) + _slope(gaussian_filter(rise_mm, SEEN_PX), step))
+        smooth_m = gaussian_filter(1e-3 * rise_mm, SEEN_PX)
+        seen = normals_from_slopes(slope_of(rest) + slopes_from_height(smooth_m, grid))
         return PracticePress(
             image=self.noise.spoil(change, self.scene.background, rng),
             normals=rotate_to_z(seen, rest).astype(np.float32),
             rise_m=1e-3 * rise_mm,
         )
-
-
-def _slope(rise_mm: np.ndarray, step_mm: tuple[float, float]) -> np.ndarray:
-    return np.stack(
-        [np.gradient(rise_mm, step_mm[0], axis=1), np.gradient(rise_mm, step_mm[1], axis=0)],
-        axis=-1,
-    )
 
 
 def _uneven(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:

@@ -16,9 +16,10 @@ from taccel_lab.calibration.surfaces.bonded_layer import (
     LayerPress,
     press_layer,
 )
-from taccel_lab.calibration.surfaces.radial import normals_of, slope_of
+from taccel_lab.calibration.surfaces.radial import slope_of
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
+from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
 from taccel_lab.signals.rest_surface import RestSurface
 
 LARGEST_RADII = 0.985
@@ -51,17 +52,11 @@ def _surface(
     circle: ContactCircle, ball_mm: float, grid: PixelGrid, layer: BondedLayer, rest: RestSurface
 ) -> PressSurface:
     depth_mm, rise_mm = ball_in_layer(circle, ball_mm, grid, layer)
-    slope = np.stack(
-        [
-            np.gradient(rise_mm, pitch, axis=axis)
-            for axis, pitch in ((1, grid.mm_per_px_x), (0, grid.mm_per_px_y))
-        ],
-        axis=-1,
-    )
+    slope = slopes_from_height(1e-3 * rise_mm, grid)
     return PressSurface(
         height_m=rest.height_m + 1e-3 * rise_mm,
         rest_height_m=rest.height_m,
-        normals=normals_of(slope + slope_of(rest.normals)),
+        normals=normals_from_slopes(slope + slope_of(rest.normals)),
         rest_normals=rest.normals,
         contact_radius_px=circle.radius_px,
         depth_mm=depth_mm,

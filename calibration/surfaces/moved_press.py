@@ -16,7 +16,8 @@ from scipy.ndimage import map_coordinates
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
-from taccel_lab.calibration.surfaces.radial import RadialSurfaces, normals_of, slope_of
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces, slope_of
+from taccel_lab.signals.normals import normals_from_slopes
 
 MOVED_RADII = 2.7
 """Beyond this many contact radii a surface stays where it was: it is nearly at rest there."""
@@ -89,7 +90,7 @@ class MovedPress:
         rest = self.library.rest_slope.reshape(-1, 2)[pixel_idx]
         slope = rest + np.stack([slope_x, slope_y], axis=-1)
         slope += change[:, None] * np.stack([x, y], axis=-1)
-        return normals_of(slope), sunk + after[1] - before[1]
+        return normals_from_slopes(slope), sunk + after[1] - before[1]
 
 
 def moved_surfaces(

@@ -99,12 +99,6 @@ def slope_of(normals: np.ndarray) -> np.ndarray:
     return -normals[..., :2] / np.maximum(normals[..., 2:], 1e-3)
 
 
-def normals_of(slope: np.ndarray) -> np.ndarray:
-    """Outward unit normals of dh/dx and dh/dy [..., 2], shape [..., 3]."""
-    normals = np.concatenate([-slope, np.ones((*slope.shape[:-1], 1))], axis=-1)
-    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
-
-
 def _profile(
     surface: PressSurface, circle: ContactCircle, grid: PixelGrid
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -16,8 +16,9 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
-from taccel_lab.calibration.surfaces.radial import STEP, RadialSurfaces, normals_of, slope_of
+from taccel_lab.calibration.surfaces.radial import STEP, RadialSurfaces, slope_of
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.normals import normals_from_slopes
 
 SPANNING = 6
 """Presses that are simulated; as many as give the law a parabola in the contact radius with three
@@ -121,7 +122,7 @@ class SharedLaw:
         return PressSurface(
             height_m=like.rest_height_m + sunk_mm * 1e-3,
             rest_height_m=like.rest_height_m,
-            normals=normals_of(slope),
+            normals=normals_from_slopes(slope),
             rest_normals=like.rest_normals,
             contact_radius_px=radius_px,
             depth_mm=between("depth_mm"),
@@ -159,7 +160,7 @@ class SharedLaw:
         for surface, circle in zip(self.simulated, circles, strict=True):
             away = circle.distance_px(self.library.grid) / surface.contact_radius_px
             slope, _ = self._around(circle, surface.contact_radius_px)
-            cosine = np.einsum("vuk,vuk->vu", normals_of(slope), surface.normals)
+            cosine = np.einsum("vuk,vuk->vu", normals_from_slopes(slope), surface.normals)
             angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
             rings = (away <= 1.0, (away > 1.0) & (away <= RING_RADII))
             found += [float(angle[ring].mean()) for ring in rings if ring.any()]

@@ -25,7 +25,6 @@ from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.result import Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
-from taccel_lab.calibration.surfaces.radial import normals_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
@@ -411,11 +410,9 @@ def test_edges_and_punches_are_read_by_a_network_that_practised(
     box = np.where((np.abs(x) < 1.5) & (np.abs(y) < 1.5), 0.0, FAR_MM)
     for tool, within_mm in ((wedge, 0.05), (box, 0.1)):
         rise_mm = press_layer(tool, 0.5, (0.1, 0.1), PAD).rise_mm
-        slope = np.stack(np.gradient(rise_mm, 0.1)[::-1], axis=-1)
-        flat = flat_rest(GRID)
-        surface = PressSurface(
-            1e-3 * rise_mm, flat.height_m, normals_of(slope), flat.normals, 1.0, 0.5, 0, 0, "layer"
-        )
+        flat, rise_m = flat_rest(GRID), 1e-3 * rise_mm
+        shown = rise_m, flat.height_m, normals_from_height(rise_m, GRID), flat.normals
+        surface = PressSurface(*shown, 1.0, 0.5, 0, 0, "layer")
         found = reader.read(np.clip(flat_background() + known_change(surface), 0, 255))
         off = np.abs(1e3 * found.rise_m - rise_mm)
         dent = rise_mm < -0.02
