@@ -21,6 +21,7 @@ from taccel_lab.errors import InputError, SimulationError
 
 COMMANDS = {
     "speed": "speed:Speed",
+    "learning": "learning:Learning",
     "error": "error:Error",
     "press_accuracy": "press_accuracy:PressAccuracy",
     "scaling": "scaling:Scaling",

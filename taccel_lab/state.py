@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -12,7 +13,8 @@ from taccel_lab.bodies.scene_description import TimeScheme
 from taccel_lab.errors import InputError
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import control_positions, embed_vertices, rotate
-from taccel_lab.model.kinematics import place_kinematic_nodes
+from taccel_lab.model.env_rows import copy_rows, device_mask, zero_rows
+from taccel_lab.model.kinematics import place_at_start
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
@@ -51,9 +53,7 @@ class StepHistory:
 
     def forget(self, mask: np.ndarray) -> None:
         """Leave the environments of ``mask`` (bool, [env_count]) without a past."""
-        dts = self.dts.numpy()
-        dts[mask] = 0.0
-        self.dts.assign(dts)
+        zero_rows(device_mask(mask, len(self.dts), self.dts.device), self.dts)
 
 
 @dataclass
@@ -91,18 +91,32 @@ class State:
             wrenches=None if wrenches is None else wp.clone(wrenches),
         )
 
-    def restore(self, other: State, mask: np.ndarray) -> None:
-        """Take motion and poses of the environments of ``mask`` (bool, [env_count]) from another
-        state; loads stay."""
+    def shared(self) -> State:
+        """A copy to ``restore`` from, in which what is the same in all environments has one row."""
+
+        def rows(array: wp.array) -> wp.array:
+            value = array.numpy()
+            return wp.clone(array[:1] if (value == value[:1]).all() else array)
+
+        history = self.history
+        return State(
+            positions=rows(self.positions),
+            velocities=rows(self.velocities),
+            poses=rows(self.poses),
+            history=None if history is None else StepHistory(*map(rows, history.arrays())),
+        )
+
+    def restore(self, other: State, mask: np.ndarray | wp.array) -> None:
+        """Take motion and poses of the environments of ``mask`` (bool, or int32 on the device,
+        [env_count]) from another state, ``shared`` or not; loads stay."""
+        mask = device_mask(mask, len(self.positions), self.positions.device)
         mine = [self.positions, self.velocities, self.poses]
         theirs = [other.positions, other.velocities, other.poses]
         if self.history is not None and other.history is not None:
             mine += self.history.arrays()
             theirs += other.history.arrays()
         for target, source in zip(mine, theirs, strict=True):
-            value = target.numpy()
-            value[mask] = source.numpy()[mask]
-            target.assign(value)
+            copy_rows(mask, source, target)
 
     def loads(self, model: Model) -> tuple[wp.array, wp.array]:
         """``external_forces`` and ``wrenches``; made, all zero, when there were none."""
@@ -146,6 +160,31 @@ def as_poses(model: Model, poses: np.ndarray) -> np.ndarray:
     return value
 
 
+def poses_array(model: Model, poses: Any) -> wp.array:
+    """Poses of the kinematic bodies as transformd, [env_count, kinematic_count], sharing memory.
+
+    ``poses``: [env_count, kinematic_count, 7], x, y, z [m] and quaternion x, y, z, w. Those of
+    numpy are checked, and stay on the host. What is on the model's device already, such as a torch
+    tensor of float64, is not checked for its values: that would wait for the device.
+    """
+    if isinstance(poses, np.ndarray) or not hasattr(poses, "__dlpack__"):
+        value = as_poses(model, np.asarray(poses))
+        shape = (model.env_count, len(model.kinematic))
+        return wp.array(value, dtype=wp.transformd, shape=shape, device="cpu", copy=False)
+    shared = poses if isinstance(poses, wp.array) else wp.from_dlpack(poses)
+    if shared.dtype is wp.float64 and shared.ndim == 3 and shared.shape[2] == 7:
+        shared = shared.view(wp.transformd)
+    expected = (model.env_count, len(model.kinematic))
+    if shared.shape != expected or shared.dtype is not wp.transformd:
+        raise InputError(
+            f"poses on the device are {shared.dtype.__name__} of shape {list(shared.shape)}; "
+            f"expected float64 of shape {[*expected, 7]}, or transformd of shape {[*expected]}"
+        )
+    if shared.device != model.device:
+        raise InputError(f"poses are on {shared.device}, the model is on {model.device}")
+    return shared
+
+
 def initial_state(model: Model, poses: np.ndarray | None = None) -> State:
     """All bodies at their initial poses and velocities, gels in their rest shape.
 
@@ -155,8 +194,7 @@ def initial_state(model: Model, poses: np.ndarray | None = None) -> State:
     env_count, kinematic_count = model.env_count, len(model.kinematic)
     if poses is None:
         poses = np.tile(IDENTITY_POSE, (env_count, kinematic_count, 1))
-    poses = as_poses(model, poses)
-    positions, velocities = _initial_motion(model, poses)
+    positions, velocities = _initial_motion(model)
 
     def nodal(value: np.ndarray) -> wp.array:
         return wp.array(value, dtype=wp.vec3d, device=model.device)
@@ -165,29 +203,26 @@ def initial_state(model: Model, poses: np.ndarray | None = None) -> State:
     state = State(
         positions=nodal(positions),
         velocities=nodal(velocities),
-        poses=wp.array(poses, dtype=wp.transformd, device=model.device),
+        poses=wp.clone(poses_array(model, poses), device=model.device),
         history=StepHistory.empty(model) if bdf2 else None,
     )
-    place_kinematic_nodes(model, state.poses, state.positions)
+    place_at_start(model, state.poses, state.positions)
     embed_vertices(model, state.positions)
     embed_vertices(model, state.velocities)
     return state
 
 
-def _initial_motion(model: Model, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities of soft and control nodes; the others follow from them."""
+def _initial_motion(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities of soft and control nodes; the others, and gels on a mount, follow
+    from these and from the poses."""
     scene = model.scene
     rest = model.rest_positions.numpy()
     positions = np.repeat(rest, model.env_count // model.rest_count, axis=0)
     velocities = np.zeros_like(positions)
-    names = [body.name for body in scene.kinematic_bodies]
     for index, body in enumerate(scene.soft_bodies):
         nodes = model.bodies[index].node_slice
-        pose = body.initial_pose
-        if body.mount is not None:
-            pose = poses[:, names.index(body.mount)]
-        if pose is not None:
-            pose = np.atleast_2d(pose)[:, None]
+        if body.mount is None and body.initial_pose is not None:
+            pose = np.atleast_2d(body.initial_pose)[:, None]
             positions[:, nodes] = rotate(pose[..., 3:], positions[:, nodes]) + pose[..., :3]
         velocities[:, nodes] = body.initial_velocity_m_s
     velocities[:, model.free_index.numpy() < 0] = 0.0

@@ -103,6 +103,24 @@ def speed(document: Document) -> Iterator[str]:
         yield markdown_table(head, starts)
 
 
+def learning(document: Document) -> Iterator[str]:
+    """FPS of a learning loop, and what its slowest environment costs."""
+    rows = [
+        [
+            f"{row['envs']:,}",
+            number(row["fps"]["median"]),
+            number(row["ms_per_step"]["median"]),
+            f"{number(row['beside_steps_ms'])} ({number(row['resets_per_step'])})",
+            f"{number(row['newton_mean'])}, {number(row['newton_largest_mean'])}",
+            solved(row["residual"]),
+        ]
+        for row in document["rows"]
+    ]
+    head = ["environments", "FPS", "ms a step", "of it resets (a step) and reading forces"]
+    head += ["Newton a step: mean, largest of the batch", "residual over contact force"]
+    yield markdown_table(head, rows)
+
+
 def error(document: Document) -> Iterator[str]:
     """One setting at a time, and the front."""
     rows = [row for row in document["rows"] if row["group"] != "front"]
@@ -419,6 +437,7 @@ HEADLINE: dict[str, Section] = {"speed": headline, "captures": captures_headline
 SECTIONS: dict[str, Section] = {
     "speed": partial(of_each_result, "speed", speed),
     "speed picture": speed_pictures,
+    "learning": partial(of_each_result, "learning", learning),
     "peers": peers,
     "error": partial(of_each_result, "error", error),
     "scaling": partial(of_each_result, "scaling", scaling),

@@ -108,9 +108,8 @@ def kept_distance(first: int, second: int, geometry: ContactGeometry) -> wp.floa
 
 
 @wp.func
-def ball_inset(ball: int, reach_sq: wp.float64, geometry: ContactGeometry) -> wp.float64:
-    """``scene.surface_topology.ball_insets`` of one face [m], from its ``face_reaches_sq``."""
-    radius = geometry.node_radii[ball]
+def ball_inset(radius: wp.float64, reach_sq: wp.float64) -> wp.float64:
+    """``bodies.surface_topology.ball_insets`` of one face [m], from its ``face_reaches_sq``."""
     inset = reach_sq / radius
     return inset * wp.max(wp.float64(1.0) - inset / (_NO_BALL_INSET * radius), wp.float64(0.0))
 

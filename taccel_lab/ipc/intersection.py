@@ -21,6 +21,7 @@ from taccel_lab.bodies.bodies import SoftBody
 from taccel_lab.bodies.crossings import crossing_pairs, self_crossings
 from taccel_lab.bodies.mass_properties import winding_number
 from taccel_lab.bodies.primitives import Ball, unique_edges
+from taccel_lab.bodies.surface_parts import is_closed, one_node_of_each_part
 from taccel_lab.bodies.surface_topology import ball_insets
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.quadratic import TET_EDGES
@@ -81,15 +82,6 @@ def find_intersections(model: Model, state: State) -> list[list[Intersection]]:
     positions, present = state.positions.numpy(), model.present.numpy() != 0
     pairs = zip(positions, present, strict=True)
     return [_intersections(model, x, here, env) for env, (x, here) in enumerate(pairs)]
-
-
-def overlaps(model: Model, x: np.ndarray, present: np.ndarray, env: int) -> list[Intersection]:
-    """As ``find_intersections`` for one environment, without inverted tets.
-
-    ``x``: node positions [m], [node_count, 3]; ``present``: bool, [body_count].
-    """
-    found = _intersections(model, x, present, env)
-    return [item for item in found if item.kind is not IntersectionKind.INVERTED_TET]
 
 
 def require_separated(model: Model, state: State) -> None:
@@ -241,35 +233,16 @@ def _surface_overlaps(softer: _Body, stiffer: _Body) -> Iterator[Intersection]:
         yield Intersection(kind, stiffer.name, softer.name, crossings, place, where)
         return
     for inner, outer in ((stiffer, softer), (softer, stiffer)):
-        if not _is_closed(outer.faces):
+        if not is_closed(outer.faces):
             continue
         around = outer.nodes[outer.faces]
-        points = inner.nodes[_component_nodes(inner.faces)]
+        points = inner.nodes[one_node_of_each_part(inner.faces)]
         low, high = around.min(axis=(0, 1)), around.max(axis=(0, 1))
         points = points[((points >= low) & (points <= high)).all(axis=1)]
         inside = [p for p in points if _is_inside(p, around)]
         if inside:
             kind = IntersectionKind.INSIDE
             yield Intersection(kind, inner.name, outer.name, len(inside), inside[0])
-
-
-def _component_nodes(faces: np.ndarray) -> np.ndarray:
-    """One node of each connected component of a surface."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    used, compact = np.unique(faces, return_inverse=True)
-    compact = compact.reshape(faces.shape)
-    rows, columns = compact[:, [0, 1]].ravel(), compact[:, [1, 2]].ravel()
-    links = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(len(used), len(used)))
-    _, labels = connected_components(links, directed=False)
-    return used[np.unique(labels, return_index=True)[1]]
-
-
-def _is_closed(faces: np.ndarray) -> bool:
-    """Whether each edge belongs to two faces."""
-    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    return bool((np.unique(pairs, axis=0, return_counts=True)[1] == 2).all())
 
 
 def _is_inside(point: np.ndarray, triangles: np.ndarray) -> bool:

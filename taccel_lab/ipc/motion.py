@@ -159,40 +159,6 @@ def _subtract_rows_kernel(
         result[env, node] = end[env, node] - start[env, node]
 
 
-@wp.kernel
-def _zero_rows_kernel(mask: wp.array(dtype=wp.int32), values: wp.array2d(dtype=wp.vec3d)):
-    env, node = wp.tid()
-    if mask[env] != 0:
-        values[env, node] = wp.vec3d()
-
-
-@wp.kernel
-def _copy_rows_kernel(
-    mask: wp.array(dtype=wp.int32),
-    source: wp.array2d(dtype=wp.vec3d),
-    result: wp.array2d(dtype=wp.vec3d),
-):
-    env, node = wp.tid()
-    if mask[env] != 0:
-        result[env, node] = source[env, node]
-
-
-def copy_rows(mask: wp.array, source: wp.array, result: wp.array) -> None:
-    """Copy nodal values of the environments in ``mask`` (int32, [env_count])."""
-    wp.launch(
-        _copy_rows_kernel,
-        dim=result.shape,
-        inputs=[mask, source],
-        outputs=[result],
-        device=result.device,
-    )
-
-
-def zero_rows(mask: wp.array, values: wp.array) -> None:
-    """Nodal values of the environments in ``mask`` become zero."""
-    wp.launch(_zero_rows_kernel, dim=values.shape, inputs=[mask, values], device=values.device)
-
-
 def subtract_rows(mask: wp.array, end: wp.array, start: wp.array, result: wp.array) -> None:
     """result = end - start in the environments of ``mask``, zero in others."""
     wp.launch(

@@ -229,7 +229,7 @@ def collect_ball_face(
     pair = closest_point_triangle(
         centre, positions[env, face[0]], positions[env, face[1]], positions[env, face[2]]
     )
-    inset = ball_inset(ball, surface.face_reaches_sq[rest, face_id], geometry)
+    inset = ball_inset(geometry.node_radii[ball], surface.face_reaches_sq[rest, face_id])
     reach = kept - inset + surface.guard
     if pair.distance_sq < reach * reach:
         area = surface.face_areas[rest, face_id]

@@ -11,7 +11,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.tet_checks import first_of
 from taccel_lab.ipc.gaps import SurfacePairs
-from taccel_lab.ipc.intersection import overlaps, require_separated
+from taccel_lab.ipc.intersection import require_separated
 from taccel_lab.model import Model
 from taccel_lab.state import State
 
@@ -32,25 +32,6 @@ def check_start(model: Model, state: State, dhat_m: float) -> None:
     check_state(model, state)
     require_separated(model, state)
     check_gaps(model, state, LEAST_GAP_OVER_DHAT * dhat_m)
-
-
-def overlapping(model: Model, state: State, who: np.ndarray) -> np.ndarray:
-    """Environments of ``who`` (bool, [env_count]) in which bodies that may touch overlap.
-
-    Those that are not finite are none of them. Equal environments are looked at once.
-    """
-    positions = state.positions.numpy()
-    present = model.present.numpy() != 0
-    found = np.zeros(model.env_count, dtype=bool)
-    if not model.contact_plan.pairs:
-        return found
-    known: dict[tuple[bytes, bytes], bool] = {}
-    for env in np.flatnonzero(who & np.isfinite(positions).all(axis=(1, 2))):
-        key = (positions[env].tobytes(), present[env].tobytes())
-        if key not in known:
-            known[key] = bool(overlaps(model, positions[env], present[env], int(env)))
-        found[env] = known[key]
-    return found
 
 
 def check_state(model: Model, state: State) -> None:

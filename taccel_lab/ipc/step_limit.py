@@ -48,7 +48,8 @@ def node_face_limit(
     kept = kept_distance(p, f[0], geometry)
     least = wp.float64(1.0)
     if geometry.node_is_ball[p] != 0:
-        inset = ball_inset(p, reaches_sq[env % reaches_sq.shape[0], candidate[1]], geometry)
+        reach_sq = reaches_sq[env % reaches_sq.shape[0], candidate[1]]
+        inset = ball_inset(geometry.node_radii[p], reach_sq)
         if inset > wp.float64(0.0):
             for k in range(3):
                 at_node = point_point_ccd(

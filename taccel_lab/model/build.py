@@ -128,8 +128,9 @@ class _Layout:
             weights[rows, 1:] = local / solid.radius_m
         return parents, weights
 
-    def frame_followers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes that follow a kinematic frame, and the kinematic index of each."""
+    def frame_followers(self, at_start: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes that follow a kinematic frame, and the kinematic index of each. ``at_start``: all
+        that a frame places before the first step, whole gels that are mounted on it."""
         names = [body.name for body in self.scene.kinematic_bodies]
         nodes, frames = [], []
         for index in range(len(names)):
@@ -138,8 +139,9 @@ class _Layout:
             frames.append(np.full(len(nodes[-1]), index))
         for body, (soft, part) in enumerate(zip(self.scene.soft_bodies, self.soft, strict=True)):
             if soft.mount is not None:
-                nodes.append(self.starts[body] + part.bonded)
-                frames.append(np.full(len(part.bonded), names.index(soft.mount)))
+                mine = np.arange(*self.node_range(body))
+                nodes.append(mine if at_start else mine[part.bonded])
+                frames.append(np.full(len(nodes[-1]), names.index(soft.mount)))
         if not nodes:
             return np.zeros(0), np.zeros(0)
         return np.concatenate(nodes), np.concatenate(frames)
@@ -364,6 +366,7 @@ def build_model(
             present[list(body.surface.environments), index] = 1
     parents, weights = layout.embedding()
     followers, frames = layout.frame_followers()
+    started, start_frames = layout.frame_followers(at_start=True)
     gravity_scale = np.ones(layout.node_count)
     gravity_scale[layout.control_nodes()[:, 1:].ravel()] = 0.0
     return Model(
@@ -393,6 +396,8 @@ def build_model(
         weights=put(weights, wp.vec4d),
         frame_nodes=put(followers, wp.int32),
         frame_ids=put(frames, wp.int32),
+        start_nodes=put(started, wp.int32),
+        start_frames=put(start_frames, wp.int32),
         elastic=groups,
         surface=surface_arrays(
             topology,

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -123,6 +125,20 @@ def _place_kernel(
     positions[env, node] = wp.transform_point(poses[env, frames[i]], rest)
 
 
+def _place(
+    model: Model, what: tuple[wp.array, wp.array], poses: wp.array, positions: wp.array, mask: Any
+) -> None:
+    nodes, frames = what
+    if len(nodes):
+        wp.launch(
+            _place_kernel,
+            dim=(model.env_count, len(nodes)),
+            inputs=[mask, nodes, frames, model.rest_positions, poses],
+            outputs=[positions],
+            device=model.device,
+        )
+
+
 def place_kinematic_nodes(
     model: Model, poses: wp.array, positions: wp.array, mask: wp.array | None = None
 ) -> None:
@@ -131,11 +147,11 @@ def place_kinematic_nodes(
     Those are the vertices of kinematic bodies, and the bonded nodes of mounted gels. ``mask``:
     int32, [env_count]; all environments when None.
     """
-    if len(model.frame_nodes):
-        wp.launch(
-            _place_kernel,
-            dim=(model.env_count, len(model.frame_nodes)),
-            inputs=[mask, model.frame_nodes, model.frame_ids, model.rest_positions, poses],
-            outputs=[positions],
-            device=model.device,
-        )
+    _place(model, (model.frame_nodes, model.frame_ids), poses, positions, mask)
+
+
+def place_at_start(
+    model: Model, poses: wp.array, positions: wp.array, mask: wp.array | None = None
+) -> None:
+    """As ``place_kinematic_nodes``, and mounted gels with all their nodes, in their rest shape."""
+    _place(model, (model.start_nodes, model.start_frames), poses, positions, mask)

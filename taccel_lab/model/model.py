@@ -131,6 +131,11 @@ class Model:
     """Nodes that follow a kinematic frame, int32, shape [frame_node_count]."""
     frame_ids: wp.array
     """Kinematic index of each frame node, int32, shape [frame_node_count]."""
+    start_nodes: wp.array
+    """Nodes that a kinematic frame places at the start, int32, shape [start_node_count]: those that
+    follow it, and the others of gels that are mounted on it."""
+    start_frames: wp.array
+    """Kinematic index of each of them, int32, shape [start_node_count]."""
     elastic: list[ElementArrays]
     surface: SurfaceArrays
     affine: AffineArrays

@@ -11,9 +11,10 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.affine.prediction import predict_affine
-from taccel_lab.ipc.motion import advance_positions, copy_rows, subtract_rows
+from taccel_lab.ipc.motion import advance_positions, subtract_rows
 from taccel_lab.ipc.step_limit import limit_step
 from taccel_lab.model.embedding import embed_vertices
+from taccel_lab.model.env_rows import copy_rows
 from taccel_lab.solvers import search_decisions
 from taccel_lab.solvers.step_launches import StepLaunches
 

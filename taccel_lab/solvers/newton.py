@@ -23,12 +23,12 @@ from taccel_lab.ipc.motion import (
     newton_system,
     reduce_gradient,
     spread_solution,
-    zero_rows,
 )
 from taccel_lab.ipc.pair_hessian import HESSIAN_PSD
 from taccel_lab.ipc.potentials.inversion import find_inversions
 from taccel_lab.ipc.reduce import force_sums
 from taccel_lab.model.embedding import embed_vertices
+from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import place_poses_between
 from taccel_lab.solvers import decisions, search_decisions
 from taccel_lab.solvers.free_flight import start_in_free_flight

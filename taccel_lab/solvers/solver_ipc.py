@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -17,14 +18,19 @@ from taccel_lab.errors import InputError
 from taccel_lab.ipc.capacity import grow_all
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.model import Model
-from taccel_lab.model.kinematics import place_poses_between
+from taccel_lab.model.embedding import embed_vertices
+from taccel_lab.model.env_rows import copy_rows, device_mask
+from taccel_lab.model.kinematics import place_at_start, place_poses_between
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.newton import StepRun
 from taccel_lab.solvers.plan import Plan, make_plan
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step_graph import StepGraphs
-from taccel_lab.state import State, as_poses, initial_state
+from taccel_lab.state import State, initial_state, poses_array
+
+if TYPE_CHECKING:
+    from taccel_lab.ipc.overlap_search import OverlapSearch
 
 HALVING_HELPS = [
     EnvStatus.NO_CONVERGENCE,
@@ -42,6 +48,10 @@ class SolverIPC(SolverParts):
     def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
         super().__init__(model, config)
         self.graphs = StepGraphs(self)
+        self._start: State | None = None
+        """Where environments are put back to; made by the first reset."""
+        self._overlaps: OverlapSearch | None = None
+        """Made by the first check of starts."""
 
     @property
     def plan(self) -> Plan:
@@ -51,15 +61,15 @@ class SolverIPC(SolverParts):
     def step(
         self,
         state: State,
-        target_poses: np.ndarray | wp.array | None = None,
+        target_poses: Any = None,
         *,
         who: np.ndarray | None = None,
         again: bool = False,
     ) -> StepReport:
         """Advance ``state`` in place by dt; kinematic bodies end at ``target_poses``.
 
-        ``target_poses``: [env_count, kinematic_count, 7]; where they are when None. An array that
-        is on the solver's device already (transformd, [env_count, kinematic_count]) is not checked.
+        ``target_poses``: [env_count, kinematic_count, 7]; where they are when None. What is on the
+        solver's device already, a torch tensor of float64, say, is not checked for its values.
         ``who``: environments to step, bool, [env_count]; all when None. The others, their forces
         too, stay as they are, with status SKIPPED.
         ``again``: take the latest step again to other targets. ``state`` is where it ended, which
@@ -74,19 +84,8 @@ class SolverIPC(SolverParts):
         if again and (self.inertia is not None or self.joints is not None):
             raise InputError("only a step of a quasi-static scene without joints is taken again")
         who = np.ones(self.model.env_count, dtype=bool) if who is None else who
-        if target_poses is None:
-            wp.copy(self.end_poses, state.poses)
-        elif isinstance(target_poses, wp.array):
-            expected = self.end_poses
-            if target_poses.shape != expected.shape or target_poses.dtype is not expected.dtype:
-                raise InputError(
-                    f"target poses are {target_poses.dtype.__name__} {target_poses.shape}, "
-                    f"expected {expected.dtype.__name__} {expected.shape}"
-                )
-            wp.copy(self.end_poses, target_poses)
-        else:
-            end = as_poses(self.model, target_poses)
-            self.end_poses.assign(end.reshape(self.end_poses.shape + (7,)))
+        targets = state.poses if target_poses is None else poses_array(self.model, target_poses)
+        wp.copy(self.end_poses, targets)
         self._check_starts(state)
         dt = self.model.scene.time.dt_s
         self.progress.data.again.fill_(int(again))
@@ -98,28 +97,37 @@ class SolverIPC(SolverParts):
             self.refresh_forces(state, ~report.converged & who)
         return replace(report, seconds=time.perf_counter() - started)
 
-    def reset(self, state: State, mask: np.ndarray, poses: np.ndarray | None = None) -> None:
+    def reset(self, state: State, mask: np.ndarray, poses: Any = None) -> None:
         """Put the environments of ``mask`` (bool, [env_count]) back to their initial state.
 
-        ``poses``: of the kinematic bodies, [env_count, kinematic_count, 7]; those of other
-        environments are ignored. The other environments are not touched.
+        ``poses``: of the kinematic bodies, as ``target_poses`` of ``step``; those of other
+        environments are ignored. They stay where they are when None. The other environments are not
+        touched.
         """
-        mask = np.asarray(mask, dtype=bool)
-        if poses is None:
-            poses = state.poses.numpy().reshape(self.model.env_count, -1, 7)
-        state.restore(initial_state(self.model, poses), mask)
+        chosen = device_mask(mask, self.model.env_count, self.model.device)
+        if poses is not None:
+            copy_rows(chosen, poses_array(self.model, poses).to(self.model.device), state.poses)
+        if self._start is None:
+            self._start = initial_state(self.model).shared()
+        start = replace(self._start, poses=state.poses)
+        state.restore(start, chosen)
+        place_at_start(self.model, state.poses, state.positions, chosen)
+        embed_vertices(self.model, state.positions)
         self._separate[mask] = False
         if self.joints is not None:
-            self.joints.reset(mask)
+            self.joints.reset(chosen)
 
     def _check_starts(self, state: State) -> None:
         """Look for overlaps where no step has been taken yet."""
         if not self.config.check_start:
             self._separate[:] = True
         elif not self._separate.all():
-            from taccel_lab.ipc.start_checks import overlapping
+            if self._overlaps is None:
+                from taccel_lab.ipc.overlap_search import OverlapSearch
 
-            self._separate[:] |= ~overlapping(self.model, state, ~self._separate)
+                self._overlaps = OverlapSearch(self.model)
+            new = device_mask(~self._separate, self.model.env_count, self.model.device)
+            self._separate[:] |= self._overlaps.find(state, new).numpy() == 0
 
     # Parts of a step -----------------------------------------------------------------------------
 

@@ -91,8 +91,24 @@ def test_a_captured_run_is_bitwise_the_same(eager: np.ndarray) -> None:
 def test_targets_may_be_on_the_device(eager: np.ndarray) -> None:
     solver, state = make()
     np.testing.assert_array_equal(run(solver, state, on_device=True), eager)
-    with pytest.raises(InputError, match="expected transform"):
+    with pytest.raises(InputError, match=r"of shape \[2, 2\]; expected float64 of shape"):
         solver.step(state, wp.zeros((2, 2), dtype=wp.transformd, device="cpu"))
+
+
+def test_targets_and_starts_may_be_tensors(eager: np.ndarray) -> None:
+    """Without a copy: torch's memory is read where it is."""
+    torch = pytest.importorskip("torch")
+    solver, state = make()
+    for step in range(1, STEPS):
+        assert solver.step(state, torch.from_numpy(poses(step))).converged.all()
+    found = np.concatenate([state.positions.numpy().ravel(), state.velocities.numpy().ravel()])
+    np.testing.assert_array_equal(found, eager[: len(found)])
+    everyone = np.ones(solver.model.env_count, dtype=bool)
+    solver.reset(state, everyone, torch.from_numpy(poses(0)))
+    fresh = initial_state(solver.model, poses(0))
+    np.testing.assert_array_equal(state.positions.numpy(), fresh.positions.numpy())
+    with pytest.raises(InputError, match="expected float64 of shape"):
+        solver.step(state, torch.from_numpy(poses(1)).float())
 
 
 def test_states_have_graphs_of_their_own(eager: np.ndarray) -> None:

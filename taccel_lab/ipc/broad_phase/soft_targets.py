@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.broad_phase.body_boxes import find_body_boxes
 from taccel_lab.ipc.broad_phase.swept_box import append, rounded_out
-from taccel_lab.ipc.reduce import BLOCK_THREADS
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -50,44 +50,6 @@ def _boxes_kernel(
     box = rounded_out(low, high, wp.float64(0.0))
     lower[env, i] = box.lower
     upper[env, i] = box.upper
-
-
-@wp.func
-def _least(value: wp.float64) -> wp.float64:
-    return wp.tile_extract(wp.tile_min(wp.tile(value)), 0)
-
-
-@wp.func
-def _largest(value: wp.float64) -> wp.float64:
-    return wp.tile_extract(wp.tile_max(wp.tile(value)), 0)
-
-
-@wp.kernel
-def _body_boxes_kernel(
-    active: wp.array(dtype=wp.int32),
-    starts: wp.array(dtype=wp.int32),
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    lower: wp.array2d(dtype=wp.vec3d),
-    upper: wp.array2d(dtype=wp.vec3d),
-    any_near: wp.array(dtype=wp.int32),
-):
-    """Box of the paths of all nodes of a body, by a thread block."""
-    env, body, lane = wp.tid()
-    if env == 0 and body == 0 and lane == 0:
-        any_near[0] = 0
-    if active[env] == 0:
-        return
-    big = wp.float64(1.0e30)
-    low = wp.vec3d(big, big, big)
-    high = -low
-    for node in range(starts[body] + lane, starts[body + 1], wp.block_dim()):
-        low, high = _swept(low, high, env, node, positions, displacements)
-    low = wp.vec3d(_least(low[0]), _least(low[1]), _least(low[2]))
-    high = wp.vec3d(_largest(high[0]), _largest(high[1]), _largest(high[2]))
-    if lane == 0:
-        lower[env, body] = low
-        upper[env, body] = high
 
 
 @wp.kernel
@@ -197,9 +159,8 @@ class SoftTrees:
         self._edge_boxes = self._boxes(len(model.contact_plan.soft_edges))
         self._trees: list[wp.Bvh] = []
         soft = [body.nodes for body in model.bodies[: len(model.scene.soft_bodies)]]
-        ends = [start for start, _ in soft] + [soft[-1][1]]
         device, shape = model.device, (model.env_count, len(soft))
-        self._starts = wp.array(ends, dtype=wp.int32, device=device)
+        self._body_nodes = wp.array(soft, dtype=wp.vec2i, device=device)
         self._lower = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self._upper = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self._near = wp.zeros(shape, dtype=wp.int32, device=device)
@@ -221,14 +182,9 @@ class SoftTrees:
         self, active: wp.array, positions: wp.array, displacements: wp.array, margins: wp.array
     ) -> None:
         device, shape = self.model.device, self._near.shape
-        wp.launch_tiled(
-            _body_boxes_kernel,
-            dim=list(shape),
-            inputs=[active, self._starts, positions, displacements],
-            outputs=[self._lower, self._upper, self._any_near],
-            block_dim=BLOCK_THREADS,
-            device=device,
-        )
+        self._any_near.zero_()
+        boxes = (self._lower, self._upper)
+        find_body_boxes(active, self._body_nodes, positions, displacements, *boxes)
         wp.launch(
             _near_kernel,
             dim=shape,

@@ -35,6 +35,7 @@ from taccel_lab.ipc.joints.rows import ROW_COUNT
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
+from taccel_lab.model.env_rows import zero_rows
 
 
 class JointPotential(Potential):
@@ -170,13 +171,11 @@ class JointPotential(Potential):
             device=self.model.device,
         )
 
-    def reset(self, mask: np.ndarray) -> None:
-        """Forget forces and whole turns in the environments of ``mask`` (bool, [env_count])."""
+    def reset(self, mask: wp.array) -> None:
+        """Forget forces and whole turns in the environments of ``mask`` (int32, [env_count])."""
         arrays = [self._step.multipliers, self.coordinates, self.rates, self.efforts]
         for array in [*arrays, self.forces, self.torques]:
-            value = array.numpy()
-            value[mask] = 0.0
-            array.assign(value)
+            zero_rows(mask, array)
 
     # A potential -------------------------------------------------------------------------------
 

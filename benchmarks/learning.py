@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The suite ``learning``: steps a second as a learning loop uses the solver.
+
+Environments that all do the same are the best case of a batch. In a learning loop each is in a
+phase of its own, its targets are an untrained policy's, and some begin anew at every step; the
+batch waits for its slowest environment. Resets, the check of new starts, setting targets, stepping
+and reading forces are timed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.benchmarks.clock import clock_name, clock_of
+from taccel_lab.benchmarks.memory import MemoryMeter
+from taccel_lab.benchmarks.results import ResultFile, Ticker, spread
+from taccel_lab.benchmarks.runner import ForceReader, Motion
+from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
+from taccel_lab.benchmarks.scenes.base import BenchScene
+from taccel_lab.benchmarks.speed import parse_settings
+from taccel_lab.benchmarks.suite import Suite
+from taccel_lab.errors import InputError
+from taccel_lab.progress import Progress, silent
+from taccel_lab.solvers import SolverIPC
+from taccel_lab.state import initial_state
+
+
+@dataclass(frozen=True)
+class Learning(Suite):
+    """FPS as a learning loop has it: own phases, random targets, resets, starts checked."""
+
+    name: ClassVar[str] = "learning"
+    what: ClassVar[str] = (
+        "Environments x steps / seconds of a learning loop: every environment in its own phase, "
+        "random targets, some reset at every step, new starts checked, forces read."
+    )
+    scene: str = "peg"
+    """Scene: peg, press_239, press_2005, press_5215, bolt, hand or squeeze."""
+    envs: tuple[int, ...] = (16,)
+    """Numbers of environments, a row each."""
+    steps: int = 100
+    """Timed steps."""
+    warm_up: int = 100
+    """Steps before, in which each environment is put into a phase of its own."""
+    repeats: int = 1
+    """Timed runs, one going on where the other ended; the median counts."""
+    reset_share: float = 0.01
+    """Part of the environments that begin anew at a step, besides those that are through."""
+    offset_mm: float = 0.1
+    """Targets of moving bodies are off by up to this along each axis, anew at every step; starts
+    are not."""
+    seed: int = 0
+    """Of phases, offsets and resets."""
+    source: str = "auto"
+    """Meshes: published, generated, or auto for the published ones where they are."""
+    set: tuple[str, ...] = ()
+    """Solver settings other than the scene's, e.g. relative_tolerance=1e-5."""
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "steps": self.steps,
+            "warm_up_steps": self.warm_up,
+            "repeats": self.repeats,
+            "reset_share": self.reset_share,
+            "offset_mm": self.offset_mm,
+            "seed": self.seed,
+            "solver": parse_settings(self.set),
+            "clock": clock_name(self.device),
+        }
+
+    def measure_rows(self, result: ResultFile) -> None:
+        """Few environments before many."""
+        if self.scene not in SCENES:
+            raise InputError(f"scene must be of {', '.join(SCENES)}; got {self.scene!r}")
+        if min(self.steps, self.warm_up, self.repeats, *self.envs) < 1:
+            raise InputError("--envs, --steps, --warm-up and --repeats must be at least 1")
+        if not 0 <= self.reset_share <= 1:
+            raise InputError(f"--reset-share must lie in [0, 1], got {self.reset_share:g}")
+        for count in self.envs:
+            row = partial(measure, count, self)
+            result.measure(f"{self.scene}, {count}", row, describe)
+
+
+class LearningLoop:
+    """A scene stepped by an untrained policy, environments in phases of their own."""
+
+    def __init__(self, bench: BenchScene, options: Learning) -> None:
+        self._bench = bench
+        self._options = options
+        self.model = bench.scene.finalize(options.device)
+        self.solver = SolverIPC(self.model, replace(bench.config, check_start=True))
+        self.state = initial_state(self.model, bench.targets(0))
+        self._forces = ForceReader(self.solver)
+        self._clock = clock_of(self.model.device)
+        self._random = np.random.default_rng(options.seed)
+        self._phase = np.zeros(self.model.env_count, dtype=np.int64)
+        self._moves = (np.ptp(bench.path, axis=0) > 0).any(axis=1)
+        """Bodies whose targets are off, bool, [kinematic_count]."""
+        self._first_reset = self._random.integers(0, options.warm_up, self.model.env_count)
+        self._step = 0
+        self.resets = 0
+        """Environments begun anew so far."""
+
+    def _targets(self) -> np.ndarray:
+        """Of the phases, with offsets, [env_count, kinematic_count, 7]."""
+        targets = self._bench.path[self._phase].copy()
+        shape = (len(targets), int(self._moves.sum()), 3)
+        reach = 1e-3 * self._options.offset_mm
+        targets[:, self._moves, :3] += self._random.uniform(-reach, reach, shape)
+        return targets
+
+    def run(self, steps: int, progress: Progress = silent) -> Motion:
+        """Steps from where the loop stands."""
+        motion = Motion(self.model.env_count)
+        wp.synchronize_device(self.model.device)
+        for step in range(1, steps + 1):
+            # What a policy would decide is not the solver's time.
+            begin = self._random.random(self.model.env_count) < self._options.reset_share
+            begin |= (self._phase == self._bench.steps) | (self._first_reset == self._step)
+            self._phase[begin] = 0
+            self._phase += 1
+            targets = self._targets()
+            started = self._clock()
+            if begin.any():
+                self.solver.reset(self.state, begin, self._bench.targets(0))
+            before = self._clock()
+            report = self.solver.step(self.state, targets)
+            after = self._clock()
+            self._forces.read()
+            motion.add(report, self._clock() - started, after - before)
+            self._step += 1
+            self.resets += int(begin.sum())
+            progress("steps", step, steps)
+        return motion
+
+
+def measure(count: int, options: Learning) -> dict[str, Any]:
+    """One row."""
+    chosen = SceneOptions(count, options.source, parse_settings(options.set))
+    bench = build_scene(options.scene, chosen)
+    with MemoryMeter(options.device) as meter:
+        loop = LearningLoop(bench, options)
+        label = f"{options.scene}, {count} environments"
+        loop.run(options.warm_up, Ticker(f"{label}, warming up"))
+        before = loop.resets
+        runs = [
+            loop.run(options.steps, Ticker(f"{label}, run {i + 1}/{options.repeats}"))
+            for i in range(options.repeats)
+        ]
+    bytes_used = meter.used_bytes()
+    median = sorted(runs, key=lambda run: run.fps)[len(runs) // 2]
+    residuals = [run.residual() for run in runs]
+    return {
+        "scene": options.scene,
+        "what": bench.what,
+        "source": bench.source,
+        "envs": count,
+        "steps": options.steps,
+        "soft_nodes": loop.model.soft_count,
+        "unknowns": 3 * loop.model.free_count,
+        "fps": spread([run.fps for run in runs]),
+        "solver_fps": spread([run.solver_fps for run in runs]),
+        "ms_per_step": spread([1e3 * float(np.mean(run.seconds)) for run in runs]),
+        "beside_steps_ms": 1e3 * float(np.mean(median.seconds) - np.mean(median.solver_seconds)),
+        "worst_step_ms": 1e3 * max(median.seconds),
+        "resets_per_step": (loop.resets - before) / (options.steps * options.repeats),
+        "residual": max(residuals, key=lambda r: (r["unconverged"], r["worst_over_allowed"])),
+        **median.work(),
+        "newton_largest_mean": float(np.mean(median.newton_max)),
+        "memory_mib_per_env": bytes_used / 2**20 / count,
+    }
+
+
+def describe(row: dict[str, Any]) -> str:
+    """A line for the person who waits."""
+    residual = row["residual"]
+    line = (
+        f"{row['scene']}, {row['envs']} environments: {row['fps']['median']:,.1f} FPS, "
+        f"{row['ms_per_step']['median']:.2f} ms a step ({row['beside_steps_ms']:.2f} of it "
+        f"{row['resets_per_step']:.1f} resets and reading forces), "
+        f"Newton {row['newton_mean']:.1f}, largest of the batch {row['newton_largest_mean']:.1f}, "
+        f"residual {residual['worst_over_contact_force']:.1e} of the contact force"
+    )
+    if residual["unconverged"]:
+        line += f"; {residual['unconverged']} of {residual['env_steps']} NOT converged"
+        line += f" ({residual['causes']})"
+    return line
