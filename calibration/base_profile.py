@@ -12,7 +12,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.report.remarks import BLOCKS_DROPPED
 from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.surfaces.design import fitted_design
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
 from taccel_lab.sensors.profile import catalogue_profile
@@ -24,16 +24,20 @@ MEASURED = ("calibrated", "measured")
 def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder) -> SensorProfile:
     """The profile to extend: given, in a profile folder, or the catalogue's design of the sensor.
 
-    A design takes the image size and scale of the captures where these state a scale.
+    A design has the dimensions that the captures' ``[design]`` states, and takes their image size
+    and scale where these state a scale.
 
     Raises:
-        InputError: The profile is of another family than the captures.
+        InputError: The profile is of another family than the captures, or has other dimensions
+            than they state.
     """
     if base is None:
-        if folder.mm_per_px is not None and folder.background is not None:
+        with naming(folder.source):
+            if folder.mm_per_px is None or folder.background is None:
+                return catalogue_profile(folder.sensor, folder.design)
             grid = folder.grid()
-            return on_grid(fitted_design(folder.sensor, grid).profile, grid, folder.provenance)
-        return catalogue_profile(folder.sensor)
+            design = fitted_design(folder.sensor, grid, folder.design)
+            return on_grid(design, grid, folder.provenance)
     profile = base if isinstance(base, SensorProfile) else load_profile(base)
     if profile.sensor.family != folder.sensor:
         name = "to extend" if isinstance(base, SensorProfile) else base
@@ -41,6 +45,15 @@ def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder)
             f"the captures are of a {folder.sensor}, the profile {name} is of a "
             f"{profile.sensor.family}"
         )
+    for key, value in folder.design.items():
+        known = profile.sensor.parameters.get(key)
+        if known != value:
+            name = "to extend" if isinstance(base, SensorProfile) else base
+            raise InputError(
+                f"{folder.source} states {key} = {value} under [design], the profile {name} has "
+                f"{'no such parameter' if known is None else known}; make the profile anew with "
+                f"`taccel-lab design {folder.sensor} --set {key}={value}`, or take the line out"
+            )
     return profile
 
 

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -165,6 +166,8 @@ class CaptureFolder:
     """Names of the presses that the manifest holds out; None where it leaves that to the rule."""
     rectified: bool = False
     """Whether the images are rectified."""
+    design: dict[str, Any] = field(default_factory=dict)
+    """Parameters of the catalogue's design that were measured on this unit."""
     assumed: dict[str, str] = field(default_factory=dict)
     """What no file states, by the name of the value: what was taken, and why."""
 

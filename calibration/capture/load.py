@@ -148,6 +148,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         provenance=provenance,
         heldout=_heldout(manifest, manifest_path),
         rectified=manifest.rectified,
+        design=dict(manifest.design),
         assumed=manifest.assumed,
     )
 

@@ -213,6 +213,9 @@ class CaptureManifest(StrictModel):
     assumed: dict[str, str] = Field(default_factory=dict)
     """What no file stated when the captures were imported, by the name of the value: what was
     taken, and why. A person who has checked a value takes its line out."""
+    design: dict[str, Flag | Number | str] = Field(default_factory=dict)
+    """Parameters of the catalogue's design that were measured on this unit, such as
+    ``thickness_mm``, the gel's."""
     indenter: SphereIndenter | None = None
     presses: list[SpherePress] = Field(default_factory=list)
     split: SplitEntry | None = None

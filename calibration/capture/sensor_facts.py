@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,14 +37,19 @@ class SensorFacts:
     """Whether all its lamps are white: grey levels stand for depth."""
 
 
-def sensor_facts(name: str) -> SensorFacts | None:
-    """Figures of the family called ``name``; None when the catalogue has no such family."""
+def sensor_facts(name: str, design: Mapping[str, Any] | None = None) -> SensorFacts | None:
+    """Figures of the family called ``name``, with what ``design`` states otherwise; None when the
+    catalogue has no such family.
+
+    Raises:
+        InputError: The family has no such parameter, or cannot be built so.
+    """
     family = sensor_families().get(name)
     if family is None:
         return None
-    parameters = family.parameters()
-    design = parameters.optics()
-    lamps = [] if design is None else list(design.lights)
+    parameters = family.parameters(design)
+    optics = parameters.optics()
+    lamps = [] if optics is None else list(optics.lights)
     grey = bool(lamps) and all(np.ptp(lamp.rgb) < 1e-6 for lamp in lamps)
     if name in GENERIC:
         return SensorFacts(name, is_grey=grey)

@@ -27,8 +27,8 @@ from taccel_lab.calibration.check.presses import (
 from taccel_lab.calibration.check.targets import check_targets
 from taccel_lab.calibration.error_rates import quoted
 from taccel_lab.calibration.result import Remark, Severity
-from taccel_lab.calibration.surfaces.design import FLAT_PAD, turn_remark
-from taccel_lab.errors import InputError
+from taccel_lab.calibration.surfaces.design import design_remarks
+from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
 
@@ -122,7 +122,8 @@ def check_captures(
     Raises:
         InputError: A file cannot be read.
     """
-    facts = sensor_facts(folder.sensor)
+    with naming(folder.source):
+        facts = sensor_facts(folder.sensor, folder.design)
     findings = [*check_content(folder), *check_targets(folder)]
     if facts is None:
         findings.append(remarks.SENSOR_UNKNOWN(sensor=folder.sensor))
@@ -194,12 +195,13 @@ def press_findings(
     if facts is None:
         return findings
     findings += check_handedness(frames, facts.family, facts.handedness)
+    assumed = design_remarks(
+        facts.family, None if folder.mm_per_px is None else grid, folder.design
+    )
+    findings += [replace(remark, blocks=("color", "normals", "depth")) for remark in assumed]
     if folder.mm_per_px is not None:
         size = (grid.width_px, grid.height_px)
         findings += check_scale(folder.mm_per_px, size, facts.pad_mm, facts.view_mm, facts.family)
-        across = None if facts.family == FLAT_PAD else turn_remark(facts.family, grid)
-        if across is not None:
-            findings.append(replace(across, blocks=("color", "normals", "depth")))
     grey = is_grey(frames)
     if grey != facts.is_grey and facts.family != "flat_pad":
         have, want = ("grey", "coloured") if grey else ("coloured", "grey")

@@ -62,8 +62,6 @@ def calibrate_color(
     base: SensorProfile,
     options: ColorOptions = ColorOptions(),
     progress: Progress = silent,
-    *,
-    assumed: Sequence[Remark] = (),
 ) -> ColorCalibration:
     """Fit the colour model to the ball presses of ``folder``.
 
@@ -72,7 +70,6 @@ def calibrate_color(
         base: Profile that the result extends: its gel is what presses are simulated on.
         options: Which presses are fitted, and how.
         progress: Told what is done.
-        assumed: What was assumed of ``base``, for the record.
 
     Raises:
         InputError: Captures that no model can be fitted to, with what their check found.
@@ -98,7 +95,7 @@ def calibrate_color(
         register=options.register,
         folds=min(options.ensemble, len(presses.training.presses)),
         table=options.table,
-        remarks=(*presses.lost, *findings, *assumed, *presses.remarks),
+        remarks=(*presses.lost, *findings, *presses.remarks),
         progress=progress,
     )
 

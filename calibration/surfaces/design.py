@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -31,39 +30,23 @@ TURN_ASPECT = 1.1
 """From this ratio of its sides on, an image or a pad is upright or lies down."""
 
 
-@dataclass(frozen=True)
-class FittedDesign:
-    """A design for captures, and what was assumed."""
-
-    profile: SensorProfile
-    overrides: Mapping[str, Any]
-    """Parameters that differ from the catalogue's."""
-    remarks: list[Remark] = field(default_factory=list)
-
-
 def fitted_design(
     sensor: str, grid: PixelGrid, overrides: Mapping[str, Any] | None = None
-) -> FittedDesign:
+) -> SensorProfile:
     """The catalogue's design of ``sensor``, made to fit images of ``grid``.
 
-    ``overrides`` are parameters known otherwise, such as the gel's thickness; they win.
+    ``overrides`` are parameters that were measured, such as the gel's thickness; they win.
 
     Raises:
         InputError: Parameters that cannot be built, or a sensor whose package cannot be loaded.
     """
     given = dict(overrides or {})
     if sensor == FLAT_PAD:
-        found = {**_made_to_measure(grid), **given}
-        profile = catalogue_profile(FLAT_PAD, found)
-        return FittedDesign(profile, found, [_assumed_pad(profile, given)])
+        return catalogue_profile(FLAT_PAD, {**_made_to_measure(grid), **given})
     turned = _turned(sensor, grid)
-    found = {**turned, **given}
     if turned:
-        said = [remarks.PAD_TURNED(sensor=sensor)]
-        return FittedDesign(_upright(sensor, found), found, said)
-    across = turn_remark(sensor, grid)
-    said = [] if across is None else [across]
-    return FittedDesign(catalogue_profile(sensor, found), found, said)
+        return _upright(sensor, {**turned, **given})
+    return catalogue_profile(sensor, given)
 
 
 def _upright(sensor: str, overrides: Mapping[str, Any]) -> SensorProfile:
@@ -92,11 +75,6 @@ def _made_to_measure(grid: PixelGrid) -> dict[str, Any]:
     }
 
 
-def _assumed_pad(profile: SensorProfile, given: Mapping[str, Any]) -> Remark:
-    kind = remarks.FLAT_GEL if "thickness_mm" in given else remarks.FLAT_PAD
-    return kind(thickness_mm=profile.gel.thickness_mm)
-
-
 def lies_across(sensor: str, grid: PixelGrid) -> bool:
     """Whether images and the catalogue's pad lie across each other: one upright, one not."""
     family = sensor_family(sensor)
@@ -108,13 +86,23 @@ def lies_across(sensor: str, grid: PixelGrid) -> bool:
     )
 
 
-def turn_remark(sensor: str, grid: PixelGrid) -> Remark | None:
-    """What a user has to know where the design cannot be turned as the images are."""
-    if not lies_across(sensor, grid) or _turned(sensor, grid):
-        return None
+def design_remarks(
+    sensor: str, grid: PixelGrid | None, overrides: Mapping[str, Any]
+) -> list[Remark]:
+    """What has to be assumed of the pad: a thickness that nobody measured, how it lies under
+    images of ``grid``."""
+    if sensor == FLAT_PAD:
+        if "thickness_mm" in overrides:
+            return []
+        thickness = sensor_family(FLAT_PAD).parameters().values()["thickness_mm"]
+        return [remarks.FLAT_PAD(thickness_mm=thickness)]
+    if grid is None or not lies_across(sensor, grid):
+        return []
+    if _turned(sensor, grid):
+        return [remarks.PAD_TURNED(sensor=sensor)]
     width, height = grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y
     lie = "lie down" if width > height else "stand upright"
-    return remarks.IMAGES_ACROSS(lie=lie, width_mm=width, height_mm=height, sensor=sensor)
+    return [remarks.IMAGES_ACROSS(lie=lie, width_mm=width, height_mm=height, sensor=sensor)]
 
 
 def _turned(sensor: str, grid: PixelGrid) -> dict[str, Any]:

@@ -3,25 +3,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
 from tyro.conf import Positional
 
 from taccel_lab.calibration.color.options import ColorOptions
 from taccel_lab.cli.calibrate.base import BlockCommand, Fitted
-from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.calibration.capture.folder import CaptureFolder
     from taccel_lab.calibration.color.result import ColorCalibration
-    from taccel_lab.calibration.result import Remark
-    from taccel_lab.profile import SensorProfile
     from taccel_lab.progress import Progress
 
 
@@ -40,40 +36,16 @@ class CalibrateColor(BlockCommand, ColorOptions):
     base: Path | None = None
     """Profile of the designed sensor to extend; the catalogue's design of the sensor, turned as the
     images are, when left out. A sensor that the catalogue does not know is taken as a flat pad."""
-    sensor: str | None = None
-    """Sensor of the catalogue; the captures' own when left out."""
-    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())
-    """Dimensions of the gel that differ from the catalogue's, such as thickness_mm=2.5; not with
-    --base."""
 
     def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
         """Simulate the presses and train the model."""
         from taccel_lab.calibration.color.fit import calibrate_color
         from taccel_lab.calibration.color.report import color_page
 
-        base, assumed = self._base(folder)
-        result = calibrate_color(folder, base, self, progress, assumed=assumed)
+        base = self.profile_to_extend(folder)
+        result = calibrate_color(folder, base, self, progress)
         page = color_page(result)
         return Fitted("color", base, result, page, partial(_print_figures, result))
-
-    def _base(self, folder: CaptureFolder) -> tuple[SensorProfile, list[Remark]]:
-        """The profile to extend, and what was assumed of a sensor that no profile describes."""
-        from taccel_lab.cad.parameters import parse_overrides
-        from taccel_lab.calibration.surfaces.design import fitted_design
-        from taccel_lab.sensors.registry import sensor_family
-
-        if self.sensor is not None and self.sensor != folder.sensor:
-            raise InputError(
-                f"{folder.source} was captured with sensor {folder.sensor!r}, not {self.sensor!r}"
-            )
-        if self.base is not None and self.set:
-            raise InputError("--set changes the catalogue's design and cannot go with --base")
-        overrides = parse_overrides(self.set)
-        sensor_family(folder.sensor)
-        if self.base is not None or folder.mm_per_px is None or folder.background is None:
-            return self.profile_to_extend(folder), []
-        design = fitted_design(folder.sensor, folder.grid(), overrides)
-        return design.profile, design.remarks
 
 
 def _print_figures(result: ColorCalibration, console: Console) -> None:

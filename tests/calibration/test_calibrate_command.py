@@ -10,11 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.base_profile import base_profile
+from taccel_lab.calibration.capture.load import load_capture_folder
+from taccel_lab.calibration.check.block_findings import capture_check
 from taccel_lab.cli.calibrate.color import CalibrateColor
 from taccel_lab.cli.export import Export
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table_file import read_table
 from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.synthetic import (
     BALL_RADIUS_MM,
     GRID,
@@ -144,12 +148,47 @@ def test_what_is_missing_is_refused_with_the_other_faults(folder: Path) -> None:
     assert "presses" in str(found.value) and not out.exists()
 
 
-def test_dimensions_go_with_the_catalogue_only(folder: Path) -> None:
-    with pytest.raises(InputError, match="--set changes the catalogue's design"):
-        CalibrateColor(
-            folder, folder.parent / "profile", base=folder.parent / "base",
-            set=("thickness_mm=3",),
-        ).run()  # fmt: skip
+def with_design(folder: Path, lines: str) -> Path:
+    manifest = folder / "captures.toml"
+    text = manifest.read_text()
+    manifest.write_text(text.replace("[indenter]", f"[design]\n{lines}\n[indenter]"))
+    return folder
+
+
+def test_a_measured_gel_is_what_the_presses_are_simulated_on(folder: Path) -> None:
+    """Colours, normals and the check take it from the captures, not each from a flag of its own."""
+    captures = load_capture_folder(with_design(folder, "thickness_mm = 3.5"))
+    assert base_profile(None, captures).gel.thickness_mm == 3.5
+    manifest = folder / "captures.toml"
+    for line, said in (("", True), ("thickness_mm = 4.0", False)):
+        text = manifest.read_text().replace('"gelsight"', '"flat_pad"')
+        manifest.write_text(text.replace("thickness_mm = 3.5", line))
+        found = capture_check(load_capture_folder(folder)).findings
+        assert ("flat_pad" in [finding.code for finding in found]) == said
+        manifest.write_text(text)
+
+
+def test_a_profile_of_another_gel_than_the_captures_state_is_refused(folder: Path) -> None:
+    with_design(folder, "thickness_mm = 3.5")
+    base = folder.parent / "designed"
+    save_profile(catalogue_profile("gelsight"), base)
+    said = r"states thickness_mm = 3\.5 under \[design\], the profile .*designed has \d"
+    with pytest.raises(InputError, match=said):
+        CalibrateColor(folder, folder.parent / "profile", base=base).run()
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ("thickness = 3", r"captures\.toml: .*no parameter 'thickness'; known: .*thickness_mm"),
+        ("thickness_mm = -3.0", r"captures\.toml: .*thickness_mm = -3 is below its bound"),
+        ('thickness_mm = "thick"', r"captures\.toml: .*thickness_mm = 'thick' is not a number"),
+    ],
+)
+def test_a_design_that_cannot_be_is_refused(folder: Path, lines: str, said: str) -> None:
+    with_design(folder, lines)
+    with pytest.raises(InputError, match=said):
+        CalibrateColor(folder, folder.parent / "profile").run()
 
 
 def test_an_empty_frame_stops_it(folder: Path) -> None:
@@ -167,7 +206,6 @@ def test_an_empty_frame_stops_it(folder: Path) -> None:
         ({"holdout_every": 9}, "too few to hold out"),
         ({"ensemble": 1}, "ensemble must be 0 or at least 2"),
         ({"steps": 0}, "steps must be at least 1"),
-        ({"sensor": "digit"}, "captured with sensor 'gelsight', not 'digit'"),
         ({"captures": Path("nowhere")}, "nowhere does not exist"),
     ],
 )

@@ -139,7 +139,6 @@ def test_bad_captures(here: Path, capsys: pytest.CaptureFixture[str], case: str)
         (["--ensemble", "-1"], ["ensemble must be 0 or at least 2, got -1"]),
         (["--holdout-every", "1"], ["holdout_every must be 0 or at least 2, got 1"]),
         (["--holdout-every", "6"], [r"captures\.toml holds 5 presses, too few to hold out"]),
-        (["--sensor", "digit"], ["captured with sensor 'gelsight', not 'digit'"]),
         (["--base", "absent"], [r"absent/profile\.toml: no such profile folder"]),
     ],
 )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.result import Severity
-from taccel_lab.calibration.surfaces.design import MARGIN_MM, fitted_design, turn_remark
+from taccel_lab.calibration.surfaces.design import MARGIN_MM, design_remarks, fitted_design
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -23,10 +23,11 @@ def pad_size(profile: SensorProfile) -> np.ndarray:
 def test_upright_images_turn_the_pad() -> None:
     lying = fitted_design("gelsight_mini", PixelGrid(320, 240, 0.0511, 0.0511))
     upright = fitted_design("gelsight_mini", PixelGrid(240, 320, 0.0511, 0.0511))
-    assert lying.overrides == {} and lying.remarks == []
-    assert [remark.code for remark in upright.remarks] == ["pad_turned"]
-    assert pad_size(upright.profile) == pytest.approx(pad_size(lying.profile)[::-1])
-    before, after = lying.profile.sensor.parameters, upright.profile.sensor.parameters
+    assert design_remarks("gelsight_mini", lying.camera.grid(), {}) == []
+    (remark,) = design_remarks("gelsight_mini", PixelGrid(240, 320, 0.0511, 0.0511), {})
+    assert remark.code == "pad_turned"
+    assert pad_size(upright) == pytest.approx(pad_size(lying)[::-1])
+    before, after = lying.sensor.parameters, upright.sensor.parameters
     assert after["crown_radius_x_mm"] == before["crown_radius_y_mm"]
     assert after["marker_pitch_mm"] == before["marker_pitch_mm"]
 
@@ -34,8 +35,8 @@ def test_upright_images_turn_the_pad() -> None:
 @pytest.mark.parametrize("sensor", ["gelsight", "gelsight_mini", "9dtact"])
 def test_the_whole_sensor_is_turned(sensor: str) -> None:
     """Pads meshed across the catalogue's way were unfit to be simulated."""
-    lying = fitted_design(sensor, PixelGrid(320, 240, 0.05, 0.05)).profile
-    upright = fitted_design(sensor, PixelGrid(240, 320, 0.05, 0.05)).profile
+    lying = fitted_design(sensor, PixelGrid(320, 240, 0.05, 0.05))
+    upright = fitted_design(sensor, PixelGrid(240, 320, 0.05, 0.05))
     size = np.ptp(upright.mesh.nodes_m[:, :2], axis=0) * 1e3
     assert size == pytest.approx(pad_size(upright))
     assert upright.gel == lying.gel.replace(provenance=upright.gel.provenance)
@@ -47,25 +48,24 @@ def test_the_whole_sensor_is_turned(sensor: str) -> None:
 def test_a_pad_that_cannot_be_turned_is_told() -> None:
     """A DIGIT's gel is curved along one axis; its parameters have no x and y to exchange."""
     lying, upright = PixelGrid(320, 240, 0.05, 0.05), PixelGrid(240, 320, 0.05, 0.05)
-    assert fitted_design("digit", upright).remarks == []
-    (remark,) = fitted_design("digit", lying).remarks
+    assert design_remarks("digit", upright, {}) == []
+    (remark,) = design_remarks("digit", lying, {})
     assert remark.code == "images_across" and remark.severity is Severity.WARNING
-    assert turn_remark("gelsight_mini", upright) is None  # its pad is turned instead
 
 
 def test_flat_pads_are_made_to_measure() -> None:
     grid = PixelGrid(400, 300, 0.07, 0.08)
     found = fitted_design("flat_pad", grid)
-    assert found.profile.sensor.family == "flat_pad"
-    assert pad_size(found.profile) == pytest.approx(
+    assert found.sensor.family == "flat_pad"
+    assert pad_size(found) == pytest.approx(
         [400 * 0.07 + 2 * MARGIN_MM, 300 * 0.08 + 2 * MARGIN_MM], abs=1e-3
     )
-    assert found.profile.camera.grid() == grid
-    (remark,) = found.remarks
-    assert remark.severity is Severity.WARNING and "thickness" in remark.message
-    known = fitted_design("flat_pad", grid, {"thickness_mm": 2.5})
-    assert known.profile.gel.thickness_mm == 2.5
-    assert [r.severity for r in known.remarks] == [Severity.INFO]
+    assert found.camera.grid() == grid
+    (remark,) = design_remarks("flat_pad", grid, {})
+    assert remark.severity is Severity.WARNING and "4 mm thick" in remark.message
+    known = {"thickness_mm": 2.5}
+    assert fitted_design("flat_pad", grid, known).gel.thickness_mm == 2.5
+    assert design_remarks("flat_pad", grid, known) == []
 
 
 def test_a_view_larger_than_any_pad_is_refused() -> None:
@@ -76,8 +76,8 @@ def test_a_view_larger_than_any_pad_is_refused() -> None:
 def test_dimensions_given_win_over_the_turn() -> None:
     grid = PixelGrid(240, 320, 0.0511, 0.0511)
     found = fitted_design("gelsight_mini", grid, {"length_x_mm": 21.5})
-    assert pad_size(found.profile) == pytest.approx([21.5, 25.25])
-    assert found.profile.sensor.parameters["length_x_mm"] == 21.5
+    assert pad_size(found) == pytest.approx([21.5, 25.25])
+    assert found.sensor.parameters["length_x_mm"] == 21.5
 
 
 def test_an_unknown_sensor_is_refused_with_what_may_stand_for_it() -> None:
