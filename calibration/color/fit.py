@@ -46,6 +46,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.color_model import STEEPEST, ColorModel
 from taccel_lab.signals.tactile_image import tactile_image
 
 SPREAD_PIXELS = 2000
@@ -211,7 +212,7 @@ class _Fitting:
             validated=[] if found is None else self._validated(found),
             captures=captures,
             surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
-            valid_region=_valid_region(self.frames),
+            valid_region=_valid_region(self.frames, fit.model),
             circles=tuple(frame.circle for frame in self.frames),
             start_circles=tuple(start),
             drift_choice=self.drift_choice,
@@ -337,16 +338,17 @@ class _Fitting:
         return float(np.mean(floors)) if floors else math.nan
 
 
-def _valid_region(frames: Sequence[ColorFrame]) -> dict[str, tuple[float, float]]:
+def _valid_region(
+    frames: Sequence[ColorFrame], model: ColorModel
+) -> dict[str, tuple[float, float]]:
     """Where the training presses lie: positions of the contacts, slopes and displacements."""
     u = [frame.circle.u_px for frame in frames]
     v = [frame.circle.v_px for frame in frames]
-    tilt = max(math.degrees(math.acos(min(1.0, f.surface.normals[..., 2].min()))) for f in frames)
     low = min(float(f.surface.displacement_mm().min()) for f in frames)
     high = max(float(f.surface.displacement_mm().max()) for f in frames)
     return {
         "contact_u_px": (min(u), max(u)),
         "contact_v_px": (min(v), max(v)),
-        "surface_tilt_deg": (0.0, tilt),
+        STEEPEST: (0.0, model.cone_deg),
         "displacement_mm": (low, high),
     }

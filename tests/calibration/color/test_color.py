@@ -146,6 +146,14 @@ def test_drift_is_recovered_beside_a_contact() -> None:
     assert true.remove(true.apply(frame)) == pytest.approx(frame)
 
 
+def test_the_steepest_ball_bounds_what_slopes_may_do() -> None:
+    captures, surfaces = synthetic_captures(8)
+    fit = fit_color_model(frames_of(captures, surfaces), captures.background, GRID, QUICK)
+    steepest = max(np.arccos(surface.normals[..., 2].min()) for surface in surfaces)
+    assert fit.model.cone_deg == pytest.approx(np.degrees(steepest), abs=2.0)
+    assert fit.model.cone_deg <= np.degrees(steepest) + 1e-9
+
+
 def test_averaged_background_is_quieter_and_free_of_contacts() -> None:
     captures, surfaces = synthetic_captures(16, noise=2.0)
     rng = np.random.default_rng(5)
