@@ -137,10 +137,9 @@ def test_contacts_that_fill_the_picture(share: float, left_px: float) -> None:
     grid = PixelGrid(120, 90, 0.08, 0.08)
     radius = share * grid.height_px
     rng = np.random.default_rng(3)
-    circles = [
-        ContactCircle(*rng.uniform(radius + 3, np.array([116, 86]) - radius), radius)
-        for _ in range(8)
-    ]
+    low, high = np.full(2, radius + 3), np.array([116, 86]) - radius
+    places = rng.uniform(low, high, (8, 2)).tolist()
+    circles = [ContactCircle(u_px, v_px, radius) for u_px, v_px in places]
     images = [
         quantise(
             add_noise(
